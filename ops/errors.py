@@ -130,6 +130,10 @@ class NewStoreError(StoreError):
     """A store is sound, but what is asked for needs another one: to ask again does not help."""
 
 
+class AcceptError(KinedexError):
+    """Something would be lost that the user has to accept first (`--accept`); nothing was changed."""
+
+
 def _readable(message: str) -> str:
     """Return a message that quotes a file in a readable form: very long words and messages are cut and marked."""
     message = _LONG_WORD.sub(lambda found: f"{found[0][:60]}… ({len(found[0])} characters)", message)

@@ -17,6 +17,7 @@ WITHOUT = {
     "SourceError": "a source file is wrong; the message names file and line, and only its author can correct it",
     "ConfigError": "a configuration file is wrong; the message names file, line, key and the nearest valid name",
     "NewStoreError": "the store is sound but another one is needed; only the user can choose its place",
+    "AcceptError": "the user has to decide; the runner adds `--accept` to the command as the remedy of StageFailed",
     "PluginError": "a distribution of somebody else is wrong; the message names it",
     "UnknownName": "SQL asks for a name that does not exist; the message lists those that do",
     "NoFoldsError": "the archive has too few takes for a split; the message counts them",

@@ -30,6 +30,7 @@ def run_pipeline(
     scheduler: str | None = None,
     force: Iterable[str] = (),
     wait_seconds: float = 0.0,
+    accept: bool = False,
     verbose: bool = False,
 ) -> Outcome:
     """Run what is not done yet of a pipeline.
@@ -54,6 +55,8 @@ def run_pipeline(
         Stages that run in any case.
     wait_seconds : float, optional
         The time to wait while another process writes to the store; 0 fails at once.
+    accept : bool, optional
+        True lets the run take values, such as classes, away from takes; by default it refuses, and nothing changes.
     verbose : bool, optional
         True prints what the stages report.
 
@@ -86,6 +89,7 @@ def run_pipeline(
             scheduler=scheduler,
             force=force,
             wait_seconds=wait_seconds,
+            accept=accept,
             terminal=terminal,
         )
     except KinedexError as fault:
@@ -102,12 +106,14 @@ def ingest(
     mapping: str | Path | None = None,
     rate: float | None = None,
     patterns: Sequence[str] | None = None,
+    metadata: str | Path | Sequence[str | Path] | None = None,
     prune: bool = False,
     strict: bool = False,
     settings: Mapping[str, Any] | None = None,
     executor: Executor = "serial",
     workers: int | None = None,
     wait_seconds: float = 0.0,
+    accept: bool = False,
     verbose: bool = False,
 ) -> Outcome:
     r"""Bring the motion files of a folder into a store, and index them.
@@ -125,7 +131,10 @@ def ingest(
         Frames per second of every file, whatever it states.
     patterns : sequence of str, optional
         Regular expressions with named groups (actor, class, clip, or any other), tried in order on the path relative to
-        the folder, such as ``r"(?P<actor>\w+)/(?P<class>\w+)_\d+\."``.
+        the folder, such as ``r"(?P<actor>\w+)/(?P<class>\w+)_\d+\."``. Unless given, those of the last ingest of the
+        folder.
+    metadata : str, Path or sequence of them, optional
+        Tables (CSV or YAML) whose rows name takes or files, and whose other columns become columns of takes.
     prune : bool, optional
         True drops takes whose file is no longer in the folder.
     strict : bool, optional
@@ -138,6 +147,8 @@ def ingest(
         The number of worker processes; that of the cores unless given.
     wait_seconds : float, optional
         The time to wait while another process writes to the store; 0 fails at once.
+    accept : bool, optional
+        True lets the run take values, such as classes, away from takes; by default it refuses, and nothing changes.
     verbose : bool, optional
         True prints what the stages report.
 
@@ -160,9 +171,10 @@ def ingest(
     ['al', 'bo']
     """
     given: dict[str, Any] = {"source": Path(folder), **(settings or {})}
-    optional = {"skeleton": mapping, "patterns": patterns, "override_rate_hz": rate}
+    optional = {"skeleton": mapping, "patterns": patterns, "metadata": metadata, "override_rate_hz": rate}
     given |= {name: value for name, value in optional.items() if value is not None}
     given |= {name: True for name, wanted in (("prune", prune), ("strict", strict)) if wanted}
     return run_pipeline(
-        "ingest", store, given, executor=executor, workers=workers, wait_seconds=wait_seconds, verbose=verbose
-    )
+        "ingest", store, given, executor=executor, workers=workers, wait_seconds=wait_seconds, accept=accept,
+        verbose=verbose,
+    )  # fmt: skip

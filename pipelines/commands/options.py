@@ -45,11 +45,20 @@ RateOption = Annotated[
     float | None,
     typer.Option("--rate", metavar="HZ", help="Frames per second of every file; overrides what the files contain."),
 ]
+MetadataOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        metavar="FILE", help="Table of metadata whose columns become columns of takes; may be given several times."
+    ),
+]
 MaxMemoryOption = Annotated[
     str | None,
     typer.Option(
         metavar="SIZE", help="Most memory of all workers, such as 1.5GB; ingest refuses files that need more."
     ),
+]
+AcceptOption = Annotated[
+    bool, typer.Option("--accept", help="Let the run take values, such as classes, away from takes of the store.")
 ]
 WhereOption = Annotated[
     str | None, typer.Option(help="SQL filter over the columns of takes, for instance \"actor = 'bk'\".")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated
 
@@ -9,10 +10,12 @@ import typer
 
 from kinedex.pipelines.commands.app import RUN, command
 from kinedex.pipelines.commands.options import (
+    AcceptOption,
     ExecutorOption,
     ForceOption,
     JsonOption,
     MaxMemoryOption,
+    MetadataOption,
     PipelineArgument,
     RateOption,
     SchedulerOption,
@@ -59,6 +62,7 @@ def run(
     scheduler: SchedulerOption = None,
     force: ForceOption = None,
     max_memory: MaxMemoryOption = None,
+    accept: AcceptOption = False,
     wait: WaitOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -73,7 +77,7 @@ def run(
         assignments["ingest.max_memory"] = max_memory
     outcome = run_pipeline(
         pipeline, store, assignments=assignments, executor=executor, workers=workers, scheduler=scheduler,
-        force=frozenset(force or ()), wait_seconds=wait or 0.0,
+        force=frozenset(force or ()), wait_seconds=wait or 0.0, accept=accept,
     )  # fmt: skip
     show_outcome(outcome, store, as_json)
 
@@ -134,6 +138,7 @@ def ingest(
     store: StorePath,
     source: Annotated[Path, typer.Argument(help="Folder of motion files.")],
     rate: RateOption = None,
+    metadata: MetadataOption = None,
     prune: Annotated[bool, typer.Option("--prune", help="Drop takes whose file is no longer in the source.")] = False,
     strict: Annotated[bool, typer.Option("--strict", help="Stop at the first file that cannot be read.")] = False,
     assign: SetOption = None,
@@ -141,6 +146,7 @@ def ingest(
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     max_memory: MaxMemoryOption = None,
+    accept: AcceptOption = False,
     wait: WaitOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -157,11 +163,13 @@ def ingest(
             assignments[f"ingest.{name}"] = "true"
     if rate is not None:
         assignments["ingest.override_rate_hz"] = str(rate)
+    if metadata:
+        assignments["ingest.metadata"] = json.dumps(list(map(str, metadata)))
     if max_memory is not None:
         assignments["ingest.max_memory"] = max_memory
     outcome = run_pipeline(
         "ingest", store, assignments=assignments, executor=executor, workers=workers, scheduler=scheduler,
-        wait_seconds=wait or 0.0,
+        wait_seconds=wait or 0.0, accept=accept,
     )  # fmt: skip
     show_outcome(outcome, store, as_json)
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from kinedex.catalog.configs import Located, config_path, load_yaml, parse_yaml, read_text
+from kinedex.catalog.configs import Located, config_path, load_yaml, parse_yaml, read_text, shipped_configs
 from kinedex.ops.errors import ConfigError, KinedexError, did_you_mean
 from kinedex.pipelines.engine.stage import STAGES, Input, Stage, load_stage
 
@@ -35,12 +35,28 @@ class _PipelineFile(BaseModel):
 
 @dataclass(frozen=True)
 class PipelineStage:
-    """One stage of a pipeline: its name there, its kind, the stages that play its roles, and its parameters."""
+    """One stage of a pipeline.
+
+    Attributes
+    ----------
+    name : str
+        Its name in the pipeline.
+    kind : Stage
+        Its kind.
+    inputs : dict of str to str
+        Role → the stage that plays it.
+    params : BaseModel
+        Its parameters.
+    unset : frozenset of str
+        The parameters that neither the user nor a file of the user's gives: they have their default, or that of a
+        setting of a shipped pipeline.
+    """
 
     name: str
     kind: Stage[BaseModel]
     inputs: dict[str, str]
     params: BaseModel
+    unset: frozenset[str] = frozenset()
 
     @property
     def uses(self) -> str:
@@ -154,6 +170,7 @@ class _PipelineReader:
         self._file = located.model(_PipelineFile)
         self._entries = {name: entry or _StageEntry() for name, entry in self._file.stages.items()}
         self._settings = dict(self._file.settings)
+        self._defaults = set(self._settings) if located.path.is_relative_to(shipped_configs()) else set()
         self._overrides: dict[str, dict[str, _Given]] = {}
 
     def read(self, given: Sequence[_Given]) -> Pipeline:
@@ -169,6 +186,7 @@ class _PipelineReader:
         if not dot:
             if one.name in self._settings:
                 before = self._settings[one.name]
+                self._defaults.discard(one.name)
                 self._settings[one.name] = one.parsed(before is None or isinstance(before, str))
                 return
             stage, key = self._only_stage_with(one), one.name
@@ -206,7 +224,8 @@ class _PipelineReader:
     def _stage(self, name: str) -> PipelineStage:
         kind = self._kind(name)
         key = ("stages", name, "params")
-        params = {option: self._fill(value, (*key, option)) for option, value in self._entries[name].params.items()}
+        entry = self._entries[name].params
+        params = {option: self._fill(value, (*key, option)) for option, value in entry.items()}
         given = self._overrides.get(name, {})
         fields = kind.parameters.model_fields
         params |= {option: one.parsed(fields[option].annotation in (str, str | None)) for option, one in given.items()}
@@ -217,7 +236,14 @@ class _PipelineReader:
             if option in given:
                 raise KinedexError(f"{given[option].shown}: {fault.reason}") from None
             raise
-        return PipelineStage(name, kind, self._inputs(name, kind), filled)
+        unset = {option for option in fields if option not in params}
+        unset |= {option for option, value in entry.items() if option not in given and self._is_default(value)}
+        return PipelineStage(name, kind, self._inputs(name, kind), filled, frozenset(unset))
+
+    def _is_default(self, value: Any) -> bool:
+        """Return whether a value of the file is a setting of a shipped pipeline that nobody has given."""
+        whole = _SETTING.fullmatch(value) if isinstance(value, str) else None
+        return whole is not None and whole[1] in self._defaults
 
     def _fill(self, value: Any, key: tuple[str | int, ...]) -> Any:
         """Replace ${setting} in texts; a text that is nothing else takes the setting's own type."""

@@ -55,6 +55,8 @@ class Step:
 class Planner:
     """Decides stage by stage, against the store as it is at that moment, which stages run and why.
 
+    `pipeline` has what the store remembers in place of parameters that nobody gave (`Stage.with_remembered`).
+
     A stage is skipped where the store holds a record with its fingerprint (see `engine.stage.Stage`). Of a stage that
     has a `reading` only the takes that it reads count, and not the stage that brought them in.
 
@@ -71,7 +73,7 @@ class Planner:
     def __init__(self, pipeline: Pipeline, store_path: Path, force: frozenset[str] = frozenset()) -> None:
         for name in force:
             pipeline.stage(name)
-        self.pipeline = pipeline
+        self.pipeline = _with_remembered(pipeline, store_path)
         self.store_path = store_path
         self.force = force
         self._fingerprints: dict[str, str] = {}
@@ -145,7 +147,18 @@ def make_plan(pipeline: Pipeline, store_path: Path, force: frozenset[str] = froz
         No stage has a name of `force`, or a file that a stage reads is wrong.
     """
     planner = Planner(pipeline, store_path, force)
-    return [planner.step(stage) for stage in pipeline.stages]
+    return [planner.step(stage) for stage in planner.pipeline.stages]
+
+
+def _with_remembered(pipeline: Pipeline, store_path: Path) -> Pipeline:
+    """Return the pipeline with what the store remembers in place of parameters that nobody gave."""
+    store = _open(store_path)
+    if store is None:
+        return pipeline
+    stages = (
+        replace(stage, params=stage.kind.with_remembered(stage.params, stage.unset, store)) for stage in pipeline.stages
+    )
+    return replace(pipeline, stages=tuple(stages))
 
 
 def _open(path: Path) -> Store | None:

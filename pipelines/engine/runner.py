@@ -17,7 +17,7 @@ from typing import Any
 
 import polars as pl
 
-from kinedex.ops.errors import KinedexError, NewStoreError, Remedy
+from kinedex.ops.errors import AcceptError, KinedexError, NewStoreError, Remedy
 from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.config import Pipeline, load_pipeline
@@ -96,6 +96,7 @@ class _Run:
     wait: Wait
     record: PipelineRecord
     history: RunRecorder
+    accept: bool = False
 
     def begun(self) -> _Run:
         """Return the run with the patience of one that has work to lose."""
@@ -113,6 +114,7 @@ def run_pipeline(
     scheduler: str | None = None,
     force: Iterable[str] = (),
     wait_seconds: float = 0.0,
+    accept: bool = False,
     terminal: Display | None = None,
 ) -> Outcome:
     """Run the stages of a pipeline that have not been done yet.
@@ -140,6 +142,8 @@ def run_pipeline(
     wait_seconds : float, optional
         The time to wait for another writer of the store; 0 fails at once. A run that has begun waits at least
         `COMMIT_SECONDS` between its stages and to commit.
+    accept : bool, optional
+        True lets a stage take values away from takes; by default it refuses, and reports which.
     terminal : Display, optional
         Shows messages and progress; standard output by default.
 
@@ -159,9 +163,10 @@ def run_pipeline(
     force = frozenset(force)
     # the workers of a cluster may have been started in another folder
     store_path = Path(store_path).resolve() if executor == "dask" else Path(store_path)
-    pipeline = load_pipeline(name_or_path, assignments, settings)
-    planner = Planner(pipeline, store_path, force)
-    make_plan(pipeline, store_path, force)  # reports faults in files before any work is done
+    loaded = load_pipeline(name_or_path, assignments, settings)
+    planner = Planner(loaded, store_path, force)
+    pipeline = planner.pipeline
+    make_plan(loaded, store_path, force)  # reports faults in files before any work is done
     pool = make_executor(executor, workers, scheduler)
     resume = None
     if assignments is not None:
@@ -170,7 +175,7 @@ def run_pipeline(
     wait = Wait(wait_seconds, terminal.say, option)
     record = _pipeline_record(pipeline, assignments or settings or {})
     history = RunRecorder(store_path, pipeline, record)
-    run = _Run(pipeline, store_path, pool, terminal, resume, wait, record, history)
+    run = _Run(pipeline, store_path, pool, terminal, resume, wait, record, history, accept)
     steps: list[Step] = []
     try:
         pool.check(store_path)
@@ -273,6 +278,8 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> None:
         # has none, and is not made before there is something to go in.
         if versions(run.store_path):
             with context.writer() as writer:
+                if not run.accept:
+                    stage.kind.examine(stage.params, writer.store)
                 writer.forget_stage(context.key())
                 writer.commit()
             context = replace(context, wait=run.begun().wait)
@@ -298,6 +305,9 @@ def _failed(run: _Run, stage: str, reason: str, fault: KinedexError | None = Non
     if fault is not None:
         # the message of the fault ends with it already
         failure.remedy = fault.remedy
+        if isinstance(fault, AcceptError) and run.resume is not None:
+            command = f"{run.resume} --accept"
+            failure.remedy = Remedy(f"`{command}` accepts it", tuple(shlex.split(command)))
         if fault.way_out is not None and run.resume is not None:
             command = f"{run.resume} --set {_setting(stage, fault.way_out)}"
             failure.remedy = Remedy(f"`{command}` continues", tuple(shlex.split(command)))
@@ -308,6 +318,10 @@ def _way_on(run: _Run, stage: str, fault: KinedexError | None) -> str:
     """Return the lines of a message about a failed stage that name the way on."""
     if isinstance(fault, NewStoreError):
         return ""
+    if isinstance(fault, AcceptError):
+        return "\nto accept it, " + (
+            "call again with accept=True" if run.resume is None else f"run:\n    {run.resume} --accept"
+        )
     way = fault.way_out if fault is not None else None
     if run.resume is None:
         if way is not None:

@@ -81,6 +81,13 @@ class Stage(ABC, Generic[Parameters]):
             The stage cannot finish; what it committed before stays.
         """
 
+    def with_remembered(self, params: Parameters, unset: frozenset[str], store: Store) -> Parameters:
+        """Return the parameters, with what the store remembers of earlier runs in place of those that nobody gave."""
+        return params
+
+    def examine(self, params: Parameters, store: Store) -> None:
+        """Look at the store before a run; an `AcceptError` reports what the user has to accept first."""
+
     def reading(self, params: Parameters, store: Store) -> Reading | None:
         """Return a digest of the takes that the stage reads; None means that it depends on all takes of the store."""
         return None

@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import pyarrow as pa
 
@@ -15,6 +17,7 @@ from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError
 from kinedex.pipelines.engine.code_digest import code_digest, part_digest, plugin_digest
 from kinedex.pipelines.ingestion.analysis import analyse, blind, known_features
+from kinedex.pipelines.ingestion.described_takes import EVERYWHERE, NO_PATTERN
 from kinedex.pipelines.ingestion.failures import Failure, failure, refusal
 from kinedex.pipelines.ingestion.file_batches import Task
 from kinedex.pipelines.ingestion.known_files import FileContent, KnownFile, KnownFiles, Row, file_name
@@ -58,6 +61,8 @@ class Changes:
         Path → the file that the store has takes of.
     by_path : dict of str to str
         Path → name of new files that are named by their paths, since others have the same stem.
+    recipes : dict of str to str
+        Path → recipe of the files.
     """
 
     tasks: list[Task]
@@ -72,6 +77,7 @@ class Changes:
     names: TakeNames
     known: dict[str, KnownFile]
     by_path: dict[str, str]
+    recipes: dict[str, str]
 
 
 def compare(
@@ -119,10 +125,10 @@ def compare(
             skeleton = found.skeleton_of(motion) if motion.format == "amc" else None
             groups = path_groups(motion.path, compiled)
             of_skeleton = skeleton_sums.of(skeleton) if skeleton is not None else ""
-            made = recipe_of(made_by[motion.format], of_skeleton, groups)
-            if work.is_unchanged(motion, made, damaged):
+            made = work.recipes[motion.path] = recipe_of(made_by[motion.format], of_skeleton)
+            if work.is_unchanged(motion, partial(has_recipe, made_by[motion.format], of_skeleton), damaged):
                 continue
-            warnings = () if groups is not None or not compiled else ("its path matches no pattern of the config",)
+            warnings = () if groups is not None or not compiled else (NO_PATTERN,)
             name = work.names[motion.path]
             work.tasks.append(Task(name, -1, motion, skeleton, dict(groups or {}), made, warnings))
         except SourceError as fault:
@@ -146,6 +152,7 @@ class _Comparison:
         self.names: dict[str, str] = {}
         self.take_names = TakeNames(naming, {})
         self.by_path: dict[str, str] = {}
+        self.recipes: dict[str, str] = {}
         self.tasks: list[Task] = []
         self.unchanged: dict[str, KnownFile] = {}
         self.restated: list[Row] = []
@@ -208,10 +215,10 @@ class _Comparison:
         same_rule = source is not None and source.settings.get("name") == self.naming
         return same_rule or file.name == file_names(self.naming, file.path)[0]
 
-    def is_unchanged(self, motion: SourceFile, recipe: str, damaged: set[int]) -> bool:
+    def is_unchanged(self, motion: SourceFile, is_made_so: Callable[[Row], bool], damaged: set[int]) -> bool:
         """Return whether a file need not be read, and note what its takes change nevertheless."""
         file = self.known.get(motion.path)
-        rows = file.current_rows(self.contents[motion.path], recipe, damaged) if file is not None else ()
+        rows = file.current_rows(self.contents[motion.path], is_made_so, damaged) if file is not None else ()
         if file is None or not rows:
             return False
         self.unchanged[motion.path] = file
@@ -233,7 +240,7 @@ class _Comparison:
         gone = [row["take_id"] for file in vanished if not self.found.hidden(file.path) for row in file.rows]
         return Changes(
             tasks, self.unchanged, damaged, self.restated, gone, self.surplus, self.renamed, self.failures, skeletons,
-            self.take_names, self.known, self.by_path,
+            self.take_names, self.known, self.by_path, self.recipes,
         )  # fmt: skip
 
 
@@ -244,8 +251,8 @@ def _no_name(motion: SourceFile) -> SourceError:
     )
 
 
-def recipe_of(made_by: str, skeleton: str, groups: Mapping[str, str] | None) -> str:
-    """Return the recipe of a take: a hash of all that its row and its frames depend on besides its file.
+def recipe_of(made_by: str, skeleton: str, groups: Mapping[str, str] | None = None) -> str:
+    """Return the recipe of a take: a hash of all that its frames depend on besides its file.
 
     Parameters
     ----------
@@ -253,10 +260,18 @@ def recipe_of(made_by: str, skeleton: str, groups: Mapping[str, str] | None) -> 
         The recipe of its format, one of `recipes`.
     skeleton : str
         The checksum of its skeleton file; empty where it has none.
-    groups : mapping of str to str or None
-        The named groups of its path.
+    groups : mapping of str to str, optional
+        The named groups of its path, which were part of a recipe in earlier checkouts.
     """
     return digest([made_by, skeleton, sorted((groups or {}).items())])
+
+
+def has_recipe(made_by: str, skeleton: str, row: Mapping[str, Any]) -> bool:
+    """Return whether a take was made by a recipe, also where an earlier checkout has put its groups into it."""
+    if row["recipe"] == recipe_of(made_by, skeleton):
+        return True
+    groups = {name: row[name] for name in EVERYWHERE if row[name] is not None} | json.loads(row["groups"] or "{}")
+    return bool(row["recipe"] == recipe_of(made_by, skeleton, groups))
 
 
 def recipes(feature_set: FeatureSet, mappings: Mappings, settings: ReadSettings) -> dict[str, str]:

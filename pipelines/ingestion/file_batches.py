@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError, StoreError
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.ingestion.analysis import analyse, blind, known_features
+from kinedex.pipelines.ingestion.described_takes import group_values
 from kinedex.pipelines.ingestion.failures import Failure, failure
 from kinedex.pipelines.ingestion.memory_limit import MemoryShare
 from kinedex.pipelines.ingestion.quality import judged
@@ -64,6 +64,11 @@ class Task:
     warnings: tuple[str, ...]
     person: str | None = None
     persons: int = 1
+
+    @property
+    def described(self) -> dict[str, Any]:
+        """The columns of its row by which tables of metadata name the take."""
+        return {"take_id": self.take_id, "name": self.name, "source": self.motion.path}
 
 
 @dataclass(frozen=True)
@@ -186,11 +191,10 @@ def _stamp(path: Path) -> tuple[int, int]:
 
 
 def _take_row(batch: Batch, task: Task, content: str, body: Body, words: npt.NDArray[np.uint64]) -> dict[str, Any]:
-    groups = dict(task.groups)
     known = known_features(batch.feature_set, body)
     figures, doubts = judged(body, batch.feature_set.joints, batch.figures)
     return (
-        groups
+        task.groups
         | figures
         | {
             "take_id": task.take_id,
@@ -211,10 +215,7 @@ def _take_row(batch: Batch, task: Task, content: str, body: Body, words: npt.NDA
             "frames": len(words),
             "seconds": body.frames / body.rate_hz,
             "invalid_frames": int(np.count_nonzero(words == NO_WORD)),
-            "actor": groups.pop("actor", None),
-            "class": groups.pop("class", None),
-            "clip": groups.pop("clip", None),
-            "groups": json.dumps(groups, sort_keys=True),
+            **group_values(task.groups),
             "warnings": [*task.warnings, *body.warnings, *blind(batch.feature_set, body), *doubts],
             **({"person": task.person, "persons": task.persons} if task.persons > 1 else {}),
             "known": None if known == batch.feature_set.every_bit else known,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -71,15 +71,17 @@ class KnownFile:
         """True if the file is still at its place."""
         return (Path(self.root) / self.path).exists()
 
-    def current_rows(self, content: FileContent, recipe: str, damaged: Iterable[int]) -> tuple[Row, ...]:
+    def current_rows(
+        self, content: FileContent, is_made_so: Callable[[Row], bool], damaged: Iterable[int]
+    ) -> tuple[Row, ...]:
         """Return the rows of takes that need not be read again; none if a person of the file is not among them.
 
         Parameters
         ----------
         content : FileContent
             The file as it is now.
-        recipe : str
-            A hash of all that its takes depend on besides the file.
+        is_made_so : callable
+            Returns whether a take was made of its file as it would be now.
         damaged : collection of int
             The ids of takes whose part of the store is damaged.
 
@@ -88,7 +90,7 @@ class KnownFile:
         SourceError
             The file cannot be read.
         """
-        sound = [row for row in self.rows if row["recipe"] == recipe and row["take_id"] not in damaged]
+        sound = [row for row in self.rows if is_made_so(row) and row["take_id"] not in damaged]
         rows = tuple(row for row in sound if self._has_content(row, content))
         return rows if rows and len(rows) >= (rows[0].get("persons") or 1) else ()
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator
 
 from kinedex.pipelines.engine.file_parameters import NamesFile
 from kinedex.pipelines.ingestion.memory_limit import parse_size
@@ -42,6 +43,11 @@ class IngestParameters(BaseModel):
         default_factory=list,
         description="regular expressions with named groups (actor, class, clip, any other), tried in order on the path "
         "relative to the source; the first that is found anywhere in it counts",
+    )
+    metadata: list[str] = Field(
+        default_factory=list,
+        description="tables (.csv, .tsv, .yaml, .json) whose rows name takes or files, and whose other columns become "
+        "columns of takes: tags, licence, any other; their actor, class and clip go before those of paths",
     )
     name: Naming = Field(
         "stem",
@@ -78,8 +84,9 @@ class IngestParameters(BaseModel):
         description="most memory of all workers together, such as 1.5GB; a file that needs more than the share of one "
         "worker is refused before it is read",
     )
+    _from_store: tuple[str, ...] = PrivateAttr(())
 
-    @field_validator("skeletons", mode="before")
+    @field_validator("skeletons", "metadata", mode="before")
     @classmethod
     def _is_list(cls, places: object) -> object:
         return [places] if isinstance(places, str | os.PathLike) else [] if places is None else places
@@ -108,12 +115,34 @@ class IngestParameters(BaseModel):
         Those that concern a single run (prune, strict, batch_mb, max_memory) are not among them.
         """
         values = self.model_dump(mode="json", exclude={"prune", "strict", "batch_mb", "max_memory"})
-        values |= {"source": os.path.realpath(Path(self.source).expanduser())}
+        values |= {"source": self.root}
         for name in ("skeleton", "features", "body_model"):
             if values[name] is not None and Path(values[name]).suffix:
                 values[name] = str(Path(values[name]).expanduser().absolute())
-        values["skeletons"] = [str(Path(place).expanduser().absolute()) for place in self.skeletons]
+        for name in ("skeletons", "metadata"):
+            values[name] = [str(Path(place).expanduser().absolute()) for place in values[name]]
         return values
+
+    @property
+    def root(self) -> str:
+        """The source folder, absolute and without links."""
+        return os.path.realpath(Path(self.source).expanduser())
+
+    @property
+    def tables(self) -> tuple[str, ...]:
+        """The paths of the tables of metadata, absolute."""
+        return tuple(str(Path(place).expanduser().absolute()) for place in self.metadata)
+
+    @property
+    def from_store(self) -> tuple[str, ...]:
+        """The names of the parameters that nobody has given, and that the store remembers for the source."""
+        return self._from_store
+
+    def with_remembered(self, values: Mapping[str, Any]) -> IngestParameters:
+        """Return the parameters with values that the store remembers; `from_store` names those that differ."""
+        merged = IngestParameters.model_validate(self.model_dump(exclude_unset=True) | dict(values))
+        merged._from_store = tuple(name for name in values if getattr(merged, name) != getattr(self, name))
+        return merged
 
     @property
     def group_columns(self) -> dict[str, TakeColumn]:

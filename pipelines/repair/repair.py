@@ -458,10 +458,10 @@ def _lost_parts(bad: BadManifest) -> str:
 
 
 def _same_row(sources: Sources, row: dict[str, object]) -> dict[str, object]:
-    """Return the row that a take had, unless it has other frames now."""
+    """Return the row that a take had; what describes the take alone, where it has other frames now."""
     before = sources.row(int(str(row["take_id"])))
     same = all(row[name] == before[name] for name in ("frames", "invalid_frames", "recipe"))
-    return before if same else row
+    return before if same else row | {name: before[name] for name in sources.describing if name in before}
 
 
 def _generations(root: Path) -> list[str]:

@@ -11,8 +11,9 @@ from typing import Any
 
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import KinedexError, SourceError
-from kinedex.pipelines.ingestion.changes import recipe_of, recipes
+from kinedex.pipelines.ingestion.changes import has_recipe, recipe_of, recipes
 from kinedex.pipelines.ingestion.chosen_mappings import chosen_mappings
+from kinedex.pipelines.ingestion.described_takes import described_columns
 from kinedex.pipelines.ingestion.file_batches import Batch, Task
 from kinedex.pipelines.ingestion.parameters import IngestParameters
 from kinedex.pipelines.ingestion.quality import stored_figures
@@ -86,6 +87,11 @@ class Sources:
             )  # fmt: skip
         return found
 
+    @property
+    def describing(self) -> tuple[str, ...]:
+        """The columns of takes that patterns and tables of the user fill."""
+        return described_columns(self.store.manifest.columns)
+
     def row(self, take_id: int) -> dict[str, Any]:
         """Return the row of a take."""
         return dict(self._rows[take_id])
@@ -112,12 +118,13 @@ class Sources:
 
     def _reader_of(self, row: Mapping[str, Any], motion: SourceFile, skeleton: str) -> tuple[int, str]:
         """Return the number of the settings that a take was read with, and its recipe with them."""
-        made = [reader.recipe(motion, skeleton) for reader in self._readers]
-        if row["recipe"] in made:
-            return made.index(row["recipe"]), row["recipe"]
-        here = (number for number, reader in enumerate(self._readers) if reader.root == row["source_root"])
-        number = next(here, 0)
-        return number, made[number]
+        here = [number for number, reader in enumerate(self._readers) if reader.root == row["source_root"]]
+        # the recipe leaves patterns aside: the settings of the own source first
+        for number in dict.fromkeys([*here, *range(len(self._readers))]):
+            if self._readers[number].has_made(row, motion, skeleton):
+                return number, row["recipe"]
+        number = here[0] if here else 0
+        return number, self._readers[number].recipe(motion, skeleton)
 
     def _scan(self, root: str) -> tuple[Scan | None, dict[str, SourceFile]]:
         if root not in self._scans:
@@ -152,9 +159,16 @@ class _Reader:
     def recipe(self, motion: SourceFile, skeleton: str) -> str:
         """Return the recipe that a motion file has with these settings; empty if they do not work any more."""
         try:
-            return recipe_of(self._recipes[motion.format], skeleton, path_groups(motion.path, self.patterns))
+            return recipe_of(self._recipes[motion.format], skeleton)
         except KinedexError:
             return ""
+
+    def has_made(self, row: Mapping[str, Any], motion: SourceFile, skeleton: str) -> bool:
+        """Return whether a take was read with these settings."""
+        try:
+            return has_recipe(self._recipes[motion.format], skeleton, row)
+        except KinedexError:
+            return False
 
 
 def _skeleton_rows(store: Store) -> list[dict[str, Any]]:

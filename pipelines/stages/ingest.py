@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +14,23 @@ from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import KinedexError, NewStoreError
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.context import StageContext, feature_set_for
+from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.stage import Stage
 from kinedex.pipelines.ingestion.changes import Changes, compare, digest, features_digest
 from kinedex.pipelines.ingestion.chosen_mappings import chosen_mappings
+from kinedex.pipelines.ingestion.described_sources import (
+    descriptions,
+    refuse_losses,
+    unmatched_line,
+    unmatched_paths,
+)
 from kinedex.pipelines.ingestion.failures import Failure, failure_messages, log_table
 from kinedex.pipelines.ingestion.file_list import file_table
+from kinedex.pipelines.ingestion.metadata import Metadata, join_lines, lies_in_source, load_metadata
 from kinedex.pipelines.ingestion.parameters import IngestParameters
 from kinedex.pipelines.ingestion.quality import declarable_figures
 from kinedex.pipelines.ingestion.read_rounds import FilesRead, ReadRounds
+from kinedex.pipelines.ingestion.remembered_settings import remembered_line, with_remembered
 from kinedex.storage.formats.motion.body_models import model_digest
 from kinedex.storage.formats.motion.reader_table import READERS, motion_endings
 from kinedex.storage.formats.motion.sources import Scan, scan
@@ -47,7 +56,16 @@ class Ingest(Stage[IngestParameters]):
         mappings = chosen_mappings(params, feature_set.joints, path, manifest)
         forms = [mappings.digest(form) for form in sorted(mappings.of_format)]
         model = model_digest(params.given.body_model)
-        return digest([scan(params.source).digest, features_digest(feature_set), *forms, model])
+        tables = [files_digest(map(Path, params.tables))] if params.metadata else []
+        return digest([scan(params.source).digest, features_digest(feature_set), *forms, model, *tables])
+
+    def with_remembered(self, params: IngestParameters, unset: frozenset[str], store: Store) -> IngestParameters:
+        """Return the parameters, with those of the last ingest of the source in place of those that nobody gave."""
+        return with_remembered(params, unset, store)
+
+    def examine(self, params: IngestParameters, store: Store) -> None:
+        """Refuse to take values of columns away from takes of the source."""
+        refuse_losses(params, store, scan(params.source))
 
     def is_current(self, store: Store) -> bool:
         """Return whether no part of frames is damaged: takes of damaged ones are read again."""
@@ -62,14 +80,17 @@ class Ingest(Stage[IngestParameters]):
         found = scan(params.source)
         if not found.motions:
             raise _no_motion_files(found, params.source)
+        metadata = load_metadata(params.tables)
         standing = read_newest(context.store_path) if versions(context.store_path) else None
         mappings = chosen_mappings(params, context.feature_set.joints, context.store_path, standing)
         with context.writer() as writer:
             plan = compare(writer, context.feature_set, mappings, found, params.name, params.patterns, params.given)
             if plan.renamed and not params.prune:
                 raise _named_otherwise(plan)
-            _report_changes(context, params, found, plan)
-            _declare_columns(context, writer, params)
+            unmatched = _report_changes(context, params, found, plan)
+            _declare_columns(context, writer, params, metadata)
+            # a fault of a table is found before files are read
+            metadata.join([task.described for task in plan.tasks], params.root, writer.columns)
             root = found.motions[0].root
             if not plan.renamed:
                 writer.record_source(root, context.key(), params.remembered)
@@ -77,21 +98,10 @@ class Ingest(Stage[IngestParameters]):
             if not (params.strict and plan.failures):
                 done = ReadRounds(context, params, mappings, writer, plan).run()
             failures = [*plan.failures, *done.failures]
-            writer.put_results("ingest_log", log_table(failures, context.run), stage=context.key(), run=context.run)
-            files = file_table(found, root, plan, done, failures)
-            writer.put_results("source_files", files, stage=context.key(), run=context.run)
-            writer.put_results("skeleton_files", plan.skeletons, stage=context.key(), run=context.run)
-            if params.strict and failures:
+            _put_files(context, writer, found, plan, done, failures)
+            if (params.strict and failures) or not (plan.unchanged or done.takes):
                 writer.commit()
-                raise KinedexError(
-                    f"{failures[0].message}\n(strict: stopped at this file; files before it stay in the store)"
-                )
-            if not plan.unchanged and not done.takes:
-                writer.commit()
-                _report_failures(context, failures)
-                count = len(found.motions)
-                none = f"none of the {count} files could be read" if count > 1 else "the only file could not be read"
-                raise KinedexError(f"{none}; the reasons are above (table ingest_log)")
+                raise _nothing_more(context, params, found, failures)
             surplus = [*plan.surplus, *done.surplus]
             _report_persons(context, params, done, surplus)
             _report_unused(context, mappings, done)
@@ -100,7 +110,7 @@ class Ingest(Stage[IngestParameters]):
                 writer.drop_takes(dropped)
             # not before all takes have their new names: until then, a next run has to know the former rule
             writer.record_source(root, context.key(), params.remembered)
-            writer.restate_takes(pa.Table.from_pylist(plan.restated, schema=writer.takes_schema))
+            _describe(context, params, writer, plan, metadata, dropped)
             writer.commit()
             _compact(context, writer)
             total = len(writer.manifest.live_takes)
@@ -114,11 +124,62 @@ class Ingest(Stage[IngestParameters]):
             "not_read": len(found.unread),
             "passed_over": len(found.passed_over),
             "dropped": len(dropped),
+            "unmatched": unmatched,
         }
 
 
-def _declare_columns(context: StageContext, writer: StoreWriter, params: IngestParameters) -> None:
-    """Declare the columns of named groups and of figures; report those that cannot be columns of takes."""
+def _put_files(
+    context: StageContext, writer: StoreWriter, found: Scan, plan: Changes, done: FilesRead, failures: list[Failure]
+) -> None:
+    """Put what became of every file of the source into the results of the stage."""
+    files = file_table(found, found.motions[0].root, plan, done, failures)
+    tables = {"ingest_log": log_table(failures, context.run), "source_files": files, "skeleton_files": plan.skeletons}
+    for kind, table in tables.items():
+        writer.put_results(kind, table, stage=context.key(), run=context.run)
+
+
+def _nothing_more(
+    context: StageContext, params: IngestParameters, found: Scan, failures: Sequence[Failure]
+) -> KinedexError:
+    """Return the error of an ingest that stops at a file, or of which no file could be read."""
+    if params.strict and failures:
+        return KinedexError(f"{failures[0].message}\n(strict: stopped at this file; files before it stay in the store)")
+    _report_failures(context, failures)
+    count = len(found.motions)
+    none = f"none of the {count} files could be read" if count > 1 else "the only file could not be read"
+    return KinedexError(f"{none}; the reasons are above (table ingest_log)")
+
+
+def _describe(
+    context: StageContext,
+    params: IngestParameters,
+    writer: StoreWriter,
+    plan: Changes,
+    metadata: Metadata,
+    dropped: Collection[int],
+) -> None:
+    """Put what patterns and tables tell about the takes of the source into their rows; no motion file is read."""
+    schema = writer.takes_schema
+    writer.restate_takes(pa.Table.from_pylist(plan.restated, schema=schema))
+    moved = {row["take_id"]: row for row in plan.restated}
+    rows = [moved.get(row["take_id"], row) for row in writer.store.take_rows.to_pylist()]
+    here = [row for row in rows if row["source_root"] == params.root and row["take_id"] not in dropped]
+    joined = metadata.join(here, params.root, writer.columns)
+    changed = [
+        row | ({"recipe": plan.recipes[row["source"]]} if row["source"] in plan.unchanged else {})
+        for row in descriptions(params, joined).changed(here, writer.columns)
+    ]
+    writer.restate_takes(pa.Table.from_pylist(changed, schema=schema), described=True)
+    for line in join_lines(metadata.tables, joined) if metadata.tables else ():
+        context.say(line)
+    if changed:
+        context.say(f"{counted(len(changed), 'take')} described anew by patterns or metadata; no file was read for it")
+    if (beside := lies_in_source(params.root, params.tables)) is not None:
+        context.say(f"{beside} is not used: `--set ingest.metadata={shlex.quote(beside)}` joins its columns to takes")
+
+
+def _declare_columns(context: StageContext, writer: StoreWriter, params: IngestParameters, metadata: Metadata) -> None:
+    """Declare the columns of named groups, tables and figures; report those that cannot be columns of takes."""
     columns: dict[str, TakeColumn] = {}
     for name, column in params.group_columns.items():
         standing = writer.manifest.columns.get(name)
@@ -135,6 +196,11 @@ def _declare_columns(context: StageContext, writer: StoreWriter, params: IngestP
                 "give it another name in `patterns`"
             )
     writer.declare_columns(columns)
+    of_tables, problems = metadata.columns(writer.columns)
+    for sentence in problems:
+        context.say(sentence)
+    writer.declare_columns({name: column for name, column in of_tables.items() if name not in writer.columns})
+    writer.widen_columns({name: column.type for name, column in of_tables.items()})
     figures, problems = declarable_figures(writer.columns)
     for sentence in problems:
         context.say(sentence)
@@ -152,8 +218,16 @@ def _no_motion_files(found: Scan, source: str) -> KinedexError:
     )
 
 
-def _report_changes(context: StageContext, params: IngestParameters, found: Scan, plan: Changes) -> None:
-    """Report the files to read, those that are not read, and takes whose file is gone or renamed."""
+def _report_changes(context: StageContext, params: IngestParameters, found: Scan, plan: Changes) -> int:
+    """Report the files to read, those that are not read, takes whose file is gone or renamed, and remembered settings.
+
+    Returns
+    -------
+    int
+        The number of files whose path no pattern fits.
+    """
+    if params.from_store:
+        context.say(remembered_line(params))
     context.say(
         f"{counted(len(found.motions), 'motion file')} below {params.source}: "
         f"{len(plan.tasks)} to read, {len(plan.unchanged)} unchanged"
@@ -181,6 +255,10 @@ def _report_changes(context: StageContext, params: IngestParameters, found: Scan
         context.say(f"{counted(len(plan.gone), 'take')} whose file is gone: {what}")
     if plan.renamed:
         context.say(f"{len(plan.renamed)} takes whose file has another name now: read again, and dropped as they were")
+    unmatched = unmatched_paths(params, found)
+    if unmatched:
+        context.say(unmatched_line(unmatched, found, context.store_path))
+    return len(unmatched)
 
 
 def _report_persons(context: StageContext, params: IngestParameters, done: FilesRead, surplus: Sequence[int]) -> None:

@@ -22,7 +22,7 @@ COUNTS = (
     "labels",
     "parts_compacted",
 )
-"""The facts that are numbers; "takes_restated" are those whose file has another place or time."""
+"""The facts that are numbers; "takes_restated" are those whose row changed and whose frames did not."""
 
 NAMES = ("stages_begun", "stages_done", "results", "columns", "mappings", "current_pipeline")
 """The facts that are lists: stages whose record was removed or written, kinds of results, declared columns, skeleton

@@ -194,16 +194,16 @@ class StoreWriter:
         self._rows.update(zip(takes.column("take_id").to_pylist(), takes.column("frames").to_pylist(), strict=True))
         self._changes.append(["added", sorted(part.sha256 for part in parts)])
 
-    def restate_takes(self, takes: pa.Table) -> None:
+    def restate_takes(self, takes: pa.Table, *, described: bool = False) -> None:
         """Replace rows of takes whose frames stay; everything that was made of the frames remains valid.
-
-        It serves columns that record where a take has come from (place and time), on which neither the index nor any
-        stage depends.
 
         Parameters
         ----------
         takes : pyarrow.Table
             The new rows, with columns as for `add_takes`.
+        described : bool
+            True where columns change that filters select takes by, such as the class, so that stages may read others.
+            By default they record where a take has come from (place and time), on which no stage depends.
 
         Raises
         ------
@@ -216,6 +216,8 @@ class StoreWriter:
         if unknown:
             raise StoreError(f"{self.path}: no live take has the id {min(unknown)}")
         self._facts.count("takes_restated", len(ids))
+        if described and ids:
+            self._changes.append(["described", sorted(ids)])
         self._drop_take_rows(ids)
         self._takes.update({take: takes.slice(row, 1) for row, take in enumerate(ids)})
 
@@ -408,6 +410,33 @@ class StoreWriter:
                 declared[name] = column
                 self._facts.name("columns", name)
         self._manifest = replace(self._manifest, columns=declared)
+
+    def widen_columns(self, types: Mapping[str, str]) -> None:
+        """Give declared columns wider types; the rows of all takes are written again with their values converted.
+
+        Parameters
+        ----------
+        types : mapping of str to str
+            Name → type, one of `COLUMN_TYPES`, to which values of the declared type can be converted.
+
+        Raises
+        ------
+        StoreError
+            Takes were changed since the last commit; commit them first.
+        """
+        wider = {name: kind for name, kind in types.items() if self._manifest.columns[name].type != kind}
+        if not wider:
+            return
+        if self._takes or self._changes:
+            raise StoreError(f"{self.path}: takes have changed since the last commit; commit them first")
+        rows = self.store.take_rows
+        columns = {
+            name: replace(column, type=wider.get(name, column.type)) for name, column in self._manifest.columns.items()
+        }
+        self._manifest = replace(self._manifest, columns=columns)
+        for name in wider:
+            self._facts.name("columns", name)
+        self.restate_takes(with_columns(_listed(rows, wider), self._manifest.takes_schema))
 
     def record_source(self, root: str, stage: str, settings: Mapping[str, Any]) -> None:
         """Record the settings with which a source folder is ingested, in place of its earlier ones.
@@ -632,6 +661,14 @@ def _result_rows(kind: str, table: pa.Table, run: str) -> pa.Table:
     rows = conform(table, schema, f"results of kind {kind}")
     if rows.num_rows and pc.any(pc.not_equal(rows.column("run"), run)).as_py():
         raise ParameterError("run", f"{run} in every row of {kind}", pc.unique(rows.column("run")).to_pylist())
+    return rows
+
+
+def _listed(rows: pa.Table, wider: Mapping[str, str]) -> pa.Table:
+    """Return rows of takes with lists of one text where a column of texts becomes one of lists."""
+    for name in (name for name, kind in wider.items() if kind == "VARCHAR[]" and name in rows.column_names):
+        lists = [None if text is None else [text] for text in rows.column(name).to_pylist()]
+        rows = rows.set_column(rows.column_names.index(name), name, pa.array(lists, pa.list_(pa.string())))
     return rows
 
 

@@ -1,0 +1,78 @@
+"""Descriptions of the takes of a source by the parameters of its ingest, and the report of what they do not fit."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+
+from kinedex.ops.errors import AcceptError
+from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.ingestion.described_takes import Descriptions, Loss, losses, rows_below
+from kinedex.pipelines.ingestion.metadata import Joined, load_metadata
+from kinedex.pipelines.ingestion.parameters import IngestParameters
+from kinedex.storage.formats.motion.sources import Scan, path_groups
+from kinedex.storage.store.store import Store
+
+_EXAMPLES = 2
+
+
+def descriptions(params: IngestParameters, joined: Joined) -> Descriptions:
+    """Return the descriptions that patterns and joined tables give to the takes of a source."""
+    return Descriptions(tuple(map(re.compile, params.patterns)), joined.values)
+
+
+def refuse_losses(params: IngestParameters, store: Store, found: Scan) -> None:
+    """Refuse an ingest that would take values of columns away from takes.
+
+    Parameters
+    ----------
+    params : IngestParameters
+        The parameters of the ingest.
+    store : Store
+        The store, which is read only.
+    found : Scan
+        The files of the source.
+
+    Raises
+    ------
+    AcceptError
+        Takes would have no value any more in columns where they have one; the message names columns and takes.
+    """
+    rows = rows_below(store.take_rows.to_pylist(), found, params.root)
+    metadata = load_metadata(params.tables)
+    columns = {**store.manifest.columns, **metadata.columns(store.manifest.columns)[0]}
+    joined = metadata.join(rows, params.root, columns)
+    lost = losses(rows, columns, descriptions(params, joined))
+    if lost:
+        takes = len({name for one in lost for name in one.takes})
+        which = f"{takes:,} of {counted(len(rows), 'take')} below {params.source} would lose values"
+        lines = "".join(f"\n    {_loss_line(one)}" for one in lost)
+        raise AcceptError(
+            f"{which}:{lines}\nnothing was changed. The store remembers the settings of this source: an ingest without "
+            "`patterns` and `metadata` of its own uses them"
+        )
+
+
+def _loss_line(loss: Loss) -> str:
+    examples = [f"'{value}' of {name}" for name, value in list(loss.takes.items())[:_EXAMPLES]]
+    return f"{loss.column}: {counted(len(loss.takes), 'take')}, such as {', '.join(examples)}"
+
+
+def unmatched_paths(params: IngestParameters, found: Scan) -> list[str]:
+    """Return the paths of motion files that none of the patterns fits; none where there are no patterns."""
+    patterns = [re.compile(pattern) for pattern in params.patterns]
+    return [motion.path for motion in found.motions if patterns and path_groups(motion.path, patterns) is None]
+
+
+def unmatched_line(unmatched: Sequence[str], found: Scan, store: Path) -> str:
+    """Return a message about paths that no pattern fits, with the way out."""
+    examples = " and ".join(f"'{path}'" for path in dict.fromkeys((unmatched[0], unmatched[-1])))
+    verb = "match" if len(unmatched) > 1 else "matches"
+    root = shlex.quote(found.motions[0].root)
+    return (
+        f"{len(unmatched):,} of {counted(len(found.motions), 'path')} {verb} no pattern, such as {examples}: their "
+        f"takes have neither class nor actor. `kinedex init {root} -o my.yaml` proposes patterns, and `kinedex run "
+        f"my.yaml --store {shlex.quote(str(store))}` uses them"
+    )

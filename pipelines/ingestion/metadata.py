@@ -1,0 +1,240 @@
+"""Tables of metadata joined to the takes of a source: which row describes which take, and the columns that it fills."""
+
+from __future__ import annotations
+
+import fnmatch
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.ingestion.described_takes import EVERYWHERE
+from kinedex.pipelines.ingestion.known_files import Row
+from kinedex.storage.formats.metadata_tables import Cell, MetadataRow, MetadataTable, converted, read_metadata, wider
+from kinedex.storage.snapshot.schemas import TakeColumn, column_problem
+
+MEANING = "a column of the user's tables (`metadata` of ingest)"
+
+MOST_PATTERNS = 1000
+"""Most keys with * or ? of all tables: each is compared with every take."""
+
+
+@dataclass
+class Joined:
+    """The takes that tables describe.
+
+    Attributes
+    ----------
+    values : dict of int to dict
+        Take id → column → value.
+    unused : list of MetadataRow
+        The rows that no take fits.
+    without : list of str
+        The names of takes without a row.
+    """
+
+    values: dict[int, dict[str, Any]] = field(default_factory=dict)
+    unused: list[MetadataRow] = field(default_factory=list)
+    without: list[str] = field(default_factory=list)
+
+
+def load_metadata(paths: Iterable[str]) -> Metadata:
+    """Read tables of metadata; a SourceError or ConfigError reports a fault in one."""
+    return Metadata(tuple(read_metadata(path) for path in paths))
+
+
+@dataclass(frozen=True)
+class Metadata:
+    """The tables of one source.
+
+    Attributes
+    ----------
+    tables : tuple of MetadataTable
+        The tables.
+    """
+
+    tables: tuple[MetadataTable, ...] = ()
+
+    @cached_property
+    def types(self) -> dict[str, str]:
+        """The columns of all tables with their types; those that every store has are texts."""
+        types: dict[str, str] = {}
+        for row in self._rows:
+            for name, cell in row.cells.items():
+                standing = types.get(name, cell.type)
+                kind = "VARCHAR" if name.lower() in EVERYWHERE else wider(standing, cell.type)
+                if kind is None:
+                    raise row.error(f"'{name}' holds a list here, and {standing} elsewhere; a column has one type")
+                types[name] = kind
+        return types
+
+    @property
+    def _rows(self) -> Iterator[MetadataRow]:
+        return (row for table in self.tables for row in table.rows)
+
+    def columns(self, declared: Mapping[str, TakeColumn]) -> tuple[dict[str, TakeColumn], list[str]]:
+        """Return the columns to declare, and a sentence for each column of a table that cannot be one of takes.
+
+        A declared column of tables gets a wider type where the tables need it.
+
+        Parameters
+        ----------
+        declared : mapping of str to TakeColumn
+            The columns that the store has declared.
+        """
+        found: dict[str, TakeColumn] = {}
+        problems: list[str] = []
+        for name, kind in self.types.items():
+            if name.lower() in EVERYWHERE:
+                continue
+            standing = _standing(name, declared)
+            type_ = wider(standing[1].type, kind) if standing is not None else kind
+            column = TakeColumn(type_ or kind, "metadata", meaning=MEANING)
+            if standing is not None and type_ is not None:
+                found[standing[0]] = replace(standing[1], type=type_)
+            elif (problem := column_problem(name, column, {**declared, **found})) is not None:
+                problems.append(f"the column '{name}' of metadata is no column of takes: {problem}; rename it there")
+            else:
+                found[name] = column
+        return found, problems
+
+    def join(self, rows: Sequence[Row], root: str, declared: Mapping[str, TakeColumn]) -> Joined:
+        """Find the takes that the rows of the tables describe.
+
+        A key is the name of a take; or the path of a file below the source, with or without ending; or the name of a
+        file, with or without ending. It may hold * and ?, for all takes that fit; the row of a take itself goes before,
+        and of several such rows the last one.
+
+        Parameters
+        ----------
+        rows : sequence of dict
+            The rows of the takes of the source.
+        root : str
+            The source root.
+        declared : mapping of str to TakeColumn
+            The columns of the store, after those of `columns` were declared.
+
+        Raises
+        ------
+        SourceError
+            A key fits several files, or a take has two rows with a value in the same column; the message names the
+            lines.
+        """
+        result = Joined()
+        takes = _Takes(rows, root)
+        exact: dict[int, dict[str, tuple[MetadataRow, Any]]] = {}
+        patterns: list[tuple[MetadataRow, re.Pattern[str]]] = []
+        for row in self._rows:
+            ids = takes.of_key(row)
+            values = self._values(row, declared)
+            if not ids and re.search(r"[*?]", row.key):
+                patterns.append((row, re.compile(fnmatch.translate(row.key))))
+            elif not ids:
+                result.unused.append(row)
+            for take in ids:
+                _add(exact.setdefault(take, {}), row, values, takes.names[take])
+        if len(patterns) > MOST_PATTERNS:
+            raise patterns[MOST_PATTERNS][0].error(f"is the key number {MOST_PATTERNS + 1:,} with * or ?; too many")
+        for row, pattern in patterns:
+            ids = takes.fitting(pattern)
+            if not ids:
+                result.unused.append(row)
+            for take in ids:
+                result.values.setdefault(take, {}).update(self._values(row, declared))
+        for take, found in exact.items():
+            result.values.setdefault(take, {}).update((name, value) for name, (_, value) in found.items())
+        result.without = [name for take, name in takes.names.items() if take not in result.values]
+        return result
+
+    def _values(self, row: MetadataRow, declared: Mapping[str, TakeColumn]) -> dict[str, Any]:
+        """Return the values of a row by the columns of takes."""
+        return dict(_converted(row.cells, declared))
+
+
+def _converted(cells: Mapping[str, Cell], declared: Mapping[str, TakeColumn]) -> Iterator[tuple[str, Any]]:
+    for name, cell in cells.items():
+        if name.lower() in EVERYWHERE:
+            yield name.lower(), cell.text
+        elif (standing := _standing(name, declared)) is not None and wider(standing[1].type, cell.type) is not None:
+            yield standing[0], converted(cell, standing[1].type)
+
+
+def _standing(name: str, declared: Mapping[str, TakeColumn]) -> tuple[str, TakeColumn] | None:
+    """Return the declared column of tables that a name stands for; capital letters do not count."""
+    columns = ((other, column) for other, column in declared.items() if column.origin == "metadata")
+    return next(((other, column) for other, column in columns if other.lower() == name.lower()), None)
+
+
+def _add(found: dict[str, tuple[MetadataRow, Any]], row: MetadataRow, values: Mapping[str, Any], take: str) -> None:
+    for name, value in values.items():
+        if name in found and found[name][0] is not row:
+            before = found[name][0]
+            place = f"line {before.line}" if before.path == row.path else f"{before.path}:{before.line}"
+            raise row.error(f"'{row.key}' is the take '{take}', of which {place} gives '{name}' already")
+        found[name] = row, value
+
+
+class _Takes:
+    """The takes of a source, looked up by the keys of tables."""
+
+    def __init__(self, rows: Sequence[Row], root: str) -> None:
+        self.names = {row["take_id"]: row["name"] for row in rows}
+        self._root = root.rstrip("/") + "/"
+        self._paths = {row["take_id"]: row["source"] for row in rows}
+        self._by_name = {row["name"]: [row["take_id"]] for row in rows}
+        stages: list[dict[str, list[int]]] = [{}, {}, {}, {}]
+        for row in rows:
+            path = row["source"]
+            base = os.path.basename(path)
+            for found, key in zip(
+                stages, (path, os.path.splitext(path)[0], base, os.path.splitext(base)[0]), strict=True
+            ):
+                found.setdefault(key, []).append(row["take_id"])
+        self._stages = stages
+
+    def of_key(self, row: MetadataRow) -> list[int]:
+        """Return the takes of a key; a SourceError reports that it fits several files."""
+        if row.key in self._by_name:
+            return self._by_name[row.key]
+        key = row.key.replace("\\", "/").removeprefix(self._root).removeprefix("./")
+        for found in self._stages:
+            ids = found.get(key, [])
+            paths = list(dict.fromkeys(self._paths[take] for take in ids))
+            if len(paths) > 1:
+                raise row.error(
+                    f"'{row.key}' fits {len(paths):,} files, such as {paths[0]} and {paths[1]}; give the path below "
+                    "the source"
+                )
+            if ids:
+                return ids
+        return []
+
+    def fitting(self, pattern: re.Pattern[str]) -> list[int]:
+        """Return the takes whose name or path fits a pattern."""
+        return [take for take, name in self.names.items() if pattern.match(name) or pattern.match(self._paths[take])]
+
+
+def lies_in_source(root: str, given: Sequence[str]) -> str | None:
+    """Return the path of a table `metadata.csv` (.tsv, .yaml, .yml) in a source that is not among the given ones."""
+    tables = (os.path.join(root, f"metadata{ending}") for ending in (".csv", ".tsv", ".yaml", ".yml"))
+    known = {os.path.realpath(path) for path in given}
+    return next((path for path in tables if os.path.isfile(path) and os.path.realpath(path) not in known), None)
+
+
+def join_lines(tables: Iterable[MetadataTable], joined: Joined) -> list[str]:
+    """Return messages about a join: the takes described, the rows without a take, and the takes without a row."""
+    keys = ", ".join(dict.fromkeys(f"'{table.key}' of {table.path}" for table in tables))
+    lines = [f"metadata by {keys}: {counted(len(joined.values), 'take')} described"]
+    if joined.unused:
+        few = ", ".join(f"'{row.key}' (line {row.line})" for row in joined.unused[:2])
+        lines.append(
+            f"{counted(len(joined.unused), 'row')} of metadata without a take, such as {few}; a row names a take, the "
+            "path of its file below the source, or its file"
+        )
+    if joined.without:
+        few = ", ".join(f"'{name}'" for name in joined.without[:2])
+        lines.append(f"{counted(len(joined.without), 'take')} without a row of metadata, such as {few}")
+    return lines
