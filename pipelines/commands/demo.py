@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.console.terminal import Progress, Terminal
+from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.executors import cores
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
 from kinedex.pipelines.synth.archive import write_archive
@@ -80,7 +80,7 @@ def make_archive(
     """
     begin = time.perf_counter()
     console.print(f"synthetic archive of {minutes:g} minutes in {directory}", style="bold", markup=False)
-    with Progress(console, "writing files", None) as progress:
+    with Terminal(console).progress("writing files") as progress:
         summary = write_archive(
             directory, minutes=minutes, actors=actors, seed=seed, jobs=workers or cores(), progress=progress.advance
         )

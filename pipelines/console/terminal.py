@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import textwrap
+from contextlib import AbstractContextManager
 from types import TracebackType
 from typing import Any
 
@@ -11,6 +12,7 @@ from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderableT
 from rich.segment import Segment
 
 from kinedex.pipelines.console.escapes import unescaped, visible, visible_lines, visible_text
+from kinedex.pipelines.console.pulse import Pulse
 
 WIDE = 160
 """Columns of a table that goes to a file or a pipe: wide enough that cells stay whole."""
@@ -78,9 +80,9 @@ class _Escaped:
 
 
 class Progress:
-    """One progress bar; a context manager. Where the output is no terminal it prints nothing."""
+    """One progress bar; a context manager. Where the output is no terminal, lines report it every now and then."""
 
-    def __init__(self, console: Console, description: str, total: int | None) -> None:
+    def __init__(self, console: Console, pulse: Pulse, description: str, total: int | None) -> None:
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
         from rich.progress import Progress as Bars
 
@@ -94,19 +96,23 @@ class Progress:
             disable=console.quiet or not console.is_terminal,
         )
         self._task = self._bars.add_task(description, total=total)
+        self._during = pulse.during(description, total)
 
     def __enter__(self) -> Progress:
         self._bars.start()
+        self._step = self._during.__enter__()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._during.__exit__(kind, fault, trace)
         self._bars.stop()
 
     def advance(self, n: int = 1) -> None:
         """Move the bar by n."""
         self._bars.advance(self._task, n)
+        self._step.done += n
 
 
 class Terminal:
@@ -114,12 +120,23 @@ class Terminal:
 
     def __init__(self, console: Console | None = None) -> None:
         self.console = console or message_console()
+        self._pulse = Pulse(self._beat)
+
+    def _beat(self, text: str) -> None:
+        """Print a line about a long step, unless a terminal shows a bar."""
+        if not self.console.is_terminal:
+            self.console.print(f"    {visible_lines(text)}", markup=False)
+
+    def during(self, name: str) -> AbstractContextManager[object]:
+        """Report a step every now and then while a `with` statement runs."""
+        return self._pulse.during(name)
 
     def say(self, text: str) -> None:
         """Print one indented line as it is (no markup); in a terminal a long one goes on below, between two words."""
         text = visible_lines(text)
         if self.console.is_terminal:
             text = "\n".join(self._wrapped(line) for line in text.splitlines())
+        self._pulse.speak()
         self.console.print(f"    {text}", markup=False)
 
     def _wrapped(self, line: str) -> str:
@@ -139,4 +156,4 @@ class Terminal:
 
     def progress(self, description: str, total: int | None = None) -> Progress:
         """Return a progress bar, to be used in a `with` statement."""
-        return Progress(self.console, description, total)
+        return Progress(self.console, self._pulse, description, total)

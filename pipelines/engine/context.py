@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -52,6 +53,9 @@ class Display(Protocol):
 
     def progress(self, description: str, total: int | None = None) -> ProgressBar:
         """Return a progress bar."""
+
+    def during(self, name: str) -> AbstractContextManager[object]:
+        """Report a step every now and then while a `with` statement runs."""
 
 
 def feature_set_for(store: Store | None, given: str | None = None) -> FeatureSet:

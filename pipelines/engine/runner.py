@@ -283,7 +283,8 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> None:
                 writer.forget_stage(context.key())
                 writer.commit()
             context = replace(context, wait=run.begun().wait)
-        summary = stage.kind.run(context, stage.params)
+        with run.terminal.during(stage.name):
+            summary = stage.kind.run(context, stage.params)
         seconds = time.perf_counter() - begin
         _record(replace(context, wait=run.begun().wait), planner.done(step), summary, seconds, run)
     except KinedexError as fault:

@@ -44,7 +44,7 @@ class IngestParameters(BaseModel):
         description="regular expressions with named groups (actor, class, clip, any other), tried in order on the path "
         "relative to the source; the first that is found anywhere in it counts",
     )
-    metadata: list[str] = Field(
+    metadata: Annotated[list[str], NamesFile("data")] = Field(
         default_factory=list,
         description="tables (.csv, .tsv, .yaml, .json) whose rows name takes or files, and whose other columns become "
         "columns of takes: tags, licence, any other; their actor, class and clip go before those of paths",

@@ -100,7 +100,8 @@ class ReadRounds:
         """Read all files, commit them batch by batch, and return the outcome."""
         tasks: Sequence[Task] = self.plan.tasks
         if tasks and self.context.executor.workers > 1:
-            _compile_kernels(self.context.feature_set)
+            with self.context.progress("compiling kernels"):
+                _compile_kernels(self.context.feature_set)
         while tasks:
             several = self._read(tasks)
             tasks = [] if self._is_stopped else self._persons(several)

@@ -1,0 +1,86 @@
+"""Lines about long steps, for outputs that show no progress bar, and for the log."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+_log = logging.getLogger("kinedex.progress")
+
+FIRST_SECONDS = 10.0
+"""The time without a message after which a line reports the step; also the least time between two lines."""
+
+SHARE = 0.2
+"""The least time between two lines as a share of the time since the step began, so that a long step has few."""
+
+
+@dataclass
+class PulseStep:
+    """A step that may take long: its name, and how much of it is done."""
+
+    name: str
+    total: int | None = None
+    done: int = 0
+
+    def text(self, seconds: float) -> str:
+        """Return the line about the step after so many seconds."""
+        count = "" if self.total is None else f"{self.done:,} of {self.total:,}, "
+        return f"{self.name}: {count}{seconds:.0f} s so far"
+
+
+class Pulse:
+    """Reports the innermost step, every now and then, while steps are under way.
+
+    Parameters
+    ----------
+    show : callable
+        Prints a line.
+    """
+
+    def __init__(self, show: Callable[[str], None]) -> None:
+        self._show = show
+        self._steps: list[PulseStep] = []
+        self._spoken = 0.0
+        self._end = threading.Event()
+
+    def speak(self) -> None:
+        """Note that something was printed, so that no line is due for a while."""
+        self._spoken = time.monotonic()
+
+    @contextmanager
+    def during(self, name: str, total: int | None = None) -> Iterator[PulseStep]:
+        """Report a step while the block runs; the step's `done` counts what is finished."""
+        step = PulseStep(name, total)
+        self._steps.append(step)
+        thread = None
+        if len(self._steps) == 1:
+            self.speak()
+            self._end = threading.Event()
+            thread = threading.Thread(target=self._beat, args=(self._end,), name="progress", daemon=True)
+            thread.start()
+        try:
+            yield step
+        finally:
+            self._steps.remove(step)
+            if thread is not None:
+                self._end.set()
+                thread.join()
+
+    def _beat(self, end: threading.Event) -> None:
+        begin = time.monotonic()
+        while not end.wait(self._due(begin)):
+            steps = list(self._steps)
+            if steps and self._due(begin) <= 0:
+                text = steps[-1].text(time.monotonic() - begin)
+                self.speak()
+                self._show(text)
+                _log.info("%s", text, extra={"event": "progress"})
+
+    def _due(self, begin: float) -> float:
+        """Return the seconds until a line is due."""
+        now = time.monotonic()
+        return max(0.0, self._spoken + max(FIRST_SECONDS, SHARE * (now - begin)) - now)

@@ -1,0 +1,70 @@
+"""Long steps report themselves where the output is no terminal: by a line now and then, and more and more seldom."""
+
+from __future__ import annotations
+
+import io
+import logging
+import threading
+
+import pytest
+from rich.console import Console
+
+from kinedex.pipelines.console import pulse
+from kinedex.pipelines.console.terminal import Terminal
+
+
+@pytest.fixture
+def fast(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pulse, "FIRST_SECONDS", 0.02)
+
+
+class Shown(io.StringIO):
+    """An output that reports when something was written to it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.written = threading.Event()
+
+    def write(self, text: str) -> int:
+        self.written.set()
+        return super().write(text)
+
+
+def test_a_long_step_reports_itself_in_the_output_and_the_log(fast: None, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "kinedex.progress")
+    shown = Shown()
+    terminal = Terminal(Console(file=shown, width=200))
+    with terminal.during("index"):
+        assert shown.written.wait(10)
+        with terminal.progress("reading takes", 2_000) as bar:
+            bar.advance(1_200)
+            shown.written.clear()
+            assert shown.written.wait(10)
+    lines = shown.getvalue().splitlines()
+    assert lines[0].startswith("    index: ")
+    assert any(line.startswith("    reading takes: 1,200 of 2,000, ") for line in lines)
+    assert caplog.messages[0] == lines[0].strip()
+
+
+def test_nothing_is_printed_when_quiet_or_on_a_terminal(fast: None, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "kinedex.progress")
+    for options in ({"quiet": True}, {"force_terminal": True}):
+        shown = io.StringIO()
+        heard = threading.Event()
+        handler = logging.Handler()
+        handler.emit = lambda record, heard=heard: heard.set()  # type: ignore[method-assign,misc]
+        logging.getLogger("kinedex.progress").addHandler(handler)
+        try:
+            with Terminal(Console(file=shown, **options)).during("index"):  # type: ignore[arg-type]
+                assert heard.wait(10), "the log has it"
+        finally:
+            logging.getLogger("kinedex.progress").removeHandler(handler)
+        assert shown.getvalue() == ""
+
+
+def test_a_message_puts_the_next_line_off_and_a_long_step_has_few() -> None:
+    beat = pulse.Pulse(lambda text: None)
+    beat.speak()
+    now = beat._spoken
+    assert beat._due(now) == pytest.approx(pulse.FIRST_SECONDS, abs=1)
+    assert beat._due(now - 3600) == pytest.approx(pulse.SHARE * 3600, abs=1)
