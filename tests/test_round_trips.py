@@ -15,8 +15,8 @@ def test_every_form_comes_back(tmp_path: Path) -> None:
     }
     assert "amc, channels" in {one.form for one in found}
     for one in found:
-        assert not one.error_mm > 0.01, one
+        chain = one.form == "bvh, joints"  # bones of fixed length
+        assert not one.error_mm > (20.0 if chain else 0.01), one
+        assert chain or one.differ_at_rate == 0, one
         assert all(one.others.values()), one
-        if one.form != "bvh, joints":  # a chain of bones of fixed length
-            assert one.differ_at_rate == 0, one
     assert table(found).count("\n") == len(found) + 2
