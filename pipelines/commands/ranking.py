@@ -25,6 +25,7 @@ from kinedex.pipelines.commands.store_access import open_for_reading
 
 if TYPE_CHECKING:
     from kinedex.pipelines.ranking.ranking import Ranking
+    from kinedex.pipelines.ranking.store_ranking import StoreRanking
 
 
 NEAREST = 5
@@ -37,6 +38,10 @@ QueriesOption = Annotated[
         metavar="FILE",
         help="Query file; a template is ranked within the hits of its queries, in all frames where it has none.",
     ),
+]
+
+MirrorOption = Annotated[
+    bool, typer.Option("--mirror", help="Rank by mirror images, too; their hits have true in the column mirrored.")
 ]
 
 
@@ -61,9 +66,7 @@ def rank(
     stage: StageOption = None,
     queries: QueriesOption = None,
     where: WhereOption = None,
-    mirror: Annotated[
-        bool, typer.Option("--mirror", help="Rank by mirror images, too; the column mirrored tells their hits.")
-    ] = False,
+    mirror: MirrorOption = False,
     workers: Annotated[int | None, typer.Option(min=1, help="Threads; one per core unless given.")] = None,
     form: FormatOption = "table",
     output: OutputOption = None,
@@ -87,25 +90,33 @@ def rank(
         workers=workers, mirror=mirror, nearest=min(top, NEAREST),
     )  # fmt: skip
     seconds = time.perf_counter() - begin
-    rankings, table = found.rankings, found.table()
     if as_json:
-        document = {"store": store, "templates": [one.name for one in rankings], "tau": tau, "delta": delta}
-        document |= {"frames": rankings[0].frames, "seconds": seconds, "remarks": found.remarks}
-        hits, near = (rows.drop_columns(["run"]) for rows in (table, found.nearest_table()))
+        document = {"store": store, "templates": [one.name for one in found.rankings], "tau": tau, "delta": delta}
+        document |= {"frames": found.rankings[0].frames, "seconds": seconds, "remarks": found.remarks}
+        hits, near = (rows.drop_columns(["run"]) for rows in (found.table(), found.nearest_table()))
         print_json({**document, "hits": hits, "nearest": near})
         return
     for remark in (*found.remarks, *found.misses(tau)):
         typer.echo(remark, err=True)
-    plain = form == "table" and output is None
-    hidden = ["run", "take_id"] if len(rankings) > 1 else ["run", "template", "take_id"]
-    if plain and not table.num_rows and found.nearest_table().num_rows:
-        print_message(f"No hit below {tau:g}; the nearest places, which are none:")
-        table = found.nearest_table()
-    show_table(table.drop_columns(hidden) if plain else table, form, output)
+    if form == "table" and output is None:
+        _show_hits(found, tau, _summary(found.rankings, tau, queries is not None, seconds))
+    else:
+        show_table(found.table(), form, output)
     if output is not None:
         print_path(output)
-    if plain:
-        print_message(_summary(rankings, sum(len(one.hits) for one in rankings), tau, queries is not None, seconds))
+
+
+def _show_hits(found: StoreRanking, tau: float, summary: str) -> None:
+    """Print the hits, or the nearest places where there are none, as a table with a line below it."""
+    table = found.table()
+    if not table.num_rows and found.nearest_table().num_rows:
+        print_message(f"No hit below {tau:g}; the nearest places, which are none:")
+        table = found.nearest_table()
+    show_table(
+        table.drop_columns(["run", "take_id"] if len(found.rankings) > 1 else ["run", "template", "take_id"]),
+        "table", None,
+    )  # fmt: skip
+    print_message(summary)
 
 
 def _check_source(names: list[str], every: bool, take: str | None, start: str | None, stop: str | None) -> None:
@@ -121,14 +132,14 @@ def _check_source(names: list[str], every: bool, take: str | None, start: str | 
         raise KinedexError("--start and --stop need --take: they are the interval of the example in a take")
 
 
-def _summary(rankings: Sequence[Ranking], hits: int, tau: float, preselected: bool, seconds: float) -> str:
+def _summary(rankings: Sequence[Ranking], tau: float, preselected: bool, seconds: float) -> str:
     """Return the line below the table: hits, frames, the shares that were not searched, and the time."""
     from kinedex.pipelines.console.wording import counted
 
     kept = sum(one.searched for one in rankings) / max(sum(one.frames for one in rankings), 1)
     shares = [one.skipped for one in rankings if one.skipped is not None]
     return (
-        f"{counted(hits, 'hit')} below {tau:g}"
+        f"{counted(sum(len(one.hits) for one in rankings), 'hit')} below {tau:g}"
         + (f" by {len(rankings)} templates" if len(rankings) > 1 else "")
         + f"; {rankings[0].frames:,} frames"
         + (f", {kept:.1%} of them within keyframe hits" if preselected else "")
