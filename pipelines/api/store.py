@@ -808,7 +808,7 @@ class Store:
         classes : sequence of str, optional
             Only these classes.
         pipeline : str, optional
-            The pipeline of the annotations; the one that annotated last unless given.
+            The pipeline of the annotations; the current one unless given.
         min_confidence : float, optional
             The least confidence.
         margin, context : float, optional

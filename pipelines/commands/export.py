@@ -64,7 +64,13 @@ ClassOption = Annotated[
     list[str] | None, typer.Option("--class", metavar="CLASS", help="Only this class; may be given several times.")
 ]
 AnnotatedByOption = Annotated[
-    str | None, typer.Option("--pipeline", metavar="NAME", help="Pipeline that annotated; the last unless given.")
+    str | None,
+    typer.Option(
+        "--pipeline",
+        "--stage",
+        metavar="NAME",
+        help="PIPELINE, PIPELINE/STAGE or run that annotated; the current pipeline unless given.",
+    ),
 ]
 ConfidenceOption = Annotated[float | None, typer.Option(min=0, max=1, help="Least confidence.")]
 MarginOption = Annotated[

@@ -152,7 +152,7 @@ def data_set_text(facts: Facts, rows: Sequence[Mapping[str, Any]], done: Sequenc
         "joints": list(store.feature_set.joints),
         "what": _plain(asdict(facts.what)),
         "how": _plain(asdict(how)),
-        "splits": split_facts(rows, how),
+        "splits": _with_values(split_facts(rows, how), done, how),
         "mirrored_classes": {before: after for before, after in classes if before is not None},
         "remarks": list(facts.remarks),
         "excluded": [{"file": file, "reason": reason} for file, reason in facts.excluded.items()],
@@ -162,7 +162,7 @@ def data_set_text(facts: Facts, rows: Sequence[Mapping[str, Any]], done: Sequenc
 
 
 def split_facts(rows: Sequence[Mapping[str, Any]], how: How) -> dict[str, dict[str, Any]]:
-    """Return for each split its clips, seconds, share of the seconds, classes, and the values of the split's column.
+    """Return for each split its clips, seconds, share of all seconds, and classes.
 
     Parameters
     ----------
@@ -183,6 +183,14 @@ def split_facts(rows: Sequence[Mapping[str, Any]], how: How) -> dict[str, dict[s
             "classes": dict(sorted(Counter(row["class"] or "" for row in inside).items())),
         }
     return found
+
+
+def _with_values(splits: dict[str, dict[str, Any]], done: Sequence[Done], how: How) -> dict[str, dict[str, Any]]:
+    """Return the facts of splits with the values of their column."""
+    if how.split is None:
+        return splits
+    values = {name: {one.job.row[how.split] for one in done if one.job.clip.folder == name} for name in splits}
+    return {name: {**facts, "values": sorted(values[name], key=str)} for name, facts in splits.items()}
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:

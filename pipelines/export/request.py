@@ -38,7 +38,7 @@ class What:
     classes : tuple of str
         Only intervals of these classes or subclasses; all unless given.
     pipeline : str or None
-        The pipeline, stage or run of the annotations; the one that annotated last unless given.
+        The pipeline, stage or run of the annotations; the current pipeline unless given.
     min_confidence : float or None
         Least confidence.
     """
