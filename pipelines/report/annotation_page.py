@@ -32,6 +32,7 @@ from kinedex.pipelines.report.overview import (
 )
 from kinedex.pipelines.report.page_environment import page_environment
 from kinedex.pipelines.report.palette import colour_rules, colour_slot
+from kinedex.pipelines.report.reliability import reliability_figure
 from kinedex.pipelines.report.segment_list import LOOKS, SEGMENTS, Key, in_order, segment_list
 from kinedex.pipelines.report.take_selection import Choice, choose_takes, findings_of
 from kinedex.pipelines.report.timelines import Timeline, overlap, timeline
@@ -178,6 +179,7 @@ def _measures(data: ReportData, labels: Sequence[str]) -> dict[str, object]:
         "unseen": unseen(data),
         "weakest": weakest(data),
         "confusion": confusion_of(data, labels),
+        "reliability": reliability_figure(data),
         "take_seconds": {take.name: take.seconds for take in data.takes},
     }
 
