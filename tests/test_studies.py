@@ -16,7 +16,7 @@ from kinedex.catalog.queries.query_files import parse_queries, read_queries
 from kinedex.ops.annotation.segments import Segment
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.pipelines.engine.config import load_pipeline
-from studies import corrections, few_clips, learned_queries, manual_queries, stiffness
+from studies import corrections, cuts, few_clips, learned_queries, manual_queries, stiffness
 from studies.bandai import NONE, confusions, draw, summary, winner
 from studies.cross_studio import begin_of, contributions
 from studies.long_archive import METHODS, stages
@@ -151,3 +151,13 @@ def test_a_simulated_person_corrects_what_is_cut_badly_and_rejects_what_is_wrong
     assert [(one.label, len(one.words)) for one in person.rejected] == [("walk", 18), ("kick", 10)]
     assert person.has_seen(motion, Segment(52, 70, 0, 0.1, 0))
     assert not person.has_seen(motion, Segment(10, 24, 0, 0.1, 0))
+
+
+def test_words_that_differ_are_counted_by_their_distance_from_the_cut() -> None:
+    differ = np.zeros(60, bool)
+    differ[[0, 2, 59]] = True
+    text = cuts.tables([cuts.Cut(0.0, differ), cuts.Cut(0.0, np.zeros(60, bool)), cuts.Cut(0.5, differ & False)])
+    assert "| 0 | 50.0 % | 50.0 % |" in text
+    assert "| 2 | 50.0 % | 0.0 % |" in text
+    assert "| 0 s | 1 of 2 | 3 of 120 |" in text
+    assert "| 0.5 s | 1 of 1 | 0 of 60 |" in text

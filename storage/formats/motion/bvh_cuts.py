@@ -90,7 +90,9 @@ class BvhSource:
         mappings = cut.mappings or load_mappings("auto", tuple(JOINT_PARENTS))
         key = (cut.person or "", id(mappings))
         if key not in self._fitted:
-            self._fitted[key] = mappings, fitted_person(self.file, key[0], mappings, mappings.joints)
+            fitted = fitted_person(self.file, key[0], mappings, mappings.joints)
+            nowhere = np.empty((0, 0, 0))  # positions of a long take need not be kept
+            self._fitted[key] = mappings, fitted._replace(positions=nowhere, turned=nowhere)
         found = self._fitted[key][1]
         first, _ = self.columns(found.members)
         nodes = tuple(

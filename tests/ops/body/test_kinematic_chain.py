@@ -126,7 +126,7 @@ def test_the_fit_finds_the_minimum_of_the_twin() -> None:
     positions += np.random.default_rng(4).normal(0, 0.01, positions.shape)
     positions[CHAIN.joint("lfingers")] = np.nan
     points = positions[:, :, 0]
-    found = fit_poses(BODY, positions, steps=2000, tolerance=0.0)
+    found = fit_poses(BODY, positions, steps=60, tolerance=0.0)
     at = found.places[0], found.turns[0]
 
     def terms(step: np.ndarray) -> np.ndarray:
@@ -138,7 +138,7 @@ def test_the_fit_finds_the_minimum_of_the_twin() -> None:
 
 
 def test_a_body_is_measured_and_its_poses_are_found_again() -> None:
-    poses = random_poses(1, 40, 0.3)
+    poses = random_poses(1, 8, 0.3)
     positions, _ = forward(BODY, poses)
     measured = measured_body(CHAIN, positions)
     np.testing.assert_allclose(measured.offsets, BODY.offsets, atol=2e-4)
@@ -149,7 +149,7 @@ def test_a_body_is_measured_and_its_poses_are_found_again() -> None:
 
 
 def test_turned_and_moved_joints_give_turned_and_moved_poses() -> None:
-    positions, _ = forward(BODY, random_poses(3, 5, 0.3))
+    positions, _ = forward(BODY, random_poses(3, 2, 0.3))
     turn = oracle.exp(np.array([0, 1.1, 0]))
     moved = np.einsum("ab,jbt->jat", turn, positions) + np.array([1.0, 0, -2])[:, None]
     first, second = (forward(BODY, fit_poses(BODY, one))[0] for one in (positions, moved))

@@ -13,7 +13,7 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.body.facing_direction import Placement, placement_of, start_at_origin
 from kinedex.ops.body.mirrored_motion import mirrored_places, mirrored_quaternions
-from kinedex.ops.body.resample import resample
+from kinedex.ops.body.resample import covered_frames, resample
 from kinedex.ops.errors import ParameterError, SourceError
 from kinedex.ops.synth.actors import cast
 from kinedex.ops.synth.performance import perform_clip
@@ -135,6 +135,20 @@ def test_a_cut_at_another_rate_moves_alike(sources: list[SourceCut], tmp_path: P
         assert found.rate_hz == rate_hz
         straight = resample(source.positions, source.orientation, source.rate_hz, rate_hz)
         np.testing.assert_allclose(found.positions, straight.positions, atol=0.01)
+
+
+def test_a_cut_that_is_read_again_has_as_many_frames(sources: list[SourceCut], tmp_path: Path) -> None:
+    path = tmp_path / "fifty.bvh"
+    path.write_text(bvh_text(mixamo(), dance(mixamo(), 90), frame_time="0.02"))
+    for cut in (*sources, SourceCut(path, None, None, 0, 90, 50.0)):
+        take = kinedex.read(cut.source)
+        for start, stop in ((0, len(take)), (3, 11), (len(take) - 5, len(take))):
+            first, last = covered_frames(start, stop, int(take.info["source_frames"]), cut.source_rate_hz, 30.0)
+            body = write(replace(cut, start=first, stop=last), tmp_path)
+            words = analyse(body, FEATURES, 30.0)[2]
+            assert len(words) == stop - start
+            if stop - start == len(take):
+                np.testing.assert_array_equal(words, take.words())
 
 
 def test_one_person_of_several_is_mirrored(tmp_path: Path) -> None:
