@@ -86,7 +86,7 @@ def _differ(take: Take, start: int, stop: int, first: int, last: int, folder: Pa
         paths, SourceCut(Path(info["source"]), skeleton and Path(skeleton), None, *covered, info["source_rate_hz"])
     )
     words = kinedex.read(paths[0]).words()
-    if len(words) != last - first:
+    if len(words) < last - first:  # there may be one more of a source slower than the analysis
         raise SystemExit(f"{info['source']}: frames {first} to {last} came back as {len(words)} frames")
     differ: npt.NDArray[np.bool_] = words[start - first : stop - first] != take.words()[start:stop]
     return differ
