@@ -19,7 +19,7 @@ from kinedex.pipelines.evaluation.study import SplitResult, Study, boundary_summ
 MEASURE_NAMES = ("P (frames)", "R (frames)", F_FRAMES, "P (segments)", "R (segments)", F_SEGMENTS)
 MOST_CONFUSIONS = 8
 REPETITIONS = (
-    "a person may have labelled repetitions in a row as one segment and a method as several, or the reverse: mAP, AP "
+    "the ground truth may have repetitions in a row as one segment and a method as several, or the reverse: mAP, AP "
     "and boundaries then say little of either, though F (frames) and F (segments) agree"
 )
 """This remark holds for overlap and boundaries."""
