@@ -10,6 +10,7 @@ import typer
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.output import print_message
+from kinedex.pipelines.motion_pages import FIGURES as FIGURES
 
 if TYPE_CHECKING:
     from kinedex.storage.lock import Wait
@@ -74,6 +75,22 @@ OutputOption = Annotated[
     typer.Option(
         "--output", "-o", help="Write to this file; its ending (.csv, .json, .parquet) is the format unless given."
     ),
+]
+HitsOutputOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--output",
+        "-o",
+        help="Write to this file; its ending (.csv, .json, .parquet) is the format unless given; .png makes a picture "
+        "with the frames of each hit.",
+    ),
+]
+HtmlOption = Annotated[
+    Path | None,
+    typer.Option("--html", metavar="FILE", help="Write a page with a moving figure of each; it needs no network."),
+]
+FiguresOption = Annotated[
+    int, typer.Option("--figures", min=1, metavar="N", help="Largest number of figures of a page or picture.")
 ]
 
 

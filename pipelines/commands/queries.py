@@ -9,8 +9,19 @@ import typer
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.app import SEARCH, command, group
-from kinedex.pipelines.commands.options import AtOption, FormatOption, JsonOption, OutputOption, StorePath, WhereOption
+from kinedex.pipelines.commands.options import (
+    FIGURES,
+    AtOption,
+    FiguresOption,
+    FormatOption,
+    HitsOutputOption,
+    HtmlOption,
+    JsonOption,
+    StorePath,
+    WhereOption,
+)
 from kinedex.pipelines.commands.output import print_json, print_message, print_path, show_table
+from kinedex.pipelines.commands.pages import Pages
 from kinedex.pipelines.commands.store_access import open_for_reading
 
 if TYPE_CHECKING:
@@ -40,7 +51,9 @@ def search(
         typer.Option(metavar="NAME", help="Save the hits in the store under this name: `saved_as` of the view `hits`."),
     ] = None,
     form: FormatOption = "table",
-    output: OutputOption = None,
+    output: HitsOutputOption = None,
+    html: HtmlOption = None,
+    figures: FiguresOption = FIGURES,
     at: AtOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -54,6 +67,9 @@ def search(
 
     if explain and save is not None:
         raise KinedexError("--explain shows no hits that --save could store: give only one of them")
+    pages = Pages(html, output, figures)
+    if explain and (html or pages.picture):
+        raise KinedexError("--explain shows no hits: give it without --html and without a picture")
     if at is not None and save is not None:
         raise KinedexError("--save stores the hits in the newest version: give no --at with it")
     opened = open_for_reading(store, at if save is None else "newest")
@@ -69,6 +85,7 @@ def search(
     run = None if save is None else new_run_id()
     hits = search_store(opened, loaded, where) if run is None else search_store(opened, loaded, where, run)
     remarks = search_remarks(opened, loaded, where)
+    pages.write_search(opened, hits, f"Hits of {queries}", remarks)
     if save is not None and run is not None:
         opened.close()
         hits = save_hits(opened, hits, save, run)
@@ -82,8 +99,11 @@ def search(
         typer.echo(remark, err=True)
     if plain:
         _show_hits(hits, save, run)
+    elif pages.picture is not None:
+        print_path(pages.picture)
     else:
         show_table(hits if save is not None else hits.drop_columns(["saved_as"]), form, output)
+    pages.report()
 
 
 def _show_hits(hits: pa.Table, save: str | None, run: str | None) -> None:

@@ -11,21 +11,29 @@ import typer
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.app import SEARCH, command
 from kinedex.pipelines.commands.options import (
+    FIGURES,
     AtOption,
+    FiguresOption,
     FormatOption,
+    HitsOutputOption,
+    HtmlOption,
     JsonOption,
     KindOption,
-    OutputOption,
     StageOption,
     StorePath,
     WhereOption,
 )
 from kinedex.pipelines.commands.output import print_json, print_message, print_path, show_table
+from kinedex.pipelines.commands.pages import Pages
 from kinedex.pipelines.commands.store_access import open_for_reading
 
 if TYPE_CHECKING:
     from kinedex.pipelines.ranking.ranking import Ranking
+<<<<<<< HEAD
     from kinedex.pipelines.ranking.store_ranking import StoreRanking
+=======
+    from kinedex.storage.store.store import Store
+>>>>>>> c955773 (Write pages of moving figures and strips of pictures)
 
 
 NEAREST = 5
@@ -69,7 +77,9 @@ def rank(
     mirror: MirrorOption = False,
     workers: Annotated[int | None, typer.Option(min=1, help="Threads; one per core unless given.")] = None,
     form: FormatOption = "table",
-    output: OutputOption = None,
+    output: HitsOutputOption = None,
+    html: HtmlOption = None,
+    figures: FiguresOption = FIGURES,
     at: AtOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -81,6 +91,7 @@ def rank(
 
     names = list(dict.fromkeys(templates or ()))
     _check_source(names, every, take, start, stop)
+    pages = Pages(html, output, figures)
     opened = open_for_reading(store, at)
     asked = None if queries is None else read_queries(queries, opened.feature_set, opened.rate_hz)
     chosen = None if every else names if take is None else [template_from_clip(opened, take, start, stop)]
@@ -90,14 +101,21 @@ def rank(
         workers=workers, mirror=mirror, nearest=min(top, NEAREST),
     )  # fmt: skip
     seconds = time.perf_counter() - begin
+<<<<<<< HEAD
+=======
+    rankings, table = found.rankings, found.table()
+    shown, remarks = table if table.num_rows else found.nearest_table(), (*found.remarks, *found.misses(tau))
+    pages.write_ranking(opened, shown, _interval(opened, take, start, stop), tau, kind, stage, remarks)
+>>>>>>> c955773 (Write pages of moving figures and strips of pictures)
     if as_json:
         document = {"store": store, "templates": [one.name for one in found.rankings], "tau": tau, "delta": delta}
         document |= {"frames": found.rankings[0].frames, "seconds": seconds, "remarks": found.remarks}
         hits, near = (rows.drop_columns(["run"]) for rows in (found.table(), found.nearest_table()))
         print_json({**document, "hits": hits, "nearest": near})
         return
-    for remark in (*found.remarks, *found.misses(tau)):
+    for remark in remarks:
         typer.echo(remark, err=True)
+<<<<<<< HEAD
     if form == "table" and output is None:
         _show_hits(found, tau, _summary(found.rankings, tau, queries is not None, seconds))
     else:
@@ -117,6 +135,27 @@ def _show_hits(found: StoreRanking, tau: float, summary: str) -> None:
         "table", None,
     )  # fmt: skip
     print_message(summary)
+=======
+    plain = form == "table" and output is None
+    hidden = ["run", "take_id"] if len(rankings) > 1 else ["run", "template", "take_id"]
+    if plain and not table.num_rows and found.nearest_table().num_rows:
+        print_message(f"No hit below {tau:g}; the nearest places, which are none:")
+        table = found.nearest_table()
+    if not pages.picture:
+        show_table(table.drop_columns(hidden) if plain else table, form, output)
+    if output is not None:
+        print_path(output)
+    pages.report()
+    if plain:
+        print_message(_summary(rankings, sum(len(one.hits) for one in rankings), tau, queries is not None, seconds))
+>>>>>>> c955773 (Write pages of moving figures and strips of pictures)
+
+
+def _interval(store: Store, take: str | None, start: str | None, stop: str | None) -> tuple[str, int, int] | None:
+    """Return the example as a take and its frames."""
+    from kinedex.pipelines.templates.stored_templates import clip_range
+
+    return None if take is None else (take, *clip_range(store, take, start, stop))
 
 
 def _check_source(names: list[str], every: bool, take: str | None, start: str | None, stop: str | None) -> None:

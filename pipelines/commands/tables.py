@@ -13,8 +13,11 @@ import typer
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.commands.app import ASK, Command, command
 from kinedex.pipelines.commands.options import (
+    FIGURES,
     AtOption,
+    FiguresOption,
     FormatOption,
+    HtmlOption,
     JsonOption,
     OutputOption,
     StorePath,
@@ -22,6 +25,7 @@ from kinedex.pipelines.commands.options import (
     seconds_of,
 )
 from kinedex.pipelines.commands.output import is_for_people, print_json, print_message, print_path, show_table
+from kinedex.pipelines.commands.pages import Pages
 from kinedex.pipelines.commands.store_access import open_for_reading
 from kinedex.pipelines.console.wording import counted
 
@@ -141,22 +145,32 @@ def takes(
     ),
     form: FormatOption = "table",
     output: OutputOption = None,
+    html: HtmlOption = None,
+    figures: FiguresOption = FIGURES,
+    group: Annotated[
+        str | None, typer.Option(metavar="COLUMN", help="Group the figures of the page by this column, or by folder.")
+    ] = None,
     at: AtOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """List the takes of a store."""
 
-    table = open_for_reading(store, at).takes_table(where)
+    pages = Pages(html, None, figures)
+    opened = open_for_reading(store, at)
+    table = opened.takes_table(where)
     names = table.column_names
     wanted = names if columns.strip() == "*" else [column.strip() for column in columns.split(",")]
     for column in wanted:
         if column not in names:
             raise KinedexError(f"--columns: takes have no column '{column}'{did_you_mean(column, names)}")
+    pages.write_takes(opened, table, group)
     seconds = sum(table.column("seconds").to_pylist())
     if as_json:
         print_json({"store": store, "seconds": seconds, "takes": table.select(wanted)})
         return
-    show_table(table.select(wanted), form, output)
+    if html is None or output is not None:
+        show_table(table.select(wanted), form, output)
+    pages.report()
     if form == "table" and output is None:
         partial = table.num_rows - table.column("known").null_count
         lacking = f"; {counted(partial, 'body', 'bodies')} without some joints (column known)" if partial else ""

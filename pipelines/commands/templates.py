@@ -9,8 +9,19 @@ import typer
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.app import ASK, command, group
-from kinedex.pipelines.commands.options import AtOption, FormatOption, KindOption, OutputOption, StageOption, StorePath
+from kinedex.pipelines.commands.options import (
+    FIGURES,
+    AtOption,
+    FiguresOption,
+    FormatOption,
+    HtmlOption,
+    KindOption,
+    OutputOption,
+    StageOption,
+    StorePath,
+)
 from kinedex.pipelines.commands.output import print_message, print_path, show_table
+from kinedex.pipelines.commands.pages import Pages
 from kinedex.pipelines.commands.store_access import open_for_reading
 from kinedex.pipelines.console.escapes import visible
 
@@ -64,6 +75,8 @@ def show(
         Path | None,
         typer.Option("--output", "-o", help="Figure to write (.svg, .png), or template file to edit (.yaml, .csv)."),
     ] = None,
+    html: HtmlOption = None,
+    figures: FiguresOption = FIGURES,
     at: AtOption = None,
 ) -> None:
     """Show a template: every feature over time.
@@ -78,6 +91,7 @@ def show(
     from kinedex.pipelines.templates.template_output import write_template
     from kinedex.pipelines.templates.template_text import heading, template_lines
 
+    pages = Pages(html, None, figures)
     opened = open_for_reading(store, at)
     one = choose_template(opened, name, kind_of(kind), stage)
     console = make_console()
@@ -94,6 +108,8 @@ def show(
         write_figure(figure, output)
     if output is not None:
         print_path(output)
+    pages.write_template(opened, one, delta)
+    pages.report()
 
 
 @command(of=template)

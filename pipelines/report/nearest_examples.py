@@ -15,6 +15,7 @@ from kinedex.ops.words import U64
 from kinedex.pipelines.report.data import Segment, Template
 from kinedex.pipelines.report.motions import MOST_BYTES, Motions
 from kinedex.pipelines.templates.examples import interval_of
+from kinedex.pipelines.templates.learning import SubclassTemplate
 from kinedex.storage.store.store import Store
 
 MOST_PIECES = 500
@@ -89,14 +90,14 @@ def nearest_examples(store: Store, hits: Sequence[Segment], templates: Sequence[
     dict of (take, class, start, stop) to Example
         Hits whose template has no clip in the store are missing.
     """
-    clips = {template.subclass: _clips(store, template) for template in templates}
+    clips = {template.subclass: clips_of(store, template) for template in templates}
     grouped: dict[str, list[Segment]] = defaultdict(list)
     for hit in hits:
         if hit.subclass is not None and clips.get(hit.subclass) and hit.stop > hit.start:
             grouped[hit.subclass].append(hit)
     used = {hit.take for own in grouped.values() for hit in own}
     used |= {take for name in grouped for take, _, _ in clips[name]}
-    words = _words(store, sorted(used))
+    words = words_of(store, sorted(used))
     found = {}
     for name, own in grouped.items():
         chosen = clips[name]
@@ -109,7 +110,7 @@ def nearest_examples(store: Store, hits: Sequence[Segment], templates: Sequence[
     return found
 
 
-def _clips(store: Store, template: Template) -> list[tuple[str, int, int]]:
+def clips_of(store: Store, template: Template | SubclassTemplate) -> list[tuple[str, int, int]]:
     """Return the clips of a template that the store has, as take, start and stop."""
     mirrored = _MIRRORED.search(template.origin)
     names = template.clips[: len(template.clips) - int(mirrored[1])] if mirrored else template.clips
@@ -122,7 +123,8 @@ def _clips(store: Store, template: Template) -> list[tuple[str, int, int]]:
     return found
 
 
-def _words(store: Store, names: Sequence[str]) -> Mapping[str, U64]:
+def words_of(store: Store, names: Sequence[str]) -> Mapping[str, U64]:
+    """Return the words of takes by their names."""
     ids = [store.take_ids[name] for name in names]
     words = store.words(ids)
     place = {take_id: index for index, take_id in enumerate(words.take_ids.tolist())}
