@@ -307,6 +307,18 @@ def ground_truth() -> dict[str, bytes]:
     return {"plain": text.encode(), "mark": b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode()}
 
 
+def metadata() -> dict[str, bytes]:
+    """A table of a script, and one of a German Excel."""
+    plain = 'take,licence,mass,tags[],code\nt0,free,71.5,slow|calm,007\na/t1.bvh,"bought, once",80,,008\nt*,,,,\n'
+    excel = 'sep=;\r\nDatei;Lizenz für;Masse;innen\r\nt0;"frei\nhier";71,5;WAHR\r\nt2.bvh;;80;FALSCH\r\n'
+    return {"plain": plain.encode(), "excel": excel.encode("cp1252"), "wide": excel.encode("utf-16")}
+
+
+def metadata_yaml() -> dict[str, bytes]:
+    by_take = "t0: {licence: free, tags: [slow, calm], mass: 71.5}\n'*': {licence: bought, day: 2024-05-01}\n"
+    return {"mapping": by_take.encode(), "list": b"- {file: t0, n: 1}\n- {file: a/t1.bvh, n: 2.5, ok: true}\n"}
+
+
 def _labels() -> TakeLabels:
     made = (Label("walk", 0, 120, "walk", 0.1, 0.9), Label("kick & turn", 100, 200), Label("walk", 110, 300))
     return TakeLabels("take <1>", 120.0, 400, made)

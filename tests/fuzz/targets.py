@@ -12,6 +12,7 @@ from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 
 from kinedex.catalog.classes import load_classes
 from kinedex.catalog.configs import config_names, config_path, load_yaml
@@ -22,6 +23,7 @@ from kinedex.catalog.skeletons.mappings import load_skeleton
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.ingestion.analysis import analyse, blind
+from kinedex.pipelines.ingestion.metadata import load_metadata
 from kinedex.storage.formats.labels.ground_truth import read_ground_truth
 from kinedex.storage.formats.motion.body_models import load_body_model
 from kinedex.storage.formats.motion.bvh_parser import parse_bvh
@@ -31,6 +33,7 @@ from kinedex.storage.formats.motion.opensim import OpenSimReader
 from kinedex.storage.formats.motion.position_files import is_positions_csv
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import read_body, reader_of
+from kinedex.storage.snapshot.schemas import COLUMN_TYPES
 from tests.bodies import STANDING
 from tests.fuzz import seeds
 from tests.fuzz.binary import C3D, FBX, GLB, NPY, NPZ
@@ -262,6 +265,16 @@ def check_csv(path: Path) -> None:
 # ---- tables and configuration ----------------------------------------------------------------------------
 
 
+def check_metadata(path: Path) -> None:
+    """Join a table to takes; the values are those of columns that a store can declare."""
+    metadata = load_metadata([str(path)])
+    columns, _ = metadata.columns({})
+    takes = [{"take_id": n, "name": f"t{n}", "source": f"a/t{n}.bvh"} for n in range(3)]
+    values = metadata.join(takes, "/archive", columns).values
+    for name, column in columns.items():
+        pa.array([row.get(name) for row in values.values()], COLUMN_TYPES[column.type])
+
+
 def check_ground_truth(path: Path) -> None:
     """Segments are ranges of frames with names."""
     found = read_ground_truth(path)
@@ -363,6 +376,8 @@ TARGETS: dict[str, Target] = {
         Target("amass", ".npz", seeds.amass, (*ANY, *NPZ, *NPZ), check_amass),
         Target("body-model", ".npz", seeds.body_models, (*ANY, *NPZ, *NPZ), check_body_model),
         Target("ground-truth", ".csv", seeds.ground_truth, _text(CSV_WORDS), check_ground_truth),
+        Target("metadata", ".csv", seeds.metadata, _text(CSV_WORDS), check_metadata),
+        Target("metadata-yaml", ".yaml", seeds.metadata_yaml, _YAML, check_metadata, (KinedexError,), 60_000),
         *(
             Target(f"labels-{ending}", f".{ending}", partial(seeds.label_file, ending), mutations, check_ground_truth)
             for ending, mutations in (
