@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     import pyarrow as pa
 
+    from kinedex.pipelines.ranking.store_ranking import StoreRanking
     from kinedex.pipelines.templates.learning import SubclassTemplate
     from kinedex.storage.store.store import Store
 
@@ -59,18 +60,20 @@ class Pages:
     def write_ranking(
         self,
         store: Store,
-        hits: pa.Table,
+        found: StoreRanking,
         example: tuple[str, int, int] | None,
         tau: float,
         kind: str,
         stage: str | None,
-        remarks: Sequence[str],
     ) -> None:
-        """Write the hits of a ranking (`motion_pages.hits.write_ranking`)."""
+        """Write the hits of a ranking, or the nearest places where there is none."""
         if self.html is None and self.picture is None:
             return
         from kinedex.pipelines.motion_pages.hits import write_ranking
 
+        hits = found.table()
+        hits = hits if hits.num_rows else found.nearest_table()
+        remarks = (*found.remarks, *found.misses(tau))
         self.amounts.append(
             write_ranking(
                 store, hits, self.html, self.picture, tau=tau, kind=kind, stage=stage, example=example,

@@ -30,6 +30,20 @@ if TYPE_CHECKING:
 query = group("query", "Make keyframe queries.", SEARCH)
 
 
+ExplainOption = Annotated[
+    bool,
+    typer.Option(
+        "--explain",
+        help="Show list sizes per keyframe, the frames that survive it, and times: a search takes `takes`, `open` "
+        "and `search`; lists and keyframes are read for the explanation alone.",
+    ),
+]
+SaveOption = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Save the hits in the store under this name: `saved_as` of the view `hits`."),
+]
+
+
 @command(SEARCH)
 def search(
     store: StorePath,
@@ -38,18 +52,8 @@ def search(
         list[str] | None, typer.Option("--query", "-q", help="Only this query; may be given several times.")
     ] = None,
     where: WhereOption = None,
-    explain: Annotated[
-        bool,
-        typer.Option(
-            "--explain",
-            help="Show list sizes per keyframe, the frames that survive it, and times: a search takes `takes`, `open` "
-            "and `search`; lists and keyframes are read for the explanation alone.",
-        ),
-    ] = False,
-    save: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Save the hits in the store under this name: `saved_as` of the view `hits`."),
-    ] = None,
+    explain: ExplainOption = False,
+    save: SaveOption = None,
     form: FormatOption = "table",
     output: HitsOutputOption = None,
     html: HtmlOption = None,

@@ -29,16 +29,20 @@ from kinedex.pipelines.commands.store_access import open_for_reading
 
 if TYPE_CHECKING:
     from kinedex.pipelines.ranking.ranking import Ranking
-<<<<<<< HEAD
     from kinedex.pipelines.ranking.store_ranking import StoreRanking
-=======
     from kinedex.storage.store.store import Store
->>>>>>> c955773 (Write pages of moving figures and strips of pictures)
 
 
 NEAREST = 5
 """Places that are shown of a template without a hit."""
 
+TemplatesArgument = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="[TEMPLATE...]", help="Classes of learned templates, or template files (.yaml, .csv)."),
+]
+DeltaOption = Annotated[
+    float, typer.Option(min=0, max=0.4999, help="Template values within δ of 0 or 1 count, others are wildcards.")
+]
 ExampleOption = Annotated[str | None, typer.Option(help="Rank by an example: a take, or an interval of it.")]
 QueriesOption = Annotated[
     str | None,
@@ -56,20 +60,14 @@ MirrorOption = Annotated[
 @command(SEARCH)
 def rank(
     store: StorePath,
-    templates: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="[TEMPLATE...]", help="Classes of learned templates, or template files (.yaml, .csv)."),
-    ] = None,
+    templates: TemplatesArgument = None,
     every: Annotated[bool, typer.Option("--all", help="Rank by all learned templates of the store.")] = False,
     take: ExampleOption = None,
     start: Annotated[str | None, typer.Option(help="First frame of the example (45), or seconds (1.5s).")] = None,
     stop: Annotated[str | None, typer.Option(help="Frame after its last, or seconds.")] = None,
     top: Annotated[int, typer.Option(min=1, help="Largest number of hits of a template.")] = 20,
     tau: Annotated[float, typer.Option(min=1e-6, max=1, help="Threshold: distances below it are hits.")] = 0.1,
-    delta: Annotated[
-        float,
-        typer.Option(min=0, max=0.4999, help="Template values within δ of 0 or 1 count, others are wildcards."),
-    ] = 0.1,
+    delta: DeltaOption = 0.1,
     kind: KindOption = "soft",
     stage: StageOption = None,
     queries: QueriesOption = None,
@@ -101,27 +99,22 @@ def rank(
         workers=workers, mirror=mirror, nearest=min(top, NEAREST),
     )  # fmt: skip
     seconds = time.perf_counter() - begin
-<<<<<<< HEAD
-=======
-    rankings, table = found.rankings, found.table()
-    shown, remarks = table if table.num_rows else found.nearest_table(), (*found.remarks, *found.misses(tau))
-    pages.write_ranking(opened, shown, _interval(opened, take, start, stop), tau, kind, stage, remarks)
->>>>>>> c955773 (Write pages of moving figures and strips of pictures)
+    pages.write_ranking(opened, found, _interval(opened, take, start, stop), tau, kind, stage)
     if as_json:
         document = {"store": store, "templates": [one.name for one in found.rankings], "tau": tau, "delta": delta}
         document |= {"frames": found.rankings[0].frames, "seconds": seconds, "remarks": found.remarks}
         hits, near = (rows.drop_columns(["run"]) for rows in (found.table(), found.nearest_table()))
         print_json({**document, "hits": hits, "nearest": near})
         return
-    for remark in remarks:
+    for remark in (*found.remarks, *found.misses(tau)):
         typer.echo(remark, err=True)
-<<<<<<< HEAD
     if form == "table" and output is None:
         _show_hits(found, tau, _summary(found.rankings, tau, queries is not None, seconds))
-    else:
+    elif not pages.picture:
         show_table(found.table(), form, output)
     if output is not None:
         print_path(output)
+    pages.report()
 
 
 def _show_hits(found: StoreRanking, tau: float, summary: str) -> None:
@@ -135,20 +128,6 @@ def _show_hits(found: StoreRanking, tau: float, summary: str) -> None:
         "table", None,
     )  # fmt: skip
     print_message(summary)
-=======
-    plain = form == "table" and output is None
-    hidden = ["run", "take_id"] if len(rankings) > 1 else ["run", "template", "take_id"]
-    if plain and not table.num_rows and found.nearest_table().num_rows:
-        print_message(f"No hit below {tau:g}; the nearest places, which are none:")
-        table = found.nearest_table()
-    if not pages.picture:
-        show_table(table.drop_columns(hidden) if plain else table, form, output)
-    if output is not None:
-        print_path(output)
-    pages.report()
-    if plain:
-        print_message(_summary(rankings, sum(len(one.hits) for one in rankings), tau, queries is not None, seconds))
->>>>>>> c955773 (Write pages of moving figures and strips of pictures)
 
 
 def _interval(store: Store, take: str | None, start: str | None, stop: str | None) -> tuple[str, int, int] | None:

@@ -1,4 +1,4 @@
-"""What a test asks of a page in a browser: errors of the console, text beyond the window, targets for fingers."""
+"""Pages open in a browser and are asked for errors of scripts, text beyond the window and targets for fingers."""
 
 from __future__ import annotations
 
