@@ -18,6 +18,8 @@ SEPARATORS = ("_", "-", " ", ".")
 USUAL = 0.8
 """The share of names that a separator must be in to divide them."""
 
+_MOST_FIELDS = 12
+
 _NUMBERED = re.compile(r"(.*?[^0-9])([0-9]+)")
 _CAMEL = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[0-9]+")
 _WORDS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
@@ -163,6 +165,8 @@ def _with_free_field(by_count: dict[int, list[str]], separator: str) -> Layout |
     """
     groups = [[stem_of(path).split(separator) for path in paths] for paths in by_count.values()]
     least = min(by_count)
+    if least > _MOST_FIELDS:
+        return None
     best: tuple[int, int] | None = None
     for before in range(least):
         after = least - 1 - before
