@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.body.facing_direction import Placement, placement_of, start_at_origin, turned_quaternions
 from kinedex.ops.body.mirrored_motion import mirrored_places, mirrored_quaternions
 from kinedex.ops.body.resample import covered_frames, resample
@@ -19,9 +18,12 @@ from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.pipelines.export.clips import Clip
 from kinedex.pipelines.export.request import How
 from kinedex.storage.formats.motion.joint_motion import JointMotion
-from kinedex.storage.formats.motion.source_cut import SourceCut
 from kinedex.storage.snapshot.frames import words_of
 from kinedex.storage.snapshot.parts import joint_positions
+
+if TYPE_CHECKING:
+    from kinedex.catalog.skeletons.mappings import Mappings
+    from kinedex.storage.formats.motion.source_cut import SourceCut
 
 F64 = npt.NDArray[np.float64]
 
@@ -108,7 +110,9 @@ def clip_placement(places: F64, joints: tuple[str, ...], clip: Clip) -> Placemen
         ) from None
 
 
-def source_cut(row: Mapping[str, Any], clip: Clip, how: How, skeleton: Path | None, mappings: Mappings) -> SourceCut:
+def source_cut(
+    row: Mapping[str, Any], clip: Clip, how: How, skeleton: Path | None, mappings: Mappings | None
+) -> SourceCut:
     """Return the cut of a clip from the source of its take.
 
     Parameters
@@ -121,9 +125,11 @@ def source_cut(row: Mapping[str, Any], clip: Clip, how: How, skeleton: Path | No
         The changes that are asked for.
     skeleton : Path or None
         The skeleton file of an AMC file.
-    mappings : Mappings
-        Skeleton mappings of the store.
+    mappings : Mappings or None
+        Skeleton mappings of the store; the shipped ones for None.
     """
+    from kinedex.storage.formats.motion.source_cut import SourceCut
+
     first, last = source_frames(row, clip.first, clip.last)
     start, stop = source_frames(row, clip.start, clip.stop)
     return SourceCut(

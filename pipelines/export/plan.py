@@ -7,12 +7,10 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kinedex.catalog.skeletons.mappings import Mappings, load_mappings
-from kinedex.catalog.skeletons.own_mappings import with_own
 from kinedex.ops.distances.near_duplicates import F32, motion_outline, near_duplicates
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.console.wording import counted, few
@@ -24,11 +22,13 @@ from kinedex.pipelines.export.motions import clip_placement
 from kinedex.pipelines.export.request import How, What
 from kinedex.pipelines.export.selection import selected_intervals
 from kinedex.pipelines.export.work import Job
-from kinedex.pipelines.ingestion.chosen_mappings import stored_files
 from kinedex.storage.provenance import kinedex_version
 from kinedex.storage.snapshot.frames import read_takes
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
+
+if TYPE_CHECKING:
+    from kinedex.catalog.skeletons.mappings import Mappings
 
 Progress = Callable[[str, int], ProgressBar]
 """Function of a description and a number of steps that returns a progress bar."""
@@ -44,13 +44,13 @@ class Plan:
         The clips, by take and frames.
     remarks : tuple of str
         Remarks about what was left out.
-    mappings : Mappings
-        Skeleton mappings of the store.
+    mappings : Mappings or None
+        Skeleton mappings of the store, where channels are cut.
     """
 
     jobs: tuple[Job, ...]
     remarks: tuple[str, ...]
-    mappings: Mappings
+    mappings: Mappings | None
 
 
 def planned(store: Store, what: What, how: How, progress: Progress) -> Plan:
@@ -89,11 +89,19 @@ def planned(store: Store, what: What, how: How, progress: Progress) -> Plan:
     if how.mirror:
         known = {name for name in store.take_rows.column("class").to_pylist() if name}
         clips = with_twins(clips, known | {clip.label for clip in clips if clip.label})
-    return Plan(jobs_of(store, with_names(clips, what.kind == "takes"), how), tuple(remarks), store_mappings(store))
+    jobs = jobs_of(store, with_names(clips, what.kind == "takes"), how)
+    return Plan(jobs, tuple(remarks), needed_mappings(store, jobs))
 
 
-def store_mappings(store: Store) -> Mappings:
-    """Return the skeleton mappings that are shipped, and those that a store holds."""
+def needed_mappings(store: Store, jobs: Sequence[Job]) -> Mappings | None:
+    """Return the skeleton mappings that are shipped and those that a store holds; None where no channels are cut."""
+    if not any(job.channels for job in jobs):
+        return None
+    # numba comes with them
+    from kinedex.catalog.skeletons.mappings import load_mappings
+    from kinedex.catalog.skeletons.own_mappings import with_own
+    from kinedex.pipelines.ingestion.chosen_mappings import stored_files
+
     joints = store.feature_set.joints
     own = stored_files(store.path, store.manifest.mappings)
     shipped = load_mappings("auto", joints)

@@ -12,8 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
-from kinedex.pipelines.annotation.labels import annotate_stage
-from kinedex.pipelines.annotation.tables import annotated_takes
 from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.export.request import What
 from kinedex.storage.formats.csv_cells import unguarded
@@ -144,6 +142,10 @@ def _takes(store: Store, what: What, remarks: list[str]) -> Iterator[Interval]:
 
 
 def _annotations(store: Store, what: What, remarks: list[str]) -> Iterator[Interval]:
+    # numba comes with them, and takes longer to import than one take to export
+    from kinedex.pipelines.annotation.labels import annotate_stage
+    from kinedex.pipelines.annotation.tables import annotated_takes
+
     stage = annotate_stage(store, what.pipeline)
     annotated_takes(store, stage)  # an error if takes were replaced since
     run = store.manifest.stages[stage].run

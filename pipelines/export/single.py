@@ -7,7 +7,7 @@ from pathlib import Path
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.export.clips import Clip
 from kinedex.pipelines.export.forms import form_named
-from kinedex.pipelines.export.plan import jobs_of, store_mappings
+from kinedex.pipelines.export.plan import jobs_of, needed_mappings
 from kinedex.pipelines.export.request import How
 from kinedex.pipelines.export.selection import Interval
 from kinedex.pipelines.export.work import Batch, write_files
@@ -50,6 +50,6 @@ def export_take(store: Store, take: str, how: How, path: Path) -> list[Path]:
     (job,) = jobs_of(store, [clip], how)
     endings = form_named(how.form).endings[: len(job.files)]
     paths = [path, *(path.with_suffix(f".{ending}") for ending in endings[1:])]
-    batch = Batch(store, path.parent, how, store_mappings(store), (job,))
+    batch = Batch(store, path.parent, how, needed_mappings(store, (job,)), (job,))
     write_files(batch, job, paths, None if job.channels else store.frames(take))
     return paths

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
-from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.export.clips import Clip
 from kinedex.pipelines.export.folder import Written, sha256_of
@@ -19,6 +18,9 @@ from kinedex.pipelines.export.request import How
 from kinedex.storage.disk import whole_file
 from kinedex.storage.snapshot.frames import read_takes
 from kinedex.storage.store.store import Store
+
+if TYPE_CHECKING:
+    from kinedex.catalog.skeletons.mappings import Mappings
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ class Batch:
     store: Store
     folder: Path
     how: How
-    mappings: Mappings
+    mappings: Mappings | None
     jobs: tuple[Job, ...]
 
     @property
@@ -150,7 +152,9 @@ def write_files(batch: Batch, job: Job, paths: Sequence[Path], frames: pa.Table 
         raise UnwritableError(f"{paths[0]}: cannot be written: {fault.strerror}") from None
 
 
-def batches_of_jobs(store: Store, folder: Path, how: How, mappings: Mappings, jobs: Sequence[Job]) -> Iterator[Batch]:
+def batches_of_jobs(
+    store: Store, folder: Path, how: How, mappings: Mappings | None, jobs: Sequence[Job]
+) -> Iterator[Batch]:
     """Yield jobs in batches of takes that lie beside each other in the store.
 
     Parameters
@@ -161,8 +165,8 @@ def batches_of_jobs(store: Store, folder: Path, how: How, mappings: Mappings, jo
         The folder of the data set.
     how : How
         The changes that are asked for.
-    mappings : Mappings
-        Skeleton mappings of the store.
+    mappings : Mappings or None
+        Skeleton mappings of the store, where channels are cut.
     jobs : sequence of Job
         The clips to be written.
     """

@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
+from typer.testing import CliRunner
 
 import kinedex
 from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.index import Index
 from kinedex.pipelines.stages.ingest import Ingest
@@ -289,3 +291,79 @@ def test_names_of_classes_never_leave_the_folder(store: kinedex.Store, tmp_path:
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["a"]
     assert all(name.isprintable() and len(name.encode()) < 255 for name in files)
     assert set(made["class"]) == {*names}
+
+
+# ---- sources, and the command --------------------------------------------------------------------------------
+
+
+def test_clips_of_channels_need_their_sources_and_all_that_are_gone_are_named(
+    store: kinedex.Store, tmp_path: Path
+) -> None:
+    source = Path(store.takes()["source_root"][0])
+    request_: dict[str, Any] = {"where": "class = 'sway'", "format": "amc"}
+    made = store.export(tmp_path / "a", **request_)
+    assert made["from"].to_list() == ["channels"] * 2
+    assert (tmp_path / "a" / "clips" / "x_bo_sway_1.asf").is_file()
+    gone, changed = source / "x_bo_sway_1.amc", source / "x_cy_sway_2.amc"
+    text = changed.read_bytes()
+    try:
+        changed.write_bytes(text + b"\n")
+        with pytest.warns(UserWarning, match="x_cy_sway_2.amc.*was changed since it was ingested"):
+            made = store.export(tmp_path / "b", **request_)
+        assert made["take"].to_list() == ["x_bo_sway_1"]
+        (left_out,) = json.loads((tmp_path / "b" / "dataset.json").read_text())["excluded"]
+        assert left_out["file"] == "clips/x_cy_sway_2.amc"
+        for file in (gone, changed):
+            file.rename(file.with_suffix(".away"))
+        with pytest.raises(KinedexError, match=r"2 source files are not there.*--joints(.|\n)*_sway_1(.|\n)*_sway_2"):
+            store.export(tmp_path / "c", **request_)
+        assert store.export(tmp_path / "c", where="class = 'sway'", format="bvh").height == 2
+    finally:
+        for file in (gone, changed):
+            if file.with_suffix(".away").exists():
+                file.with_suffix(".away").rename(file)
+        changed.write_bytes(text)
+    with pytest.raises(KinedexError, match="the form 'amc' is cut out of amc files; not of the 24"):
+        store.export(tmp_path / "d", where="class = 'sway'", format="amc", joints=True)
+
+
+def test_one_take_is_a_file_and_a_folder_ends_in_a_slash(
+    store: kinedex.Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def export(*words: str) -> Any:
+        return CliRunner().invoke(app, ["export", str(store.path), *words])
+
+    monkeypatch.chdir(tmp_path)
+    assert export("x_bo_sway_1").stdout == "x_bo_sway_1.csv\n"
+    header, first, *rest = (tmp_path / "x_bo_sway_1.csv").read_text().splitlines()
+    assert header.startswith('"frame","time","root_x","root_y"')
+    assert len(rest) + 1 == len(store["x_bo_sway_1"])
+    np.testing.assert_allclose([float(cell) for cell in first.split(",")[2:5]], store.positions("x_bo_sway_1")[0, 0])
+    assert export("x_bo_sway_1", "-o", "a.npz", "--resample", "60", "--in-place").exit_code == 0
+    assert clip(tmp_path, {"file": "a.npz"})["rate_hz"] == 60
+    assert export("x_bo_sway_1", "-o", "a.amc").stdout.split() == ["a.amc", "a.asf"]
+    assert export("x_bo_sway_1", "-o", "made/", "--format", "npz", "--workers", "1").exit_code == 0
+    assert (tmp_path / "made" / "clips" / "x_bo_sway_1.npz").is_file()
+    for words, fault in (
+        (("x_bo_sway_1", "-o", "b.npz", "--mirror"), "--mirror makes a data set: give its folder"),
+        (("--labels",), "-o is missing"),
+        (("--labels", "-o", "c", "--distinct", "3"), "no length"),
+        (("--labels", "-o", "c", "--shares", "a,b"), "--shares a,b: expected"),
+    ):
+        result = export(*words)
+        assert result.exit_code != 0
+        assert fault in f"{result.output}{result.exception}"
+
+
+def test_saved_hits_are_cut_out(store: kinedex.Store, tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("bent:\n  keyframes:\n    - {off: [rknee_bent]}\n")
+    found = CliRunner().invoke(app, ["search", str(store.path), str(file), "--save", "mine", "--json"])
+    assert found.exit_code == 0, found.output
+    opened = kinedex.open_store(store.path)
+    hits = opened.results("hits").filter(pl.col("saved_as") == "mine")
+    made = opened.export(tmp_path / "a", hits="mine")
+    assert made.height == hits.height > 0
+    assert set(made["class"]) == {"bent"}
+    with pytest.raises(KinedexError, match="no hits were saved as 'mien'; did you mean 'mine'"):
+        opened.export(tmp_path / "b", hits="mien")
