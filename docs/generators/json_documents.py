@@ -23,7 +23,7 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         "stages": "for each stage its `stage`, `inputs`, `runs_because` (null where it is up to date), "
         "`last_finished` and `last_seconds` (null where it never ran)",
     },
-    "takes": {
+    "takes list": {
         **_STORE,
         "seconds": "length of all these takes",
         "takes": "rows with the columns of `--columns`",
@@ -126,6 +126,29 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         "file": "path of the pipeline file",
         "files": "paths of the files beside it that its parameters name",
         "remarks": "what the file alone does not reproduce, and what to do about it",
+    },
+    "takes remove": {
+        **_STORE,
+        "removed": "true where `--accept` was given",
+        "takes": "names of the takes",
+        "files": "`source_root` and `source` of the files that ingests pass over from then on",
+        "returning": "names of the takes that the next ingest brings back, since other takes of their file stay",
+        "labels": "number of their labels, which stay",
+    },
+    "takes readmit": {
+        **_STORE,
+        "readmitted": "true where files were given or `--all`",
+        "files": "`source_root` and `source` of these files, of all removed ones where none were given",
+    },
+    "merge": {
+        **_STORE,
+        "other": "path of the other store",
+        "takes": "number of takes that came in",
+        "frames": "number of their frames",
+        "labels": "number of rows of labels that came in, with those of the history",
+        "kept_mappings": "names of skeleton mappings of which the store has others, and keeps them",
+        "all_takes": "number of takes of the store now",
+        "results_left": "kinds of results of the other store, which do not come along",
     },
     "use": {
         **_STORE,

@@ -121,7 +121,17 @@ def root(
     """A motion archive that can be queried: motion capture in, SQL over feature runs, annotations and reports out."""
 
 
-def group(name: str, title: str, panel: str) -> typer.Typer:
+class TakesPage(HelpPage):
+    """A group of commands that lists takes where its first argument is the name of no command, but a store."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put the command `list` before the arguments unless they begin with a command."""
+        if args and args[0] not in self.commands and args[0] != "--help":
+            args = ["list", *args]
+        return super().parse_args(ctx, args)
+
+
+def group(name: str, title: str, panel: str, cls: type[HelpPage] = HelpPage) -> typer.Typer:
     """Add a group of commands to the application.
 
     Parameters
@@ -132,8 +142,10 @@ def group(name: str, title: str, panel: str) -> typer.Typer:
         Help of the group.
     panel : str
         Section of the help that lists the group, one of `PANELS`.
+    cls : type of HelpPage
+        Class of the group.
     """
-    made = typer.Typer(name=name, cls=HelpPage, help=title, no_args_is_help=True, rich_markup_mode=None)
+    made = typer.Typer(name=name, cls=cls, help=title, no_args_is_help=True, rich_markup_mode=None)
     app.add_typer(made, rich_help_panel=panel)
     return made
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,7 +45,11 @@ def is_for_people(form: str, output: Path | None) -> bool:
     return form == "table" and output is None and sys.stdout.isatty()
 
 
-def show_table(table: pa.Table, form: str, output: Path | None) -> None:
+ROWS = 200
+"""Number of rows that a terminal shows unless another is asked for; how many more there are is reported."""
+
+
+def show_table(table: pa.Table, form: str, output: Path | None, *, paged: bool = False) -> None:
     """Print a table, or write it to a file.
 
     Parameters
@@ -56,6 +61,8 @@ def show_table(table: pa.Table, form: str, output: Path | None) -> None:
         it has none.
     output : Path or None
         File to write; standard output for None.
+    paged : bool, optional
+        Show a table that is longer than the terminal in a pager.
 
     Raises
     ------
@@ -63,12 +70,15 @@ def show_table(table: pa.Table, form: str, output: Path | None) -> None:
         If the format is unknown, or is Parquet on a terminal.
     """
     from kinedex.pipelines.console.tables import Shown, encode
-    from kinedex.pipelines.console.terminal import make_console
+    from kinedex.pipelines.console.terminal import make_console, page_by_page
 
     if output is not None and form == "table":
         form = _form_of(output)
     if form == "table":
-        make_console().print(Shown(table))
+        console = make_console()
+        long = paged and console.is_terminal and sys.stdin.isatty() and table.num_rows + 3 > console.height
+        with page_by_page(console) if long else nullcontext():
+            console.print(Shown(table))
         return
     data = encode(table, form)
     if output is not None:

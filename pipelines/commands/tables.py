@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import re
 import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.pipelines.commands.app import ASK, Command, command
+from kinedex.pipelines.commands.app import ASK, Command, TakesPage, command, group
 from kinedex.pipelines.commands.options import (
     FIGURES,
     AtOption,
@@ -24,13 +25,26 @@ from kinedex.pipelines.commands.options import (
     WhereOption,
     seconds_of,
 )
-from kinedex.pipelines.commands.output import is_for_people, print_json, print_message, print_path, show_table
+from kinedex.pipelines.commands.output import ROWS, is_for_people, print_json, print_message, print_path, show_table
 from kinedex.pipelines.commands.pages import Pages
 from kinedex.pipelines.commands.store_access import open_for_reading
 from kinedex.pipelines.console.wording import counted
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from kinedex.storage.store.store import Store
+
+
+LimitOption = Annotated[
+    int | None,
+    typer.Option(
+        min=0,
+        metavar="N",
+        help="Show this many rows and report the number of the others; 0 shows all. A table on a terminal has "
+        "200 rows unless given, everything else has all.",
+    ),
+]
 
 
 class _SqlCommand(Command):
@@ -65,14 +79,7 @@ def sql(
             help="End a statement that takes longer (30s, 10m, 2h) with exit code 124; no limit unless given.",
         ),
     ] = None,
-    limit: Annotated[
-        int | None,
-        typer.Option(
-            min=0, metavar="N",
-            help="Show this many rows and report the number of the others; 0 shows all. A table on a terminal has "
-            "200 rows unless given, everything else has all.",
-        ),
-    ] = None,
+    limit: LimitOption = None,
     form: FormatOption = "table",
     output: OutputOption = None,
     at: AtOption = None,
@@ -83,7 +90,7 @@ def sql(
             raise KinedexError("--path prints the path of the database file and runs no SQL: give no statement")
         _print_database(open_for_reading(store, at))
         return
-    from kinedex.pipelines.console.sql_prompt import ROWS, rows_line, run_prompt
+    from kinedex.pipelines.console.sql_prompt import rows_line, run_prompt
     from kinedex.pipelines.console.terminal import make_console
 
     if query is not None and file is not None:
@@ -136,13 +143,17 @@ def _statement_of(file: Path) -> str:
         raise KinedexError(f"--file {file}: not UTF-8 text (byte {fault.start})") from None
 
 
-@command(ASK)
+takes_group = group("takes", "List the takes of a store (`kinedex takes STORE`), and remove some.", ASK, TakesPage)
+
+
+@command(of=takes_group, name="list")
 def takes(
     store: StorePath,
     where: WhereOption = None,
     columns: Annotated[str, typer.Option(help="Columns to show, separated by commas; * for all.")] = (
-        "name,actor,class,clip,frames,seconds,source_rate_hz,warnings"
+        "name,actor,class,clip,frames,seconds,source_rate_hz"
     ),
+    limit: LimitOption = None,
     form: FormatOption = "table",
     output: OutputOption = None,
     html: HtmlOption = None,
@@ -153,8 +164,7 @@ def takes(
     at: AtOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List the takes of a store."""
-
+    """List the takes of a store; `kinedex takes STORE` is short for it."""
     pages = Pages(html, None, figures)
     opened = open_for_reading(store, at)
     table = opened.takes_table(where)
@@ -168,10 +178,27 @@ def takes(
     if as_json:
         print_json({"store": store, "seconds": seconds, "takes": table.select(wanted)})
         return
+    if limit is None and is_for_people(form, output):
+        limit = ROWS
+    shown = table.select(wanted).slice(0, limit or None)
+    part = ""
     if html is None or output is not None:
-        show_table(table.select(wanted), form, output)
+        show_table(shown, form, output, paged=True)
+        if shown.num_rows < table.num_rows:
+            part = f"; the first {shown.num_rows:,} are shown, --limit 0 shows all"
     pages.report()
+    count = f"{counted(table.num_rows, 'take')}, {seconds / 60:.1f} minutes{part}"
     if form == "table" and output is None:
-        partial = table.num_rows - table.column("known").null_count
-        lacking = f"; {counted(partial, 'body', 'bodies')} without some joints (column known)" if partial else ""
-        print_message(f"{counted(table.num_rows, 'take')}, {seconds / 60:.1f} minutes{lacking}")
+        print_message("; ".join([count, *_take_remarks(table, wanted)]))
+    elif part:
+        print(count, file=sys.stderr)
+
+
+def _take_remarks(table: pa.Table, columns: Sequence[str]) -> Iterator[str]:
+    """Yield remarks on takes whose columns are not shown: bodies that lack joints, and warnings."""
+    partial = table.num_rows - table.column("known").null_count
+    if partial:
+        yield f"{counted(partial, 'body', 'bodies')} without some joints (column known)"
+    warned = sum(bool(warnings) for warnings in table.column("warnings").to_pylist())
+    if warned and "warnings" not in columns:
+        yield f"{counted(warned, 'take has', 'takes have')} warnings: --columns name,warnings"

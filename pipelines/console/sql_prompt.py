@@ -25,9 +25,6 @@ Anything else is SQL and ends with a semicolon; SELECT * FROM help; lists views 
 
 COMMANDS = (".tables", ".schema", ".help", ".quit")
 
-ROWS = 200
-"""Number of rows that a terminal shows unless another is asked for; how many more there are is reported."""
-
 _ENTRIES: dict[str, View | Macro] = {entry.name: entry for entry in (*VIEWS, *MACROS)}
 
 
@@ -44,7 +41,7 @@ def run_prompt(
     read: Callable[[str], str] = input,
     *,
     timeout: float | None = None,
-    max_rows: int | None = ROWS,
+    max_rows: int | None = None,
 ) -> None:
     """Read statements and dot commands and answer them, until the input ends.
 

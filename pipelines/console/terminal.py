@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import textwrap
 from contextlib import AbstractContextManager
@@ -41,6 +42,12 @@ def is_quiet() -> bool:
 def make_console() -> Console:
     """Return a console that prints results to standard output."""
     return _console(stderr=False, quiet=False)
+
+
+def page_by_page(console: Console) -> AbstractContextManager[object]:
+    """Return a context in which a console shows what is printed in the system's pager; `less` ends at a short text."""
+    os.environ.setdefault("LESS", "FRX")
+    return console.pager(styles=True)
 
 
 def message_console() -> Console:

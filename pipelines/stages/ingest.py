@@ -31,6 +31,7 @@ from kinedex.pipelines.ingestion.parameters import IngestParameters
 from kinedex.pipelines.ingestion.quality import declarable_figures
 from kinedex.pipelines.ingestion.read_rounds import FilesRead, ReadRounds
 from kinedex.pipelines.ingestion.remembered_settings import remembered_line, with_remembered
+from kinedex.pipelines.ingestion.removed_files import removed_below, without_removed
 from kinedex.storage.formats.motion.body_models import model_digest
 from kinedex.storage.formats.motion.reader_table import READERS, motion_endings
 from kinedex.storage.formats.motion.sources import Scan, scan
@@ -57,7 +58,8 @@ class Ingest(Stage[IngestParameters]):
         forms = [mappings.digest(form) for form in sorted(mappings.of_format)]
         model = model_digest(params.given.body_model)
         tables = [files_digest(map(Path, params.tables))] if params.metadata else []
-        return digest([scan(params.source).digest, features_digest(feature_set), *forms, model, *tables])
+        removed = removed_below(params.source, manifest)
+        return digest([scan(params.source).digest, features_digest(feature_set), *forms, model, *tables, *removed])
 
     def with_remembered(self, params: IngestParameters, unset: frozenset[str], store: Store) -> IngestParameters:
         """Return the parameters, with those of the last ingest of the source in place of those that nobody gave."""
@@ -82,6 +84,7 @@ class Ingest(Stage[IngestParameters]):
             raise _no_motion_files(found, params.source)
         metadata = load_metadata(params.tables)
         standing = read_newest(context.store_path) if versions(context.store_path) else None
+        found = without_removed(found, standing)
         mappings = chosen_mappings(params, context.feature_set.joints, context.store_path, standing)
         with context.writer() as writer:
             plan = compare(writer, context.feature_set, mappings, found, params.name, params.patterns, params.given)

@@ -322,6 +322,8 @@ class Manifest:
         The pipelines that make results and were run to their end, the last one first.
     chosen_pipeline : str
         The pipeline that was made the current one by `kinedex use`; empty: the last one that was run.
+    removed_files : dict of str to tuple of str
+        Source folder, absolute → paths in it whose takes a person removed; an ingest passes them over.
     """
 
     format_version: int
@@ -345,6 +347,7 @@ class Manifest:
     mappings: dict[str, str] = field(default_factory=dict)
     recent_pipelines: tuple[str, ...] = ()
     chosen_pipeline: str = ""
+    removed_files: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def parts(self) -> tuple[AnyPart, ...]:

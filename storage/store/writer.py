@@ -455,6 +455,22 @@ class StoreWriter:
             source = Source(stage, dict(settings), now())
             self._manifest = replace(self._manifest, sources={**self._manifest.sources, root: source})
 
+    def remove_files(self, root: str, paths: Iterable[str]) -> None:
+        """Record files of a source folder whose takes were removed, so that an ingest passes them over."""
+        standing = self._manifest.removed_files
+        merged = tuple(sorted({*standing.get(root, ()), *paths}))
+        if merged:
+            self._manifest = replace(self._manifest, removed_files={**standing, root: merged})
+
+    def readmit_files(self, files: Iterable[tuple[str, str]]) -> None:
+        """Remove files, given by source folder and path, from the record of those that an ingest passes over."""
+        gone = set(files)
+        left = {
+            root: tuple(path for path in paths if (root, path) not in gone)
+            for root, paths in self._manifest.removed_files.items()
+        }
+        self._manifest = replace(self._manifest, removed_files={root: paths for root, paths in left.items() if paths})
+
     def put_mapping(self, name: str, text: str | None) -> None:
         """Keep a skeleton mapping or a vocabulary under a name, in place of an earlier one; None removes it."""
         others = {other: kept for other, kept in self._manifest.mappings.items() if other != name}

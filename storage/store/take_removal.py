@@ -1,0 +1,80 @@
+"""Removal of takes by a person: what would go, what stays, and which files an ingest passes over afterwards."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from kinedex.ops.errors import KinedexError
+from kinedex.storage.store.store import Store
+from kinedex.storage.store.writer import StoreWriter
+
+
+@dataclass(frozen=True)
+class Removal:
+    """Takes that are to be removed.
+
+    Attributes
+    ----------
+    takes : pyarrow.Table
+        Their rows.
+    files : tuple of (str, str)
+        Source folder and path of the files all of whose takes go; an ingest passes them over from then on.
+    returning : tuple of str
+        Names of the takes that the next ingest brings back, because other takes of their file stay.
+    labels : int
+        Number of labels of these takes, which stay in the store.
+    """
+
+    takes: pa.Table
+    files: tuple[tuple[str, str], ...]
+    returning: tuple[str, ...]
+    labels: int
+
+
+def planned_removal(store: Store, names: Sequence[str] = (), where: str | None = None) -> Removal:
+    """Return what the removal of takes would do; nothing is changed.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    names : sequence of str
+        Names of the takes.
+    where : str, optional
+        A SQL filter over the columns of takes; with `names`, both must hold.
+
+    Raises
+    ------
+    KinedexError
+        Neither is given, a name is that of no take, or the filter selects none.
+    """
+    if not names and where is None:
+        raise KinedexError("name the takes to remove, or choose them with --where")
+    for name in names:
+        store.take_id(name)
+    chosen = store.takes_table(where)
+    if names:
+        chosen = chosen.filter(pc.is_in(chosen.column("name"), pa.array(list(names), pa.string())))
+    if not chosen.num_rows:
+        raise KinedexError(f"the filter `{where}` selects none of these takes")
+    gone = set(chosen.column("name").to_pylist())
+    by_file: dict[tuple[str, str], set[str]] = defaultdict(set)
+    for row in store.take_rows.select(["name", "source_root", "source"]).to_pylist():
+        by_file[row["source_root"], row["source"]].add(row["name"])
+    files = tuple(sorted(file for file, takes in by_file.items() if takes <= gone))
+    whole = {name for file in files for name in by_file[file]}
+    labels = sum(take in gone for take in store.labels().column("take").to_pylist())
+    return Removal(chosen, files, tuple(sorted(gone - whole)), labels)
+
+
+def remove_takes(writer: StoreWriter, removal: Removal) -> None:
+    """Remove takes and commit; their labels and their motion files stay, and an ingest passes their files over."""
+    writer.drop_takes(removal.takes.column("take_id").to_pylist())
+    for root in dict.fromkeys(root for root, _ in removal.files):
+        writer.remove_files(root, [path for other, path in removal.files if other == root])
+    writer.commit()
