@@ -99,6 +99,7 @@ def test_commands_and_their_options_exist(name: str, line: str) -> None:
     words = shlex.split(line, comments=True)[1:]
     command: Any = typer.main.get_command(app)
     while hasattr(command, "commands"):
+        words = command.completed(words) if hasattr(command, "completed") else words
         assert words[0] in command.commands, f"{name}: {line}"
         command = command.commands[words.pop(0)]
     known = {option for parameter in command.params for option in parameter.opts} | {"--help"}

@@ -125,10 +125,12 @@ class TakesPage(HelpPage):
     """A group of commands that lists takes where its first argument is the name of no command, but a store."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put the command `list` before the arguments unless they begin with a command."""
-        if args and args[0] not in self.commands and args[0] != "--help":
-            args = ["list", *args]
-        return super().parse_args(ctx, args)
+        """Parse arguments of the group, with the command in front that they lack."""
+        return super().parse_args(ctx, self.completed(args))
+
+    def completed(self, args: list[str]) -> list[str]:
+        """Return arguments with `list` before them unless they begin with a command."""
+        return ["list", *args] if args and args[0] not in self.commands and args[0] != "--help" else args
 
 
 def group(name: str, title: str, panel: str, cls: type[HelpPage] = HelpPage) -> typer.Typer:
