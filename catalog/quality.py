@@ -116,8 +116,38 @@ FIGURES = (
         "repeated_share", "DOUBLE", "", "share of source frames that are equal to the one before",
         None, 0.1, TRAINING,
     ),
+    Figure(
+        "foot_skate_m_s", "DOUBLE", "m/s", "metres that feet slide over the ground per second of contact",
+        None, 1.2, TRAINING,
+    ),
+    Figure(
+        "penetration_m", "DOUBLE", "m", "how far feet go below the usual height of the lowest joint",
+        None, 0.3, TRAINING, f"feet sink into the ground: {_LOOK}",
+    ),
+    Figure("flight_s", "DOUBLE", "s", "longest time in which no joint is within 0.1 m of the ground"),
+    Figure(
+        "knee_forwards_share", "DOUBLE", "", "share of frames in which a knee bends forwards by more than 12°",
+        None, 0.3, TRAINING, f"knees bend the wrong way: {_LOOK}",
+    ),
+    Figure(
+        "spike_deg", "DOUBLE", "degrees", "largest turn of a limb away in one frame and back in the next",
+        None, 40.0, TRAINING, "a limb jumps for one frame: a gap was filled badly, or markers were exchanged",
+    ),
+    Figure(
+        "jitter_m_s3", "DOUBLE", "m/s³", "median third derivative of the places of joints, over steps of 1/30 s",
+        None, 2500.0, TRAINING, "the motion trembles: tracking may be noisy, or the rate wrong",
+    ),
+    Figure(
+        "stuck_share", "DOUBLE", "", "largest share of steps in which an end of a limb stays while the limb moves",
+        None, 0.1, TRAINING, "a knee, an elbow or a wrist stands still: its marker or its channel was lost",
+    ),
+    Figure("invalid_share", "DOUBLE", "", "share of invalid frames", None, 0.1, TRAINING),
 )  # fmt: skip
 """The figures, in the order of their columns."""
+
+FLOOR_M, JITTERS = 0.3, 40.0
+"""Beside the limits above, the floor of a take lies at most so far from the median floor of the takes with its skeleton
+mapping, and its jitter is at most so many times their median."""
 
 POSE_S = 0.5
 """Shorter files without motion hold a pose, and are not warned of."""
@@ -188,3 +218,36 @@ def _pace(figures: Plausibility, rate_hz: float) -> Iterator[str]:
             f"at {rate_hz:g} Hz the motion is too {'slow' if slow else 'fast'} for a person: {', '.join(shown)}; "
             f"{_RATE}{likely}"
         )
+
+
+def suspect_select() -> str:
+    """Return the SELECT of the view `suspect_takes`: the figures of takes that lie beyond their limits.
+
+    A store that lacks columns of figures has rows for the others only.
+    """
+    limited = [figure for figure in FIGURES if figure.type == "DOUBLE" and figure.limits()]
+    names = ", ".join(f"'{figure.name}'" for figure in limited)
+    rows = ", ".join(
+        f"('{figure.name}', {_sql(figure.low)}, {_sql(figure.high)}, '{figure.unit}', '{figure.meaning}')"
+        for figure in limited
+    )
+    return f"""WITH figures AS (
+    UNPIVOT (SELECT t.take_id, t.name AS take, t.skeleton,
+        COLUMNS(lambda c: c IN ('source_rate_hz', {names})) FROM takes AS t)
+    ON COLUMNS(* EXCLUDE (take_id, take, skeleton)) INTO NAME figure VALUE value),
+limits AS (SELECT * FROM (VALUES {rows}) AS l(figure, low, high, unit, meaning)),
+typical AS (SELECT f.skeleton, f.figure, median(f.value) AS median FROM figures AS f
+    WHERE f.figure IN ('floor_m', 'jitter_m_s3') GROUP BY f.skeleton, f.figure),
+bounds AS (
+    SELECT f.take_id, f.take, f.figure, f.value, l.unit, l.meaning,
+        CASE f.figure WHEN 'floor_m' THEN greatest(l.low, t.median - {FLOOR_M}) ELSE l.low END AS low,
+        CASE f.figure WHEN 'floor_m' THEN least(l.high, t.median + {FLOOR_M})
+            WHEN 'jitter_m_s3' THEN least(l.high, t.median * {JITTERS}) ELSE l.high END AS high
+    FROM figures AS f JOIN limits AS l ON l.figure = f.figure
+    LEFT JOIN typical AS t ON (t.skeleton, t.figure) = (f.skeleton, f.figure))
+SELECT b.take_id, b.take, b.figure, b.value, b.low, b.high, b.unit, b.meaning FROM bounds AS b
+WHERE b.value < b.low OR b.value > b.high ORDER BY b.take, b.figure"""
+
+
+def _sql(limit: float | None) -> str:
+    return "NULL::DOUBLE" if limit is None else f"{limit}::DOUBLE"

@@ -98,6 +98,51 @@ def _frozen(share: float) -> Fault:
     return _placed(change)
 
 
+def _spiked(joint: str, turned: tuple[str, ...]) -> Fault:
+    """Return the fault that turns a limb by 160° about the vertical axis of its joint, in the frame in the middle."""
+
+    def change(take: Take) -> Take:
+        moved = take.positions.copy()
+        t, centre = moved.shape[2] // 2, moved[take.joints.index(joint), :, moved.shape[2] // 2]
+        c, s = np.cos(np.radians(160.0)), np.sin(np.radians(160.0))
+        for name in turned:
+            arm = moved[take.joints.index(name), :, t] - centre
+            moved[take.joints.index(name), :, t] = centre + np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) @ arm
+        return Take(moved, take.joints, take.rate_hz)
+
+    return change
+
+
+def _stuck(joint: str, share: float) -> Fault:
+    """Return the fault that leaves one joint where it is for a share of the take."""
+
+    def change(take: Take) -> Take:
+        frames = take.positions.shape[2]
+        moved = take.positions.copy()
+        row = take.joints.index(joint)
+        moved[row] = moved[row][:, np.minimum(np.arange(frames), int((1 - share) * frames))]
+        return Take(moved, take.joints, take.rate_hz)
+
+    return change
+
+
+def _bent_forwards(take: Take) -> Take:
+    """Mirror each shank at its thigh, so that the knees bend forwards."""
+    moved = take.positions.copy()
+    for side in "lr":
+        hip, knee = (moved[take.joints.index(side + name)] for name in ("hip", "knee"))
+        thigh = (knee - hip) / np.linalg.norm(knee - hip, axis=0)
+        for name in ("ankle", "toes"):
+            arm = moved[take.joints.index(side + name)] - knee
+            along = (arm * thigh).sum(axis=0) * thigh
+            moved[take.joints.index(side + name)] = knee + 2.0 * along - arm
+    return Take(moved, take.joints, take.rate_hz)
+
+
+def _trembling(metres: float) -> Fault:
+    return _placed(lambda positions: positions + np.random.default_rng(0).normal(0, metres, positions.shape))
+
+
 FAULTS: dict[str, Fault] = {
     "Z up, read as Y up": _turned((1, 0, 0), (0, 0, -1), (0, 1, 0)),
     "X up, read as Y up": _turned((0, 1, 0), (-1, 0, 0), (0, 0, 1)),
@@ -124,6 +169,10 @@ FAULTS: dict[str, Fault] = {
     "frame time 1.0": lambda take: Take(take.positions, take.joints, 1.0),
     "frozen": _frozen(1.0),
     "frozen from the middle": _frozen(0.5),
+    "one arm turned by 160° for one frame": _spiked("lshoulder", ("lelbow", "lwrist", "lfingers")),
+    "a wrist that stays from the middle on": _stuck("lwrist", 0.5),
+    "knees that bend forwards": _bent_forwards,
+    "noise of 2 cm": _trembling(0.02),
     "every frame four times": _placed(lambda positions: positions.repeat(4, axis=2)),
 }
 """Faults of readings, by what they do."""

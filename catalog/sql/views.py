@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from kinedex.catalog.quality import suspect_select
 from kinedex.catalog.sql.columns import Column, View, columns
 from kinedex.catalog.sql.macros import MACROS, Macro
 from kinedex.catalog.sql.result_views import RESULT_VIEWS
@@ -177,6 +178,23 @@ known_from    VARCHAR[]    clips, templates, queries, annotations, ground_truth:
 """),
         "SELECT class, clips, annotations FROM classes WHERE list_contains(known_from, 'clips') ORDER BY class",
         _CLASSES,
+    ),
+    View(
+        "suspect_takes",
+        "derived",
+        "The figures of takes that lie beyond their limits, one row each (docs/quality.md).",
+        columns("""
+take_id    BIGINT    id of the take
+take    VARCHAR    name of the take
+figure    VARCHAR    the column of `takes`
+value    DOUBLE    its value
+low    DOUBLE    least value that is expected; NULL for none
+high    DOUBLE    greatest value that is expected; NULL for none
+unit    VARCHAR    unit of the three
+meaning    VARCHAR    what the figure measures
+"""),
+        "SELECT figure, count(*) AS takes FROM suspect_takes GROUP BY figure ORDER BY takes DESC, figure",
+        suspect_select(),
     ),
     View(
         "label_history",

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from numba import njit
 
 from kinedex.ops.body.left_right import left_right, side_agreement
+from kinedex.ops.body.motion_faults import MotionFaults, motion_faults
 from kinedex.ops.body.tempo import tempo
 from kinedex.ops.body.up_axis import (
     AXES,
@@ -65,8 +66,8 @@ _BIN_M_S, _BINS = 0.25, 4000  # of the histogram of speeds
 
 
 @dataclass(frozen=True)
-class Plausibility:
-    """The figures of one take; a figure that its joints do not show is NaN.
+class Plausibility(MotionFaults):
+    """The figures of one take, with those of `MotionFaults`; a figure that its joints do not show is NaN.
 
     Attributes
     ----------
@@ -178,6 +179,7 @@ def plausibility(positions: F64, joints: tuple[str, ...], rate_hz: float, valid:
         left_right=min((line for line in (legs, *crossed) if line == line), default=UNKNOWN),
         floor_m=floor,
         **_motion(positions, joints, rate_hz, counted, at),
+        **vars(motion_faults(positions, joints, rate_hz, counted)),
     )
 
 

@@ -17,7 +17,14 @@ from studies.plausibility import FAULTS, Take
 from tests.ops.body.test_plausibility import swinging
 from tests.oracles.features import JOINTS
 
-UNSEEN = {"rate × 2", "rate × 4", "left knee 10 cm too high", "neck 8 cm too low", "neck 12 cm too low"}
+UNSEEN = {
+    "rate × 2",
+    "rate × 4",
+    "left knee 10 cm too high",
+    "neck 8 cm too low",
+    "neck 12 cm too low",
+    "a wrist that stays from the middle on",
+}
 """Faults that do not show in every take."""
 
 

@@ -1,0 +1,268 @@
+"""Faults of a motion: feet that slide, sink or never land, limbs that jump, knees that bend forwards, joints that stop.
+
+The figures are those that animators and biomechanists look for in a take whose body is read rightly; see
+`ops.body.plausibility` for the figures that show a wrong reading. All frames count, except pairs and triples of frames
+of which one is invalid.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+Bool = npt.NDArray[np.bool_]
+
+UNKNOWN = float("nan")
+
+CONTACT_M = 0.03
+"""A foot is in contact while it is at most this far above the lowest place that it usually has (its 5th percentile)."""
+
+CONTACT_M_S = 0.25
+"""A foot in contact moves up and down by less than this."""
+
+GROUND_M = 0.1
+"""A body touches the ground while one of its joints is at most this far above the floor."""
+
+FLOOR_SHARE = 0.05
+"""Quantile of heights that is taken for the lowest usual place: a few wild frames do not move it."""
+
+LOCKED = math.radians(12.0)
+"""A knee bends forwards if its shank points forwards of the thigh by more than this angle."""
+
+SIDEWAYS = 0.7
+"""Cosine between the axis of a knee and the line of the hips, up to which the knee bends sideways."""
+
+LAG_S = 1.0 / 30.0
+"""Jitter is measured over times of this length: noise of single frames of fast cameras is not a property of motion."""
+
+MOVES_M_S = 0.03
+"""A joint that is faster moves."""
+
+SAMPLED = 200
+"""Knees are looked at in so many frames at least, spread over the take."""
+
+_FEET = (("ltoes", "lankle"), ("rtoes", "rankle"))
+_LEGS = (("lhip", "lknee", "lankle"), ("rhip", "rknee", "rankle"))
+_LIMBS = tuple((s + a, s + b) for s in "lr" for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"),
+               ("elbow", "wrist")))  # fmt: skip
+
+
+@dataclass(frozen=True)
+class MotionFaults:
+    """The figures of one take; a figure that its joints do not show is NaN.
+
+    Attributes
+    ----------
+    foot_skate_m_s : float
+        Metres that feet slide over the ground per second of contact.
+    penetration_m : float
+        How far the deepest foot joint goes below the floor of the take, in metres.
+    flight_s : float
+        The longest time in which no joint touches the ground, in seconds.
+    knee_forwards_share : float
+        The share of frames in which a knee bends forwards.
+    spike_deg : float
+        The largest angle by which a limb turns from one frame to the next and back in the frame after that.
+    jitter_m_s3 : float
+        The median of the third derivative of the places of all joints, over time steps of `LAG_S`.
+    stuck_share : float
+        The largest share of steps in which a knee, an elbow or a wrist keeps its place exactly, while the other end of
+        its limb moves by more than `MOVES_M_S`.
+    invalid_share : float
+        The share of invalid frames.
+    """
+
+    foot_skate_m_s: float = UNKNOWN
+    penetration_m: float = UNKNOWN
+    flight_s: float = UNKNOWN
+    knee_forwards_share: float = UNKNOWN
+    spike_deg: float = UNKNOWN
+    jitter_m_s3: float = UNKNOWN
+    stuck_share: float = UNKNOWN
+    invalid_share: float = UNKNOWN
+
+
+def motion_faults(positions: F64, joints: tuple[str, ...], rate_hz: float, valid: Bool) -> MotionFaults:
+    """Measure the faults of a motion.
+
+    Parameters
+    ----------
+    positions : float64 array (J, 3, T)
+        Joint positions in metres, Y up; NaN for an unknown joint.
+    joints : tuple of str
+        The names of the J joints.
+    rate_hz : float
+        Frames per second.
+    valid : bool array (T,)
+        The frames that count.
+    """
+    at = {joint: i for i, joint in enumerate(joints)}
+    lost = 1.0 - float(valid.mean()) if len(valid) else UNKNOWN
+    if not valid.any() or positions.shape[2] < 4:
+        return MotionFaults(invalid_share=lost)
+    known = np.asarray(np.isfinite(positions[:, :, np.flatnonzero(valid)[0]]).all(axis=1), np.bool_)
+    feet = [[at[joint] for joint in foot if joint in at and known[at[joint]]][:1] for foot in _FEET]
+    names = [(a, b) for a, b in _LIMBS if a in at and b in at and known[at[a]] and known[at[b]]]
+    limbs = np.array([(at[a], at[b]) for a, b in names], np.int64).reshape(-1, 2)
+    grounded = np.array([b.endswith("ankle") for _, b in names], np.bool_)  # a foot may stand still
+    legs = [[at[joint] for joint in leg] for leg in _LEGS if all(joint in at and known[at[joint]] for joint in leg)]
+    lag = max(1, round(rate_hz * LAG_S))
+    soles = np.array([joint for foot in feet for joint in foot], np.int64)
+    slide, contact, penetration, flight = _ground(positions, valid, soles, rate_hz)
+    return MotionFaults(
+        foot_skate_m_s=slide / contact if contact >= LAG_S else UNKNOWN,
+        penetration_m=penetration,
+        flight_s=flight,
+        knee_forwards_share=_knees_forwards(positions, valid, np.array(legs, np.int64).reshape(-1, 3)),
+        spike_deg=math.degrees(_spike(positions, valid, limbs)),
+        jitter_m_s3=_jitter(positions, valid, lag) * (rate_hz / lag) ** 3,
+        stuck_share=_stuck(positions, valid, limbs[~grounded], rate_hz),
+        invalid_share=lost,
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _quantile(values: F64, share: float) -> float:
+    """Return a quantile of values, NaN of none."""
+    return np.sort(values)[int(share * (len(values) - 1))] if len(values) else np.nan
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _ground(positions: F64, valid: Bool, soles: I64, rate_hz: float) -> tuple[float, float, float, float]:
+    """Return metres and seconds of sliding feet, metres below the floor, and seconds without ground."""
+    joints, _, frames = positions.shape
+    lowest = np.full(frames, np.inf)
+    for j in range(joints):
+        for t in range(frames):
+            lowest[t] = min(lowest[t], positions[j, 1, t])  # a comparison with NaN is false
+    used = valid & (lowest < np.inf)
+    floor = _quantile(lowest[used], FLOOR_SHARE)
+    run, longest = 0, 0
+    for t in range(frames):
+        run = run + 1 if used[t] and lowest[t] > floor + GROUND_M else 0
+        longest = max(longest, run)
+    slide, contact, deepest = 0.0, 0.0, np.inf
+    for i in range(len(soles)):
+        foot = positions[soles[i]]
+        level = _quantile(foot[1][valid], FLOOR_SHARE)
+        deepest = min(deepest, foot[1][valid].min())
+        for t in range(frames - 1):
+            if not (valid[t] and valid[t + 1]) or max(foot[1, t], foot[1, t + 1]) > level + CONTACT_M:
+                continue
+            if abs(foot[1, t + 1] - foot[1, t]) * rate_hz > CONTACT_M_S:
+                continue
+            slide += math.hypot(foot[0, t + 1] - foot[0, t], foot[2, t + 1] - foot[2, t])
+            contact += 1.0 / rate_hz
+    sunk = max(floor - deepest, 0.0) if len(soles) else np.nan
+    return slide, contact, sunk, longest / rate_hz if used.any() else np.nan
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _knees_forwards(positions: F64, valid: Bool, legs: I64) -> float:
+    """Return the share of frames in which a knee bends forwards about the line of the hips; NaN without both legs."""
+    if len(legs) < 2:
+        return np.nan
+    counted, bent = 0, 0
+    for t in range(0, positions.shape[2], max(1, positions.shape[2] // SAMPLED)):
+        if not valid[t]:
+            continue
+        counted += 1
+        left = positions[legs[0, 0], :, t] - positions[legs[1, 0], :, t]
+        for i in range(2):
+            thigh = positions[legs[i, 1], :, t] - positions[legs[i, 0], :, t]
+            shank = positions[legs[i, 2], :, t] - positions[legs[i, 1], :, t]
+            turn = np.cross(thigh, shank)
+            size = math.sqrt((turn * turn).sum())
+            angle = math.atan2(size, (thigh * shank).sum())
+            if angle > LOCKED and (turn * left).sum() < -SIDEWAYS * size * math.sqrt((left * left).sum()):
+                bent += 1
+                break
+    return bent / counted if counted else np.nan
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _spike(positions: F64, valid: Bool, limbs: I64) -> float:
+    """Return the largest angle (radians) by which a limb turns away in one frame and back in the next."""
+    frames = positions.shape[2]
+    if not len(limbs) or frames < 3:
+        return np.nan
+    most = 0.0
+    bone, step = np.empty((3, frames)), np.empty(frames)
+    for i in range(len(limbs)):
+        for t in range(frames):
+            for k in range(3):
+                bone[k, t] = positions[limbs[i, 1], k, t] - positions[limbs[i, 0], k, t]
+            length = math.sqrt(bone[0, t] ** 2 + bone[1, t] ** 2 + bone[2, t] ** 2)
+            for k in range(3):
+                bone[k, t] /= length
+            step[t] = _chord(bone, t - 1, t) if t else 0.0
+        for t in range(1, frames - 1):
+            # the result is at most the smaller of the two angles, and an angle at most π/2 times its chord
+            if 1.6 * min(step[t], step[t + 1]) > most and valid[t - 1] and valid[t] and valid[t + 1]:
+                around = _angle(step[t]) + _angle(step[t + 1]) - _angle(_chord(bone, t - 1, t + 1))
+                most = max(most, 0.5 * around)
+    return most
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _chord(bone: F64, one: int, other: int) -> float:
+    """Return the distance between the tips of a unit vector in two frames."""
+    dx, dy, dz = bone[0, one] - bone[0, other], bone[1, one] - bone[1, other], bone[2, one] - bone[2, other]
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _angle(chord: float) -> float:
+    """Return the angle between two unit vectors whose tips are a chord apart."""
+    return 2.0 * math.asin(min(1.0, 0.5 * chord))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _jitter(positions: F64, valid: Bool, lag: int) -> float:
+    """Return the median length of the third difference over a lag, in at most some 2,000 places."""
+    joints, _, frames = positions.shape
+    stride = max(1, (frames - 3 * lag) * joints // 2000)
+    found = np.empty(max((frames - 3 * lag) * joints // stride + 1, 1))
+    count, place = 0, 0
+    while place < (frames - 3 * lag) * joints:
+        j, t = place % joints, place // joints
+        place += stride
+        if not (valid[t] and valid[t + lag] and valid[t + 2 * lag] and valid[t + 3 * lag]):
+            continue
+        square = 0.0
+        for k in range(3):
+            x = positions[j, k]
+            square += (x[t + 3 * lag] - 3.0 * x[t + 2 * lag] + 3.0 * x[t + lag] - x[t]) ** 2
+        if square == square:
+            found[count] = math.sqrt(square)
+            count += 1
+    return _quantile(found[:count], 0.5)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _stuck(positions: F64, valid: Bool, limbs: I64, rate_hz: float) -> float:
+    """Return the largest share of steps in which the end of a limb keeps its place while its begin moves."""
+    frames = positions.shape[2]
+    steps = (valid[1:] & valid[:-1]).sum()
+    if not len(limbs) or not steps:
+        return np.nan
+    most, least = 0, (MOVES_M_S / rate_hz) ** 2
+    for i in range(len(limbs)):
+        begin, end = positions[limbs[i, 0]], positions[limbs[i, 1]]
+        stuck = 0
+        for t in range(frames - 1):
+            if not (valid[t] and valid[t + 1]):
+                continue
+            moved = 0.0
+            for k in range(3):
+                moved += (begin[k, t + 1] - begin[k, t]) ** 2
+            still = end[0, t] == end[0, t + 1] and end[1, t] == end[1, t + 1] and end[2, t] == end[2, t + 1]
+            stuck += still and moved > least
+        most = max(most, stuck)
+    return most / steps
