@@ -171,9 +171,12 @@ def _is_folder(output: str | None) -> bool:
 
 def _export_take(store: Store, take: str, how: How, output: str | None) -> None:
     from kinedex.pipelines.export.single import export_take
+    from kinedex.storage.formats.labels.file_names import file_names
 
     form = form_named(how.form)
-    for file in export_take(store, take, how, Path(output or f"{Path(take).name}.{form.endings[0]}")):
+    # a take may be named as no file can be
+    (name,) = file_names([Path(take).name])
+    for file in export_take(store, take, how, Path(output or f"{name}.{form.endings[0]}")):
         print_path(file)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -105,7 +106,9 @@ def _row(facts: Facts, done: Done) -> dict[str, Any]:
     more = {name: take[name] for name in store.manifest.columns if name.lower() not in _LICENCES}
     for prefix, columns in (("take_", more), ("sql_", interval.more)):
         for name, value in columns.items():
-            row[f"{prefix}{name}" if name in row else name] = value
+            # JSON has no number for NaN and infinity
+            unknown = isinstance(value, float) and not math.isfinite(value)
+            row[f"{prefix}{name}" if name in row else name] = None if unknown else value
     return row
 
 

@@ -78,9 +78,11 @@ def planned(store: Store, what: What, how: How, progress: Progress) -> Plan:
     selected = selected_intervals(store, what)
     remarks = list(selected.remarks)
     clips = clips_of(store, selected.intervals, how)
-    if len(clips) < len(selected.intervals):
-        left = len(selected.intervals) - len(clips)
-        remarks.append(f"{counted(left, 'interval')} shorter than {how.min_length:g} s or covered by another clip")
+    if left := len(selected.intervals) - len(clips):
+        short = (
+            f"are shorter than {how.min_length:g} s" if how.min_length else "are the same as others with their margins"
+        )
+        remarks.append(f"{counted(left, 'interval')} left out, which {short}")
     if how.distinct is not None:
         whole = len(clips)
         clips = _distinct(store, clips, how.distinct, progress)

@@ -233,6 +233,8 @@ def _row(store: Store, row: dict[str, Any], origin: str) -> Interval:
     confidence = row.get("confidence")
     try:
         certain = None if confidence in (None, "") else float(str(confidence))
+        if certain is not None and not math.isfinite(certain):
+            raise ValueError
     except ValueError:
         raise KinedexError(f"confidence must be a number, got '{confidence}'") from None
     return Interval(take, start, stop, None if label in (None, "") else str(label), certain, origin, more=more)
