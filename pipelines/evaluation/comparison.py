@@ -159,6 +159,7 @@ def compare_methods(context: StageContext, plan: Plan) -> Study | None:
             if split.name in folds
         ),
         remarks=(*plan.remarks, *method_remarks(params.methods, known)),
+        class_of=known.classes.of_subclass(),
     )
 
 

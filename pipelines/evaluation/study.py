@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
@@ -73,6 +73,8 @@ class Study:
         The splits, with the judgement of every method.
     remarks : tuple of str
         Remarks on methods that hold for all splits.
+    class_of : dict of str to str
+        The class of each subclass.
     """
 
     title: str
@@ -89,6 +91,7 @@ class Study:
     methods: tuple[Method, ...]
     splits: tuple[SplitResult, ...]
     remarks: tuple[str, ...] = ()
+    class_of: dict[str, str] = field(default_factory=dict)
 
 
 def take_title(study: Study, result: SplitResult, test_take: TestTake) -> str:

@@ -77,6 +77,8 @@ class Block:
         Tooltip, and title in the player.
     start, stop : int
         Analysis frames.
+    near : int or None
+        Place of the nearest example in the page's list.
     """
 
     left: float
@@ -89,6 +91,7 @@ class Block:
     start: int
     stop: int
     called: str
+    near: int | None = None
 
 
 @dataclass(frozen=True)
@@ -176,19 +179,20 @@ def strips(
     numbers: Mapping[str, int],
     rate_hz: float,
     scores: Mapping[str, Counts],
+    near: Mapping[tuple[str, int, int], int] | None = None,
 ) -> Strips:
     """Lay out a take: the manual segments on top, the segments of each method below.
 
     A block is wrong where the other side has no segment of its class on any of its frames; the other side of manual
-    segments is the first method in `outcomes`.
+    segments is the first method in `outcomes`. `near` has the place of the nearest example of (class, start, stop).
     """
     manual = sorted((start, stop, label) for label, start, stop in test_take.truth)
     leading = next(iter(outcomes.values()))[test_take.name]
     found = [(one.start, one.stop, one.label) for one in leading]
-    rows = [_strip("manual", manual, found, test_take, numbers, rate_hz)]
+    rows = [_strip("manual", manual, found, test_take, numbers, rate_hz, near or {})]
     for name, outcome in outcomes.items():
         own = [(one.start, one.stop, one.label) for one in outcome[test_take.name]]
-        rows.append(_strip(name, own, manual, test_take, numbers, rate_hz))
+        rows.append(_strip(name, own, manual, test_take, numbers, rate_hz, near or {}))
     return Strips(title, what, test_take, tuple(rows), time_axis(max(test_take.frames / rate_hz, 1e-6)), dict(scores))
 
 
@@ -199,6 +203,7 @@ def _strip(
     test_take: TestTake,
     numbers: Mapping[str, int],
     rate_hz: float,
+    near: Mapping[tuple[str, int, int], int],
 ) -> Strip:
     blocks, words = [], []
     for place, (start, stop, label) in enumerate(segments):
@@ -218,6 +223,7 @@ def _strip(
                 start=start,
                 stop=stop,
                 called=f"{name}: {label}",
+                near=near.get((label, start, stop)),
             )
         )
         words.append(text)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from jinja2 import Environment
@@ -36,6 +36,7 @@ from kinedex.pipelines.report.method_figures import (
     sweeps,
 )
 from kinedex.pipelines.report.motions import Motions, motions_json
+from kinedex.pipelines.report.nearest_examples import Key
 from kinedex.pipelines.report.page_environment import page_environment
 from kinedex.pipelines.report.palette import colour_rules, colour_slot
 from kinedex.pipelines.report.plots import HistogramBar
@@ -56,7 +57,7 @@ class Section:
     bars: dict[str, list[HistogramBar]]
 
 
-def methods_page(study: Study, motions: Motions | None = None) -> str:
+def methods_page(study: Study, motions: Motions | None = None, near: Mapping[Key, int] | None = None) -> str:
     """Render a comparison of methods.
 
     Parameters
@@ -65,6 +66,8 @@ def methods_page(study: Study, motions: Motions | None = None) -> str:
         The comparison.
     motions : Motions or None
         Motions of the player by the titles of takes; None for a page without player.
+    near : mapping of (title, class, start, stop) to int, or None
+        Place of the nearest example of a segment in `motions.near`.
 
     Returns
     -------
@@ -78,7 +81,7 @@ def methods_page(study: Study, motions: Motions | None = None) -> str:
         .get_template("methods.html.j2")
         .render(
             study=study,
-            sections=[_section(study, result, labels) for result in study.splits],
+            sections=[_section(study, result, labels, near or {}) for result in study.splits],
             labels=labels,
             slots={label: colour_slot(index) for index, label in enumerate(labels)},
             numbers={label: index + 1 for index, label in enumerate(labels)},
@@ -108,7 +111,7 @@ def _labels(study: Study) -> list[str]:
     return found
 
 
-def _section(study: Study, result: SplitResult, labels: list[str]) -> Section:
+def _section(study: Study, result: SplitResult, labels: list[str], near: Mapping[Key, int]) -> Section:
     numbers = {label: index + 1 for index, label in enumerate(labels)}
     lead = result.leading
     ordered = {lead: result.outcomes[lead], **result.outcomes}
@@ -131,6 +134,7 @@ def _section(study: Study, result: SplitResult, labels: list[str]) -> Section:
             numbers,
             study.rate_hz,
             {method: one.by_take[name] for method, one in result.judgements.items()},
+            {key[1:]: place for key, place in near.items() if key[0] == take_title(study, result, test_takes[name])},
         )
         for what, name in result.shown().items()
     ]

@@ -113,7 +113,11 @@ def nearest_examples(store: Store, hits: Sequence[Segment], templates: Sequence[
 def clips_of(store: Store, template: Template | SubclassTemplate) -> list[tuple[str, int, int]]:
     """Return the clips of a template that the store has, as take, start and stop."""
     mirrored = _MIRRORED.search(template.origin)
-    names = template.clips[: len(template.clips) - int(mirrored[1])] if mirrored else template.clips
+    return stored_clips(store, template.clips[: len(template.clips) - int(mirrored[1])] if mirrored else template.clips)
+
+
+def stored_clips(store: Store, names: Sequence[str]) -> list[tuple[str, int, int]]:
+    """Return the clips of these names that the store has, as take, start and stop."""
     found = []
     for take, frames in (interval_of(name, store.take_ids) for name in names):
         if take in store.take_ids:

@@ -25,6 +25,7 @@ from kinedex.pipelines.evaluation.tables import markdown, overview
 from kinedex.pipelines.report.methods_page import methods_page
 from kinedex.pipelines.report.motions import embed
 from kinedex.pipelines.report.page_files import write_page
+from kinedex.pipelines.report.study_examples import with_study
 from kinedex.storage.store.store import Store
 
 FILES = ("methods.html", "methods.md", "methods.json")
@@ -108,9 +109,10 @@ def _write(context: StageContext, params: ComparisonParameters, study: Study) ->
     named = dict(store.takes().select("take_id", "name").iter_rows())
     shown = {title: [named[part] for part in parts] for title, parts in shown_parts(study).items()}
     motions = embed(store, shown, params.embed, context.stage)
+    motions, near = with_study(store, study, motions)
     as_json = json.dumps(content(study), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     files = []
-    for name, text in zip(FILES, (methods_page(study, motions), markdown(study), as_json), strict=True):
+    for name, text in zip(FILES, (methods_page(study, motions, near), markdown(study), as_json), strict=True):
         path = context.report_file(name)
         write_page(text, path)
         files.append(path.relative_to(context.store_path).as_posix())

@@ -278,7 +278,7 @@ def test_the_page_stands_alone_and_says_the_same_as_the_summary(line: Comparing)
     assert "Walks & kicks" in reading.text
     assert "Table 5.2" in reading.text
     assert "Figure 5.6" in reading.text
-    others = 1 + 2 + 3  # the splits, their legends, the player with its time and speed
+    others = 1 + 2 + 4  # the splits, their legends, the player with its time, speed and button
     assert page.count('role="img"') == page.count("aria-label") - page.count('role="group"') - others
     summary = line.file("md")
     assert "| best | 1.00 |" in summary
@@ -336,7 +336,8 @@ def test_a_click_on_a_segment_of_the_page_shows_the_motion(line: Comparing) -> N
         assert lengths[title] == one["frames"]
         assert f'data-take="{title}"' in page
     assert "elsewhere: ann: order 1, take 1" in lengths or "left out: ann: order 1, take 1" in lengths
-    assert re.search(r'data-start="0" data-stop="20" data-what="best: w', page)
+    assert re.search(r'data-start="0" data-stop="20" data-what="best: w[a-z]+" data-near="\d+"', page)
+    assert all(carried["motions"][place]["take"] for place, _ in carried["near"])
     line.compare([BEST], [{"name": "eve"}], embed="none")
     assert 'id="motions"' not in line.file("html")
     assert "--set compare_methods.embed=all" in line.file("html")

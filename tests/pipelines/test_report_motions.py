@@ -6,6 +6,7 @@ import base64
 import json
 import re
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,9 @@ from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.report import motions
 from kinedex.pipelines.report.annotation_page import annotation_page
+from kinedex.pipelines.report.data import Segment, Template
 from kinedex.pipelines.report.motions import FINEST_M, UNSEEN, Motion, embed, motions_json, pack
+from kinedex.pipelines.report.nearest_examples import nearest_examples, with_hits
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import human_amc, human_asf
@@ -79,6 +82,37 @@ def test_takes_laid_end_to_end_move_one_after_the_other(store: Store) -> None:
     assert (laid_out.take, laid_out.frames) == ("both", parts.shape[2])
     np.testing.assert_allclose(found, parts[:, :, ::2], atol=0.51 * FINEST_M)
     assert "--set compare_methods.embed=all" in embed(store, {"both": (one,)}, "none", "compare_methods").remark
+
+
+def test_intervals_of_other_takes_are_carried_as_pieces_as_far_as_there_is_room(store: Store) -> None:
+    one, two, three = store.takes()["name"].to_list()[:3]
+    intervals = [(two, 8, 12), (one, 0, 5), (three, 0, 9)]
+    found = embed(store, [one]).with_pieces(store, intervals, margin=2)
+    whole, piece, last = found.motions
+    assert (piece.take, piece.first, piece.frames, piece.total) == (two, 6, 8, store.takes()["frames"][1])
+    positions = joint_positions(store.frames(two, 6, 14), found.joints)
+    np.testing.assert_allclose(unpacked(piece), positions[:, :, ::2], atol=0.51 * FINEST_M)
+    assert found.has(two, 6, 14)
+    assert not found.has(two, 5, 14)
+    room = len(whole.data) + len(piece.data)
+    assert len(embed(store, [one]).with_pieces(store, intervals, margin=2, most=room).motions) == 2
+    assert (last.take, last.first) == (three, 0)
+
+
+def test_the_nearest_example_of_a_hit_is_the_clip_that_it_repeats(store: Store) -> None:
+    names = store.takes()["name"].to_list()[:3]
+    clips = (names[0], f"{names[1]}[2:14]", "gone")
+    template = Template("walk", "walk", "soft", np.zeros((2, 40)), clips, 1)
+    hits = [Segment(names[1], "walk", 1, 16, 0.1, "walk", 0.5), Segment(names[2], "run", 0, 9, 0.1, "run")]
+    motions, near = with_hits(store, embed(store, [names[1]]), hits, [], [template])
+    assert list(near) == [hits[0].key]  # no example shows how to run
+    place, steps = motions.near[0]
+    frames = np.cumsum(steps)
+    assert motions.motions[place].take == names[1]
+    assert frames[0] == 2
+    assert frames[1:7].tolist() == list(range(3, 15, 2))
+    mirrored = replace(template, clips=clips[:2], origin="learned, 2 of 2 clips are those of x in the mirror")
+    assert nearest_examples(store, hits, [mirrored]) == {}
 
 
 def test_a_take_without_a_timeline_cannot_be_asked_for(store: Store) -> None:
