@@ -286,7 +286,8 @@ def simulate(
         for motion, label, segment, _ in ordered(order, of_best, of_thesis, random)[: given.each]:
             person.look(motion, label, segment)
         templates = learned(store, person.clips(), executor)
-    ends = {}
+    ends: dict[tuple[str, bool], Annotator] = {}
+    print(f"{order}: {len(person.rejected)} rejections, {len(person.examples)} examples", flush=True)
     for negatives in (False, True):
         taus = calibrated(store, person, executor, negatives=negatives)
         ends["thesis, calibrated τ", negatives] = annotator(store, templates, person, "thesis", taus)

@@ -2,7 +2,8 @@
 
 BANDAI is the store of `python -m studies.bandai`: dataset 1 is the old studio, all of whose contents have templates,
 and dataset 2 the new one. Takes of the contents that both share are labelled; of so many takes of each content the
-labels are examples beside the clips of dataset 1, and the others are judged.
+labels are examples beside the clips of dataset 1, of the same templates or of templates of their own, and the others
+are judged.
 
 CMU is the store of `kinedex run hdm05-cmu`, TRUTH the ground truth of its takes: templates of HDM05 annotate CMU's
 take 01_01. The labels of its first jumps are examples of a further template of a jump, and what comes after the third
@@ -111,8 +112,8 @@ def line(found: Sequence[Sequence[Counts]]) -> str:
     return " | ".join(cells)
 
 
-def bandai(store: Store, draws: int, executor: Executor) -> None:
-    """Print the table of Bandai."""
+def bandai(store: Store, draws: int, executor: Executor, *, apart: bool) -> None:
+    """Print the table of Bandai; new examples join those of their content, or have templates of their own."""
     takes = store.takes("class IS NOT NULL AND actor IS NOT NULL").sort("name")
     clips = dict(zip(takes["name"].to_list(), clips_of(store, "true"), strict=True))
     counts = takes.with_columns(old=pl.col("name").str.starts_with("dataset-1")).group_by("class", "old").len()
@@ -120,11 +121,12 @@ def bandai(store: Store, draws: int, executor: Executor) -> None:
     shared = sorted(usual & set(counts.filter(~pl.col("old"))["class"]))
     old = [clip for name, clip in clips.items() if name.startswith("dataset-1") and clip.label in usual]
     new = [clip for name, clip in clips.items() if not name.startswith("dataset-1") and clip.label in shared]
-    templates, classes = Templates(store, executor), load_classes(OWN, usual)
-    names = (
-        f"{len(old)} clips of {len(usual)} contents of dataset 1; {len(new)} takes of dataset 2: {', '.join(shared)}"
-    )
-    print(f"{names}; {draws} draws\n")
+    shown = load_classes(OWN, usual)
+    classes = Classes(tuple(replace(one, subclasses=(one.name, f"new {one.name}")) for one in shown.classes))
+    templates = Templates(store, executor)
+    print(f"{len(old)} clips of {len(usual)} contents of dataset 1; {draws} draws; ", end="")
+    print(f"{len(new)} takes of dataset 2: {', '.join(shared)}; ", end="")
+    print("templates of their own\n" if apart else "new examples join the old ones\n")
     header()
     for count in COUNTS:
         found: dict[str, list[list[Counts]]] = {method: [] for method in METHODS}
@@ -133,6 +135,8 @@ def bandai(store: Store, draws: int, executor: Executor) -> None:
             groups = {label: [clip for clip in new if clip.label == label] for label in shared}
             orders = {label: random.permutation(len(own)).tolist() for label, own in groups.items()}
             drawn = [groups[label][place] for label in shared for place in orders[label][:count]]
+            if apart:
+                drawn = [replace(clip, label=f"new {clip.label}") for clip in drawn]
             # the same takes are judged, however many are labelled
             rest = [groups[label][place] for label in shared for place in orders[label][max(COUNTS) :]]
             judged = [Judged(clip.words, ((clip.label, 0, len(clip.words)),)) for clip in rest]
@@ -185,7 +189,7 @@ def cmu(store: Store, name: str, truth: Path, draws: int, executor: Executor) ->
     header()
     after = list(cut(take, [(0, jumps[FIRST_JUMPS - 1][1])]))
     for count in range(FIRST_JUMPS + 1):
-        cells = [line("", [counts(jumps[:count], after, method)]) for method in METHODS]
+        cells = [line([counts(jumps[:count], after, method)]) for method in METHODS]
         print(f"| {count} | {' | '.join(cells)} |", flush=True)
     print(f"\nCMU {name} without the jumps that are labelled, {draws} draws of them\n")
     header()
@@ -209,7 +213,8 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=5, help="draws of the labelled takes")
     given = parser.parse_args()
     executor = make_executor("serial", None)
-    bandai(open_store(given.bandai), given.draws, executor)
+    for apart in (False, True):
+        bandai(open_store(given.bandai), given.draws, executor, apart=apart)
     cmu(open_store(given.cmu), given.take, given.truth, 2 * given.draws, executor)
 
 
