@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, expect
 
-from tests.browser.pages import BEYOND, SCROLLED, WAIT_MS, is_drawn, opened, picture
+from tests.browser.pages import BEYOND, SCROLLED, SMALL, WAIT_MS, is_drawn, opened, picture
 
 
 @pytest.fixture(scope="module")
@@ -23,6 +23,14 @@ def test_nothing_is_beyond_the_window_or_cut_off(browser: Browser, report: Path,
         assert page.evaluate(BEYOND) == []
         if size == "desk":
             assert page.evaluate(SCROLLED) == []
+
+
+def test_a_finger_hits_every_button(browser: Browser, report: Path) -> None:
+    with opened(browser, report, "phone", has_touch=True) as page:
+        page.evaluate("for (const fold of document.querySelectorAll('details')) fold.open = true")
+        page.locator("rect.playable").first.tap()
+        expect(page.locator("#player")).to_be_visible()
+        assert page.evaluate(SMALL) == []
 
 
 def test_the_player_plays_and_stops_and_its_playhead_moves(browser: Browser, report: Path) -> None:
