@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Iterator
 from typing import Any
 
@@ -80,10 +80,11 @@ def copies_line(store: Snapshot) -> str | None:
     rows, _ = _same_files(store)
     if not rows:
         return None
-    first = rows[0]
+    first, verb = rows[0], "comes" if len(rows) == 1 else "come"
     return (
-        f"{counted(len(rows), 'take')} of {len(store.take_ids):,} come from a copy of another take's file, such as "
-        f"'{first['take']}' (as '{first['of_take']}'); `kinedex duplicates {shlex.quote(str(store.path))}` lists them"
+        f"{counted(len(rows), 'take')} of {len(store.take_ids):,} {verb} from a copy of another take's file: "
+        f"'{first['take']}' (as '{first['of_take']}'){', …' if len(rows) > 1 else ''}; "
+        f"`kinedex duplicates {shlex.quote(str(store.path))}` also compares motion"
     )
 
 
@@ -91,14 +92,15 @@ def _same_files(store: Snapshot) -> tuple[list[dict[str, Any]], list[str]]:
     """Return the rows of copies of files, and the names of the takes that remain."""
     rows = store.take_rows
     persons = rows.column("person").to_pylist() if "person" in rows.column_names else [None] * rows.num_rows
-    words = store.words()
+    columns = (rows.column(name).to_pylist() for name in ("name", "take_id", "checksum"))
+    facts = list(zip(*columns, persons, strict=True))
+    files = Counter((checksum, person) for _, _, checksum, person in facts)
+    words = store.words([take_id for _, take_id, *file in facts if files[tuple(file)] > 1])
     read = {int(take_id): xxhash.xxh3_128_digest(words.take(i).tobytes()) for i, take_id in enumerate(words.take_ids)}
-    columns = (rows.column(name).to_pylist() for name in ("name", "checksum", "take_id"))
-    facts = [(name, checksum, read[take_id]) for name, checksum, take_id in zip(*columns, strict=True)]
     first: dict[tuple[Any, ...], str] = {}
     found: list[dict[str, Any]] = []
-    for (name, *key), person in zip(facts, persons, strict=True):
-        other = first.setdefault((*key, person), name)
+    for name, take_id, *file in facts:
+        other = first.setdefault((*file, read.get(take_id)), name)
         if other != name:
             count = store.take_frames[store.take_id(name)]
             found.append(_row(store, name, other, "file", (0, count), 0.0, False, 0.0))

@@ -32,6 +32,7 @@ from kinedex.pipelines.ingestion.quality import declarable_figures
 from kinedex.pipelines.ingestion.read_rounds import FilesRead, ReadRounds
 from kinedex.pipelines.ingestion.remembered_settings import remembered_line, with_remembered
 from kinedex.pipelines.ingestion.removed_files import removed_below, without_removed
+from kinedex.pipelines.inspection.duplicates import copies_line
 from kinedex.storage.formats.motion.body_models import model_digest
 from kinedex.storage.formats.motion.reader_table import READERS, motion_endings
 from kinedex.storage.formats.motion.sources import Scan, scan
@@ -118,6 +119,8 @@ class Ingest(Stage[IngestParameters]):
             _compact(context, writer)
             total = len(writer.manifest.live_takes)
         _report_failures(context, failures)
+        if done.takes and (line := copies_line(context.open())) is not None:
+            context.say(line)
         return {
             "takes": total,
             "read": len(done.takes),

@@ -14,6 +14,7 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.runner import run_pipeline
+from kinedex.pipelines.inspection.duplicates import copies_line
 from kinedex.storage.formats.motion.reader_table import read_body
 from kinedex.storage.store.store import open_store
 from studies.duplicates import variants
@@ -64,3 +65,9 @@ def test_one_take_of_each_group_is_never_a_copy(store: Path) -> None:
         "copy2",
         "x_other",
     }  # the longest, of equal length the first by name
+
+
+def test_ingest_reports_copies_of_files(store: Path) -> None:
+    line = copies_line(open_store(store))
+    assert line is not None
+    assert line.startswith("1 take of 10 comes from a copy of another take's file: 'x_same' (as 'x_dance')")
