@@ -12,6 +12,7 @@ import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
 from kinedex.storage import duck
+from kinedex.storage.formats.csv_cells import unguarded
 from kinedex.storage.store.store import data_frame
 
 KEY = ("take", "class", "start", "stop")
@@ -109,6 +110,8 @@ def _of_file(found: pl.DataFrame, path: Path, noun: str) -> pl.DataFrame:
         asked = rows.select(pl.col("take", "class").cast(pl.String), pl.col("start", "stop").cast(pl.Int32)).unique()
     except pl.exceptions.PolarsError as fault:
         raise KinedexError(f"{path}: start and stop must be frames: {str(fault).splitlines()[0]}") from None
+    if path.suffix.lower() == ".csv":
+        asked = asked.with_columns(pl.col("take", "class").map_elements(unguarded, return_dtype=pl.String))
     unknown = asked.join(found, on=list(KEY), how="anti").sort(KEY)
     if unknown.height:
         take, label, start, stop = unknown.row(0)

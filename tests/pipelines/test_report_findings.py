@@ -7,11 +7,14 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import polars as pl
+import pyarrow as pa
 import pytest
 
+from kinedex.pipelines.labels.selection import Selection, selected
 from kinedex.pipelines.report.annotation_page import annotation_page, confirmations, hits_to_play
 from kinedex.pipelines.report.archive_strip import BINS, archive_strip
 from kinedex.pipelines.report.data import ReportData, Segment, TakeRow
@@ -80,6 +83,15 @@ def test_the_least_confident_segments_come_first_and_the_file_has_all() -> None:
     assert lines[1] == "one,squat,squat2Reps,20,41,0.6667,1.3667,0.02,0.9,\n"
     assert lines[-1].startswith("one,'=1+1,")
     assert in_order([evil, *data.automatic])[-1] is evil
+
+
+def test_rows_of_the_file_choose_annotations(tmp_path: Path) -> None:
+    evil = Segment("=take", "=1+1", 3, 9, 0.1, "x", 0.5)
+    data = replace(unlabelled(), takes=(TakeRow("=take", 30, 30.0),), automatic=(evil,))
+    (tmp_path / "rows.csv").write_text("".join(csv_lines(data)))
+    table = pa.table({"take": ["=take", "b"], "class": ["=1+1", "c"], "start": pa.array([3, 0], pa.int32()),
+                      "stop": pa.array([9, 5], pa.int32())})  # fmt: skip
+    assert selected(table, Selection(rows=tmp_path / "rows.csv"), "annotation")["take"].to_list() == ["=take"]
 
 
 def test_fifty_thousand_segments_leave_the_page_small_and_it_tells_where_the_others_are() -> None:

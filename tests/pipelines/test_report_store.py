@@ -166,6 +166,22 @@ def test_another_takes_curves_can_be_asked_for(store: Path) -> None:
         read_report_data(open_store(store), "study", created=MOMENT, inputs=INPUTS, curves_take="long_3")
 
 
+def test_segments_that_another_method_of_the_store_does_not_find_are_doubted(store: Path) -> None:
+    with StoreWriter.open(store, load_feature_set()) as writer:
+        schema = result_schema("annotations")
+        kick = {"run": "run-o", "take_id": 1, "take": "long_1", "class": "kick", "subclass": "kick", "start": 30,
+                "stop": 50, "cost": 0.1, "confidence": 0.3, "method": "all frames in a row"}  # fmt: skip
+        writer.put_results("annotations", table(schema, [kick]), stage="other/annotate", run="run-o")
+        seen = [{"run": "run-o", "take_id": i, "take": f"long_{i}", "frames": FRAMES} for i in (1, 2)]
+        schema = result_schema("annotated_takes")
+        writer.put_results("annotated_takes", table(schema, seen), stage="other/annotate", run="run-o")
+        writer.record_stage(StageRecord("other/annotate", "print", "run-o", "2026", 1.0, {"uses": "annotate"}))
+        writer.commit()
+    data = read_report_data(open_store(store), "study", created=MOMENT, inputs=INPUTS)
+    assert data.other_method == "all frames in a row"
+    assert [one.doubted for one in data.automatic] == ["kick"]
+
+
 def test_an_empty_store_has_a_report_too(tmp_path: Path) -> None:
     with StoreWriter.open(tmp_path / "store", load_feature_set()) as writer:
         writer.commit()
