@@ -25,6 +25,7 @@ from kinedex.pipelines.api.query import Query, resolved_queries
 from kinedex.pipelines.api.store import Store
 from kinedex.pipelines.api.take import Take
 from kinedex.pipelines.api.template import Template
+from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.evaluation.annotation_scores import evaluate as compare_with_truth
 from kinedex.pipelines.evaluation.annotation_scores import metrics_rows
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth, Manual, place_ground_truth
@@ -280,7 +281,7 @@ class Evaluation:
 
     def __repr__(self) -> str:
         shown = ["–" if value is None else f"{value:.3f}" for value in (self.f_frames, self.f_segments)]
-        return f"Evaluation({len(self.takes)} takes, F (frames) {shown[0]}, F (segments) {shown[1]})"
+        return f"Evaluation({counted(len(self.takes), 'take')}, F (frames) {shown[0]}, F (segments) {shown[1]})"
 
     def _repr_html_(self) -> str:
         return self.table._repr_html_()

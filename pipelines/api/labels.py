@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.pipelines.api.arguments import checked_methods
+from kinedex.pipelines.console.wording import counted
 from kinedex.storage.store.store import Store as StoredTakes
 from kinedex.storage.store.store import data_frame
 
@@ -42,7 +43,7 @@ class Labels:
         self._stored = stored
 
     def __repr__(self) -> str:
-        return f"Labels({str(self._stored.path)!r}, {len(self)} labels)"
+        return f"Labels({str(self._stored.path)!r}, {counted(len(self), 'label')})"
 
     def __len__(self) -> int:
         return int(self._stored.labels().num_rows)

@@ -15,6 +15,7 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import ParameterError, StoreError, did_you_mean
 from kinedex.pipelines.api.arguments import checked, checked_methods
 from kinedex.pipelines.api.take import F32, U64, Frames, Take
+from kinedex.pipelines.console.wording import counted
 from kinedex.storage.store.store import Store as StoredTakes
 from kinedex.storage.store.store import data_frame
 from kinedex.storage.store.store import open_store as open_stored_takes
@@ -119,7 +120,7 @@ class Store:
         return str(self.path)
 
     def __repr__(self) -> str:
-        return f"Store({str(self.path)!r}, version {self.version}, {len(self)} takes)"
+        return f"Store({str(self.path)!r}, version {self.version}, {counted(len(self), 'take')})"
 
     def _repr_html_(self) -> str:
         from kinedex.pipelines.api.html import table_html

@@ -102,7 +102,7 @@ def verify(store: StorePath, as_json: JsonOption = False) -> None:
         print(visible_lines(f"{'✗' if finding.fault else '·'} {finding}"))
     if faults:
         raise KinedexError(f"{store}: {faults} of {parts} parts or files are damaged", remedy=repair(store))
-    print(f"{store}: version {opened.manifest.version}, {takes} takes, {parts} parts: all sound")
+    print(f"{store}: version {opened.manifest.version}, {counted(takes, 'take')}, {counted(parts, 'part')}: all sound")
 
 
 @command(MAINTAIN)

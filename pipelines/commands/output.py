@@ -14,6 +14,7 @@ import typer
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.app import LEFT_OUT
 from kinedex.pipelines.console.escapes import visible, visible_lines
+from kinedex.pipelines.console.wording import counted
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -135,7 +136,9 @@ def show_outcome(outcome: Outcome, store: Path, as_json: bool = False) -> None:
         )
     console = make_console()
     if not as_json and not outcome.ran:
-        console.print(f"everything was done already: {len(outcome.skipped)} stages, nothing to do", style="bold")
+        console.print(
+            f"everything was done already: {counted(len(outcome.skipped), 'stage')}, nothing to do", style="bold"
+        )
     if not as_json and outcome.report is not None:
         console.print(f"report: {outcome.report}", style="bold", markup=False)
     if outcome.left_out:

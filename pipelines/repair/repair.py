@@ -220,10 +220,14 @@ class _Work:
         if not wrong and not lines:
             return
         for part in wrong:
-            self._keep(part.path, "the part of labels is damaged", f"{part.rows} labels", part.sha256)
+            self._keep(part.path, "the part of labels is damaged", counted(part.rows, "label"), part.sha256)
         for one in lines:
             file = one.path.relative_to(self.root).as_posix()
-            self._keep(file, "a line of the journal of labels is damaged", f"{len(one.rows)} labels and damaged lines")
+            self._keep(
+                file,
+                "a line of the journal of labels is damaged",
+                f"{counted(len(one.rows), 'label')} and damaged lines",
+            )
         restored = restored_labels(store, wrong)
         self._publish(restored.manifest, {})
         for one in restored.journals:
@@ -248,7 +252,10 @@ class _Work:
         if restored.lost:
             for part in wrong:
                 self._keep(
-                    part.path, "the part of takes is damaged", f"the rows of {len(part.live)} takes", part.sha256
+                    part.path,
+                    "the part of takes is damaged",
+                    f"the rows of {counted(len(part.live), 'take')}",
+                    part.sha256,
                 )
             for part in store.manifest.frames:
                 if not set(restored.lost).isdisjoint(part.live):

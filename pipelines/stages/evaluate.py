@@ -9,6 +9,7 @@ import pyarrow as pa
 from kinedex.pipelines.annotation.parameters import AnnotationParameters
 from kinedex.pipelines.annotation.preparation import annotated_classes
 from kinedex.pipelines.annotation.tables import annotated_takes
+from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.evaluation.annotation_scores import (
@@ -76,7 +77,9 @@ class Evaluate(Stage[GroundTruthParameters]):
             context.say(remark)
         few = len(truth.takes) <= MOST_TAKES_SHOWN
         scopes = SCOPES if few else SCOPES[:-1]
-        context.terminal.show(metrics_table(evaluation, f"{len(truth.takes)} takes against ground truth", scopes))
+        context.terminal.show(
+            metrics_table(evaluation, f"{counted(len(truth.takes), 'take')} against ground truth", scopes)
+        )
         context.say(f"metrics{'' if few else ', take by take as well'}: {report}")
         counts = evaluation.pooled
         return {

@@ -260,7 +260,8 @@ def _report_changes(context: StageContext, params: IngestParameters, found: Scan
         what = "dropped" if params.prune else "kept; `prune: true` drops them"
         context.say(f"{counted(len(plan.gone), 'take')} whose file is gone: {what}")
     if plan.renamed:
-        context.say(f"{len(plan.renamed)} takes whose file has another name now: read again, and dropped as they were")
+        takes = counted(len(plan.renamed), "take")
+        context.say(f"{takes} whose file has another name now: read again, and dropped as they were")
     unmatched = unmatched_paths(params, found)
     if unmatched:
         context.say(unmatched_line(unmatched, found, context.store_path))

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from kinedex.ops.templates.templates import MOST_ROUNDS
-from kinedex.pipelines.console.wording import few
+from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest
 from kinedex.pipelines.engine.stage import Input, Stage
@@ -57,7 +57,8 @@ class LearnTemplates(Stage[TemplateParameters]):
         context.put_results(templates=templates_table(learned, context.run, params.where))
         used = len({name for one in learned for name in one.clips})
         subclasses = len({one.subclass for one in learned})
-        context.say(f"{len(learned)} templates of {subclasses} subclasses from {used} clips")
+        made = f"{counted(len(learned), 'template')} of {counted(subclasses, 'subclass', 'subclasses')}"
+        context.say(f"{made} from {counted(used, 'clip')}")
         return {
             "templates": len(learned),
             "subclasses": subclasses,

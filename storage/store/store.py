@@ -155,7 +155,9 @@ class Store(Snapshot):
         return lease
 
     def __repr__(self) -> str:
-        return f"Store({str(self.path)!r}, version {self.manifest.version}, {len(self.manifest.live_takes)} takes)"
+        takes = len(self.manifest.live_takes)
+        count = f"{takes:,} take{'' if takes == 1 else 's'}"
+        return f"Store({str(self.path)!r}, version {self.manifest.version}, {count})"
 
     def labels(self, *, history: bool = False) -> pa.Table:
         """Return the labels of the store, in the order in which they were made.
