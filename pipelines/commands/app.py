@@ -44,13 +44,15 @@ class HelpPage(TyperGroup):
         """Write the commands, then the options in one paragraph: the page is one screen."""
         self.format_commands(ctx, formatter)
         options = ", ".join(one.opts[0] for one in self.get_params(ctx) if one.opts[0] != "--help")
-        formatter.write_paragraph()
+        if ctx.parent is not None:
+            formatter.write_paragraph()
         formatter.write_text(f"Options: {options}{', ' * bool(options)}COMMAND --help")
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write a section of commands for each subject; a group within a group has one section."""
         commands = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
         width = max(len(name) for name, _ in commands)
+        formatter.write_paragraph()
         for panel in (*PANELS, None):
             rows = [
                 (name.ljust(width), one.get_short_help_str(formatter.width - width - 4))
@@ -58,8 +60,10 @@ class HelpPage(TyperGroup):
                 if one is not None and one.rich_help_panel == panel  # type: ignore[attr-defined]
             ]
             if rows:
-                with formatter.section(panel or "Commands"):
-                    formatter.write_dl(rows)
+                formatter.write_heading(panel or "Commands")
+                formatter.indent()
+                formatter.write_dl(rows)
+                formatter.dedent()
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command that the arguments name."""
@@ -95,7 +99,7 @@ class _UsageErrors:
 app = typer.Typer(
     name="kinedex",
     cls=HelpPage,
-    help="A motion archive that can be queried: motion capture in, SQL over feature runs, annotations and reports out.",
+    help="A motion archive that can be queried: motion in, SQL and reports out.",
     epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done, but some source files were excluded, "
     "124 a time limit ended it, 130 Ctrl-C did.",
     no_args_is_help=True,
@@ -118,7 +122,7 @@ def root(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
-    """A motion archive that can be queried: motion capture in, SQL over feature runs, annotations and reports out."""
+    """A motion archive that can be queried: motion in, SQL and reports out."""
 
 
 class TakesPage(HelpPage):
