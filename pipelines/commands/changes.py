@@ -29,7 +29,7 @@ def use(
     wait: WaitOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Choose the pipeline whose results the views show, or list the pipelines.
+    """Choose the pipeline whose results the views show, or list them.
 
     A view such as `annotations` shows the results of one pipeline: the chosen one, or the one that was run last. The
     rows of all pipelines are in `all_annotations`.

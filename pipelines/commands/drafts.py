@@ -25,7 +25,7 @@ def init(
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over an existing file.")] = False,
 ) -> None:
-    """Propose patterns for the names of motion files, and write a pipeline with them.
+    """Propose patterns for the names of motion files, as a pipeline.
 
     The names are divided into tokens; a table shows the values of each, and whether they look like actors, classes,
     numbers or styles. `kinedex run FILE --store STORE` then runs the pipeline as it is.

@@ -55,7 +55,7 @@ def inspect(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show what a motion file holds, and draw a few of its frames on request."""
+    """Show what a motion file holds; draw a few frames on request."""
     from kinedex.pipelines.console.terminal import make_console
     from kinedex.pipelines.inspection.inspection import inspect_file, show, write_picture
     from kinedex.storage.formats.motion.reader import ReadSettings
@@ -230,7 +230,7 @@ def gc(
 
 @command(MAINTAIN)
 def version(as_json: JsonOption = False) -> None:
-    """Print the versions of kinedex and of its libraries, and its path."""
+    """Print the versions of kinedex and its libraries, and its path."""
     from importlib.metadata import version as version_of
 
     from kinedex.pipelines.commands.installation import installed_package, running_package

@@ -143,7 +143,7 @@ def _statement_of(file: Path) -> str:
         raise KinedexError(f"--file {file}: not UTF-8 text (byte {fault.start})") from None
 
 
-takes_group = group("takes", "List the takes of a store (`kinedex takes STORE`), and remove some.", ASK, TakesPage)
+takes_group = group("takes", "List the takes of a store: `kinedex takes STORE`; remove some.", ASK, TakesPage)
 
 
 @command(of=takes_group, name="list")
