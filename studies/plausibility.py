@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.quality import FIGURES, quality_warnings
+from kinedex.catalog.quality import quality_warnings
+from kinedex.catalog.quality_figures import FIGURES
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.body.plausibility import Plausibility, plausibility
 from kinedex.ops.errors import KinedexError

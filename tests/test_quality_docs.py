@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kinedex.catalog.quality import FIGURES
+from kinedex.catalog.quality_figures import FIGURES
 from studies.plausibility import FAULTS
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "quality.md").read_text(encoding="utf-8")

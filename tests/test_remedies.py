@@ -22,6 +22,7 @@ WITHOUT = {
     "UnknownName": "SQL asks for a name that does not exist; the message lists those that do",
     "NoFoldsError": "the archive has too few takes for a split; the message counts them",
     "TimeLimitError": "a query took longer than the limit that it was given; the message names the limit",
+    "UnwritableError": "the disk refuses a file of an export; the message names the file and the reason",
     "WorkerDied": "a task needs more memory than there is; the message names the option",
 }
 """Classes whose errors have no remedy of their own: the message itself is the way out."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kinedex.catalog.quality import suspect_select
+from kinedex.catalog.quality_figures import suspect_select
 from kinedex.catalog.sql.columns import Column, View, columns
 from kinedex.catalog.sql.macros import MACROS, Macro
 from kinedex.catalog.sql.result_views import RESULT_VIEWS

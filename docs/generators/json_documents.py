@@ -127,6 +127,11 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         "files": "paths of the files beside it that its parameters name",
         "remarks": "what the file alone does not reproduce, and what to do about it",
     },
+    "duplicates": {
+        **_STORE,
+        "takes": "number of takes of the store",
+        "duplicates": "rows of the view `duplicates`, without `run`",
+    },
     "takes remove": {
         **_STORE,
         "removed": "true where `--accept` was given",

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from kinedex.catalog.quality import FIGURES, quality_columns, quality_warnings
+from kinedex.catalog.quality import quality_columns, quality_warnings
+from kinedex.catalog.quality_figures import FIGURES
 from kinedex.ops.body.plausibility import Plausibility, plausibility
 from kinedex.storage.formats.motion.reader import Body
 from kinedex.storage.snapshot.schemas import TakeColumn, column_problem

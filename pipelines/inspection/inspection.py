@@ -12,7 +12,8 @@ import pyarrow as pa
 from rich.console import Console
 
 from kinedex.catalog.features import FeatureSet, load_feature_set
-from kinedex.catalog.quality import FIGURES, quality_warnings
+from kinedex.catalog.quality import quality_warnings
+from kinedex.catalog.quality_figures import FIGURES
 from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
 from kinedex.catalog.skeletons.mappings import Format, Mappings, load_mappings
 from kinedex.catalog.skeletons.units import body_height

@@ -35,7 +35,7 @@ from kinedex.storage.store.report_sums import SUMS
 FOLDER = "history"
 FILES = f"{FOLDER}/files"
 
-_NAME = re.compile(r"^([0-9]{8}-[0-9]{6}-[0-9a-f]{4})\.json$")
+_NAME = re.compile(r"^([0-9]{8}-[0-9]{6}-[0-9a-f]{4,6})\.json$")
 _SHA256 = re.compile(r"^[0-9a-f]{64}$")
 
 State = Literal["running", "finished", "failed", "interrupted"]

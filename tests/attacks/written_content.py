@@ -14,7 +14,7 @@ _PASSING = {"take_id", "run", "logged_at", "source_mtime_ns"}
 """Columns whose values differ between two runs of the same work."""
 
 _PASSING_TEXT = re.compile(
-    r"\d{8}-\d{6}-[0-9a-f]{4}|\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z| UTC)?|\d+(\.\d+)? (s|min)\b"
+    r"\d{8}-\d{6}-[0-9a-f]{4,6}|\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z| UTC)?|\d+(\.\d+)? (s|min)\b"
     r"|\"(seconds|version)\": [\d.]+|work-\d+"
 )
 """Names of runs, times, durations and versions as pages and JSON files show them."""

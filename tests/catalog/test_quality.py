@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from kinedex.catalog.features import load_feature_set
-from kinedex.catalog.quality import FIGURES, quality_columns, quality_warnings
+from kinedex.catalog.quality import quality_columns, quality_warnings
+from kinedex.catalog.quality_figures import FIGURES
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.body.plausibility import Plausibility
 from kinedex.pipelines.ingestion.single_file import skeleton_beside

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -102,7 +103,12 @@ class Line:
         context = self.context(stage)
         summary = kind().run(context, self.params[stage])
         record = StageRecord(
-            f"{self.PIPELINE}/{stage}", "", context.run, "now", 0.0, {**summary, "inputs": self.INPUTS[stage]}
+            f"{self.PIPELINE}/{stage}",
+            "",
+            context.run,
+            datetime.now(UTC).isoformat(),
+            0.0,
+            {**summary, "uses": stage, "inputs": self.INPUTS[stage]},
         )
         with StoreWriter.open(self.store, BODY) as writer:
             writer.record_stage(record)

@@ -18,7 +18,7 @@ import xxhash
 
 from kinedex.ops.errors import StoreError
 from kinedex.ops.words import NO_WORD, cut
-from kinedex.storage.index import generations, tables
+from kinedex.storage.index import builder, generations
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import KEPT, current_generation, read_generation
 from kinedex.storage.lock import Lock
@@ -177,7 +177,7 @@ def test_there_is_always_an_index_while_one_of_the_same_version_is_replaced(
 
         return looking
 
-    monkeypatch.setattr(tables, "surface", lambda *_: "other macros")
+    monkeypatch.setattr(builder, "index_surface", lambda *_: "other macros")
     monkeypatch.setattr(os, "rename", look(rename))
     monkeypatch.setattr(shutil, "rmtree", look(removed))
     generation = build_index(store)
@@ -255,7 +255,7 @@ def test_a_build_without_space_says_so_and_leaves_nothing(store: Store, monkeypa
 
     later = change(store, 5)
     before = sorted(os.listdir(store.path / "index"))
-    monkeypatch.setattr(tables, "insert", full)
+    monkeypatch.setattr(builder.tables, "insert", full)
     with pytest.raises(StoreError, match=r"the index cannot be built: .*No space left on device; .*`kinedex gc`"):
         build_index(later)
     assert sorted(os.listdir(store.path / "index")) == before

@@ -251,11 +251,13 @@ def document(*words: str | Path, code: int = 0) -> dict[str, Any]:
 
 def test_json_documents_have_the_keys_of_the_reference(store: Path, source: Path, tmp_path: Path) -> None:
     settings = ["--set", f"source={source}", "--set", "evaluate.ground_truth=none"]
+    copy = Path(shutil.copytree(store, tmp_path / "copy"))
+    run = document("history", "list", store)["runs"][-1]["run"]
     found = {
         "run": document("run", "ingest", "--store", store, *settings[:2], "--executor", "serial"),
         "ingest": document("ingest", store, source, "--executor", "serial"),
         "plan": document("plan", "annotate", "--store", store, *settings),
-        "takes": document("takes", store),
+        "takes list": document("takes", store),
         "search": document("search", store, "example"),
         "search --explain": document("search", store, "example", "--explain"),
         "rank": document("rank", store, "--take", "x_aa_wave_001_120", "--tau", "1"),
@@ -265,6 +267,14 @@ def test_json_documents_have_the_keys_of_the_reference(store: Path, source: Path
         "repair": document("repair", store, "--dry-run"),
         "upgrade": document("upgrade", store),
         "versions": document("versions", store),
+        "history list": document("history", "list", store),
+        "history show": document("history", "show", store, run),
+        "history export": document("history", "export", store, run, "-o", tmp_path / "again.yaml"),
+        "duplicates": document("duplicates", copy),
+        "takes remove": document("takes", "remove", copy, "x_aa_take01"),
+        "takes readmit": document("takes", "readmit", copy),
+        "merge": document("merge", copy, store, "--prefix", "b_"),
+        "use": document("use", store),
         "gc": document("gc", store, "--dry-run"),
         "version": document("version"),
     }
@@ -273,7 +283,7 @@ def test_json_documents_have_the_keys_of_the_reference(store: Path, source: Path
         command: list(keys) for command, keys in found.items()
     }
     assert found["ingest"]["ran"] == []
-    assert len(found["takes"]["takes"]) == 3
+    assert len(found["takes list"]["takes"]) == 3
     assert found["plan"]["stages"][0]["stage"] == "ingest"
     assert found["rank"]["hits"][0]["take"] == "x_aa_wave_001_120"
     assert (found["verify"]["faults"], found["verify"]["findings"]) == (0, [])

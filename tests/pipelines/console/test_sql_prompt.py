@@ -35,7 +35,7 @@ def typed(store: Store, *lines: str | type[BaseException]) -> str:
         raise line
 
     printed = io.StringIO()
-    run_prompt(store, Console(file=printed, width=140), read)
+    run_prompt(store, Console(file=printed, width=140), read, max_rows=200)
     return printed.getvalue()
 
 

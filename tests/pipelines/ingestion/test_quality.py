@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import kinedex
-from kinedex.catalog.quality import FIGURES
+from kinedex.catalog.quality_figures import FIGURES
 from kinedex.pipelines.inspection.inspection import inspect_file
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.store.store import open_store
