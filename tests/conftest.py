@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -10,6 +12,10 @@ from hypothesis import settings
 # The first call of a kernel compiles it, and tests run beside each other: time proves nothing about correctness.
 settings.register_profile("kinedex", deadline=None)
 settings.load_profile("kinedex")
+
+# Tests start hundreds of processes, which compile every module anew where the environment forbids files of bytecode.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 
 SLOW_SECONDS = 900
