@@ -63,8 +63,8 @@ def test_a_kernel_is_compiled_again_when_one_that_it_calls_has_changed(
 ) -> None:
     more = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")} if elsewhere else {}
     assert twice(package, **more) == 2
-    (package / "deep" / "called.py").write_text(CALLED.format(number=5))
-    assert twice(package, **more) == 10
+    (package / "deep" / "called.py").write_text(CALLED.format(number=50))
+    assert twice(package, **more) == 100
 
 
 def test_only_what_imports_a_changed_file_is_forgotten(package: Path) -> None:
