@@ -124,6 +124,18 @@ def test_sdist_and_wheel_hold_plain_folders_with_every_file(installed: Installed
     assert names == shipped, "the wheel holds what the checkout has, and nothing beside kinedex"
 
 
+SEVERAL = """
+import json
+import sys
+
+from kinedex.pipelines.commands.cli import app
+
+for words in json.loads(sys.argv[1]):
+    app(words, prog_name="kinedex", standalone_mode=False)
+    print("END", flush=True)
+"""
+
+
 def test_an_installed_wheel_brings_its_configs_and_runs_anywhere(installed: Installed, tmp_path: Path) -> None:
     source = write_archive(tmp_path / "source", {"x_aa_1.amc": 40})
 
@@ -136,10 +148,16 @@ def test_an_installed_wheel_brings_its_configs_and_runs_anywhere(installed: Inst
     )
     assert all(line.startswith(str(installed.target)) for line in where.splitlines())
     assert "everything" not in run("-m", "kinedex", "ingest", "store", str(source), "--executor", "serial")
-    assert run("-m", "kinedex", "sql", "store", "SELECT name FROM takes", "--format", "csv") == "name\nx_aa_1\n"
     settings = ["--set", f"source={source}", "--set", "evaluate.ground_truth=none"]
-    assert "learn_templates" in run("-m", "kinedex", "plan", "annotate", "--store", "store", *settings)
-    assert "squat" in run("-m", "kinedex", "search", "store", "example", "--explain")
+    commands = [
+        ["sql", "store", "SELECT name FROM takes", "--format", "csv"],
+        ["plan", "annotate", "--store", "store", *settings],
+        ["search", "store", "example", "--explain"],
+    ]
+    rows, plan, explained = run("-c", SEVERAL, json.dumps(commands)).split("END\n")[:3]
+    assert rows == "name\nx_aa_1\n"
+    assert "learn_templates" in plan
+    assert "squat" in explained
     kernel = "import numpy as np; from kinedex.ops.bits import count_bits; print(count_bits(np.uint64(7)))"
     compiling = {name: value for name, value in installed.environment.items() if name != "NUMBA_DISABLE_JIT"}
     assert run("-c", kernel, env=compiling) == "3\n"
