@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -202,7 +202,7 @@ def import_corrections(
 
     Of the takes that the files name, an annotation that stands in them unchanged is accepted, a moved one is corrected,
     one that is not there any more is rejected, and a new one is drawn. One of another class is corrected, and rejected
-    for the class that it had.
+    for the class that it had. An unchanged one that a person has rejected or moved before stays as decided.
 
     Parameters
     ----------
@@ -233,8 +233,38 @@ def import_corrections(
         if row["take"] in takes:
             known[Segment(row["take"], row["class"], row["start"], row["stop"])] = row
     after = [one for one in placed.segments if one.take in annotated]
-    rows = [row for one in differences(known, after) for row in _corrections(one, known, chosen, more)]
+    found = differences(known, after)
+    decided = _decided_otherwise(store, [known[one.before] for one in found if one.before and one.change == "same"])
+    if decided:
+        shown = [f"{one.label} in {one.take}[{one.start}:{one.stop}]" for one in decided]
+        remarks.append(
+            f"unchanged, and rejected or moved by a person before, which stays: {few(shown)}; "
+            "`kinedex labels accept` accepts them"
+        )
+    rows = [row for one in found if one.before not in decided for row in _corrections(one, known, chosen, more)]
     return record(store, rows, remarks)
+
+
+def _decided_otherwise(store: Store, annotations: Iterable[Row]) -> list[Segment]:
+    """Return annotations that a person has rejected, or whose edges a person has corrected, as labels of the store."""
+    labels: dict[str, list[Row]] = defaultdict(list)
+    for label in store.labels().to_pylist():
+        labels[label["take"]].append(label)
+
+    def differs(label: Row, row: Row) -> bool:
+        same = (label["start"], label["stop"]) == (row["start"], row["stop"])
+        if label["class"] not in (row["class"], row["subclass"]):
+            return False
+        if label["verdict"] == "negative":
+            return same
+        overlaps = label["start"] < row["stop"] and row["start"] < label["stop"]
+        return label["origin"] == "corrected" and overlaps and not same
+
+    return [
+        Segment(row["take"], row["class"], row["start"], row["stop"])
+        for row in annotations
+        if any(differs(label, row) for label in labels[row["take"]])
+    ]
 
 
 def import_corrected_labels(store: Store, files: Sequence[LabelFile], **more: str | None) -> Recorded:

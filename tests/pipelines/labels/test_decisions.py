@@ -6,6 +6,7 @@ import json
 import warnings
 from pathlib import Path
 
+import polars as pl
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -88,6 +89,26 @@ def test_annotations_are_accepted_and_rejected_by_what_the_options_choose(line: 
     assert "frames or times of one take" in run("labels", "reject", line.store, "--start", "3", fails=True)
     assert "no annotation of test/annotate" in run("labels", "reject", line.store, "--class", "swim", fails=True)
     assert "columns of annotations" in run("labels", "reject", line.store, "--where", "colour = 1", fails=True)
+
+
+def test_an_unchanged_export_takes_no_decision_back(line: Line, tmp_path: Path) -> None:
+    first, second, *_ = kinedex.open_store(line.store).results("annotations").to_dicts()
+    chosen = [("--take", one["take"], "--start", one["start"], "--stop", one["stop"]) for one in (first, second)]
+    run("labels", "reject", line.store, *chosen[0])
+    run("labels", "export", line.store, "-o", tmp_path / "all.csv")
+    importing = ("labels", "import", line.store, "--corrects", "annotations")
+    assert "stays" in run(*importing, tmp_path / "all.csv")
+    assert {row["verdict"] for row in labels(line, *chosen[0])} == {"negative"}
+    rows = pl.read_csv(tmp_path / "all.csv")
+    place = (pl.col("take") == second["take"]) & (pl.col("class") == second["class"])
+    moved = pl.when(place).then(pl.col("stop") - 20).otherwise(pl.col("stop"))
+    rows.with_columns(stop=moved).drop("start_seconds", "stop_seconds").write_csv(tmp_path / "moved.csv")
+    assert json.loads(run(*importing, tmp_path / "moved.csv", "--json"))["counts"] == {"corrected": 1}
+    decided = labels(line)
+    assert json.loads(run(*importing, tmp_path / "all.csv", "--json"))["counts"] == {}
+    assert labels(line) == decided
+    run("labels", "accept", line.store, *chosen[0])
+    assert {row["verdict"] for row in labels(line, *chosen[0])} == {"positive"}
 
 
 def test_json_documents_have_the_keys_of_the_reference(line: Line, tmp_path: Path) -> None:
