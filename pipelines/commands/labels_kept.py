@@ -224,13 +224,20 @@ def _decide(
     note: str | None,
     as_json: bool,
 ) -> None:
-    from kinedex.ops.errors import KinedexError
+    from kinedex.ops.errors import KinedexError, did_you_mean
     from kinedex.pipelines.labels.decisions import annotations_of, decide
     from kinedex.pipelines.labels.selection import selected
 
     if chosen.is_empty:
         raise typer.BadParameter("choose annotations by options such as --take and --class; --all for all of them")
     source, annotations = annotations_of(opened, stage)
+    for noun, columns, names in (("take", ["take"], chosen.takes), ("class", ["class", "subclass"], chosen.classes)):
+        known = {value for column in columns for value in annotations.column(column).unique().to_pylist()} - {None}
+        for name in names:
+            if name not in known:
+                raise KinedexError(
+                    f"{opened.path}: no annotation of {source} has the {noun} '{name}'{did_you_mean(name, known)}"
+                )
     found = selected(annotations, chosen, "annotation")
     if not found.height:
         raise KinedexError(f"{opened.path}: no annotation of {source} is chosen by these options")

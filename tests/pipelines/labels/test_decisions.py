@@ -87,7 +87,11 @@ def test_annotations_are_accepted_and_rejected_by_what_the_options_choose(line: 
     assert len(labels(line)) == len(annotations)
     assert len(labels(line, "--history")) == len(annotations) + 1
     assert "frames or times of one take" in run("labels", "reject", line.store, "--start", "3", fails=True)
-    assert "no annotation of test/annotate" in run("labels", "reject", line.store, "--class", "swim", fails=True)
+    wrong = run("labels", "reject", line.store, "--class", first["class"], "--class", "swim", fails=True)
+    assert "no annotation of test/annotate has the class 'swim'; known: " in wrong
+    wrong = run("labels", "accept", line.store, "--take", first["take"] + "x", fails=True)
+    assert f"did you mean '{first['take']}'?" in wrong
+    assert "is chosen by these options" in run("labels", "reject", line.store, "--where", "start < 0", fails=True)
     assert "columns of annotations" in run("labels", "reject", line.store, "--where", "colour = 1", fails=True)
 
 
