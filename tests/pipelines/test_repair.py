@@ -87,6 +87,12 @@ def content(path: Path) -> dict[str, Any]:
     return found
 
 
+@pytest.fixture(scope="module")
+def before(archive: Path) -> dict[str, Any]:
+    """The content of the store before anything was damaged."""
+    return content(archive / "store")
+
+
 def damaged(path: Path, how: str) -> None:
     data = bytearray(path.read_bytes())
     if how == "gone":
@@ -158,8 +164,10 @@ KINDS = {
     ("kind", "how"),
     [(kind, how) for kind in ("frames", "takes") for how in ("flip", "zeros", "short", "gone", "other schema")],
 )
-def test_takes_come_back_from_their_sources_and_the_index(store: Path, kind: str, how: str) -> None:
-    before, version = content(store), versions(store)[-1]
+def test_takes_come_back_from_their_sources_and_the_index(
+    store: Path, before: dict[str, Any], kind: str, how: str
+) -> None:
+    version = versions(store)[-1]
     damaged(part_of(store, kind), how)
     carry_out(remedy_of(store, KINDS[kind]))
     assert faults(store) == []
@@ -173,8 +181,7 @@ def test_takes_come_back_from_their_sources_and_the_index(store: Path, kind: str
     [("templates", "zeros"), ("annotations", "gone"), ("annotated_takes", "short"), ("distance_curves", "flip"),
      ("skeleton_files", "zeros")],
 )  # fmt: skip
-def test_results_come_back_by_a_run_of_their_pipeline(store: Path, kind: str, how: str) -> None:
-    before = content(store)
+def test_results_come_back_by_a_run_of_their_pipeline(store: Path, before: dict[str, Any], kind: str, how: str) -> None:
     damaged(part_of(store, kind), how)
     carry_out(remedy_of(store, KINDS[kind]))
     assert faults(store) == []
@@ -195,8 +202,7 @@ def test_a_changed_report_is_written_again(store: Path) -> None:
     [("index.duckdb", "flip"), ("index.duckdb", "gone"), ("generation.json", "short"), ("generation.json", "flip"),
      ("shard-000001.slices", "flip"), ("shard-000001.slices", "short")],
 )  # fmt: skip
-def test_a_damaged_index_is_built_again(store: Path, file: str, how: str) -> None:
-    before = content(store)
+def test_a_damaged_index_is_built_again(store: Path, before: dict[str, Any], file: str, how: str) -> None:
     with open_store(store) as opened:
         damaged(opened.index_path().parent / file, how)
     carry_out(remedy_of(store))
@@ -204,8 +210,7 @@ def test_a_damaged_index_is_built_again(store: Path, file: str, how: str) -> Non
     assert content(store) == before
 
 
-def test_a_missing_and_a_stale_index_are_built(store: Path) -> None:
-    before = content(store)
+def test_a_missing_and_a_stale_index_are_built(store: Path, before: dict[str, Any]) -> None:
     for damage in (lambda: shutil.rmtree(store / "index"), lambda: drop(store, "x_aa_bow_1")):
         damage()
         with pytest.raises(KinedexError, match=r"the index is (missing|stale)") as raised:
@@ -244,8 +249,7 @@ def test_a_damaged_newest_manifest_gives_way_to_the_version_before(store: Path, 
         assert [one.kind for one in verify(opened)] == ["quarantine"]
 
 
-def test_a_damaged_older_manifest_lies_in_the_quarantine_afterwards(store: Path) -> None:
-    before = content(store)
+def test_a_damaged_older_manifest_lies_in_the_quarantine_afterwards(store: Path, before: dict[str, Any]) -> None:
     damaged(manifest_path(store, versions(store)[1]), "flip")
     carry_out(next(one for one in verify(open_store(store)) if one.kind == "manifest").remedy)
     assert content(store) == before
@@ -255,8 +259,7 @@ def test_a_damaged_older_manifest_lies_in_the_quarantine_afterwards(store: Path)
     assert content(store) == before
 
 
-def test_a_flipped_bit_of_labels_and_saved_hits_is_put_back(store: Path) -> None:
-    before = content(store)
+def test_a_flipped_bit_of_labels_and_saved_hits_is_put_back(store: Path, before: dict[str, Any]) -> None:
     for kind in ("labels", "hits"):
         sound = part_of(store, kind).read_bytes()
         damaged(part_of(store, kind), "flip")
@@ -288,9 +291,8 @@ def test_saved_hits_that_nothing_makes_again_are_kept_aside(store: Path) -> None
 
 
 def test_a_take_whose_source_is_gone_or_changed_is_lost_with_its_reason(
-    archive: Path, store: Path, tmp_path: Path
+    archive: Path, store: Path, before: dict[str, Any], tmp_path: Path
 ) -> None:
-    before = content(store)
     moved = [archive / "source" / "x_aa_wave_1.amc", archive / "source" / "x_bb_wave_2.amc"]
     texts = [path.read_text() for path in moved]
     times = [path.stat().st_mtime_ns for path in moved]
@@ -325,8 +327,7 @@ def test_a_take_whose_source_is_gone_or_changed_is_lost_with_its_reason(
     assert quarantines(store) != [], "garbage collection leaves the quarantine alone"
 
 
-def test_ingest_reads_takes_of_a_damaged_part_again(archive: Path, store: Path) -> None:
-    before = content(store)
+def test_ingest_reads_takes_of_a_damaged_part_again(archive: Path, store: Path, before: dict[str, Any]) -> None:
     damaged(part_of(store, "frames"), "zeros")
     said = kinedex("run", archive / "study.yaml", "--store", store, "--executor", "serial")
     assert "4 takes in damaged parts of the store: 4 to read again" in said
@@ -338,8 +339,9 @@ def test_ingest_reads_takes_of_a_damaged_part_again(archive: Path, store: Path) 
 
 
 @pytest.mark.parametrize("step", ["_frames", "_results", "_runs"])
-def test_a_repair_that_was_killed_goes_on(store: Path, step: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    before = content(store)
+def test_a_repair_that_was_killed_goes_on(
+    store: Path, before: dict[str, Any], step: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for kind in ("frames", "takes", "annotations"):
         damaged(part_of(store, kind), "zeros")
     remedy = remedy_of(store)
@@ -360,8 +362,7 @@ def test_a_repair_that_was_killed_goes_on(store: Path, step: str, monkeypatch: p
     assert content(store) == before
 
 
-def test_content_that_does_not_fit_though_its_checksums_do_is_made_again(store: Path) -> None:
-    before = content(store)
+def test_content_that_does_not_fit_though_its_checksums_do_is_made_again(store: Path, before: dict[str, Any]) -> None:
     with open_store(store) as opened:
         old = opened.manifest.frames[0]
         table = pq.read_table(store / old.path)
