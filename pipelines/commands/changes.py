@@ -74,7 +74,7 @@ def remove(
     wait: WaitOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Remove takes from a store; their motion files and their labels stay.
+    """Remove takes; their motion files and their labels stay.
 
     Later ingests pass the files of these takes over, until `kinedex takes readmit`.
     """
@@ -124,7 +124,7 @@ def readmit(
     wait: WaitOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List the files whose takes were removed, or let the next ingest read some again."""
+    """List the files of removed takes, or let ingests read them again."""
     import pyarrow as pa
 
     from kinedex.storage.store.store import open_store

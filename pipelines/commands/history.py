@@ -93,7 +93,10 @@ def export(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a pipeline file that repeats a pipeline run, with all settings in it."""
+    """Write a pipeline file that repeats a pipeline run.
+
+    All settings are in the file.
+    """
     from kinedex.pipelines.history.overview import find_run
     from kinedex.pipelines.history.run_file import changed_defaults, export_run
     from kinedex.storage.store.history import list_runs

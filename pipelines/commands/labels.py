@@ -112,7 +112,10 @@ def diff(
     form: FormatOption = "table",
     output: OutputOption = None,
 ) -> None:
-    """Show what a person changed in label files: segments moved, renamed, added and removed."""
+    """Show which segments of label files a person changed.
+
+    They were moved, renamed, added or removed.
+    """
     from kinedex.pipelines.labels.label_files import difference_table
 
     show_table(difference_table(before, after, every=every), form, output)

@@ -69,10 +69,10 @@ def unmatched_paths(params: IngestParameters, found: Scan) -> list[str]:
 def unmatched_line(unmatched: Sequence[str], found: Scan, store: Path) -> str:
     """Return a message about paths that no pattern fits, with the way out."""
     examples = " and ".join(f"'{path}'" for path in dict.fromkeys((unmatched[0], unmatched[-1])))
-    verb = "match" if len(unmatched) > 1 else "matches"
+    verb, whose = ("match", "their takes have") if len(unmatched) > 1 else ("matches", "its take has")
     root = shlex.quote(found.motions[0].root)
     return (
-        f"{len(unmatched):,} of {counted(len(found.motions), 'path')} {verb} no pattern, such as {examples}: their "
-        f"takes have neither class nor actor. `kinedex init {root} -o my.yaml` proposes patterns, and `kinedex run "
+        f"{len(unmatched):,} of {counted(len(found.motions), 'path')} {verb} no pattern, such as {examples}: {whose} "
+        f"neither class nor actor. `kinedex init {root} -o my.yaml` proposes patterns, and `kinedex run "
         f"my.yaml --store {shlex.quote(str(store))}` uses them"
     )
