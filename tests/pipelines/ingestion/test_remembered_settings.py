@@ -56,7 +56,7 @@ def test_a_second_ingest_uses_the_patterns_of_the_first(store: Path, source: Pat
     outcome, shown = ingest(store, source)
     assert described(store) == [*before[:2], ("bo", "walk", "sad"), (None, None, None)]
     assert f"as at the last ingest of this source: patterns '{PATTERN}'; `--set ingest.patterns=…`" in shown
-    assert "1 of 4 paths matches no pattern, such as 'sad/x_free.amc': their takes have" in shown
+    assert "1 of 4 paths matches no pattern, such as 'sad/x_free.amc': its take has" in shown
     assert outcome.summaries["ingest"]["unmatched"] == 1
 
 
