@@ -24,6 +24,7 @@ from kinedex.pipelines.ingestion.described_sources import (
     unmatched_line,
     unmatched_paths,
 )
+from kinedex.pipelines.ingestion.described_takes import NO_PATTERN
 from kinedex.pipelines.ingestion.failures import Failure, failure_messages, log_table
 from kinedex.pipelines.ingestion.file_list import file_table
 from kinedex.pipelines.ingestion.metadata import Metadata, join_lines, lies_in_source, load_metadata
@@ -119,8 +120,7 @@ class Ingest(Stage[IngestParameters]):
             _compact(context, writer)
             total = len(writer.manifest.live_takes)
         _report_failures(context, failures)
-        if done.takes and (line := copies_line(context.open())) is not None:
-            context.say(line)
+        _report_read(context, {name for names in done.takes.values() for name in names})
         return {
             "takes": total,
             "read": len(done.takes),
@@ -304,6 +304,27 @@ def _named_otherwise(plan: Changes) -> NewStoreError:
 
 def _report_failures(context: StageContext, failures: Sequence[Failure]) -> None:
     for line in failure_messages(failures):
+        context.say(line)
+
+
+def _report_read(context: StageContext, names: Collection[str]) -> None:
+    """Report warnings on the takes that were read, and copies of files among all takes."""
+    if not names:
+        return
+    store = context.open()
+    columns = (store.take_rows.column(column).to_pylist() for column in ("name", "warnings"))
+    rows = [(name, warnings) for name, warnings in zip(*columns, strict=True) if name in names]
+    # paths that match no pattern are reported before files are read
+    found = {name: [one for one in warnings if one != NO_PATTERN] for name, warnings in rows}
+    warned = {name: warnings for name, warnings in found.items() if warnings}
+    if warned:
+        first, warnings = next(iter(warned.items()))
+        where = shlex.quote(str(context.store_path))
+        context.say(
+            f"{counted(len(warned), 'take')} with warnings, such as '{first}': {warnings[0]}; "
+            f"`kinedex takes {where} --columns name,warnings --where 'len(warnings) > 0'` lists them"
+        )
+    if (line := copies_line(store)) is not None:
         context.say(line)
 
 
