@@ -129,7 +129,8 @@ FIGURES = (
     ),
     Figure(
         "jitter_m_s3", "DOUBLE", "m/s³", "median third derivative of the places of joints, over steps of 1/30 s",
-        None, 2500.0, TRAINING, "the motion trembles: tracking may be noisy, or the rate wrong",
+        None, 2500.0, f"{TRAINING}; widened after other takes",
+        "the motion trembles: tracking may be noisy, or the rate wrong",
     ),
     Figure(
         "stuck_share", "DOUBLE", "", "largest share of steps in which an end of a limb stays while the limb moves",

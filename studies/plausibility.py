@@ -7,6 +7,7 @@ is, as a wrong reading would have it. The tables count warnings by fault, and pr
 from __future__ import annotations
 
 import argparse
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -203,11 +204,15 @@ def main() -> None:
     folders: list[Path] = parser.parse_args().folders
     found: dict[str, Counter[str]] = {}
     ranges: dict[str, dict[str, list[float]]] = {}
+    spent: Counter[str] = Counter()  # seconds of processor time
     for folder in folders:
         counts, values = found.setdefault(folder.name, Counter()), ranges.setdefault(folder.name, {})
         for name, take in takes(folder):
             counts["takes"] += 1
+            take.figures()  # once before the clock starts, so that nothing is compiled within it
+            begin = time.thread_time()
             figures = take.figures()
+            spent[folder.name] += time.thread_time() - begin
             for figure in FIGURES:
                 if figure.type == "DOUBLE" and (value := getattr(figures, figure.name)) == value:
                     values.setdefault(figure.name, []).append(value)
@@ -221,6 +226,10 @@ def main() -> None:
     for fault in ("none: as it is", *FAULTS):
         cells = [f"{found[name][fault]} of {found[name]['takes']}" for name in names]
         print(f"| {fault} | {' | '.join(cells)} |")
+    for name in names:
+        print(
+            f"\n{name}: {1000 * spent[name] / found[name]['takes']:.2f} ms of processor time for the figures of a take"
+        )
     print(f"\n| figure | {' | '.join(names)} | limits |\n|---|{'---|' * len(names)}---|")
     for figure in FIGURES:
         cells = [f"{min(v):.3g} to {max(v):.3g}" if (v := ranges[name].get(figure.name)) else "" for name in names]
