@@ -1,0 +1,1 @@
+"""Cameras as arrays: projection, lens distortion and the rays of pixels."""
