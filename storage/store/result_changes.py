@@ -1,0 +1,146 @@
+"""Changes of a store's results and labels: the rows that stages make, and those that people add."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from kinedex.ops.errors import ParameterError, StoreError
+from kinedex.storage.disk import write_errors
+from kinedex.storage.snapshot.label_journal import Journal, empty, journal_rows, read_journals
+from kinedex.storage.snapshot.labels import new_labels
+from kinedex.storage.snapshot.manifest import LabelPart, ResultPart
+from kinedex.storage.snapshot.parts import write_part, write_pieces
+from kinedex.storage.snapshot.schemas import conform, labels_schema, result_schema
+from kinedex.storage.snapshot.snapshot import Snapshot
+from kinedex.storage.store.version_draft import VersionDraft
+
+
+class ResultChanges(VersionDraft):
+    """The changes of results and labels in the draft of a version."""
+
+    def put_results(
+        self,
+        kind: str,
+        tables: pa.Table | Iterable[pa.Table],
+        *,
+        stage: str,
+        run: str,
+        keep: Iterable[ResultPart] = (),
+    ) -> None:
+        """Set the results of one kind that a stage has, in place of its earlier ones.
+
+        Parameters
+        ----------
+        kind : str
+            One of `RESULT_KINDS`.
+        tables : pyarrow.Table or iterable of pyarrow.Table
+            Columns of `result_schema(kind)`; `run` may be missing. Without rows, the earlier results are only removed.
+            Several tables, such as a generator makes, are written one by one as they come, so that they need not fit
+            into memory.
+        stage : str
+            The stage, "<pipeline>/<stage>".
+        run : str
+            Id of the pipeline run.
+        keep : iterable of ResultPart, optional
+            Parts of the stage's earlier results that stay, files and rows as they are (`storage.store.reused_results`).
+
+        Raises
+        ------
+        StoreError
+            A table does not fit, a part to keep is missing, or the disk is full; nothing is changed.
+        """
+        result_schema(kind)
+        stay = {part.path for part in keep}
+        before = self._manifest.results.get(kind, ())
+        if stay - {part.path for part in before if part.stage == stage}:
+            raise StoreError(f"{self.path}: {min(stay)} is no part of the results {kind} of {stage}")
+        given = [tables] if isinstance(tables, pa.Table) else tables
+        parts = write_pieces(self.path, f"results/{kind}", (_result_rows(kind, table, run) for table in given))
+        kept = tuple(part for part in before if part.stage != stage or part.path in stay)
+        width = len(result_schema(kind).names)
+        kept += tuple(
+            ResultPart(part.path, part.rows, part.bytes, part.sha256, stage, run, part.xxh3, width) for part in parts
+        )
+        self._manifest = replace(self._manifest, results={**self._manifest.results, kind: kept})
+        if kept != before:
+            self._facts.name("results", kind)
+
+    def put_labels(self, labels: pa.Table) -> pa.Table:
+        """Add labels; they stay for good, and a row takes the place of the one that it replaces.
+
+        Parameters
+        ----------
+        labels : pyarrow.Table
+            Columns of `labels_schema`; those that are missing are completed (`storage.snapshot.labels.new_labels`).
+            A row whose id the store has is skipped, so that the same rows can be put twice.
+
+        Returns
+        -------
+        pyarrow.Table
+            The new rows, with their ids.
+
+        Raises
+        ------
+        ParameterError
+            A value is out of its domain; nothing is changed.
+        """
+        self._take_over()
+        store = Snapshot(self.path, self._manifest, self._checked)
+        known = store.labels(history=True)
+        new = new_labels(labels, known, store.checksums)
+        self._add_labels(known, new)
+        return new
+
+    def _take_over(self) -> list[Journal]:
+        """Add the rows of the journal of labels to the next version, and return the files that it then holds.
+
+        Rows that the store has already are skipped. Where labels cannot be read, the journal stays as it is: a commit
+        of other work does not fail for that, and `repair` mends it.
+        """
+        try:
+            journals = read_journals(self.path)
+            if any(one.rows for one in journals):
+                known = Snapshot(self.path, self._manifest, self._checked).labels(history=True)
+                self._add_labels(known, journal_rows(journals, known.column("id").to_pylist()))
+        except StoreError:
+            return []
+        return journals
+
+    def _add_labels(self, known: pa.Table, new: pa.Table) -> None:
+        """Write new rows of labels as a part, together with small parts of known rows."""
+        if not new.num_rows:
+            return
+        stay = list(self._manifest.labels)
+        count = new.num_rows
+        # parts double in size from the last to the first, so that there are few, and a row is seldom written again
+        while stay and stay[-1].rows < 2 * count:
+            count += stay.pop().rows
+        merged = pa.concat_tables([known.slice(sum(part.rows for part in stay)), new])
+        part = write_part(self.path, "labels", merged.replace_schema_metadata(labels_schema().metadata))
+        written = LabelPart(part.path, part.rows, part.bytes, part.sha256, part.xxh3)
+        self._manifest = replace(self._manifest, labels=(*stay, written))
+        self._facts.count("labels", new.num_rows)
+
+    def _empty(self, journals: Sequence[Journal]) -> None:
+        """Empty the files of the journal whose rows the newest version has."""
+        for one in journals:
+            if one.damaged:
+                continue  # `repair` keeps its content first
+            with write_errors(one.path):
+                empty(one)
+
+
+def _result_rows(kind: str, table: pa.Table, run: str) -> pa.Table:
+    schema = result_schema(kind)
+    if not table.num_columns:
+        return schema.empty_table()
+    if "run" not in table.column_names:
+        table = table.append_column("run", pa.repeat(pa.scalar(run), table.num_rows))
+    rows = conform(table, schema, f"results of kind {kind}")
+    if rows.num_rows and pc.any(pc.not_equal(rows.column("run"), run)).as_py():
+        raise ParameterError("run", f"{run} in every row of {kind}", pc.unique(rows.column("run")).to_pylist())
+    return rows
