@@ -27,6 +27,7 @@ FIELD_TERMS = {
     "scaling": "how cost grows with the number of workers or the size of the archive",
     "searching": "what the benchmark times: keyframe search",
     "sharing": "memory that processes share",
+    "tracking": "following a body through a recording; the literature's word, and the thesis's",
     "training": "the clips that are learned from",
     "warping": "dynamic time warping",
     "wording": "a noun: counts and names in words",
