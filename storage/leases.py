@@ -20,7 +20,7 @@ from pathlib import Path
 from filelock import lock_descriptor
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage.snapshot.manifest import manifest_path, versions
+from kinedex.storage.snapshot.manifest_files import manifest_path, versions
 
 if sys.platform != "win32":
     import fcntl

@@ -63,7 +63,7 @@ def show(store: StorePath, run: RunArgument, as_json: JsonOption = False) -> Non
         run_lines,
         versions_with_results,
     )
-    from kinedex.storage.snapshot.manifest import versions
+    from kinedex.storage.snapshot.manifest_files import versions
     from kinedex.storage.store.history import list_runs
 
     every = list_runs(store)

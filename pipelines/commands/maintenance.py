@@ -173,7 +173,7 @@ def upgrade(
     interrupted goes on where it was when it is run again.
     """
     from kinedex.pipelines.console.terminal import Terminal
-    from kinedex.storage.snapshot.manifest import read_newest
+    from kinedex.storage.snapshot.manifest_files import read_newest
     from kinedex.storage.store import upgrade as upgrading
 
     parts = len(read_newest(store).parts)

@@ -12,7 +12,8 @@ from kinedex.pipelines.engine.code_digest import code_digest, part_digest
 from kinedex.pipelines.engine.config import Pipeline, PipelineStage
 from kinedex.pipelines.engine.digests import Reading
 from kinedex.pipelines.engine.stage import STAGES, TAKES, Stage
-from kinedex.storage.snapshot.manifest import StageRecord, versions
+from kinedex.storage.snapshot.manifest import StageRecord
+from kinedex.storage.snapshot.manifest_files import versions
 from kinedex.storage.store.report_sums import wrong_files
 from kinedex.storage.store.store import Store, open_store
 

@@ -11,7 +11,8 @@ from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.config import Pipeline
 from kinedex.pipelines.engine.file_parameters import setting_files, with_absolute_paths
 from kinedex.pipelines.engine.plan import Step
-from kinedex.storage.snapshot.manifest import Manifest, PipelineRecord, StageRecord, now, read_newest, versions
+from kinedex.storage.snapshot.manifest import Manifest, PipelineRecord, StageRecord, now
+from kinedex.storage.snapshot.manifest_files import read_newest, versions
 from kinedex.storage.store.history import KeptText, PipelineRun, StageRun, StageState, keep_file, write_run
 
 

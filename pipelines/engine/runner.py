@@ -27,7 +27,8 @@ from kinedex.pipelines.engine.plan import FORCED, Planner, Step, make_plan
 from kinedex.pipelines.engine.run_recorder import RunRecorder
 from kinedex.storage.lock import Wait
 from kinedex.storage.provenance import kinedex_version, running_command
-from kinedex.storage.snapshot.manifest import PipelineRecord, StageRecord, now, versions
+from kinedex.storage.snapshot.manifest import PipelineRecord, StageRecord, now
+from kinedex.storage.snapshot.manifest_files import versions
 from kinedex.storage.snapshot.shown_results import makes_results, pipelines_by_use
 from kinedex.storage.store.history import OWN_FIELDS
 from kinedex.storage.store.report_sums import SUMS, file_sums

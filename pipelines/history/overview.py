@@ -10,7 +10,7 @@ from typing import Any
 import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.storage.snapshot.manifest import read_version, versions
+from kinedex.storage.snapshot.manifest_files import read_version, versions
 from kinedex.storage.store.history import PipelineRun, StageRun
 
 FIRST = "first run"

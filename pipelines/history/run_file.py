@@ -18,7 +18,7 @@ from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.context import SHIPPED_FEATURES
 from kinedex.storage.disk import whole_file, write_errors
 from kinedex.storage.provenance import kinedex_version
-from kinedex.storage.snapshot.manifest import read_newest
+from kinedex.storage.snapshot.manifest_files import read_newest
 from kinedex.storage.store.history import PipelineRun, kept_content
 
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")

@@ -23,7 +23,7 @@ from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body, reader_of
 from kinedex.storage.formats.motion.sources import SourceFile, checksum
 from kinedex.storage.formats.motion.text_blocks import BLOCK
-from kinedex.storage.snapshot.manifest import Part
+from kinedex.storage.snapshot.part_records import Part
 from kinedex.storage.snapshot.parts import FramesWriter
 
 F64 = npt.NDArray[np.float64]

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from kinedex.ops.errors import StoreError
 from kinedex.pipelines.ingestion.parameters import IngestParameters
-from kinedex.storage.snapshot.manifest import Manifest, StageRecord, read_version, versions
+from kinedex.storage.snapshot.manifest import Manifest, StageRecord
+from kinedex.storage.snapshot.manifest_files import read_version, versions
 
 
 def known_stages(store: Path) -> dict[str, StageRecord]:

@@ -36,7 +36,9 @@ from kinedex.storage.repair.quarantine import KeptFile, LostTake, PendingRun, Qu
 from kinedex.storage.repair.sound_takes import sound_takes
 from kinedex.storage.repair.take_rows import restored_rows, with_rows
 from kinedex.storage.snapshot.label_journal import empty, read_journals
-from kinedex.storage.snapshot.manifest import Manifest, Part, now, publish, require_current_format
+from kinedex.storage.snapshot.manifest import Manifest, now
+from kinedex.storage.snapshot.manifest_files import publish, require_current_format
+from kinedex.storage.snapshot.part_records import Part
 from kinedex.storage.snapshot.parts import FramesWriter
 from kinedex.storage.snapshot.schemas import frames_schema
 from kinedex.storage.store.store import Store, open_store

@@ -38,7 +38,7 @@ from kinedex.storage.formats.motion.body_models import model_digest
 from kinedex.storage.formats.motion.reader_table import READERS, motion_endings
 from kinedex.storage.formats.motion.sources import Scan, scan
 from kinedex.storage.remedies import repair
-from kinedex.storage.snapshot.manifest import read_newest, versions
+from kinedex.storage.snapshot.manifest_files import read_newest, versions
 from kinedex.storage.snapshot.schemas import TakeColumn, column_problem
 from kinedex.storage.store.compaction import compact
 from kinedex.storage.store.store import Store

@@ -14,7 +14,8 @@ from pathlib import Path
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import xxh3_of
 from kinedex.storage.remedies import build_index, upgrade
-from kinedex.storage.snapshot.manifest import Manifest, content_digest_of, json_checksum, read_version, versions
+from kinedex.storage.snapshot.manifest import Manifest
+from kinedex.storage.snapshot.manifest_files import content_digest_of, json_checksum, read_version, versions
 from kinedex.storage.snapshot.schemas import FORMAT_VERSION
 
 INDEX_VERSION = 6

@@ -9,7 +9,9 @@ import pyarrow.compute as pc
 
 from kinedex.ops.errors import StoreError
 from kinedex.storage.snapshot.label_journal import Journal, journal_rows, read_journals
-from kinedex.storage.snapshot.manifest import LabelPart, Manifest, read_version, versions
+from kinedex.storage.snapshot.manifest import Manifest
+from kinedex.storage.snapshot.manifest_files import read_version, versions
+from kinedex.storage.snapshot.part_records import LabelPart
 from kinedex.storage.snapshot.parts import write_part
 from kinedex.storage.snapshot.schemas import labels_schema
 from kinedex.storage.snapshot.snapshot import Snapshot

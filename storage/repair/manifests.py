@@ -11,10 +11,10 @@ from pathlib import Path
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import sync_folder
 from kinedex.storage.repair.quarantine import KeptFile, Quarantine
-from kinedex.storage.snapshot.manifest import (
+from kinedex.storage.snapshot.manifest import Manifest
+from kinedex.storage.snapshot.manifest_files import (
     FOLDER,
     DamagedManifest,
-    Manifest,
     manifest_path,
     named_files,
     read_version,

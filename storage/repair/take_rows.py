@@ -13,7 +13,9 @@ import pyarrow.parquet as pq
 from kinedex.ops.errors import StoreError
 from kinedex.storage import duck
 from kinedex.storage.index.generations import FILE, current_generation, file_digest, read_generation
-from kinedex.storage.snapshot.manifest import Manifest, Part, changed_content, read_version, versions
+from kinedex.storage.snapshot.manifest import Manifest, changed_content
+from kinedex.storage.snapshot.manifest_files import read_version, versions
+from kinedex.storage.snapshot.part_records import Part
 from kinedex.storage.snapshot.parts import read_errors, write_part
 from kinedex.storage.snapshot.schemas import with_columns
 from kinedex.storage.snapshot.snapshot import Snapshot

@@ -12,7 +12,8 @@ import pyarrow.parquet as pq
 from kinedex.ops.errors import StoreError
 from kinedex.ops.words import NO_WORD, TakeWords
 from kinedex.storage.snapshot.checked_files import CheckedFiles
-from kinedex.storage.snapshot.manifest import Manifest, Part
+from kinedex.storage.snapshot.manifest import Manifest
+from kinedex.storage.snapshot.part_records import Part
 from kinedex.storage.snapshot.parts import read_errors
 
 I64 = npt.NDArray[np.int64]

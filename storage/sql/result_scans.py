@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 
 from kinedex.catalog.sql.result_views import ALL, ORIGIN
 from kinedex.storage import duck
-from kinedex.storage.snapshot.manifest import ResultPart
+from kinedex.storage.snapshot.part_records import ResultPart
 from kinedex.storage.snapshot.parts import part_file, read_errors
 from kinedex.storage.snapshot.schemas import RESULT_KINDS, result_schema
 from kinedex.storage.snapshot.shown_results import origin_of, shown_parts

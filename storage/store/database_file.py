@@ -22,7 +22,7 @@ from kinedex.storage.index.generations import read_generation
 from kinedex.storage.index.reference_tables import features_table, help_table
 from kinedex.storage.index.surface import index_statements
 from kinedex.storage.snapshot.label_view import shown_labels
-from kinedex.storage.snapshot.manifest import FOLDER
+from kinedex.storage.snapshot.manifest_files import FOLDER
 from kinedex.storage.snapshot.parts import part_file
 from kinedex.storage.snapshot.schemas import RESULT_KINDS, frames_schema
 from kinedex.storage.snapshot.shown_results import pipeline_runs

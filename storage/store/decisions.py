@@ -9,7 +9,7 @@ import pyarrow as pa
 from kinedex.storage.snapshot.checked_files import CheckedFiles
 from kinedex.storage.snapshot.label_journal import append_rows
 from kinedex.storage.snapshot.labels import new_labels
-from kinedex.storage.snapshot.manifest import read_newest, require_current_format
+from kinedex.storage.snapshot.manifest_files import read_newest, require_current_format
 from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.store import all_labels
 

@@ -23,7 +23,14 @@ from kinedex.storage.index.generations import (
 )
 from kinedex.storage.leases import OpenVersion, open_versions, without_readers
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
-from kinedex.storage.snapshot.manifest import FOLDER, manifest_path, named_files, read_newest, read_version, versions
+from kinedex.storage.snapshot.manifest_files import (
+    FOLDER,
+    manifest_path,
+    named_files,
+    read_newest,
+    read_version,
+    versions,
+)
 from kinedex.storage.snapshot.schemas import PART_FOLDERS
 
 KEPT_VERSIONS = 2

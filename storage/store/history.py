@@ -21,15 +21,8 @@ from pydantic import TypeAdapter, ValidationError
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import sync_file, sync_folder, whole_file, write_errors
 from kinedex.storage.remedies import repair
-from kinedex.storage.snapshot.manifest import (
-    Manifest,
-    PipelineRecord,
-    StageRecord,
-    json_checksum,
-    read_newest,
-    read_version,
-    versions,
-)
+from kinedex.storage.snapshot.manifest import Manifest, PipelineRecord, StageRecord
+from kinedex.storage.snapshot.manifest_files import json_checksum, read_newest, read_version, versions
 from kinedex.storage.store.report_sums import SUMS
 
 FOLDER = "history"

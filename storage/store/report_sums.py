@@ -8,7 +8,8 @@ from pathlib import Path
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import xxh3_of
 from kinedex.storage.remedies import repair
-from kinedex.storage.snapshot.manifest import StageRecord, read_newest, versions
+from kinedex.storage.snapshot.manifest import StageRecord
+from kinedex.storage.snapshot.manifest_files import read_newest, versions
 
 SUMS = "file_sums"
 """The field of a record's summary: path of a file relative to the store → its XXH3."""

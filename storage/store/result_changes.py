@@ -12,7 +12,7 @@ from kinedex.ops.errors import ParameterError, StoreError
 from kinedex.storage.disk import write_errors
 from kinedex.storage.snapshot.label_journal import Journal, empty, journal_rows, read_journals
 from kinedex.storage.snapshot.labels import new_labels
-from kinedex.storage.snapshot.manifest import LabelPart, ResultPart
+from kinedex.storage.snapshot.part_records import LabelPart, ResultPart
 from kinedex.storage.snapshot.parts import write_part, write_pieces
 from kinedex.storage.snapshot.schemas import conform, labels_schema, result_schema
 from kinedex.storage.snapshot.snapshot import Snapshot

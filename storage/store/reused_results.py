@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from kinedex.storage.snapshot.manifest import ResultPart
+from kinedex.storage.snapshot.part_records import ResultPart
 from kinedex.storage.snapshot.parts import FULL_BYTES, read_errors
 from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.compaction import worthwhile

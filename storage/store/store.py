@@ -21,7 +21,8 @@ from kinedex.storage.leases import Lease, take_lease
 from kinedex.storage.snapshot.checked_files import CheckedFiles
 from kinedex.storage.snapshot.label_journal import journal_rows, read_journals, require_sound
 from kinedex.storage.snapshot.labels import current_labels
-from kinedex.storage.snapshot.manifest import Manifest, read_newest, read_version, versions
+from kinedex.storage.snapshot.manifest import Manifest
+from kinedex.storage.snapshot.manifest_files import read_newest, read_version, versions
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 if TYPE_CHECKING:

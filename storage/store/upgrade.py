@@ -21,18 +21,9 @@ from kinedex.storage.index.generations import current_generation, generations
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
 from kinedex.storage.provenance import kinedex_version, running_command
 from kinedex.storage.remedies import upgrade_with_damage
-from kinedex.storage.snapshot.manifest import (
-    FOLDER,
-    AnyPart,
-    Manifest,
-    Part,
-    PipelineRecord,
-    Source,
-    StageRecord,
-    now,
-    publish,
-    read_newest,
-)
+from kinedex.storage.snapshot.manifest import Manifest, PipelineRecord, Source, StageRecord, now
+from kinedex.storage.snapshot.manifest_files import FOLDER, publish, read_newest
+from kinedex.storage.snapshot.part_records import AnyPart, Part
 from kinedex.storage.snapshot.parts import read_errors, write_part
 from kinedex.storage.snapshot.schemas import (
     FORMAT_VERSION,

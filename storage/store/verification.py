@@ -34,16 +34,8 @@ from kinedex.storage.repair.quarantine import FOLDER as QUARANTINE
 from kinedex.storage.repair.quarantine import LIST, quarantines
 from kinedex.storage.snapshot.label_journal import FOLDER as JOURNAL
 from kinedex.storage.snapshot.label_journal import read_journals
-from kinedex.storage.snapshot.manifest import (
-    FOLDER,
-    AnyPart,
-    DamagedManifest,
-    Part,
-    ResultPart,
-    named_files,
-    read_version,
-    versions,
-)
+from kinedex.storage.snapshot.manifest_files import FOLDER, DamagedManifest, named_files, read_version, versions
+from kinedex.storage.snapshot.part_records import AnyPart, Part, ResultPart
 from kinedex.storage.snapshot.schemas import (
     FORMAT_VERSION,
     PART_FOLDERS,

@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
 from kinedex.storage.index.generations import INDEX_VERSION, generations, read_generation, wrong_sizes
-from kinedex.storage.snapshot.manifest import read_newest, read_version, versions
+from kinedex.storage.snapshot.manifest_files import read_newest, read_version, versions
 
 COUNTS = (
     "takes_added",

@@ -9,7 +9,8 @@ from pathlib import Path
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import NewStoreError, StoreError
 from kinedex.storage.disk import TEMPORARY
-from kinedex.storage.snapshot.manifest import FOLDER, Manifest, named_files, versions
+from kinedex.storage.snapshot.manifest import Manifest
+from kinedex.storage.snapshot.manifest_files import FOLDER, named_files, versions
 from kinedex.storage.snapshot.schemas import PART_FOLDERS
 
 FOLDERS = (FOLDER, "frames", "takes", "labels", "index", "results")

@@ -12,15 +12,8 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.storage.disk import write_errors
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
 from kinedex.storage.provenance import kinedex_version, running_command
-from kinedex.storage.snapshot.manifest import (
-    Manifest,
-    changed_content,
-    now,
-    publish,
-    read_newest,
-    require_current_format,
-    versions,
-)
+from kinedex.storage.snapshot.manifest import Manifest, changed_content, now
+from kinedex.storage.snapshot.manifest_files import publish, read_newest, require_current_format, versions
 from kinedex.storage.snapshot.parts import write_part
 from kinedex.storage.snapshot.schemas import FORMAT_VERSION, with_columns
 from kinedex.storage.store.record_changes import RecordChanges

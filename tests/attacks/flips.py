@@ -39,7 +39,7 @@ from kinedex.pipelines.export.request import How
 from kinedex.pipelines.export.single import export_take
 from kinedex.pipelines.report.annotation_data import read_report_data
 from kinedex.storage.index.builder import build_index
-from kinedex.storage.snapshot.manifest import read_version, versions
+from kinedex.storage.snapshot.manifest_files import read_version, versions
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter

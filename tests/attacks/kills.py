@@ -19,7 +19,7 @@ from typing import Any
 
 from kinedex.ops.errors import KinedexError
 from kinedex.storage.index.generations import current_generation
-from kinedex.storage.snapshot.manifest import read_newest, read_version, versions
+from kinedex.storage.snapshot.manifest_files import read_newest, read_version, versions
 from kinedex.storage.store.garbage_collection import collect
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify

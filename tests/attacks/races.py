@@ -27,7 +27,7 @@ from kinedex.pipelines.search.bit_slices import sliced_store
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import current_generation
 from kinedex.storage.lock import Wait
-from kinedex.storage.snapshot.manifest import versions
+from kinedex.storage.snapshot.manifest_files import versions
 from kinedex.storage.store.compaction import compact
 from kinedex.storage.store.garbage_collection import collect
 from kinedex.storage.store.store import Store, open_store

@@ -20,7 +20,7 @@ from kinedex.storage.formats.motion.amc import read_amc
 from kinedex.storage.formats.motion.asf import read_asf
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import Generation, current_generation, read_generation
-from kinedex.storage.snapshot.manifest import versions
+from kinedex.storage.snapshot.manifest_files import versions
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 from tests import killed_runs

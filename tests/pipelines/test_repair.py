@@ -17,7 +17,8 @@ from typer.testing import CliRunner
 from kinedex.ops.errors import KinedexError, Remedy
 from kinedex.pipelines.commands.cli import app
 from kinedex.storage.repair.quarantine import quarantines
-from kinedex.storage.snapshot.manifest import Manifest, manifest_path, versions
+from kinedex.storage.snapshot.manifest import Manifest
+from kinedex.storage.snapshot.manifest_files import manifest_path, versions
 from kinedex.storage.snapshot.parts import publish_part
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store, open_store
@@ -381,7 +382,7 @@ def test_content_that_does_not_fit_though_its_checksums_do_is_made_again(store: 
 def rewrite(store: Store, **changes: Any) -> Manifest:
     from dataclasses import replace
 
-    from kinedex.storage.snapshot.manifest import publish
+    from kinedex.storage.snapshot.manifest_files import publish
 
     manifest = replace(store.manifest, version=store.manifest.version + 1, **changes)
     publish(store.path, manifest)

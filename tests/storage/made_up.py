@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from kinedex.catalog.features import load_feature_set
-from kinedex.storage.snapshot.manifest import Part
+from kinedex.storage.snapshot.part_records import Part
 from kinedex.storage.snapshot.parts import FramesWriter
 from kinedex.storage.snapshot.schemas import takes_schema
 from kinedex.storage.store.writer import StoreWriter

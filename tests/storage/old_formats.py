@@ -6,7 +6,7 @@ import hashlib
 import json
 from pathlib import Path
 
-from kinedex.storage.snapshot.manifest import manifest_path, versions
+from kinedex.storage.snapshot.manifest_files import manifest_path, versions
 
 FORMAT_3_FIELDS = (
     "format_version",

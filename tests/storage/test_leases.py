@@ -21,8 +21,8 @@ from kinedex.storage.index import builder, generations
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import current_generation
 from kinedex.storage.leases import OpenVersion, open_versions, take_lease
-from kinedex.storage.snapshot import manifest
-from kinedex.storage.snapshot.manifest import manifest_path, versions
+from kinedex.storage.snapshot import manifest_files
+from kinedex.storage.snapshot.manifest_files import manifest_path, versions
 from kinedex.storage.store.garbage_collection import collect
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
@@ -288,8 +288,8 @@ def test_few_manifests_are_read_however_many_versions_there_are(path: Path, monk
             add(writer, {f"d{number}": 5})
             writer.commit()
     read = []
-    content = manifest._content
-    monkeypatch.setattr(manifest, "_content", lambda file: read.append(file) or content(file))
+    content = manifest_files._content
+    monkeypatch.setattr(manifest_files, "_content", lambda file: read.append(file) or content(file))
     assert open_store(path).manifest.version == 27
     assert len(read) <= 10
     read.clear()

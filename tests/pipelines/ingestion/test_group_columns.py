@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.storage.snapshot.manifest import read_newest
+from kinedex.storage.snapshot.manifest_files import read_newest
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.version_changes import list_versions
 from tests.pipelines.archives import write_archive

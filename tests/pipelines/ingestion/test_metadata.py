@@ -9,7 +9,7 @@ import pytest
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.ingestion import file_batches
 from kinedex.pipelines.ingestion.metadata import load_metadata
-from kinedex.storage.snapshot.manifest import read_newest
+from kinedex.storage.snapshot.manifest_files import read_newest
 from kinedex.storage.store.store import open_store
 from tests.pipelines.archives import write_archive
 from tests.pipelines.ingestion.test_remembered_settings import ingest

@@ -14,7 +14,7 @@ from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
 from kinedex.ops.errors import ConfigError
 from kinedex.pipelines.repair.repair import repair_store
 from kinedex.pipelines.stages.ingest import Ingest
-from kinedex.storage.snapshot.manifest import read_newest
+from kinedex.storage.snapshot.manifest_files import read_newest
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.version_changes import described, list_versions

@@ -16,7 +16,7 @@ from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
 from kinedex.pipelines.ingestion import file_batches
-from kinedex.storage.snapshot.manifest import read_newest
+from kinedex.storage.snapshot.manifest_files import read_newest
 from kinedex.storage.store.store import open_store
 from tests.pipelines.archives import write_archive
 

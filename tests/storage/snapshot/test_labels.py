@@ -8,7 +8,7 @@ import pyarrow as pa
 import pytest
 
 from kinedex.ops.errors import ParameterError, StoreError
-from kinedex.storage.snapshot.manifest import read_newest
+from kinedex.storage.snapshot.manifest_files import read_newest
 from kinedex.storage.store.compaction import compact
 from kinedex.storage.store.garbage_collection import collect
 from kinedex.storage.store.store import open_store

@@ -10,7 +10,7 @@ import pytest
 import xxhash
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage.snapshot.manifest import manifest_path, publish, read_newest, require_current_format
+from kinedex.storage.snapshot.manifest_files import manifest_path, publish, read_newest, require_current_format
 from kinedex.storage.snapshot.schemas import FORMAT_VERSION
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.writer import StoreWriter

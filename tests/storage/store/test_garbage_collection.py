@@ -10,7 +10,7 @@ import pytest
 from kinedex.ops.errors import ParameterError, StoreError
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.lock import Lock
-from kinedex.storage.snapshot.manifest import manifest_path, named_files, read_version, versions
+from kinedex.storage.snapshot.manifest_files import manifest_path, named_files, read_version, versions
 from kinedex.storage.store import garbage_collection as garbage
 from kinedex.storage.store.compaction import FANOUT, compact
 from kinedex.storage.store.garbage_collection import Collection, collect, shown_bytes, summary

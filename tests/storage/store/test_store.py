@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from kinedex.ops.errors import KinedexError, ParameterError, StoreError
-from kinedex.storage.snapshot.manifest import manifest_path
+from kinedex.storage.snapshot.manifest_files import manifest_path
 from kinedex.storage.snapshot.parts import ROW_GROUP, joint_positions
 from kinedex.storage.snapshot.schemas import FORMAT_VERSION
 from kinedex.storage.store.store import open_store

@@ -21,7 +21,7 @@ from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import sync_file
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import current_generation
-from kinedex.storage.snapshot.manifest import read_newest, versions
+from kinedex.storage.snapshot.manifest_files import read_newest, versions
 from kinedex.storage.snapshot.schemas import RESULT_KINDS
 from kinedex.storage.store import upgrade as upgrading
 from kinedex.storage.store.garbage_collection import collect

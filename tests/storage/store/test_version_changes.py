@@ -11,14 +11,8 @@ from kinedex.ops.errors import StoreError
 from kinedex.storage import provenance
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.provenance import LONGEST, kinedex_version, running_command
-from kinedex.storage.snapshot.manifest import (
-    PipelineRecord,
-    StageRecord,
-    manifest_path,
-    read_newest,
-    read_version,
-    versions,
-)
+from kinedex.storage.snapshot.manifest import PipelineRecord, StageRecord
+from kinedex.storage.snapshot.manifest_files import manifest_path, read_newest, read_version, versions
 from kinedex.storage.snapshot.schemas import TakeColumn
 from kinedex.storage.store.compaction import compact
 from kinedex.storage.store.store import open_store

@@ -19,7 +19,8 @@ import pyarrow as pa
 import pytest
 
 from kinedex.ops.errors import KinedexError, ParameterError, StoreError
-from kinedex.storage.snapshot.manifest import StageRecord, manifest_path, publish, read_newest, versions
+from kinedex.storage.snapshot.manifest import StageRecord
+from kinedex.storage.snapshot.manifest_files import manifest_path, publish, read_newest, versions
 from kinedex.storage.store import write_access as admission
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
@@ -427,7 +428,7 @@ def test_killed_at_any_moment_and_run_again_it_ends_with_exactly_its_takes(tmp_p
 
 
 def json_parts(store: Path, version: int):
-    from kinedex.storage.snapshot.manifest import read_version
+    from kinedex.storage.snapshot.manifest_files import read_version
 
     assert json.loads(manifest_path(store, version).read_text())["version"] == version
     return read_version(store, version).parts

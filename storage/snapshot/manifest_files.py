@@ -1,0 +1,242 @@
+"""The files of manifests: one JSON file for each version of a store; the truth, read with care and published whole."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import re
+import uuid
+from dataclasses import asdict, fields, replace
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from kinedex.ops.errors import StoreError
+from kinedex.storage.disk import TEMPORARY, sync_folder, write_errors
+from kinedex.storage.remedies import repair, upgrade
+from kinedex.storage.snapshot.manifest import Manifest
+from kinedex.storage.snapshot.schemas import FORMAT_VERSION, READ_VERSIONS
+
+FOLDER = "manifest"
+
+_NAME = re.compile(r"^(\d{6,})\.json$")
+
+_ADAPTER: TypeAdapter[Manifest] = TypeAdapter(Manifest)
+
+
+def manifest_path(store: Path, version: int) -> Path:
+    """Return the path of the manifest of a version."""
+    return store / FOLDER / f"{version:06d}.json"
+
+
+def versions(store: Path) -> list[int]:
+    """Return the versions that a store holds, ascending; empty if there is no store."""
+    folder = store / FOLDER
+    if not folder.is_dir():
+        return []
+    return sorted(int(match[1]) for name in os.listdir(folder) if (match := _NAME.match(name)))
+
+
+def read_newest(store: Path) -> Manifest:
+    """Read the newest version of a store.
+
+    Parameters
+    ----------
+    store : Path
+        The store's directory.
+
+    Raises
+    ------
+    StoreError
+        There is no store, its manifest is damaged, or it has a format that is not read.
+    """
+    found = versions(store)
+    if not found:
+        there = "is no kinedex store (it has no manifest)" if store.exists() else "does not exist"
+        raise StoreError(f"{store} {there}; make one with `kinedex run` or `kinedex ingest`")
+    return read_version(store, found[-1])
+
+
+def read_version(store: Path, version: int) -> Manifest:
+    """Read one version of a store.
+
+    Parameters
+    ----------
+    store : Path
+        The store's directory.
+    version : int
+        Number of the version.
+
+    Raises
+    ------
+    StoreError
+        The manifest is missing or damaged, or has a format that is not read.
+    """
+    path = manifest_path(store, version)
+    content = _content(path)
+    try:
+        manifest = _ADAPTER.validate_python(content)
+    except ValidationError as fault:
+        first = fault.errors(include_url=False)[0]
+        raise _damaged(path, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from None
+    if manifest.version != version:
+        raise _damaged(path, f"it names version {manifest.version}")
+    return manifest
+
+
+def require_current_format(store: Path, manifest: Manifest) -> None:
+    """Raise a StoreError if a version of a store has an older format, which is only read."""
+    if manifest.format_version != FORMAT_VERSION:
+        raise StoreError(
+            f"{store}: the store has format {manifest.format_version}, which is only read; this kinedex writes format "
+            f"{FORMAT_VERSION}",
+            remedy=upgrade(store),
+        )
+
+
+def named_files(store: Path, version: int) -> set[str]:
+    """Return the paths of the parts that a version names, read faster than by `read_version`; errors as there."""
+    path = manifest_path(store, version)
+    content = _content(path)
+    try:
+        results = chain.from_iterable(content["results"].values())
+        return {part["path"] for part in chain(content["frames"], content["takes"], content.get("labels", ()), results)}
+    except (KeyError, TypeError, AttributeError) as fault:
+        raise _damaged(path, f"it names no parts ({fault!r})") from None
+
+
+def content_digest_of(store: Path, version: int, newest: Manifest) -> str:
+    """Return `Manifest.content_digest` of a version, read faster than by `read_version`; empty where it is damaged.
+
+    `newest` is a later version of the store: feature set and rate are the same in all of them.
+    """
+    try:
+        return replace(newest, content=_content(manifest_path(store, version))["content"]).content_digest()
+    except (StoreError, KeyError):
+        return ""
+
+
+def _content(path: Path) -> dict[str, Any]:
+    """Return the content of a manifest file, once its format version and its checksum are found to be right."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as fault:
+        raise StoreError(f"{path}: cannot be read: {fault.strerror}") from fault
+    except ValueError as fault:
+        raise _damaged(path, f"it is not valid JSON ({fault})") from None
+    if not isinstance(content, dict):
+        raise _damaged(path, "it is not a JSON object")
+    checksum = content.pop("checksum", None)
+    sound = checksum == json_checksum(content)
+    if sound and content.get("format_version") not in READ_VERSIONS:
+        raise StoreError(
+            f"{path}: the store has format version {content.get('format_version')}, this kinedex reads versions "
+            f"{' and '.join(map(str, READ_VERSIONS))}; use the kinedex that wrote it, or ingest into a new store"
+        )
+    if not sound:
+        raise _damaged(path, "its content does not fit its checksum")
+    return content
+
+
+class DamagedManifest(StoreError):
+    """The manifest of a version is damaged.
+
+    Attributes
+    ----------
+    problem : str
+        The damage.
+    """
+
+    problem = ""
+
+
+def _damaged(path: Path, problem: str) -> DamagedManifest:
+    fault = DamagedManifest(f"{path}: the manifest is damaged: {problem}", remedy=repair(path.parents[1]))
+    fault.problem = problem
+    return fault
+
+
+def json_checksum(content: dict[str, Any]) -> str:
+    """Return the SHA-256 of a JSON object, whatever its blanks and the order of its keys."""
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def publish(store: Path, manifest: Manifest) -> Path:
+    """Make a version visible: write it aside, flush it to disk, then give it its name in one step.
+
+    Parameters
+    ----------
+    store : Path
+        The store's directory.
+    manifest : Manifest
+        The version to publish.
+
+    Returns
+    -------
+    Path
+        The manifest's file.
+
+    Raises
+    ------
+    StoreError
+        The version exists already, which means that another writer was at work; it has an older format; or the disk is
+        full.
+    """
+    require_current_format(store, manifest)
+    path = manifest_path(store, manifest.version)
+    temporary = path.with_name(f"{TEMPORARY}{uuid.uuid4().hex}.json")
+    with write_errors(path):
+        try:
+            with open(temporary, "w", encoding="utf-8") as file:
+                file.write(_text(manifest))
+                file.flush()
+                os.fsync(file.fileno())
+            _link(temporary, path)
+        except FileExistsError:
+            raise StoreError(
+                f"{path} exists already: another writer has changed the store; nothing was committed, run again"
+            ) from None
+        finally:
+            temporary.unlink(missing_ok=True)
+        sync_folder(path.parent)
+    return path
+
+
+def _text(manifest: Manifest) -> str:
+    """Return the manifest as JSON that people can read: a line for each part, each record, and everything else."""
+    content: dict[str, Any] = {f.name: getattr(manifest, f.name) for f in fields(manifest)}
+    content["feature_set"] = manifest.feature_set.encoded
+    content["frames"] = [part.encoded for part in manifest.frames]
+    content["takes"] = [part.encoded for part in manifest.takes]
+    content["labels"] = [asdict(part) for part in manifest.labels]
+    content["results"] = {kind: [asdict(part) for part in parts] for kind, parts in manifest.results.items()}
+    for name in ("columns", "sources", "pipelines", "stages"):
+        content[name] = {key: asdict(record) for key, record in content[name].items()}
+    lines = []
+    for name, value in {**content, "checksum": json_checksum(content)}.items():
+        if name in ("frames", "takes", "labels"):
+            text = "[\n  " + ",\n  ".join(map(json.dumps, value)) + "\n ]" if value else "[]"
+        elif name in ("columns", "sources", "pipelines", "stages"):
+            items = (f"{json.dumps(key)}: {json.dumps(record)}" for key, record in value.items())
+            text = "{\n  " + ",\n  ".join(items) + "\n }" if value else "{}"
+        else:
+            text = json.dumps(value)
+        lines.append(f" {json.dumps(name)}: {text}")
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def _link(temporary: Path, path: Path) -> None:
+    """Give a finished file its name unless the name is taken; file systems without hard links rely on the lock."""
+    try:
+        os.link(temporary, path)
+    except OSError as fault:
+        if fault.errno not in (errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EINVAL):
+            raise
+        if path.exists():
+            raise FileExistsError(path) from None
+        os.rename(temporary, path)
