@@ -25,6 +25,7 @@ KINDS = {
     "classes": "class file",
     "queries": "query file",
     "kinematics": "kinematic chain",
+    "keypoints": "keypoint set",
     "pipelines": "pipeline",
 }
 """The kinds of configuration file, each a folder of the shipped `configs/`, with the noun used in messages."""

@@ -77,6 +77,10 @@ PARTS = {
         ("a node", "kinedex.catalog.kinematics", "_Node"),
         ("a joint", "kinedex.catalog.kinematics", "_Joint"),
     ),
+    "keypoints": (
+        ("", "kinedex.catalog.keypoint_sets", "_SetFile"),
+        ("a point of `points`", "kinedex.catalog.keypoint_sets", "_Point"),
+    ),
     "pipelines": (
         ("", "kinedex.pipelines.engine.config", "_PipelineFile"),
         ("a `Stage`", "kinedex.pipelines.engine.config", "_StageEntry"),
@@ -94,6 +98,8 @@ WHERE = {
     "queries": "`kinedex search`, `annotate.queries`, `rank.queries`. Every key is explained in "
     "[`example.yaml`](../configs/queries/example.yaml).",
     "kinematics": "The body of BVH files that `kinedex export` writes from named joints; no command takes another one.",
+    "keypoints": "The names of the keypoints of pose estimators, and where they lie on the body; `keypoint_set` of a "
+    "recording names a shipped set, or a file of your own.",
     "pipelines": "`kinedex run`. Every shipped pipeline is listed above.",
 }
 

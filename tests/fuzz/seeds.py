@@ -13,11 +13,11 @@ import numpy as np
 
 from kinedex.catalog.configs import config_names, config_path
 from kinedex.catalog.features import FeatureSet, load_feature_set
+from kinedex.catalog.keypoint_sets import load_keypoint_set
 from kinedex.catalog.skeletons.mappings import Mappings, load_mappings, load_skeleton
 from kinedex.storage.formats.labels.formats import FORMATS
 from kinedex.storage.formats.labels.segments import Label, TakeLabels
 from kinedex.storage.formats.motion.body_models import BODY, HANDS
-from kinedex.storage.formats.motion.keypoint_sets import BODY_25, COCO_17
 from tests import osim_files, point_files
 from tests.bodies import STANDING, standing
 from tests.bvh_files import bvh_text, dance, mixamo, small
@@ -133,11 +133,11 @@ def qualisys() -> dict[str, bytes]:
 
 def keypoints() -> dict[str, bytes]:
     """Frames of a list and of MMPose with names, and a frame of OpenPose."""
-    walk = point_files.keypoints_of(COCO_17, 4)
+    walk = point_files.keypoints_of(load_keypoint_set("coco-17").order, 4)
     plain = {"fps": 30, "frames": [{"keypoints_3d": places.tolist()} for places in walk.round(4)]}
-    mmpose = {"meta_info": {"keypoint_id2name": dict(enumerate(COCO_17))}, "fps": 30}
+    mmpose = {"meta_info": {"keypoint_id2name": dict(enumerate(load_keypoint_set("coco-17").order))}, "fps": 30}
     mmpose["instance_info"] = [{"instances": [{"track_id": 7, "keypoints": p.tolist()}]} for p in walk.round(4)]
-    flat = [*point_files.keypoints_of(BODY_25, 1)[0].round(3).ravel().tolist()]
+    flat = [*point_files.keypoints_of(load_keypoint_set("body-25").order, 1)[0].round(3).ravel().tolist()]
     one = {"fps": 30, "people": [{"person_id": [-1], "pose_keypoints_3d": flat}]}
     return {"plain": json.dumps(plain).encode(), "mmpose": json.dumps(mmpose).encode(), "one": json.dumps(one).encode()}
 
@@ -271,7 +271,7 @@ def angle_pickles() -> dict[str, bytes]:
 
 
 def pickled_keypoints() -> dict[str, bytes]:
-    walk = point_files.keypoints_of(COCO_17, 4)
+    walk = point_files.keypoints_of(load_keypoint_set("coco-17").order, 4)
     return {f"protocol-{p}": pickle.dumps({"keypoints3d": 100 * walk}, p) for p in (0, 2, 5)}
 
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.catalog.keypoint_sets import keypoint_sets_by_count
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.keypoint_sets import BY_COUNT
 from kinedex.storage.formats.motion.reader import MOST_POINTS, file_size
 from kinedex.storage.formats.motion.text_blocks import LONGEST
 
@@ -186,7 +186,7 @@ def _places(path: Path, found: Keypoints, number: int, person: Any) -> F64 | Non
     named = [point.get("name") for point in points if isinstance(point, Mapping)]
     if named and all(isinstance(name, str) for name in named) and len(set(named)) == len(named):
         _name(path, found, number, tuple(str(name) for name in named))
-    _name(path, found, number, found.names or BY_COUNT.get(len(rows), ()), len(rows))
+    _name(path, found, number, found.names or _names_of(len(rows)), len(rows))
     unseen = (rows[:, :3] == 0).all(axis=1)
     if rows.shape[1] == 4:
         unseen |= rows[:, 3] <= 0
@@ -194,10 +194,16 @@ def _places(path: Path, found: Keypoints, number: int, person: Any) -> F64 | Non
     return places
 
 
+def _names_of(count: int) -> tuple[str, ...]:
+    """Return the names of as many keypoints without names; empty for a number that no set is known by."""
+    known = keypoint_sets_by_count().get(count)
+    return known.order if known is not None else ()
+
+
 def _name(path: Path, found: Keypoints, number: int, names: tuple[str, ...], count: int | None = None) -> None:
     """Keep the names of the points, which are the same in all frames."""
     if count is not None and not names:
-        known = ", ".join(map(str, BY_COUNT))
+        known = ", ".join(map(str, keypoint_sets_by_count()))
         raise SourceError(
             path, f"frame {number} has {count} points without names; of {known} they would be known: add a list `names`"
         )
@@ -216,7 +222,7 @@ def _rows(path: Path, number: int, points: Any) -> F64:
     if isinstance(points, list) and points and all(isinstance(point, Mapping) for point in points):
         rows = [[point.get(axis) for axis in "xyz"] for point in points]
     elif isinstance(points, list) and points and all(isinstance(point, float) for point in points):
-        wide = next((w for w in (4, 3) if len(points) % w == 0 and len(points) // w in BY_COUNT), 3)
+        wide = next((w for w in (4, 3) if len(points) % w == 0 and _names_of(len(points) // w)), 3)
         rows = [points[i : i + wide] for i in range(0, len(points), wide)]
     try:
         found = np.array([[np.nan if value is None else float(value) for value in row] for row in rows], np.float64)

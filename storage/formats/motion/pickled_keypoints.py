@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from kinedex.catalog.keypoint_sets import load_keypoint_set
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.amass import AIST_HZ
-from kinedex.storage.formats.motion.keypoint_sets import COCO_17
 from kinedex.storage.formats.motion.number_pickles import load_pickle
 from kinedex.storage.formats.motion.points import Points
 from kinedex.storage.formats.motion.points_reader import PointsReader
@@ -20,6 +20,8 @@ KEYS = ("keypoints3d_optim", "keypoints3d")
 """The keys of the positions; those that were smoothed count first."""
 
 _HEAD = 4096
+
+_POINTS = 17  # of COCO
 
 
 class PickledKeypointsReader(PointsReader):
@@ -38,7 +40,7 @@ class PickledKeypointsReader(PointsReader):
 
     def size(self, file: MotionFile) -> tuple[int, int, int]:
         """Return the memory of the file's numbers; its frames are counted only when it is read."""
-        return 0, len(COCO_17), 20 * file_size(file.path)
+        return 0, _POINTS, 20 * file_size(file.path)
 
     def points(self, file: MotionFile, settings: ReadSettings) -> Points:
         """Read the positions (T, 17, 3); their unit is that of the body's size."""
@@ -48,11 +50,11 @@ class PickledKeypointsReader(PointsReader):
         if key is None:
             raise SourceError(path, f"has no array {' or '.join(KEYS)}; it has {', '.join(arrays)[:200] or 'none'}")
         array = arrays[key]
-        if array.ndim != 3 or array.shape[1:] != (len(COCO_17), 3) or not len(array) or array.dtype.kind not in "fiu":
+        if array.ndim != 3 or array.shape[1:] != (_POINTS, 3) or not len(array) or array.dtype.kind not in "fiu":
             raise SourceError(
-                path, f"`{key}` must be numbers of shape (frames, 17, 3), got {array.shape} of {array.dtype}"
+                path, f"`{key}` must be numbers of shape (frames, {_POINTS}, 3), got {array.shape} of {array.dtype}"
             )
         positions = np.ascontiguousarray(np.moveaxis(array.astype(np.float64), 0, 2))
         positions[~(np.abs(positions) <= 1e9)] = np.nan
         rate_hz = settings.override_rate_hz or settings.rate_hz or AIST_HZ
-        return Points(str(path), COCO_17, whole_points(positions), rate_hz)
+        return Points(str(path), load_keypoint_set("coco-17").order, whole_points(positions), rate_hz)

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.keypoint_sets import load_keypoint_set
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.body import axisangle, kinematics
 from kinedex.ops.errors import ConfigError, SourceError
 from kinedex.storage.formats.motion.amass import parse_amass
 from kinedex.storage.formats.motion.body_models import BODY, FACE, HANDS, load_body_model
-from kinedex.storage.formats.motion.keypoint_sets import COCO_17
 from kinedex.storage.formats.motion.reader import Body, ReadSettings
 from kinedex.storage.formats.motion.reader_table import is_motion_file, read_body, reader_of
 from tests.bodies import STANDING
@@ -27,6 +27,8 @@ JOINTS = load_feature_set().joints
 AUTO = load_mappings("auto", JOINTS)
 MAPPING = AUTO.of_format["amass"][0]
 SMPLH = (*BODY, *HANDS)
+
+COCO_17 = load_keypoint_set("coco-17").order
 
 
 def rest(names: tuple[str, ...] = SMPLH) -> np.ndarray:

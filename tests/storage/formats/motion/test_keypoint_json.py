@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.keypoint_sets import keypoint_sets_by_count, load_keypoint_set
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.keypoint_json import KeypointReader
-from kinedex.storage.formats.motion.keypoint_sets import BODY_25, BY_COUNT, COCO_17, HALPE_26, MEDIAPIPE_33
 from kinedex.storage.formats.motion.reader import MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import is_motion_file, read_body, reader_of
 from tests.point_files import keypoints_of
@@ -22,6 +22,11 @@ ORDER = load_feature_set().joints
 AUTO = load_mappings("auto", ORDER)
 AT_30 = ReadSettings(rate_hz=30.0)
 JOINTS = ("lhip", "rhip", "lknee", "rankle", "lshoulder", "relbow", "lwrist")
+
+COCO_17 = load_keypoint_set("coco-17").order
+BODY_25 = load_keypoint_set("body-25").order
+HALPE_26 = load_keypoint_set("halpe-26").order
+MEDIAPIPE_33 = load_keypoint_set("mediapipe-33").order
 
 
 def save(path: Path, content: Any) -> Path:
@@ -44,7 +49,7 @@ def openpose(points: np.ndarray, **more: Any) -> dict[str, Any]:
     return {"version": 1.3, "people": [{"person_id": [-1], "pose_keypoints_2d": [], "pose_keypoints_3d": flat, **more}]}
 
 
-@pytest.mark.parametrize("names", BY_COUNT.values(), ids=map(str, BY_COUNT))
+@pytest.mark.parametrize("names", [one.order for one in keypoint_sets_by_count().values()], ids=len)
 def test_a_file_of_frames_comes_in_by_the_number_of_its_points(tmp_path: Path, names: tuple[str, ...]) -> None:
     walk = keypoints_of(names, 6)
     path = save(tmp_path / "a.json", {"frames": [{"keypoints_3d": places.tolist()} for places in walk]})

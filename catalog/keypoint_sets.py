@@ -1,0 +1,217 @@
+"""Keypoint sets: the names of keypoints in the order of estimators' files, and where they lie on the body.
+
+A set is a file of `configs/keypoints`. The places of the keypoints stand in `named.yaml`, which all sets share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+
+from kinedex.catalog.configs import Located, config_names, config_path, load_yaml
+from kinedex.catalog.kinematics import load_kinematic_chain
+from kinedex.ops.body.kinematic_chain import ChainBody, KinematicChain
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.tracking.observations import BodyPoints
+
+NAMED = "named"
+"""The set of keypoints that have names in their files, in any order."""
+
+MOST_KEYPOINTS = 1000
+"""Most keypoints of a set."""
+
+
+@dataclass(frozen=True)
+class KeypointPlace:
+    """The place of a keypoint on a body.
+
+    Attributes
+    ----------
+    joint : str
+        The named joint that it is; empty if it is none.
+    node : str
+        The node that moves it.
+    offset : tuple of (float, float, float)
+        Its place in the frame of the node, from the node's centre; in metres, or in lengths of `bone`.
+    bone : str
+        The joint, moved by the node, whose distance from the node's centre is the unit of the offset; empty for metres.
+    middle : tuple of str
+        Two joints, moved by the node, that it lies halfway between; empty for other places.
+    """
+
+    joint: str = ""
+    node: str = ""
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    bone: str = ""
+    middle: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class KeypointSet:
+    """The keypoints of a pose estimator.
+
+    Attributes
+    ----------
+    name : str
+        The name of the set.
+    order : tuple of str
+        Names of its keypoints as files without names have them; empty for the set `named`.
+    places : mapping of str to KeypointPlace
+        Keypoint → its place on the body; others have none.
+    by_count : bool
+        True if the number of keypoints of a file tells that they are those of this set.
+    """
+
+    name: str
+    order: tuple[str, ...]
+    places: Mapping[str, KeypointPlace]
+    by_count: bool
+
+    def body_points(self, names: Sequence[str], body: ChainBody) -> BodyPoints:
+        """Return where keypoints lie on a body.
+
+        Parameters
+        ----------
+        names : sequence of str
+            P keypoints, all of them with a place.
+        body : ChainBody
+            The body.
+
+        Returns
+        -------
+        BodyPoints
+            Node, offset and joint of each.
+
+        Raises
+        ------
+        KinedexError
+            A keypoint has no place in this set.
+        """
+        chain = body.chain
+        nodes, joints = np.zeros(len(names), np.int64), np.full(len(names), -1, np.int64)
+        offsets = np.zeros((len(names), 3))
+        for p, name in enumerate(names):
+            if name not in self.places:
+                near = did_you_mean(name, self.places)
+                raise KinedexError(f"keypoint '{name}' has no place in the keypoint set '{self.name}'{near}")
+            place = self.places[name]
+            if place.joint:
+                joints[p] = chain.joint(place.joint)
+                nodes[p], offsets[p] = chain.rest[joints[p]].node, body.offsets[joints[p]]
+                continue
+            nodes[p] = chain.nodes.index(place.node)
+            if place.middle:
+                offsets[p] = np.mean([body.offsets[chain.joint(joint)] for joint in place.middle], axis=0)
+            else:
+                unit_m = np.linalg.norm(body.offsets[chain.joint(place.bone)]) if place.bone else 1.0
+                offsets[p] = unit_m * np.array(place.offset)
+        return BodyPoints(nodes, offsets, joints)
+
+
+class _Point(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    joint: str = ""
+    node: str = ""
+    offset: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+    bone: str = ""
+    middle: tuple[str, str] | None = None
+
+
+class _SetFile(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    name: str = Field(min_length=1)
+    description: str = ""
+    by_count: bool = True
+    order: list[str] = Field([], max_length=MOST_KEYPOINTS)
+    points: dict[str, str | dict[str, Any]] = {}
+
+
+def load_keypoint_set(name: str | Path) -> KeypointSet:
+    """Return a keypoint set for the body of `configs/kinematics/body48.yaml`.
+
+    Parameters
+    ----------
+    name : str or Path
+        The name of a shipped file of `configs/keypoints`, or the path of one.
+
+    Raises
+    ------
+    ConfigError
+        There is no such file, or it is wrong; the message names the line.
+    """
+    return _load(config_path("keypoints", name))
+
+
+@lru_cache(maxsize=16)
+def _load(path: Path) -> KeypointSet:
+    return parse_keypoint_set(load_yaml(path), load_kinematic_chain())
+
+
+def parse_keypoint_set(located: Located, chain: KinematicChain) -> KeypointSet:
+    """Return the keypoint set of a parsed file.
+
+    Parameters
+    ----------
+    located : Located
+        The file.
+    chain : KinematicChain
+        The chain whose nodes and joints the file names.
+
+    Raises
+    ------
+    ConfigError
+        The file is wrong; the message names the line, the key and what was expected.
+    """
+    file = located.model(_SetFile)
+    twice = next((i for i, name in enumerate(file.order) if name in file.order[:i]), None)
+    if twice is not None:
+        raise located.error(f"keypoint '{file.order[twice]}' stands twice", "order", twice)
+    places = {joint: KeypointPlace(joint=joint) for joint in chain.joints}
+    if file.name != NAMED:
+        places |= load_keypoint_set(NAMED).places
+    places |= {name: _place(located, chain, name, point) for name, point in file.points.items()}
+    if file.order:
+        unknown = next((name for name in file.points if name not in file.order), None)
+        if unknown is not None:
+            raise located.error(f"must be one of `order`{did_you_mean(unknown, file.order)}", "points", unknown)
+        places = {name: places[name] for name in file.order if name in places}
+    return KeypointSet(file.name, tuple(file.order), places, file.by_count and bool(file.order))
+
+
+def _place(located: Located, chain: KinematicChain, name: str, point: str | dict[str, Any]) -> KeypointPlace:
+    """Return the place of a keypoint; names of joints and nodes are checked against the chain."""
+    at = ("points", name)
+    given = located.model(_Point, *at, data={"joint": point} if isinstance(point, str) else point)
+    named = {"joint": given.joint, "bone": given.bone}
+    named |= {f"middle[{i}]": joint for i, joint in enumerate(given.middle or ())}
+    for key, joint in named.items():
+        if joint and joint not in chain.joints:
+            near = did_you_mean(joint, chain.joints)
+            raise located.error(f"{key} must be a joint of the body, got '{joint}'{near}", *at)
+    if [bool(given.joint), bool(given.node), given.middle is not None].count(True) != 1:
+        raise located.error("must be a joint, or have one of `node` (with `offset`) and `middle`", *at)
+    if bool(given.node) != (given.offset is not None) or (given.bone and not given.node):
+        raise located.error("must have `node` and `offset` together, and `bone` only with them", *at)
+    movers = {joint: chain.nodes[chain.rest[chain.joint(joint)].node] for joint in named.values() if joint}
+    if given.node and given.node not in chain.nodes:
+        near = did_you_mean(given.node, chain.nodes)
+        raise located.error(f"must be a node of the body, got '{given.node}'{near}", *at, "node")
+    if given.bone and movers[given.bone] != given.node:
+        raise located.error(f"must be a joint that '{given.node}' moves, got '{given.bone}'", *at, "bone")
+    if given.middle and len({movers[joint] for joint in given.middle}) > 1:
+        raise located.error(f"must be two joints that one node moves, got {' and '.join(given.middle)}", *at, "middle")
+    node = movers[given.middle[0]] if given.middle else given.node
+    return KeypointPlace(given.joint, node, given.offset or (0.0, 0.0, 0.0), given.bone, given.middle or ())
+
+
+@lru_cache(maxsize=1)
+def keypoint_sets_by_count() -> Mapping[int, KeypointSet]:
+    """Return the shipped sets that the number of keypoints of a file decides for, by this number."""
+    shipped = [load_keypoint_set(name) for name in config_names("keypoints")]
+    return {len(one.order): one for one in sorted(shipped, key=lambda one: len(one.order)) if one.by_count}
