@@ -149,7 +149,7 @@ def _fields_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
         fields = getattr(current, "model_fields", {})
         if step in fields:  # any other step is a key or an index of a container of models
             current = _model_in(fields[step].annotation)
-    return list(getattr(current, "model_fields", {}))
+    return [field.alias or name for name, field in getattr(current, "model_fields", {}).items()]
 
 
 def _model_in(annotation: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Kinematic chains are files: nodes, their axes and the joints that they move."""
+"""Kinematic chains are files: nodes, their axes, the joints that they move, and the capsules of the surface."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.configs import Located, config_path, load_yaml
+from kinedex.ops.body.capsules import Capsule, Surface
 from kinedex.ops.body.kinematic_chain import Axis, JointRest, KinematicChain
 from kinedex.ops.errors import did_you_mean
 
@@ -34,12 +35,33 @@ class _Joint(BaseModel):
     measured: bool = False
 
 
+class _Height(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    low: list[str] = Field(alias="from", min_length=1)
+    high: str = Field(alias="to")
+    metres: float = Field(gt=0, allow_inf_nan=False)
+
+
+class _Capsule(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    start: str = Field(alias="from")
+    end: str = Field(alias="to")
+    radius: float = Field(gt=0, allow_inf_nan=False)
+
+
+class _Surface(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    height: _Height
+    capsules: list[_Capsule] = Field(min_length=1)
+
+
 class _ChainFile(BaseModel):
     model_config = ConfigDict(extra="forbid")
     name: str
     description: str = ""
     nodes: dict[str, _Node] = Field(min_length=1)
     joints: dict[str, _Joint] = Field(min_length=1)
+    surface: _Surface | None = None
 
 
 def load_kinematic_chain(name: str | Path = "body48") -> KinematicChain:
@@ -90,6 +112,54 @@ def parse_kinematic_chain(located: Located) -> KinematicChain:
     centres = tuple(joints.index(node.centre) for node in file.nodes.values())
     axes = tuple(_axis(k, axis, node) for k, node in enumerate(file.nodes.values()) for axis in node.axes)
     return KinematicChain(file.name, nodes, parents, centres, axes, joints, rest)
+
+
+def load_surface(name: str | Path = "body48") -> Surface:
+    """Return the surface of a kinematic chain: its capsules.
+
+    Parameters
+    ----------
+    name : str or Path, optional
+        The name of a shipped file of `configs/kinematics`, or the path of one.
+
+    Raises
+    ------
+    ConfigError
+        There is no such file, it is wrong, or it has no `surface`; the message names the line.
+    """
+    return parse_surface(load_yaml(config_path("kinematics", name)))
+
+
+def parse_surface(located: Located) -> Surface:
+    """Return the surface of the kinematic chain of a parsed file.
+
+    Raises
+    ------
+    ConfigError
+        The file is wrong, or has no surface; the message names the line, the key and what was expected.
+    """
+    chain, file = parse_kinematic_chain(located), located.model(_ChainFile)
+    if file.surface is None:
+        message = "has no `surface`, which silhouettes need; copy that of configs/kinematics/body48.yaml"
+        raise located.error(message)
+    height = file.surface.height
+    low = tuple(_surface_joint(located, chain, name, "height", "from", i) for i, name in enumerate(height.low))
+    high = _surface_joint(located, chain, height.high, "height", "to")
+    capsules = []
+    for i, capsule in enumerate(file.surface.capsules):
+        start = _surface_joint(located, chain, capsule.start, "capsules", i, "from")
+        end = _surface_joint(located, chain, capsule.end, "capsules", i, "to")
+        if start == end:
+            raise located.error("must be between two joints", "surface", "capsules", i)
+        capsules.append(Capsule(start, end, capsule.radius))
+    return Surface(tuple(capsules), low, high, height.metres)
+
+
+def _surface_joint(located: Located, chain: KinematicChain, name: str, *keys: str | int) -> int:
+    if name not in chain.joints:
+        near = did_you_mean(name, chain.joints)
+        raise located.error(f"must be one of `joints`, got '{name}'{near}", "surface", *keys)
+    return chain.joint(name)
 
 
 def _axis(node: int, name: AxisName, settings: _Node) -> Axis:

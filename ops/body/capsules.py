@@ -1,0 +1,126 @@
+"""The surface of a body: capsules between joints of a kinematic chain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.body.kinematic_chain import ChainBody, KinematicChain, Poses, forward
+from kinedex.ops.errors import ParameterError
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """All points within a radius of the line between two joints.
+
+    Attributes
+    ----------
+    start, end : int
+        The joints of the chain at the ends of its axis.
+    radius : float
+        Radius in metres, for a body of the height that the surface is given for.
+    """
+
+    start: int
+    end: int
+    radius: float
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The capsules of a kinematic chain, without a body's lengths.
+
+    Attributes
+    ----------
+    capsules : tuple of Capsule
+        The capsules.
+    low : tuple of int
+        Joints whose mean height at rest is the lower end of the body's height: the ankles.
+    high : int
+        Joint at its upper end: the top of the head.
+    height_m : float
+        Height in metres of the body that has these radii.
+
+    Raises
+    ------
+    ParameterError
+        A radius or the height is not positive and finite.
+    """
+
+    capsules: tuple[Capsule, ...]
+    low: tuple[int, ...]
+    high: int
+    height_m: float
+
+    def __post_init__(self) -> None:
+        sizes = [("height_m", self.height_m), *(("radius", capsule.radius) for capsule in self.capsules)]
+        for name, size in sizes:
+            if not (np.isfinite(size) and size > 0):
+                raise ParameterError(name, "positive and finite", size)
+
+
+class Capsules(NamedTuple):
+    """The capsules of one body.
+
+    Attributes
+    ----------
+    starts, ends : int64 array (N,)
+        Joints at the ends of each capsule's axis.
+    radii : float64 array (N,)
+        Radii in metres.
+    """
+
+    starts: I64
+    ends: I64
+    radii: F64
+
+
+def body_capsules(body: ChainBody, surface: Surface, thickness: float = 1.0) -> Capsules:
+    """Return the capsules of a body, with radii in proportion to its height.
+
+    Parameters
+    ----------
+    body : ChainBody
+        The body.
+    surface : Surface
+        The capsules of its chain.
+    thickness : float, optional
+        A factor of all radii: 1.04 for a surface that is 4 % too thick.
+
+    Returns
+    -------
+    Capsules
+        Their joints and radii.
+
+    Raises
+    ------
+    ParameterError
+        The factor is not positive and finite, or the body has no height.
+    """
+    if not (np.isfinite(thickness) and thickness > 0):
+        raise ParameterError("thickness", "positive and finite", thickness)
+    height = body_height(body, surface.low, surface.high)
+    if height <= 0:
+        raise ParameterError("offsets", "those of a body whose head is above its ankles at rest", height)
+    radii = np.array([capsule.radius for capsule in surface.capsules]) * (thickness * height / surface.height_m)
+    starts = np.array([capsule.start for capsule in surface.capsules], np.int64)
+    ends = np.array([capsule.end for capsule in surface.capsules], np.int64)
+    return Capsules(starts, ends, radii)
+
+
+def body_height(body: ChainBody, low: tuple[int, ...], high: int) -> float:
+    """Return the height of a body at rest in metres, from the mean of the joints `low` to the joint `high`."""
+    positions, _ = forward(body, rest_poses(body.chain))
+    return float(positions[high, 1, 0] - positions[list(low), 1, 0].mean())
+
+
+def rest_poses(chain: KinematicChain, frames: int = 1) -> Poses:
+    """Return poses of a chain at rest, with the first node in the origin."""
+    turns = np.broadcast_to(np.eye(3), (frames, len(chain.nodes), 3, 3)).copy()
+    return Poses(np.zeros((frames, 3)), turns)

@@ -1,0 +1,339 @@
+"""Correspondences of a body's contour with the boundary of silhouettes (thesis, Section 6.2.3).
+
+A capsule seen from a camera has a contour line on either side. Its points are exact: a plane through the camera's
+centre C touches the cylinder of radius r about the axis point p, with axis direction a, at p + r (cos β v ± sin β u),
+where u is a × (p − C) normalised, v is u × a turned to the camera, and cos β = r / distance of C from the axis. From
+each such point that projects inside no other capsule, the boundary of the foreground is looked for along the normal of
+the contour in the image. The ray through it and the point of the surface are a correspondence of Eq. 6.4.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from kinedex.ops.body.capsules import Capsules
+from kinedex.ops.tracking.views import View, capsule_box, mask_pixel, ray_distance, seen_joints
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+U8 = npt.NDArray[np.uint8]
+
+SPACING_M = 0.03
+"""Distance of contour points along the axis of a capsule, in metres."""
+
+INSIDE = 0.97
+"""A contour point nearer to the axis of another capsule than this share of its radius is hidden by it, or inside it."""
+
+WEIGHT, SIGMA_PX = 0.15, 3.0
+"""Weight of a correspondence, and standard deviation of the boundary in pixels of the camera."""
+
+_HALF = 127.5  # of a probability of foreground from 0 to 255: the boundary
+_NEAREST_M = 0.3  # the least depth that a pixel's size is taken at, as for rays of keypoints
+_NORMAL_M = 0.01  # how far a point is moved along its normal to see where the normal points in the image
+
+
+class Masks(Protocol):
+    """Silhouettes over time.
+
+    Frame t is one uint8 array (H, W) for each camera, the probability of foreground times 255, or 0 and 255; None
+    where a camera has no image.
+    """
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, frame: int, /) -> tuple[U8 | None, ...]: ...
+
+
+class Silhouettes(NamedTuple):
+    """Silhouettes of a person in calibrated cameras, and the surface that made them.
+
+    Attributes
+    ----------
+    views : tuple of View
+        The cameras, see `kinedex.ops.tracking.views.camera_view`.
+    masks : Masks
+        The masks of T frames.
+    capsules : Capsules
+        The surface of the body.
+    """
+
+    views: tuple[View, ...]
+    masks: Masks
+    capsules: Capsules
+
+
+class Contours(NamedTuple):
+    """Contour points of a pose in one camera, and what they found; room for M.
+
+    Attributes
+    ----------
+    capsules : int64 array (M,)
+        The capsule of each point.
+    shares : float64 array (M,)
+        Its place s on the axis, from 0 at the start to 1 at the end.
+    points : float64 array (M, 3)
+        The point of the surface in metres.
+    directions : float64 array (M, 3)
+        Unit vector of the ray through the boundary that it found.
+    shifts : float64 array (M,)
+        The way to the boundary in pixels of the camera, outwards positive.
+    """
+
+    capsules: I64
+    shares: F64
+    points: F64
+    directions: F64
+    shifts: F64
+
+
+def contour_room(capsules: Capsules, joints: F64) -> Contours:
+    """Return room for all contour points of one camera, for a body with the bones of these joints (J, 3)."""
+    bones = joints[capsules.ends] - joints[capsules.starts]
+    lengths = np.sqrt((bones * bones).sum(axis=1))
+    # a line between joints of different nodes, as from shoulder to shoulder, grows when the body bends
+    most = int(2 * (2 + 2 * np.ceil(lengths / SPACING_M)).sum())
+    return Contours(np.zeros(most, np.int64), *(np.zeros((most, *shape)) for shape in ((), (3,), (3,), ())))
+
+
+def contour_points(one: F64, other: F64, radius: float, centre: F64, share: float) -> F64:
+    """Return the two contour points of a capsule at a place of its axis.
+
+    Parameters
+    ----------
+    one, other : float64 array (3,)
+        Ends of its axis in metres.
+    radius : float
+        Its radius in metres.
+    centre : float64 array (3,)
+        Centre of the camera.
+    share : float
+        Place on the axis, from 0 to 1.
+
+    Returns
+    -------
+    float64 array (2, 3)
+        The points, NaN where the camera is inside the cylinder or on its axis.
+    """
+    normals = np.empty((2, 3))
+    if not contour_normals(one, other, radius, centre, share, normals):
+        return np.full((2, 3), np.nan)
+    return one + share * (other - one) + radius * normals
+
+
+@njit(cache=True, nogil=True)
+def contour_normals(one: F64, other: F64, radius: float, centre: F64, share: float, normals: F64) -> bool:
+    """Compute the two unit normals (2, 3) of the surface at `contour_points`; return False where there are none."""
+    ax, ay, az = other[0] - one[0], other[1] - one[1], other[2] - one[2]
+    dx = one[0] + share * ax - centre[0]
+    dy = one[1] + share * ay - centre[1]
+    dz = one[2] + share * az - centre[2]
+    length = np.sqrt(ax * ax + ay * ay + az * az)
+    if length < 1e-9:
+        return False
+    ax, ay, az = ax / length, ay / length, az / length
+    ux, uy, uz = ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx
+    distance = np.sqrt(ux * ux + uy * uy + uz * uz)  # of the centre from the axis
+    if distance <= radius:
+        return False
+    ux, uy, uz = ux / distance, uy / distance, uz / distance
+    # u × a points away from the axis on the side of the camera, for u = a × (p − C)
+    vx, vy, vz = uz * ay - uy * az, ux * az - uz * ax, uy * ax - ux * ay
+    cosine = radius / distance
+    sine = np.sqrt(1.0 - cosine * cosine)
+    for side in range(2):
+        sign = sine if side == 0 else -sine
+        normals[side, 0] = cosine * vx + sign * ux
+        normals[side, 1] = cosine * vy + sign * uy
+        normals[side, 2] = cosine * vz + sign * uz
+    return True
+
+
+@njit(cache=True, nogil=True)
+def find_contours(view: View, mask: U8, joints: F64, capsules: Capsules, found: Contours) -> int:
+    """Find the boundary of the foreground from the contour points of a pose in one camera.
+
+    Parameters
+    ----------
+    view : View
+        The camera.
+    mask : uint8 array (H, W)
+        Its mask, see `Masks`.
+    joints : float64 array (J, 3)
+        The joints of the pose in metres.
+    capsules : Capsules
+        The surface of the body.
+    found : Contours
+        Out: the correspondences, see `contour_room`.
+
+    Returns
+    -------
+    int
+        The number of correspondences. A point that finds no boundary within `view.reach` has none.
+    """
+    count, most = 0, len(found.capsules)
+    seen = np.empty_like(joints)
+    seen_joints(view, joints, seen)
+    boxes, normals, centre = np.empty((len(capsules.radii), 4)), np.empty((2, 3)), np.zeros(3)
+    for n in range(len(capsules.radii)):
+        capsule_box(seen[capsules.starts[n]], seen[capsules.ends[n]], capsules.radii[n], boxes[n])
+    for n in range(len(capsules.radii)):
+        one, other, radius = seen[capsules.starts[n]], seen[capsules.ends[n]], capsules.radii[n]
+        length = np.sqrt((other[0] - one[0]) ** 2 + (other[1] - one[1]) ** 2 + (other[2] - one[2]) ** 2)
+        pieces = int(np.ceil(length / SPACING_M))
+        for piece in range(pieces):
+            share = (piece + 0.5) / pieces
+            if not contour_normals(one, other, radius, centre, share, normals):
+                continue
+            for side in range(2):
+                if count >= most:
+                    return count
+                x = one[0] + share * (other[0] - one[0]) + radius * normals[side, 0]
+                y = one[1] + share * (other[1] - one[1]) + radius * normals[side, 1]
+                z = one[2] + share * (other[2] - one[2]) + radius * normals[side, 2]
+                if z <= 1e-3 or _hidden(n, x / z, y / z, boxes, seen, capsules):
+                    continue
+                shift = _boundary(view, mask, (x, y, z), normals[side], found.directions[count])
+                if np.isnan(shift):
+                    continue
+                found.capsules[count], found.shares[count], found.shifts[count] = n, share, shift
+                for i in range(3):  # back to the world
+                    found.points[count, i] = (
+                        view.rotation[0, i] * (x - view.translation[0])
+                        + view.rotation[1, i] * (y - view.translation[1])
+                        + view.rotation[2, i] * (z - view.translation[2])
+                    )
+                count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _hidden(own: int, x: float, y: float, boxes: F64, seen: F64, capsules: Capsules) -> bool:
+    """Return True where another capsule than `own` covers the ray (x, y, 1) of the camera."""
+    for n in range(len(boxes)):
+        if n == own or x < boxes[n, 0] or y < boxes[n, 1] or x > boxes[n, 2] or y > boxes[n, 3]:
+            continue
+        near = INSIDE * capsules.radii[n]
+        if ray_distance(seen[capsules.starts[n]], seen[capsules.ends[n]], x, y) < near * near:
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _boundary(view: View, mask: U8, point: tuple[float, float, float], normal: F64, direction: F64) -> float:
+    """Find the boundary of the foreground from a contour point in the camera's axes, along its normal in the image.
+
+    Returns the way in pixels of the camera, outwards positive, and computes the direction of the boundary's ray in the
+    world into the last array; NaN where there is no boundary within reach or before the border of the image.
+    """
+    x, y, z = point
+    column, row = mask_pixel(view, x / z, y / z)
+    depth = z + _NORMAL_M * normal[2]
+    to_column, to_row = mask_pixel(view, (x + _NORMAL_M * normal[0]) / depth, (y + _NORMAL_M * normal[1]) / depth)
+    along, down = to_column - column, to_row - row
+    length = np.sqrt(along * along + down * down)
+    value = _foreground(mask, column, row)
+    if length == 0.0 or np.isnan(value):
+        return np.nan
+    outwards = value >= _HALF
+    sign = 1.0 / length if outwards else -1.0 / length
+    along, down = sign * along, sign * down
+    way = 0.0
+    while way < view.reach:
+        before, way = value, min(way + 1.0, view.reach)
+        value = _foreground(mask, column + way * along, row + way * down)
+        if np.isnan(value):
+            return np.nan
+        if (value >= _HALF) != outwards:
+            last = np.ceil(way) - 1.0
+            way = last + (way - last) * (before - _HALF) / (before - value)
+            break
+    else:
+        return np.nan
+    if not _ray(view, column + way * along, row + way * down, direction):
+        return np.nan
+    return (way if outwards else -way) * view.scale
+
+
+@njit(cache=True, nogil=True)
+def _foreground(mask: U8, column: float, row: float) -> float:
+    """Return a mask's value between pixels, linear in both directions; NaN outside the image."""
+    height, width = mask.shape
+    if not (0.0 <= column <= width - 1 and 0.0 <= row <= height - 1):
+        return np.nan
+    left, top = min(int(column), max(width - 2, 0)), min(int(row), max(height - 2, 0))
+    right, bottom = min(left + 1, width - 1), min(top + 1, height - 1)
+    u, v = column - left, row - top
+    upper = (1.0 - u) * mask[top, left] + u * mask[top, right]
+    lower = (1.0 - u) * mask[bottom, left] + u * mask[bottom, right]
+    value: float = (1.0 - v) * upper + v * lower
+    return value
+
+
+@njit(cache=True, nogil=True)
+def _ray(view: View, column: float, row: float, direction: F64) -> bool:
+    """Compute the unit vector in the world of the ray through a place of the mask; return False where there is none."""
+    height, width = view.plane.shape[:2]
+    left, top = min(int(column), max(width - 2, 0)), min(int(row), max(height - 2, 0))
+    right, bottom = min(left + 1, width - 1), min(top + 1, height - 1)
+    u, v = column - left, row - top
+    seen = np.ones(3)
+    for i in range(2):
+        upper = (1.0 - u) * view.plane[top, left, i] + u * view.plane[top, right, i]
+        lower = (1.0 - u) * view.plane[bottom, left, i] + u * view.plane[bottom, right, i]
+        seen[i] = (1.0 - v) * upper + v * lower
+    norm = np.sqrt(seen[0] ** 2 + seen[1] ** 2 + 1.0)
+    for i in range(3):
+        direction[i] = 0.0
+        for a in range(3):
+            direction[i] += view.rotation[a, i] * seen[a] / norm
+    return bool(np.isfinite(norm))
+
+
+@njit(cache=True, nogil=True)
+def add_contours(view: View, found: Contours, count: int, capsules: Capsules, matrices: F64, vectors: F64) -> float:
+    """Add correspondences of one camera to the joints: A and b of Eq. 6.4, in the shares 1 − s and s.
+
+    Parameters
+    ----------
+    view : View
+        The camera.
+    found : Contours
+        The correspondences.
+    count : int
+        Their number.
+    capsules : Capsules
+        The surface of the body.
+    matrices, vectors : float64 array (J, 3, 3), (J, 3)
+        A and b of each joint, which the sums of w (I − n nᵀ) and w (I − n nᵀ)(y − C) are added to.
+
+    Returns
+    -------
+    float
+        The sum of the squares, w ‖(I − n nᵀ)(y − C)‖².
+    """
+    cost = 0.0
+    focal = 0.5 * (view.matrix[0, 0] + view.matrix[1, 1])
+    apart = np.empty(3)
+    for c in range(count):
+        n = found.directions[c]
+        depth = 0.0
+        for i in range(3):
+            apart[i] = found.points[c, i] - view.centre[i]
+            depth += apart[i] * n[i]
+        weight = WEIGHT * (focal / (max(depth, _NEAREST_M) * SIGMA_PX)) ** 2
+        capsule, share = found.capsules[c], found.shares[c]
+        for i in range(3):
+            apart[i] -= depth * n[i]
+            cost += weight * apart[i] * apart[i]
+        for end in range(2):
+            joint = capsules.starts[capsule] if end == 0 else capsules.ends[capsule]
+            part = weight * (1.0 - share if end == 0 else share)
+            for i in range(3):
+                vectors[joint, i] += part * apart[i]
+                for j in range(3):
+                    matrices[joint, i, j] += part * ((1.0 if i == j else 0.0) - n[i] * n[j])
+    return cost

@@ -1,0 +1,181 @@
+"""Calibrated cameras as arrays: the form that contours and masks are computed in."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from kinedex.ops.cameras.projection import camera_centre, pixel_directions
+from kinedex.ops.errors import ParameterError
+
+F64 = npt.NDArray[np.float64]
+F32 = npt.NDArray[np.float32]
+
+REACH_PX = 48.0
+"""A contour point looks this far for the boundary of the foreground, in pixels of an image that is 1280 wide."""
+
+_WIDTH_PX = 1280.0
+
+
+class View(NamedTuple):
+    """A camera and the raster of its masks.
+
+    Attributes
+    ----------
+    matrix : float64 array (3, 3)
+        Focal lengths and principal point in pixels of the camera.
+    distortion : float64 array (8,)
+        Distortion in OpenCV's order, filled up with 0.
+    rotation, translation : float64 array (3, 3), (3,)
+        From the world to the camera, in metres.
+    centre : float64 array (3,)
+        Centre of the camera in the world, in metres.
+    plane : float32 array (H, W, 2)
+        x/z and y/z of the ray of each pixel of the mask in the camera's axes; NaN where no ray falls on it.
+    extent : float64 array (4,)
+        Least x/z and y/z, greatest x/z and y/z of the raster.
+    scale : float
+        Pixels of the camera in one of the mask.
+    reach : float
+        Largest distance of a boundary from a contour point, in pixels of the mask.
+    """
+
+    matrix: F64
+    distortion: F64
+    rotation: F64
+    translation: F64
+    centre: F64
+    plane: F32
+    extent: F64
+    scale: float
+    reach: float
+
+
+def camera_view(
+    matrix: npt.ArrayLike,
+    rotation: npt.ArrayLike,
+    translation: npt.ArrayLike,
+    distortion: npt.ArrayLike,
+    size: tuple[int, int],
+    mask_size: tuple[int, int] | None = None,
+    reach_px: float = REACH_PX,
+) -> View:
+    """Return a camera with the raster of its masks.
+
+    Parameters
+    ----------
+    matrix : float64 array (3, 3)
+        Focal lengths and principal point in pixels.
+    rotation, translation : float64 array (3, 3), (3,)
+        From the world to the camera, in metres.
+    distortion : float64 array (0,), (4,), (5,) or (8,)
+        Distortion in OpenCV's order.
+    size : (int, int)
+        Width and height of the image in pixels.
+    mask_size : (int, int), optional
+        Width and height of the masks, the same whole fraction of both; by default those of the image.
+    reach_px : float, optional
+        Largest distance of a boundary from a contour point, in pixels of an image that is 1280 wide.
+
+    Returns
+    -------
+    View
+        The camera.
+
+    Raises
+    ------
+    ParameterError
+        The size of the masks is no whole fraction of the image's, or a shape is wrong.
+    """
+    width, height = mask_size or size
+    scale = size[0] // width if width > 0 else 0
+    if scale < 1 or (width * scale, height * scale) != tuple(size):
+        raise ParameterError("mask_size", f"{size[0]} × {size[1]} or a whole fraction of it", f"{width} × {height}")
+    # The centre of a pixel of the mask lies in the middle of the pixels that it stands for.
+    columns, rows = ((np.arange(count) + 0.5) * scale - 0.5 for count in (width, height))
+    pixels = np.stack(np.broadcast_arrays(columns[None, :], rows[:, None]), axis=-1)
+    rays = pixel_directions(matrix, np.eye(3), distortion, pixels)
+    plane = rays[..., :2] / rays[..., 2:]
+    extent = np.concatenate([np.nanmin(plane, axis=(0, 1)), np.nanmax(plane, axis=(0, 1))])
+    numbers = np.asarray(distortion, np.float64).reshape(-1)
+    return View(
+        np.ascontiguousarray(matrix, np.float64),
+        np.pad(numbers, (0, 8 - len(numbers))),
+        np.ascontiguousarray(rotation, np.float64),
+        np.ascontiguousarray(translation, np.float64),
+        camera_centre(rotation, translation),
+        plane.astype(np.float32),
+        extent,
+        float(scale),
+        reach_px * size[0] / _WIDTH_PX / scale,
+    )
+
+
+@njit(cache=True, nogil=True)
+def mask_pixel(view: View, x: float, y: float) -> tuple[float, float]:
+    """Return the pixel of the mask, column and row, that shows a place (x/z, y/z) of the camera."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = view.distortion
+    square = x * x + y * y
+    scale = (1.0 + square * (k1 + square * (k2 + square * k3))) / (1.0 + square * (k4 + square * (k5 + square * k6)))
+    a = x * scale + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x)
+    b = y * scale + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y
+    column = view.matrix[0, 0] * a + view.matrix[0, 1] * b + view.matrix[0, 2]
+    row = view.matrix[1, 1] * b + view.matrix[1, 2]
+    return (column + 0.5) / view.scale - 0.5, (row + 0.5) / view.scale - 0.5
+
+
+@njit(cache=True, nogil=True)
+def seen_joints(view: View, joints: F64, seen: F64) -> None:
+    """Compute joints (J, 3) of the world in the axes of a camera, into the last array."""
+    for j in range(len(joints)):
+        for i in range(3):
+            seen[j, i] = view.translation[i]
+            for a in range(3):
+                seen[j, i] += view.rotation[i, a] * joints[j, a]
+
+
+@njit(cache=True, nogil=True)
+def sphere_interval(across: float, depth: float, radius: float) -> tuple[float, float]:
+    """Return the least and the greatest x/z of a sphere with its centre at x = across, z = depth.
+
+    It is (−∞, ∞) for a sphere that reaches the plane of the camera.
+    """
+    if depth <= radius:
+        return -np.inf, np.inf
+    middle, below = across * depth, depth * depth - radius * radius
+    half = radius * np.sqrt(across * across + below)
+    return (middle - half) / below, (middle + half) / below
+
+
+@njit(cache=True, nogil=True)
+def capsule_box(one: F64, other: F64, radius: float, box: F64) -> None:
+    """Compute least x/z and y/z, greatest x/z and y/z of a capsule in the axes of a camera, into the last array."""
+    for i in range(2):
+        low, high = sphere_interval(one[i], one[2], radius)
+        low_other, high_other = sphere_interval(other[i], other[2], radius)
+        box[i], box[2 + i] = min(low, low_other), max(high, high_other)
+
+
+@njit(cache=True, nogil=True)
+def ray_distance(one: F64, other: F64, x: float, y: float) -> float:
+    """Return the square of the distance of the ray (x, y, 1) of a camera from a segment, both in the camera's axes.
+
+    It is infinite where the ray is nearest to the segment behind the camera.
+    """
+    norm = x * x + y * y + 1.0
+    first = one[0] * x + one[1] * y + one[2]
+    last = other[0] * x + other[1] * y + other[2]
+    u, v, w = other[0] - one[0], other[1] - one[1], other[2] - one[2]
+    slope = last - first
+    bend = u * u + v * v + w * w - slope * slope / norm
+    lean = one[0] * u + one[1] * v + one[2] * w - first * slope / norm
+    s = 0.0 if bend <= 1e-18 else min(max(-lean / bend, 0.0), 1.0)
+    along = first + s * slope
+    if along <= 0.0:
+        return np.inf
+    p, q, r = one[0] + s * u, one[1] + s * v, one[2] + s * w
+    square: float = p * p + q * q + r * r - along * along / norm
+    return square
