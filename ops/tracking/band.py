@@ -1,0 +1,337 @@
+"""The Gauss–Newton system of a whole take: blocks of frames and diagonal couplings, and its exact solution.
+
+Second differences of places and turns couple a frame with the two before and after it, each parameter only with itself,
+because H takes the derivative of every logarithm as the identity; g has the exact one. So the matrix is a band whose
+half-width is twice the number of parameters. Frames are eliminated one after the other: the matrix of a frame, of its
+couplings with the next two, and of what earlier frames left there is a *front*, and the Cholesky factorisation of its
+first rows leaves a smaller matrix for the next frame. Parameters that move no observed point stay diagonal in H; each
+of them is a band of its own of half-width 2, and is solved apart.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from kinedex.ops.body.kinematic_chain import PLACES, ChainArrays, log_derivative, take_step, vector_of
+from kinedex.ops.tracking.blocks import PriorArrays, frame_cost, frame_room, frame_terms
+from kinedex.ops.tracking.rays import Evidence
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+LEAST_DAMPING = 1e-6
+"""Added to the diagonal of every system."""
+
+
+class Band(NamedTuple):
+    """The linear system of a take, and room for its solution.
+
+    Attributes
+    ----------
+    smoothness : float64 array (N,)
+        Weight of the second differences of each parameter.
+    triples : float64 array (T,)
+        1 where a frame, the one before and the one after belong together, else 0.
+    coupled : int64 array (M,)
+        The parameters that move observed points, ascending.
+    single : int64 array (N − M,)
+        The others.
+    blocks : float64 array (T, M, M)
+        Lower half of H of each frame for the coupled parameters, without second differences.
+    diagonals : float64 array (T, N)
+        The diagonal of H of each frame, without second differences.
+    gradient : float64 array (T, N)
+        g.
+    velocities : float64 array (T, K, 3)
+        log(R_tᵀR_{t+1}) of each node.
+    """
+
+    smoothness: F64
+    triples: F64
+    coupled: I64
+    single: I64
+    blocks: F64
+    diagonals: F64
+    gradient: F64
+    velocities: F64
+
+
+def make_band(chain: ChainArrays, moving: I64, smoothness: F64, triples: F64) -> Band:
+    """Return an empty system.
+
+    Parameters
+    ----------
+    chain : ChainArrays
+        The body, of K nodes and N parameters.
+    moving : int64 array
+        The nodes that observations and priors have points on.
+    smoothness : float64 array (N,)
+        Weight of the second differences of each parameter.
+    triples : float64 array (T,)
+        1 where a frame, the one before and the one after belong together, else 0.
+    """
+    frames, size = len(triples), PLACES + len(chain.axis_nodes)
+    moves = np.ones(size, np.bool_)
+    moves[PLACES:] = chain.turned[moving].any(axis=0)
+    moves[PLACES:] |= chain.axis_nodes == 0  # the tilt couples the turns of the first node
+    coupled = np.flatnonzero(moves)
+    return Band(
+        smoothness,
+        triples,
+        coupled,
+        np.flatnonzero(~moves),
+        np.empty((frames, len(coupled), len(coupled))),
+        np.empty((frames, size)),
+        np.empty((frames, size)),
+        np.empty((frames, len(chain.parents), 3)),
+    )
+
+
+@njit(cache=True, nogil=True)
+def assemble(
+    chain: ChainArrays, evidence: Evidence, priors: PriorArrays, places: F64, turns: F64, width: float, units: F64,
+    band: Band,
+) -> float:  # fmt: skip
+    """Compute H and g of a take at given poses, and return the cost.
+
+    Parameters
+    ----------
+    chain : ChainArrays
+        The body.
+    evidence : Evidence
+        The observations.
+    priors : PriorArrays
+        The terms of priors.
+    places, turns : float64 array (T, 3), (T, K, 3, 3)
+        The poses.
+    width : float
+        c of the loss; infinite for squares.
+    units : float64 array (T, V, P)
+        Out: the squares of the factors of residuals, see `rays.point_terms`.
+    band : Band
+        Out: the system.
+
+    Returns
+    -------
+    float
+        The cost.
+    """
+    room = frame_room(chain, evidence)
+    cost = 0.0
+    for t in range(len(places)):
+        cost += frame_terms(chain, evidence, priors, t, places[t], turns[t], width, units[t], room, band.gradient[t])
+        for a in range(len(band.coupled)):
+            i = band.coupled[a]
+            for b in range(a + 1):
+                band.blocks[t, a, b] = room.hessian[i, band.coupled[b]]
+        for i in range(len(band.smoothness)):
+            band.diagonals[t, i] = room.hessian[i, i]
+    return cost + _add_differences(chain, places, turns, band)
+
+
+@njit(cache=True, nogil=True)
+def _log_between(first: F64, second: F64) -> F64:
+    """Return log(RᵀS)."""
+    between = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            between[i, j] = first[0, i] * second[0, j] + first[1, i] * second[1, j] + first[2, i] * second[2, j]
+    return vector_of(between)
+
+
+@njit(cache=True, nogil=True)
+def _differences(chain: ChainArrays, places: F64, turns: F64, band: Band) -> float:
+    """Compute the velocities of all nodes, and return the cost of the second differences."""
+    total = 0.0
+    for t in range(len(places) - 1):
+        for k in range(len(chain.parents)):
+            band.velocities[t, k] = _log_between(turns[t, k], turns[t + 1, k])
+        if t == 0 or band.triples[t] == 0.0:
+            continue
+        for i in range(PLACES):
+            total += band.smoothness[i] * (places[t + 1, i] - 2.0 * places[t, i] + places[t - 1, i]) ** 2
+        for d in range(len(chain.axis_nodes)):
+            k, i = chain.axis_nodes[d], chain.axis_directions[d]
+            total += band.smoothness[PLACES + d] * (band.velocities[t, k, i] - band.velocities[t - 1, k, i]) ** 2
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _add_differences(chain: ChainArrays, places: F64, turns: F64, band: Band) -> float:
+    """Add the second differences to g, and return their cost.
+
+    log(R_tᵀR_{t+1}) = v moves with R_{t+1} by the inverse right Jacobian J of v, and with R_t by −Jᵀ.
+    """
+    cost = _differences(chain, places, turns, band)
+    gradient, smoothness = band.gradient, band.smoothness
+    pull = np.empty(3)
+    for t in range(len(places) - 1):
+        here = band.triples[t] if t > 0 else 0.0
+        after = band.triples[t + 1] if t + 2 < len(places) else 0.0
+        if here == 0.0 and after == 0.0:
+            continue
+        for i in range(PLACES):
+            one = here * (places[t + 1, i] - 2.0 * places[t, i] + places[t - 1, i]) if here > 0.0 else 0.0
+            two = after * (places[t + 2, i] - 2.0 * places[t + 1, i] + places[t, i]) if after > 0.0 else 0.0
+            gradient[t + 1, i] += smoothness[i] * (one - two)
+            gradient[t, i] -= smoothness[i] * (one - two)
+        d = 0
+        for k in range(len(chain.parents)):
+            pull[:] = 0.0
+            first = d
+            while d < len(chain.axis_nodes) and chain.axis_nodes[d] == k:
+                i, v = chain.axis_directions[d], band.velocities
+                one = v[t, k, i] - v[t - 1, k, i] if here > 0.0 else 0.0
+                two = v[t + 1, k, i] - v[t, k, i] if after > 0.0 else 0.0
+                pull[i] = smoothness[PLACES + d] * (one - two)
+                d += 1
+            jacobian = log_derivative(band.velocities[t, k])
+            for b in range(first, d):
+                i, sign = chain.axis_directions[b], chain.axis_signs[b]
+                for a in range(3):
+                    gradient[t + 1, PLACES + b] += sign * pull[a] * jacobian[a, i]
+                    gradient[t, PLACES + b] -= sign * pull[a] * jacobian[i, a]
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def take_cost(
+    chain: ChainArrays, evidence: Evidence, priors: PriorArrays, places: F64, turns: F64, width: float, units: F64,
+    band: Band,
+) -> float:  # fmt: skip
+    """Return the cost of a take at given poses, with the factors `units` of residuals as they are; see `assemble`."""
+    room = frame_room(chain, evidence)
+    cost = 0.0
+    for t in range(len(places)):
+        cost += frame_cost(chain, evidence, priors, t, places[t], turns[t], width, units[t], room)
+    return cost + _differences(chain, places, turns, band)
+
+
+@njit(cache=True, nogil=True)
+def move(chain: ChainArrays, places: F64, turns: F64, steps: F64, new_places: F64, new_turns: F64) -> None:
+    """Move the poses of a take by steps (T, N) of their parameters, into the last two arrays."""
+    for t in range(len(places)):
+        take_step(chain, places[t], turns[t], steps[t], new_places[t], new_turns[t])
+
+
+@njit(cache=True, nogil=True)
+def solve_band(band: Band, damping: float, factors: F64, steps: F64) -> None:
+    """Solve H x = −g for the steps of all frames.
+
+    The diagonal of H gets `damping` times itself, and `LEAST_DAMPING`.
+
+    Parameters
+    ----------
+    band : Band
+        The system.
+    damping : float
+        λ of Levenberg's method.
+    factors : float64 array (T, M, 3 M)
+        Room for the rows of the fronts.
+    steps : float64 array (T, N)
+        Out: x.
+    """
+    frames = len(band.diagonals)
+    own, near, far = np.empty(frames), np.empty(frames), np.empty(frames)
+    for t in range(frames):
+        before = band.triples[t - 1] if t >= 2 else 0.0
+        here = band.triples[t] if 0 < t < frames - 1 else 0.0
+        after = band.triples[t + 1] if t + 2 < frames else 0.0
+        own[t], near[t], far[t] = before + 4.0 * here + after, -2.0 * (here + after), after
+    _solve_single(band, damping, own, near, far, steps)
+    _solve_coupled(band, damping, own, near, far, factors, steps)
+
+
+@njit(cache=True, nogil=True)
+def _solve_single(band: Band, damping: float, own: F64, near: F64, far: F64, steps: F64) -> None:
+    """Solve the bands of half-width 2 of the parameters that nothing couples."""
+    frames = len(own)
+    pivots, first, second = np.empty(frames), np.empty(frames), np.empty(frames)
+    for i in band.single:
+        w = band.smoothness[i]
+        for t in range(frames):
+            pivot = (band.diagonals[t, i] + w * own[t]) * (1.0 + damping) + LEAST_DAMPING
+            right, one = -band.gradient[t, i], w * near[t]
+            if t >= 1:
+                pivot -= first[t - 1] * first[t - 1] * pivots[t - 1]
+                one -= first[t - 1] * second[t - 1] * pivots[t - 1]
+                right -= first[t - 1] * steps[t - 1, i]
+            if t >= 2:
+                pivot -= second[t - 2] * second[t - 2] * pivots[t - 2]
+                right -= second[t - 2] * steps[t - 2, i]
+            pivots[t], first[t], second[t], steps[t, i] = pivot, one / pivot, w * far[t] / pivot, right
+        for t in range(frames - 1, -1, -1):
+            step = steps[t, i] / pivots[t]
+            if t + 1 < frames:
+                step -= first[t] * steps[t + 1, i]
+            if t + 2 < frames:
+                step -= second[t] * steps[t + 2, i]
+            steps[t, i] = step
+
+
+@njit(cache=True, nogil=True)
+def _solve_coupled(band: Band, damping: float, own: F64, near: F64, far: F64, factors: F64, steps: F64) -> None:
+    """Solve for the parameters that observations couple, frame by frame."""
+    frames, m = len(own), len(band.coupled)
+    weights = band.smoothness[band.coupled]
+    front = np.zeros((3 * m, 3 * m))  # upper half; its rows of this frame, the next one and the one after
+    right = np.zeros(3 * m)
+    for t in range(frames):
+        for a in range(m):
+            i = band.coupled[a]
+            for b in range(a, m):
+                front[a, b] += band.blocks[t, b, a]
+            front[a, a] += weights[a] * own[t]
+            front[a, a] += damping * (band.diagonals[t, i] + weights[a] * own[t]) + LEAST_DAMPING
+            front[a, m + a] += weights[a] * near[t]
+            front[a, 2 * m + a] += weights[a] * far[t]
+            right[a] -= band.gradient[t, i]
+        _eliminate(front, right, m)
+        factors[t] = front[:m]
+        for a in range(m):
+            steps[t, band.coupled[a]] = right[a]
+        _shift(front, right, m)
+    x = np.zeros(3 * m)
+    for t in range(frames - 1, -1, -1):
+        for a in range(m - 1, -1, -1):
+            total = steps[t, band.coupled[a]]
+            for b in range(a + 1, 2 * m + a + 1):
+                total -= factors[t, a, b] * x[b]
+            x[a] = total / factors[t, a, a]
+        for a in range(m):
+            steps[t, band.coupled[a]] = x[a]
+        x[2 * m :] = x[m : 2 * m]
+        x[m : 2 * m] = x[:m]
+
+
+@njit(cache=True, nogil=True)
+def _eliminate(front: F64, right: F64, m: int) -> None:
+    """Factorise the first m rows of a front and of its right side, and subtract what they leave from the other rows."""
+    for k in range(m):
+        stop = 2 * m + k + 1  # beyond it the row is 0
+        pivot = 1.0 / np.sqrt(max(front[k, k], 1e-300))
+        for j in range(k, stop):
+            front[k, j] *= pivot
+        right[k] *= pivot
+        for i in range(k + 1, stop):
+            factor = front[k, i]
+            for j in range(i, stop):
+                front[i, j] -= factor * front[k, j]
+            right[i] -= factor * right[k]
+
+
+@njit(cache=True, nogil=True)
+def _shift(front: F64, right: F64, m: int) -> None:
+    """Move the rows of the next two frames to the front."""
+    for i in range(2 * m):
+        for j in range(i, 2 * m):
+            front[i, j] = front[m + i, m + j]
+        for j in range(2 * m, 3 * m):
+            front[i, j] = 0.0
+        right[i] = right[m + i]
+    front[2 * m :] = 0.0
+    right[2 * m :] = 0.0

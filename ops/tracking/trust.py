@@ -1,0 +1,174 @@
+"""Trust in what cameras see: contested keypoints, nodes that are seen, and a restart where the hips are not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from kinedex.ops.body.kinematic_chain import ChainArrays, ChainBody, Poses, pose_nodes, rotation_of, vector_of
+from kinedex.ops.tracking.blocks import frame_room, place_points
+from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
+from kinedex.ops.tracking.rays import LEAST_DEPTH_M, SIGMA_PX, Evidence, make_evidence
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+Bool = npt.NDArray[np.bool_]
+
+TRUST_WIDTH = 3.0
+"""c of the loss whose weights make trust."""
+
+SEEN = 1.2
+"""A keypoint is seen in a frame if its sum of confidence times robust weight exceeds this."""
+
+AGREEMENT = 0.6
+"""A keypoint is contested if the robust weights leave less than this share of its confidence."""
+
+NEEDED = {
+    "hip": ("hip", "knee", "ankle"),
+    "knee": ("knee", "ankle"),
+    "ankle": ("ankle", "toes"),
+    "shoulder": ("shoulder", "elbow", "wrist"),
+    "elbow": ("elbow", "wrist"),
+    "wrist": ("wrist",),
+}
+"""The joints of a side that have to be seen for a node of this side to count as seen; all other nodes do."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trust:
+    """Trust in the observations of a track.
+
+    Attributes
+    ----------
+    keypoints : float64 array (T, P)
+        κ = Σ conf · ω over the cameras; 0 where the keypoint is contested. Of places it is 2 ω.
+    contested : bool array (T, P)
+        True where the cameras disagree.
+    nodes_seen : bool array (T, K)
+        True where what moves with a node is seen.
+    """
+
+    keypoints: F64
+    contested: Bool
+    nodes_seen: Bool
+
+
+def trust(
+    body: ChainBody,
+    observations: Rays | Places,
+    points: BodyPoints | None,
+    poses: Poses,
+    sigma_px: float = SIGMA_PX,
+) -> Trust:
+    """Compute how far the observations agree with a track.
+
+    Parameters
+    ----------
+    body : ChainBody
+        A body of the shipped chain's nodes.
+    observations : Rays or Places
+        What is observed in T frames.
+    points : BodyPoints or None
+        The points that rays observe; None for places.
+    poses : Poses
+        The track, T poses.
+    sigma_px : float, optional
+        Standard deviation of a keypoint in pixels.
+    """
+    evidence = make_evidence(body, observations, points, sigma_px)
+    agreed, given = np.empty((2, len(poses.places), len(evidence.nodes)))
+    _sums(body.arrays, evidence, poses.places, poses.turns, agreed, given)
+    contested = (given > 0) & (agreed < AGREEMENT * given)
+    keypoints = np.where(contested, 0.0, agreed)
+    joints = np.arange(len(evidence.nodes)) if points is None else points.joints
+    return Trust(keypoints, contested, _nodes_seen(body, joints, keypoints > SEEN))
+
+
+@njit(cache=True, nogil=True)
+def _sums(chain: ChainArrays, evidence: Evidence, places: F64, turns: F64, agreed: F64, given: F64) -> None:
+    """Compute Σ conf · ω and Σ conf of every keypoint; a place counts as two cameras."""
+    room = frame_room(chain, evidence)
+    agreed[:], given[:] = 0.0, 0.0
+    for t in range(len(places)):
+        pose_nodes(chain, places[t], turns[t], room.turned, room.centres)
+        place_points(evidence.nodes, evidence.offsets, room.turned, room.centres, room.points)
+        for p in range(len(room.points)):
+            for v in range(len(evidence.centres)):
+                confidence = evidence.confidence[t, v, p]
+                if confidence > 0.0:
+                    gap = room.points[p] - evidence.centres[v]
+                    depth = (gap * evidence.directions[t, v, p]).sum()
+                    gap -= depth * evidence.directions[t, v, p]
+                    unit = evidence.scales[v] / max(LEAST_DEPTH_M, depth)
+                    given[t, p] += confidence
+                    agreed[t, p] += confidence * (1.0 + (gap * gap).sum() * (unit / TRUST_WIDTH) ** 2) ** -2
+            if len(evidence.places) > 0 and not np.isnan(evidence.places[t, p, 0]):
+                gap = room.points[p] - evidence.places[t, p]
+                given[t, p] += 2.0
+                square = (gap * gap).sum() * (evidence.precisions[t, p] / TRUST_WIDTH) ** 2
+                agreed[t, p] += 2.0 * (1.0 + square) ** -2
+
+
+def _nodes_seen(body: ChainBody, joints: I64, seen: Bool) -> Bool:
+    """Return which nodes are seen (T, K), from keypoints (T, P); toes that no keypoint shows do not count."""
+    chain = body.chain
+    found = np.ones((len(seen), len(chain.nodes)), np.bool_)
+    column = {chain.joints[joint]: p for p, joint in enumerate(joints) if joint >= 0}
+    for k, node in enumerate(chain.nodes):
+        for name in NEEDED.get(node[1:], ()):
+            joint = node[0] + name
+            if joint in column:
+                found[:, k] &= seen[:, column[joint]]
+            elif name != "toes":
+                found[:, k] = False
+    return found
+
+
+def restart(body: ChainBody, poses: Poses, nodes_seen: Bool) -> Poses:
+    """Return poses to start again from: the pelvis is interpolated where neither hip is seen.
+
+    Parameters
+    ----------
+    body : ChainBody
+        A body of the shipped chain's nodes.
+    poses : Poses
+        The track, T poses.
+    nodes_seen : bool array (T, K)
+        True where a node is seen, see `Trust`.
+
+    Returns
+    -------
+    Poses
+        The poses, with place and turn of the pelvis taken from the nearest frames before and after in which a hip is
+        seen; before the first one, and after the last one, they have its values.
+    """
+    hips = [body.chain.nodes.index(name) for name in ("lhip", "rhip")]
+    return interpolate_pelvis(poses, np.asarray(nodes_seen[:, hips].any(axis=1)))
+
+
+def interpolate_pelvis(poses: Poses, known: Bool) -> Poses:
+    """Return poses whose pelvis is interpolated where it is not known.
+
+    Parameters
+    ----------
+    poses : Poses
+        T poses.
+    known : bool array (T,)
+        True where the pelvis stays; where it is known nowhere, all poses stay.
+    """
+    places, turns = poses.places.copy(), poses.turns.copy()
+    frames = np.flatnonzero(known)
+    if len(frames) in (0, len(known)):
+        return Poses(places, turns)
+    after = np.searchsorted(frames, np.arange(len(known)))
+    low, high = frames[np.maximum(after - 1, 0)], frames[np.minimum(after, len(frames) - 1)]
+    for t in np.flatnonzero(~known):
+        one, two = low[t], high[t]
+        share = (t - one) / (two - one) if two > one else 0.0
+        places[t] = (1.0 - share) * poses.places[one] + share * poses.places[two]
+        way = vector_of(np.ascontiguousarray(poses.turns[one, 0].T) @ poses.turns[two, 0])
+        turns[t, 0] = poses.turns[one, 0] @ rotation_of(share * way)
+    return Poses(places, turns)
