@@ -6,12 +6,14 @@ import math
 import shlex
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import polars as pl
 
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.annotation.tables import annotated_takes
 from kinedex.pipelines.console.wording import few
+from kinedex.pipelines.labels.rejections import Rejections
 from kinedex.storage.formats.labels.segments import Label, TakeLabels
 from kinedex.storage.snapshot.shown_results import pipeline_of, pipelines_by_use
 from kinedex.storage.store.store import Store
@@ -66,8 +68,24 @@ def source_frame(frame: int, source_rate_hz: float, rate_hz: float, frames: int)
     return min(math.floor(round(frame * source_rate_hz / rate_hz, 9)), frames)
 
 
-def labels_of(store: Store, stage: str, takes: Sequence[str] = (), where: str | None = None) -> list[TakeLabels]:
-    """Return the annotations of a stage take by take, in the order of their names.
+@dataclass(frozen=True)
+class AnnotationLabels:
+    """Annotations as labels, and those that were excluded.
+
+    Attributes
+    ----------
+    takes : list of TakeLabels
+        One for each take that was annotated, also where it has no label, in the order of their names.
+    rejected : int
+        The number of annotations that were excluded because a person has rejected them.
+    """
+
+    takes: list[TakeLabels]
+    rejected: int
+
+
+def labels_of(store: Store, stage: str, takes: Sequence[str] = (), where: str | None = None) -> AnnotationLabels:
+    """Return the annotations of a stage take by take, except for those that a person has rejected.
 
     Parameters
     ----------
@@ -79,11 +97,6 @@ def labels_of(store: Store, stage: str, takes: Sequence[str] = (), where: str | 
         The names of the takes to return; all unless given.
     where : str, optional
         A SQL filter over the columns of takes.
-
-    Returns
-    -------
-    list of TakeLabels
-        One for each take that was annotated, also where it has no label.
 
     Raises
     ------
@@ -105,13 +118,19 @@ def labels_of(store: Store, stage: str, takes: Sequence[str] = (), where: str | 
     record = store.manifest.stages[stage]
     found: dict[str, list[Label]] = defaultdict(list)
     rows = {str(row["name"]): row for row in annotated.iter_rows(named=True)}
+    rejections, rejected = Rejections(store), 0
     for one in store.result("annotations", run=record.run).to_pylist():
-        if one["take"] in rows:
+        if one["take"] not in rows:
+            continue
+        if rejections.include(one):
+            rejected += 1
+        else:
             found[one["take"]].append(_label(one, rows[one["take"]]))
-    return [
+    labelled = [
         TakeLabels(name, float(row["source_rate_hz"]), int(row["source_frames"]), tuple(found[name]), record.finished)
         for name, row in rows.items()
     ]
+    return AnnotationLabels(labelled, rejected)
 
 
 def labels_kept(store: Store, takes: Sequence[str] = (), where: str | None = None) -> list[TakeLabels]:

@@ -46,7 +46,10 @@ def export(
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
     at: AtOption = None,
 ) -> None:
-    """Write annotations as label files, one per take or one for all."""
+    """Write annotations as label files, one per take or one for all.
+
+    Annotations that a person has rejected are left out.
+    """
     from kinedex.pipelines.annotation.labels import annotate_stage, labels_kept, labels_of
     from kinedex.pipelines.console.wording import counted, few
     from kinedex.storage.formats.labels.formats import write_labels
@@ -55,7 +58,12 @@ def export(
     if kept and stage is not None:
         raise typer.BadParameter("labels are of no stage: give --stage or --labels")
     by = "labelled by people" if kept else f"annotated by {(chosen := annotate_stage(opened, stage))}"
-    found = labels_kept(opened, take or (), where) if kept else labels_of(opened, chosen, take or (), where)
+    rejected = 0
+    if kept:
+        found = labels_kept(opened, take or (), where)
+    else:
+        annotations = labels_of(opened, chosen, take or (), where)
+        found, rejected = annotations.takes, annotations.rejected
     if kept and not found:
         raise KinedexError(f"{store}: no take has a label; `kinedex labels --help` shows how labels come in")
     written = write_labels(found, form, output, force=force)
@@ -64,6 +72,8 @@ def export(
     place = str(paths[0]) if len(paths) == 1 else f"{len(paths)} files in {output}"
     count = sum(len(one.labels) for one in inside)
     print(visible(f"{counted(count, 'segment')} of {counted(len(inside), 'take')}, {by}: {place}"))
+    if rejected:
+        print(f"left out, since a person has rejected them: {counted(rejected, 'annotation')}")
     if written.renamed:
         print(visible(f"files of other names than their takes: {few(_pairs(written.renamed))}"))
     if written.excluded:
@@ -108,14 +118,23 @@ def read(
 def diff(
     before: Annotated[Path, typer.Argument(metavar="BEFORE", help="Label file, or folder of label files.")],
     after: Annotated[Path, typer.Argument(metavar="AFTER", help="The same after a person's corrections.")],
+    store: Annotated[
+        Path | None,
+        typer.Option(metavar="STORE", help="Show frames of this store, as `labels list` does."),
+    ] = None,
     every: Annotated[bool, typer.Option("--all", help="Show segments that are the same, too.")] = False,
     form: FormatOption = "table",
     output: OutputOption = None,
 ) -> None:
     """Show which segments of label files a person changed.
 
-    They were moved, renamed, added or removed.
+    They were moved, renamed, added or removed. Without --store the unit is that of the files.
     """
-    from kinedex.pipelines.labels.label_files import difference_table
+    from kinedex.pipelines.labels.label_files import label_differences
 
-    show_table(difference_table(before, after, every=every), form, output)
+    found = label_differences(before, after, None if store is None else open_for_reading(store, None), every=every)
+    for remark in found.remarks:
+        typer.echo(visible(remark), err=True)
+    show_table(found.rows, form, output)
+    if found.unit == "source frames" and found.rows.num_rows and form == "table" and output is None:
+        typer.echo("frames of source files; --store STORE shows those of the store, as `labels list` does", err=True)

@@ -14,6 +14,7 @@ from typing import Any
 from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
 from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.export.request import What
+from kinedex.pipelines.labels.rejections import Rejections
 from kinedex.storage.formats.csv_cells import unguarded
 from kinedex.storage.store.store import Store
 
@@ -149,7 +150,13 @@ def _annotations(store: Store, what: What, remarks: list[str]) -> Iterator[Inter
     stage = annotate_stage(store, what.pipeline)
     annotated_takes(store, stage)  # an error if takes were replaced since
     run = store.manifest.stages[stage].run
-    for row in store.result("annotations", run=run).to_pylist():
+    rejections = Rejections(store)
+    rows = store.result("annotations", run=run).to_pylist()
+    if rejected := sum(map(rejections.include, rows)):
+        remarks.append(f"{counted(rejected, 'annotation')} excluded, which a person has rejected")
+    for row in rows:
+        if rejections.include(row):
+            continue
         yield Interval(
             row["take"], row["start"], row["stop"], row["class"], row["confidence"], "annotation", stage, run,
             {"subclass": row["subclass"]},
@@ -257,7 +264,7 @@ _SOURCES: dict[str, Callable[[Store, What, list[str]], Iterator[Interval]]] = {
 
 _NONE = {
     "takes": "the store has no takes",
-    "annotations": "the annotation found no segment",
+    "annotations": "the annotation found no segment, or a person has rejected all of them",
     "labels": "nobody has labelled anything; `kinedex labels --help` shows how labels come in",
     "hits": "the search found nothing",
     "ranges": "the file has no rows",

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.labels.segments import Segment, differences
+from kinedex.pipelines.labels.segments import Difference, Segment, differences, placed_files
 from kinedex.storage.formats.labels.formats import FORMATS, read_labels
 from kinedex.storage.formats.labels.segments import LabelFile
+from kinedex.storage.store.store import Store
 
 _SECONDS = 0.0015
 """Times of two formats that are at most so far apart are the same: some have milliseconds."""
@@ -49,45 +51,72 @@ def label_files(paths: Iterable[Path]) -> list[LabelFile]:
     return [read_labels(path) for path in found]
 
 
-def difference_table(before: Path, after: Path, *, every: bool = False) -> pa.Table:
+@dataclass(frozen=True)
+class Differences:
+    """The differences of label files.
+
+    Attributes
+    ----------
+    rows : pyarrow.Table
+        Columns take, change, class, new_class, start, stop, new_start, new_stop and unit.
+    unit : str
+        The unit of all rows: "frames" of the store's rate, "source frames" or "seconds".
+    remarks : tuple of str
+        Takes and segments that were excluded.
+    """
+
+    rows: pa.Table
+    unit: str
+    remarks: tuple[str, ...] = ()
+
+
+def label_differences(before: Path, after: Path, store: Store | None = None, *, every: bool = False) -> Differences:
     """Return the differences of label files as rows.
 
     Parameters
     ----------
     before, after : Path
         A label file, or a folder of them.
+    store : Store, optional
+        The store of their takes, in whose frames the rows are then; files of all formats can be compared. Without one,
+        the rows have the unit of the files.
     every : bool, optional
         True includes segments that are the same.
 
     Raises
     ------
     KinedexError
-        The one counts seconds and the other source frames.
+        The one counts seconds and the other source frames, and no store is given; or the store has none of the takes.
     """
     files = [label_files([path]) for path in (before, after)]
-    units = {one.in_seconds for side in files for file in side for one in file.segments}
-    if len(units) > 1:
-        raise KinedexError(
-            f"{before} and {after}: one of them counts seconds and the other source frames, which only a store can "
-            "compare: `kinedex labels export` writes both in one format"
+    remarks: list[str] = []
+    if store is not None:
+        placed = [placed_files(store, side) for side in files]
+        old, new = (list(side.segments) for side in placed)
+        unit, remarks = "frames", [remark for side in placed for remark in side.remarks]
+    else:
+        units = {one.in_seconds for side in files for file in side for one in file.segments}
+        if len(units) > 1:
+            raise KinedexError(
+                f"{before} and {after}: one of them counts seconds and the other source frames, which only a store can "
+                "compare: give it with --store STORE"
+            )
+        old, new = (
+            [Segment(one.take, one.label, one.start, one.stop) for file in side for one in file.segments]
+            for side in files
         )
-    old, new = (
-        [Segment(one.take, one.label, one.start, one.stop) for file in side for one in file.segments] for side in files
-    )
-    in_seconds = True in units
-    rows = [
-        {
-            "take": (one.after or one.before).take,  # type: ignore[union-attr]
-            "change": one.change,
-            **({"class": one.before.label, "start": one.before.start, "stop": one.before.stop} if one.before else {}),
-            **(
-                {"new_class": one.after.label, "new_start": one.after.start, "new_stop": one.after.stop}
-                if one.after
-                else {}
-            ),
-            "unit": "seconds" if in_seconds else "source frames",
-        }
-        for one in differences(old, new, _SECONDS if in_seconds else 0.0)
-        if every or one.change != "same"
-    ]
-    return pa.Table.from_pylist(rows, schema=_SCHEMA)
+        unit = "seconds" if True in units else "source frames"
+    found = differences(old, new, _SECONDS if unit == "seconds" else 0.0)
+    rows = [_row(one, unit) for one in found if every or one.change != "same"]
+    return Differences(pa.Table.from_pylist(rows, schema=_SCHEMA), unit, tuple(dict.fromkeys(remarks)))
+
+
+def _row(one: Difference, unit: str) -> dict[str, object]:
+    """Return a difference as a row; a segment that was added has nothing before, one that was removed nothing after."""
+    row: dict[str, object] = {"change": one.change, "unit": unit}
+    if one.before is not None:
+        row |= {"take": one.before.take, "class": one.before.label, "start": one.before.start, "stop": one.before.stop}
+    if one.after is not None:
+        row |= {"take": one.after.take, "new_class": one.after.label}
+        row |= {"new_start": one.after.start, "new_stop": one.after.stop}
+    return row

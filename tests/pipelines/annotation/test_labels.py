@@ -113,8 +113,8 @@ def test_stages_and_takes_are_chosen_by_name(line: Line):
         KinedexError, match="no stage 'tests/annotate' has annotated anything; did you mean 'test/annotate'"
     ):
         annotate_stage(store, "tests/annotate")
-    assert [one.take for one in labels_of(store, "test/annotate", ["cat_2"])] == ["cat_2"]
-    assert [one.take for one in labels_of(store, "test/annotate", where="name = 'cat_1'")] == ["cat_1"]
+    assert [one.take for one in labels_of(store, "test/annotate", ["cat_2"]).takes] == ["cat_2"]
+    assert [one.take for one in labels_of(store, "test/annotate", where="name = 'cat_1'").takes] == ["cat_1"]
     with pytest.raises(KinedexError, match="did not annotate 'cat_3'; did you mean"):
         labels_of(store, "test/annotate", ["cat_3"])
     with pytest.raises(KinedexError, match="selects no take that stage test/annotate annotated"):

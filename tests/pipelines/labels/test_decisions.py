@@ -98,8 +98,9 @@ def test_annotations_are_accepted_and_rejected_by_what_the_options_choose(line: 
 def test_an_unchanged_export_takes_no_decision_back(line: Line, tmp_path: Path) -> None:
     first, second, *_ = kinedex.open_store(line.store).results("annotations").to_dicts()
     chosen = [("--take", one["take"], "--start", one["start"], "--stop", one["stop"]) for one in (first, second)]
-    run("labels", "reject", line.store, *chosen[0])
+    run("labels", "accept", line.store, *chosen[0])
     run("labels", "export", line.store, "-o", tmp_path / "all.csv")
+    run("labels", "reject", line.store, *chosen[0])
     importing = ("labels", "import", line.store, "--corrects", "annotations")
     assert "stays" in run(*importing, tmp_path / "all.csv")
     assert {row["verdict"] for row in labels(line, *chosen[0])} == {"negative"}
@@ -113,6 +114,47 @@ def test_an_unchanged_export_takes_no_decision_back(line: Line, tmp_path: Path) 
     assert labels(line) == decided
     run("labels", "accept", line.store, *chosen[0])
     assert {row["verdict"] for row in labels(line, *chosen[0])} == {"positive"}
+
+
+def test_rejected_annotations_leave_the_store_neither_as_labels_nor_as_clips(line: Line, tmp_path: Path) -> None:
+    first, *others = kinedex.open_store(line.store).results("annotations").to_dicts()
+    run("labels", "reject", line.store, "--take", first["take"], "--start", first["start"], "--stop", first["stop"])
+    standing = {(row["take"], row["start"]) for row in labels(line) if row["verdict"] == "negative"}
+    rejected = sum((one["take"], one["start"]) in standing for one in (first, *others))
+    exported = run("labels", "export", line.store, "-o", tmp_path / "all.csv")
+    assert f"since a person has rejected them: {rejected} annotation" in exported
+    assert pl.read_csv(tmp_path / "all.csv").height == len(others) + 1 - rejected
+    again = json.loads(
+        run("labels", "import", line.store, tmp_path / "all.csv", "--corrects", "annotations", "--json")
+    )  # fmt: skip
+    assert "rejected" not in again["counts"]
+    run("labels", "accept", line.store, "--take", first["take"], "--start", first["start"], "--stop", first["stop"])
+    made = kinedex.open_store(line.store).export(tmp_path / "clips", annotations=True)
+    still = rejected - 1
+    assert made["take"].len() == len(others) + 1 - still
+    assert any("which a person has rejected" in one for one in _remarks(tmp_path / "clips")) == bool(still)
+
+
+def _remarks(folder: Path) -> list[str]:
+    remarks: list[str] = json.loads((folder / "dataset.json").read_text())["remarks"]
+    return remarks
+
+
+def test_differences_are_in_frames_of_the_store_where_it_is_given(line: Line, tmp_path: Path) -> None:
+    head = "take,class,start,stop\n"
+    (tmp_path / "old.csv").write_text(head + "bob_take01,skip,0,40\n")
+    (tmp_path / "new.csv").write_text(head + "bob_take01,skip,20,40\n")
+    (tmp_path / "new.txt").write_text("0.166667\t0.333333\tskip\n")
+    (tmp_path / "new.txt").rename(tmp_path / "bob_take01.txt")
+    of_files, of_store = (
+        run("labels", "diff", tmp_path / "old.csv", tmp_path / "new.csv", "--format", "csv", *more).splitlines()[-1]
+        for more in ((), ("--store", line.store))
+    )
+    assert of_files == "bob_take01,moved,skip,,0.0,40.0,20.0,40.0,source frames".replace(",,", ",skip,")
+    assert of_store == "bob_take01,moved,skip,skip,0.0,10.0,5.0,10.0,frames"
+    words = ("labels", "diff", tmp_path / "old.csv", tmp_path / "bob_take01.txt")
+    assert "give it with --store STORE" in run(*words, fails=True)
+    assert run(*words, "--store", line.store, "--format", "csv").splitlines()[-1] == of_store
 
 
 def test_json_documents_have_the_keys_of_the_reference(line: Line, tmp_path: Path) -> None:

@@ -1,0 +1,31 @@
+"""Annotations that people have rejected: what leaves a store as labels or clips goes without them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from kinedex.storage.store.store import Store
+
+
+class Rejections:
+    """The intervals that people have rejected for a class.
+
+    Parameters
+    ----------
+    store : Store
+        The store that has the labels.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self._rejected = frozenset(
+            (row["take"], row["class"], row["start"], row["stop"])
+            for row in store.labels().to_pylist()
+            if row["verdict"] == "negative"
+        )
+
+    def include(self, annotation: Mapping[str, Any]) -> bool:
+        """Return whether an annotation, a row with class and subclass, was rejected with exactly these edges."""
+        place = annotation["start"], annotation["stop"]
+        names = annotation["class"], annotation["subclass"]
+        return any((annotation["take"], name, *place) in self._rejected for name in names)
