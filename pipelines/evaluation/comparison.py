@@ -17,7 +17,13 @@ from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.evaluation.folds import Material, NoFoldsError, make_folds
 from kinedex.pipelines.evaluation.grid import Cell, SegmentsByTake, cells_table, known_cells, remarks_of, run_cells
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth
-from kinedex.pipelines.evaluation.label_files import NONE, GroundTruthParameters, ground_truth, not_labelled
+from kinedex.pipelines.evaluation.label_files import (
+    NONE,
+    GroundTruthParameters,
+    ground_truth,
+    not_labelled,
+    with_own_classes,
+)
 from kinedex.pipelines.evaluation.method_scores import MethodScores, counts_of, judge, segment_outcomes
 from kinedex.pipelines.evaluation.preparation import StudyMaterial, make_cell, method_remarks, with_templates
 from kinedex.pipelines.evaluation.queries import QueryLearner
@@ -188,16 +194,19 @@ def _folds(plan: Plan, split: Split, known: StudyMaterial) -> list[Fold]:
     tested = plan.tested(store, split)
     if group not in tested.columns:
         raise KinedexError(f"divide_by: takes have no column '{group}'{did_you_mean(group, tested.columns)}")
+    truth = plan.truth
+    if plan.annotated is not None:
+        truth = with_own_classes(truth, tested)
     labels_needed = plan.annotated is not None and not split.clips_as_takes
-    if labels_needed and not_labelled(plan.truth, tested["source_root"].unique()):
+    if labels_needed and not_labelled(truth, tested["source_root"].unique()):
         raise NoFoldsError(f"split '{split.name}': no take to annotate has ground truth")
 
     def place(takes: pl.DataFrame) -> GroundTruth:
-        if plan.truth.ground_truth == NONE:
+        if truth.ground_truth == NONE:
             raise KinedexError(
                 f"split '{split.name}' has takes of its own, whose ground_truth must be given, not 'none'"
             )
-        return ground_truth(store, plan.truth, takes, known.classes)
+        return ground_truth(store, truth, takes, known.classes)
 
     return make_folds(split, Material(material.takes, tuple(material.clips), tested, known.classes, place, group))
 

@@ -35,7 +35,7 @@ class GroundTruthParameters(BaseModel):
         description="label files, read by their ending: .csv (take, class, start, stop in source frames), .json, "
         ".eaf (ELAN), .vtt (WebVTT), .txt (Audacity); a glob below the takes' source folders, or an absolute path; "
         "'class': each take's own class for all of it; 'none': there is none. Where none is given and this one finds "
-        "no file, nothing is evaluated",
+        "no file, takes that have a class, such as one that their paths name, are evaluated by it as with 'class'",
     )
     source: Annotated[str | None, NamesFile("data")] = Field(
         None, description="the folder that ground_truth is relative to; by default the takes' source folders"
@@ -62,6 +62,24 @@ def ground_truth_digest(params: GroundTruthParameters, store: Store | None) -> s
         return files_digest(truth_files(params, roots))
     except KinedexError:
         return "none to be read"
+
+
+def with_own_classes(params: GroundTruthParameters, takes: pl.DataFrame) -> GroundTruthParameters:
+    """Return parameters by which takes are evaluated by their own classes where nothing else is given or found.
+
+    Parameters
+    ----------
+    params : GroundTruthParameters
+        The parameters; returned as they are where they give a ground truth, a file matches the default, or no take
+        has a class.
+    takes : polars.DataFrame
+        Rows of the annotated takes.
+    """
+    if "ground_truth" in params.model_fields_set or not takes["class"].is_not_null().any():
+        return params
+    if any_ground_truth(params.ground_truth, _roots(params, takes["source_root"].unique())):
+        return params
+    return params.model_copy(update={"ground_truth": OWN_CLASS})
 
 
 def not_labelled(params: GroundTruthParameters, roots: Iterable[str]) -> bool:

@@ -11,6 +11,7 @@ import yaml
 
 from kinedex.pipelines.console.escapes import visible
 from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.ingestion.held_out_takes import Division, division
 from kinedex.pipelines.ingestion.pattern_proposal import Proposal, Token
 
 MOST_VALUES = 12
@@ -36,9 +37,17 @@ _STAGES = """
   report:
 """
 
+_BY_CLASS = """
+  evaluate:
+    params: {ground_truth: class}    # the class of a take, which its path names, is that of all of its frames
+"""
+
 _SETTINGS = """
   classes: own                # every value of `class` its own class; or a file of configs/classes, or a path
   method: best                # or thesis; see docs/accuracy.md
+"""
+
+_FILTERS = """
   train: class IS NOT NULL    # takes to learn from: a filter over the columns of `takes`
   annotate: class IS NULL     # takes to annotate
 """
@@ -59,7 +68,8 @@ def pipeline_name(folder: Path) -> str:
 def draft(proposals: Sequence[Proposal], source: Path, count: int, matched: int, output: str) -> str:
     """Return the text of a pipeline file.
 
-    Stages that need example clips, or takes to annotate, are comments where the archive has none.
+    Where every take has a class, some are held out of training, annotated, and evaluated by their classes. Stages that
+    need example clips, or takes to annotate, are comments where the archive has none.
 
     Parameters
     ----------
@@ -76,6 +86,7 @@ def draft(proposals: Sequence[Proposal], source: Path, count: int, matched: int,
     """
     name = pipeline_name(source)
     with_class = sum(len(one.layout.paths) for one in proposals if any(token.role == "class" for token in one.tokens))
+    divided = division(proposals) if with_class == count else None
     lines = [
         f"# Proposed by `kinedex init` for {counted(count, 'motion file')} below {visible(str(source))}.",
         "#",
@@ -91,6 +102,7 @@ def draft(proposals: Sequence[Proposal], source: Path, count: int, matched: int,
         "settings:",
         f"  source: {_scalar(str(source))}",
         *_SETTINGS.strip("\n").splitlines(),
+        *_filters(divided),
         "",
         "stages:",
         "  ingest:",
@@ -100,7 +112,7 @@ def draft(proposals: Sequence[Proposal], source: Path, count: int, matched: int,
         *_patterns(proposals),
         "",
         "  index:",
-        *_rest(with_class, count),
+        *_rest(with_class, count, divided),
     ]
     return "\n".join(line.rstrip() for line in lines) + "\n"
 
@@ -125,19 +137,36 @@ def _patterns(proposals: Sequence[Proposal]) -> list[str]:
     return lines
 
 
-def _rest(with_class: int, count: int) -> list[str]:
+def _filters(divided: Division | None) -> list[str]:
+    """Return the settings that choose the takes to learn from and those to annotate."""
+    if divided is None:
+        return _FILTERS.strip("\n").splitlines()
+    quote = '"'  # the filters have single ones
+    return [
+        f"  # every take has a class: {visible(divided.reason)} are annotated, evaluated by their own classes, and not",
+        "  # learned from; once there are takes without a class, write `class IS NOT NULL` and `class IS NULL`",
+        f"  train: {_scalar(divided.train, quote)}",
+        f"  annotate: {_scalar(divided.annotate, quote)}",
+    ]
+
+
+def _rest(with_class: int, count: int, divided: Division | None) -> list[str]:
     """Return the stages after the index; as comments, with the reason, where they would find no takes."""
     stages = _STAGES.rstrip().splitlines()
+    place = stages.index("  evaluate:")
+    if divided is not None:
+        return [*stages[:place], *_BY_CLASS.strip("\n").splitlines(), *stages[stages.index("", place) :]]
     if 0 < with_class < count:
         return stages
     why = (
         "no token looks like a class: name one ?P<class>, or add example clips"
         if not with_class
-        else "every take has a class: there is nothing to annotate before takes without one are there"
+        else "every take has a class, and they are too few to hold some out: add takes to annotate"
     )
     learn = stages.index("") + 1
     first = stages[:0] if not with_class else stages[learn - 1 : stages.index("", learn)]
-    others = stages[len(first) :]
+    # a comment within a comment would be one more thing to uncomment
+    others = [line for line in stages[len(first) :] if not line.lstrip().startswith("#")]
     return [
         *first,
         "",
@@ -146,6 +175,6 @@ def _rest(with_class: int, count: int) -> list[str]:
     ]
 
 
-def _scalar(text: str) -> str:
+def _scalar(text: str, quote: str = "'") -> str:
     """Return a text as a YAML scalar on one line."""
-    return yaml.safe_dump(text, default_style="'", width=10**9, allow_unicode=True).strip()
+    return yaml.safe_dump(text, default_style=quote, width=10**9, allow_unicode=True).strip()

@@ -27,6 +27,7 @@ from kinedex.pipelines.evaluation.label_files import (
     ground_truth,
     ground_truth_digest,
     not_labelled,
+    with_own_classes,
 )
 from kinedex.pipelines.templates.learning import run_of
 from kinedex.storage.store.store import Store
@@ -52,6 +53,7 @@ class Evaluate(Stage[GroundTruthParameters]):
         report = context.report_file("metrics.json")
         store = context.open()
         takes = annotated_takes(store, context.key(context.inputs["annotations"]))
+        given, params = params, with_own_classes(params, takes)
         if not_labelled(params, takes["source_root"].unique()):
             report.unlink(missing_ok=True)
             context.put_results(metrics=pa.table({}), ground_truth=pa.table({}))
@@ -63,6 +65,10 @@ class Evaluate(Stage[GroundTruthParameters]):
             return {"evaluated_takes": 0}
         annotated = context.params_of("annotations", AnnotationParameters)
         classes = annotated_classes(store, annotated, context.key(context.inputs["annotations"]))
+        if params is not given:
+            context.say(
+                f"the source has no label file '{given.ground_truth}': each take's own class is its ground truth"
+            )
         truth = ground_truth(store, params, takes, classes)
         annotations = store.result("annotations", run=run_of(store, context.key(context.inputs["annotations"])))
         evaluation = evaluate("annotate", annotations, truth, classes.names)

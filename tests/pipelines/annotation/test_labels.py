@@ -82,6 +82,17 @@ def test_a_take_that_was_exported_without_a_segment_is_evaluated(line: Line, tmp
     assert "in which nothing is to be found: cat_1, cat_2" in line.printed.getvalue()
 
 
+def test_takes_with_a_class_are_ground_truth_for_themselves_where_there_is_no_label_file(line: Line):
+    line.run(Annotate, where="name LIKE 'ann_%_001'")
+    assert line.run(Evaluate)["evaluated_takes"] == 2
+    assert "no label file '**/ground_truth.csv': each take's own class is its ground truth" in line.printed.getvalue()
+    truth = open_store(line.store).result("ground_truth").to_pylist()
+    assert [(one["take"], one["class"]) for one in truth] == [("ann_kick_001", "kick"), ("ann_walk_001", "walk")]
+    assert line.run(Evaluate, ground_truth="none")["evaluated_takes"] == 0
+    line.run(Annotate)
+    assert line.run(Evaluate)["evaluated_takes"] == 0
+
+
 def test_the_same_labels_in_two_files_count_once(line: Line, tmp_path: Path):
     for form in ("csv", "json"):
         given = ["labels", "export", str(line.store), "-o", str(tmp_path / "archive" / f"gt.{form}")]

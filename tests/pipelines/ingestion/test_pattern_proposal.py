@@ -12,12 +12,14 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from kinedex.pipelines.commands.cli import app
+from kinedex.pipelines.ingestion.held_out_takes import division
 from kinedex.pipelines.ingestion.pattern_proposal import matched, propose
 from kinedex.pipelines.ingestion.pipeline_draft import draft
 from kinedex.storage.formats.motion.sources import path_groups
 from kinedex.storage.store.store import open_store
 from tests.pipelines.archives import write_archive
 
+PEOPLE = ("al", "bo", "cy")
 KICKS = [f"clips/{c}/X_{a}_{c}_{n:03}_120.amc" for c in ("kickLeft", "squat") for a in ("al", "bo") for n in (1, 2, 3)]
 TAKES = ["takes/X_cy_take01.amc", "takes/X_cy_take02.amc"]
 UNDERSCORES = [
@@ -82,17 +84,38 @@ def test_a_pattern_gives_back_the_values_of_its_tokens(columns: list[list[str]],
 
 
 def test_a_drafted_pipeline_runs_as_it_is(tmp_path: Path) -> None:
-    write_archive(tmp_path / "archive", dict.fromkeys(("x_al_walk_1.amc", "x_bo_walk_1.amc", "x_bo_walk_2.amc"), 30))
+    write_archive(
+        tmp_path / "archive", dict.fromkeys((f"x_{a}_{c}_1.amc" for a in PEOPLE for c in ("run", "walk")), 30)
+    )
     runner, file = CliRunner(), str(tmp_path / "my.yaml")
     shown = runner.invoke(app, ["init", str(tmp_path / "archive"), "-o", file])
-    assert (shown.exit_code, "3 of 3 paths match" in shown.output) == (0, True)
+    assert (shown.exit_code, "6 of 6 paths match" in shown.output) == (0, True)
     again = runner.invoke(app, ["init", str(tmp_path / "archive"), "-o", file])
     assert (again.exit_code, "exists already" in again.stderr) == (1, True)
     store = str(tmp_path / "store")
     assert runner.invoke(app, ["plan", file, "--store", store]).exit_code == 0
     done = runner.invoke(app, ["run", file, "--store", store, "--executor", "serial"])
     assert done.exit_code == 0, done.output
-    assert open_store(store).takes()["actor"].to_list() == ["al", "bo", "bo"]
+    assert open_store(store).takes()["actor"].to_list() == ["al", "al", "bo", "bo", "cy", "cy"]
+    assert "annotate: \"actor = 'cy'\"" in (tmp_path / "my.yaml").read_text()
+    assert "2 takes against ground truth" in done.output
+
+
+@pytest.mark.parametrize(
+    ("paths", "annotate"),
+    [
+        ([f"{n}_{c}_{a}.bvh" for c in ("walk", "run") for a in ("al", "bo", "cy") for n in (1, 2)], "actor = 'cy'"),
+        ([f"x_{c}_{n:02}.bvh" for c in ("walk", "run") for n in range(9)], "clip = '08'"),
+        ([f"{c}/{c[0]}{n:02}.bvh" for c in ("walk", "run") for n in range(9)], "clip = '08'"),
+        ([f"{c}/{c[0]}{name}.bvh" for c in ("walk", "run") for name in ("fox", "elm", "", "y")], "take_id % 4 = 0"),
+        (["walk/fox.bvh", "walk/elm.bvh", "walk/b.bvh", "run/pea.bvh"], None),
+    ],
+)  # fmt: skip
+def test_takes_that_all_have_a_class_are_divided_and_every_class_is_learned(
+    paths: list[str], annotate: str | None
+) -> None:
+    found = division(propose(paths))
+    assert (found and found.annotate) == annotate
 
 
 @pytest.mark.shared
