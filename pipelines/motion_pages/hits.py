@@ -13,7 +13,14 @@ from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.inspection.hit_strip import StripRow, draw_strip
 from kinedex.pipelines.motion_pages import FIGURES
 from kinedex.pipelines.motion_pages.examples import Examples, Interval
-from kinedex.pipelines.motion_pages.motion_page import Clip, MotionPage, grouped, write_motion_page
+from kinedex.pipelines.motion_pages.motion_page import (
+    Clip,
+    Group,
+    MotionPage,
+    figures_of,
+    grouped,
+    write_motion_page,
+)
 from kinedex.pipelines.report.nearest_examples import clips_of
 from kinedex.pipelines.templates.stored_templates import stored_templates
 from kinedex.storage.snapshot.parts import joint_positions
@@ -62,6 +69,36 @@ def write_hits_page(
     page = MotionPage(title, lead, "hit", grouped(list(name_of), name_of.__getitem__, most), tuple(remarks))
     write_motion_page(store, page, path, examples)
     return page.amount
+
+
+def best_hits(store: Store, hits: pa.Table, stage: str, each: int) -> dict[str, Any]:
+    """Return the best hits of each template as moving figures.
+
+    Parameters
+    ----------
+    store : Store
+        The store of the takes.
+    hits : pyarrow.Table
+        Rows of the kind `ranked_hits`.
+    stage : str
+        The stage that learned the templates.
+    each : int
+        Largest number of figures of a template.
+
+    Returns
+    -------
+    dict
+        The variables of a template: `groups`, and those of `figures_of`.
+    """
+    rows = sorted(hits.to_pylist(), key=lambda row: (row["template"], row["rank"]))
+    names = list(dict.fromkeys(row["template"] for row in rows))
+    examples = _template_examples(store, names, "soft", stage)
+    groups = []
+    for name in names:
+        own = [row for row in rows if row["template"] == name]
+        clips = tuple(_clip(row, store.rate_hz, "template", examples) for row in own[:each])
+        groups.append(Group(name, clips, len(own)))
+    return {"groups": groups, **figures_of(store, groups, examples)}
 
 
 def _clip(row: dict[str, Any], rate_hz: float, group: str, examples: Examples | None) -> Clip:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from markupsafe import Markup
 
@@ -151,30 +152,48 @@ def write_motion_page(store: Store, page: MotionPage, path: Path, examples: Exam
 
 def render(store: Store, page: MotionPage, examples: Examples | None = None) -> str:
     """Return the HTML of a page; parameters as for `write_motion_page`. Equal content gives equal bytes."""
-    clips = [clip for group in page.groups for clip in group.clips]
+    return (
+        page_environment()
+        .get_template("figures.html.j2")
+        .render(title=page.title, page=page, **figures_of(store, page.groups, examples))
+    )
+
+
+def figures_of(store: Store, groups: Sequence[Group], examples: Examples | None = None) -> dict[str, Any]:
+    """Return what a template needs for moving figures of clips and their player.
+
+    Parameters
+    ----------
+    store : Store
+        The store of the takes.
+    groups : sequence of Group
+        The figures.
+    examples : Examples, optional
+        The examples that clips name.
+
+    Returns
+    -------
+    dict
+        The variables of the template: the motions, the nearest examples and the colours of the groups.
+    """
+    clips = [clip for group in groups for clip in group.clips]
     motions = _empty(store).with_pieces(store, [(clip.take, clip.start, clip.stop) for clip in clips], MARGIN)
     near: dict[Clip, tuple[int, str]] = {}
     if examples is not None:
         found = {clip: one for clip, one in examples.nearest(store, clips).items() if one is not None}
         motions = motions.with_near(store, [(one.take, one.start, one.stop, one.frames) for one in found.values()])
         near = {clip: (place, one.take) for place, (clip, one) in enumerate(found.items())}
-    light, dark = colour_rules(len(page.groups))
-    return (
-        page_environment()
-        .get_template("figures.html.j2")
-        .render(
-            title=page.title,
-            page=page,
-            scripts=True,
-            motions=motions,
-            motions_json=motions_json(motions),
-            near=near,
-            slot=colour_slot,
-            rate_hz=store.rate_hz,
-            light=light,
-            dark=dark,
-        )
-    )
+    light, dark = colour_rules(len(groups))
+    return {
+        "scripts": True,
+        "motions": motions,
+        "motions_json": motions_json(motions),
+        "near": near,
+        "slot": colour_slot,
+        "rate_hz": store.rate_hz,
+        "light": light,
+        "dark": dark,
+    }
 
 
 def _empty(store: Store) -> Motions:

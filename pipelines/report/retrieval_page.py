@@ -104,7 +104,12 @@ class Course:
 
 
 def retrieval_page(
-    title: str, rank_summary: Mapping[str, Any], hits: Sequence[Row], quality: Sequence[Row], trials: Sequence[Row]
+    title: str,
+    rank_summary: Mapping[str, Any],
+    hits: Sequence[Row],
+    quality: Sequence[Row],
+    trials: Sequence[Row],
+    figures: Mapping[str, Any] | None = None,
 ) -> str:
     """Render the page.
 
@@ -116,6 +121,8 @@ def retrieval_page(
         Summary of the stage `rank`.
     hits, quality, trials : sequence of mapping
         Rows of the result kinds `ranked_hits`, `retrieval` and `precision_recall`.
+    figures : mapping, optional
+        Groups of moving figures and what the template needs for them, as `best_hits` returns them.
 
     Returns
     -------
@@ -143,6 +150,7 @@ def retrieval_page(
             size=SIZE,
             wide=WIDE,
             high=HIGH,
+            **(figures or {"groups": []}),
         )
     )
 

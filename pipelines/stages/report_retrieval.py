@@ -10,10 +10,14 @@ from pydantic import BaseModel, ConfigDict, Field
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.motion_pages.hits import best_hits
 from kinedex.pipelines.report.page_files import write_page
 from kinedex.pipelines.report.retrieval_page import retrieval_page
 from kinedex.pipelines.templates.learning import run_of
 from kinedex.storage.store.store import Store
+
+PAGE = ("retrieval.html.j2", "wall.html.j2", "player.html.j2", "player.js", "behaviour.js", "style.css")
+"""Files that the page is made of."""
 
 
 class Params(BaseModel):
@@ -22,6 +26,7 @@ class Params(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     title: str = Field("How motions are ranked", description="title of the page")
+    figures: int = Field(6, ge=0, description="hits of each template that the page shows in motion")
 
 
 class ReportRetrieval(Stage[Params]):
@@ -39,7 +44,7 @@ class ReportRetrieval(Stage[Params]):
         """Return a hash of the page's templates and styles."""
         pages = resources.files("kinedex.pipelines.report").joinpath("pages")
         with resources.as_file(pages) as folder:
-            return files_digest([folder / "retrieval.html.j2", folder / "style.css"])
+            return files_digest([folder / name for name in PAGE])
 
     def run(self, context: StageContext, params: Params) -> dict[str, object]:
         """Write `retrieval.html` into the pipeline's report folder; what is missing is a sentence on the page."""
@@ -47,13 +52,14 @@ class ReportRetrieval(Stage[Params]):
         rows = {
             role: store.result(kind, run=run_of(store, key)).to_pylist()
             for role, kind, key in (
-                ("ranking", "ranked_hits", context.key(context.inputs["ranking"])),
                 ("evaluation", "retrieval", context.key(context.inputs["evaluation"])),
                 ("stiffness", "precision_recall", context.key(context.inputs["stiffness"])),
             )
         }
         summary = store.manifest.stages[context.key(context.inputs["ranking"])].summary
-        page = retrieval_page(params.title, summary, rows["ranking"], rows["evaluation"], rows["stiffness"])
+        hits = store.result("ranked_hits", run=run_of(store, context.key(context.inputs["ranking"])))
+        figures = best_hits(store, hits, context.pipeline, params.figures)
+        page = retrieval_page(params.title, summary, hits.to_pylist(), rows["evaluation"], rows["stiffness"], figures)
         path = context.report_file("retrieval.html")
         size = write_page(page, path)
         context.say(f"report: {path.resolve()} ({size / 1e3:.0f} kB)")

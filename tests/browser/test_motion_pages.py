@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -35,10 +36,16 @@ def pages(store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for words in calls:
         done = call(*words)
         assert done.exit_code == 0, done.output
+    ranked = folder / "ranked"
+    source = f"source={store.parent / 'archive'}"
+    patterns = "patterns=['clips/(?P<class>[^/]+)/x_(?P<actor>[^_]+)_']"
+    done = call("run", "retrieval", "--store", ranked, "--set", source, "--set", patterns, "--set", "rank.tau=0.3")
+    assert done.exit_code == 0, done.output
+    shutil.copy(ranked / "results" / "reports" / "retrieval" / "retrieval.html", folder)
     return folder
 
 
-KINDS = ("rank", "example", "search", "template", "takes")
+KINDS = ("rank", "example", "search", "template", "takes", "retrieval")
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -52,8 +59,11 @@ def test_nothing_is_beyond_the_window_or_too_small_for_a_finger(browser: Browser
             expect(page.locator("canvas[data-start]").first).to_be_visible()
 
 
-def test_figures_move_and_a_click_plays_one_beside_its_nearest_example(browser: Browser, pages: Path) -> None:
-    with opened(browser, pages / "rank.html") as page:
+@pytest.mark.parametrize("kind", ["rank", "retrieval"])
+def test_figures_move_and_a_click_plays_one_beside_its_nearest_example(
+    browser: Browser, pages: Path, kind: str
+) -> None:
+    with opened(browser, pages / f"{kind}.html") as page:
         figure = page.locator("canvas[data-near]").first
         figure.scroll_into_view_if_needed()
         page.wait_for_function(
