@@ -1,4 +1,8 @@
-"""Class files sort the subclasses (labels of training clips) of an archive into the classes of an annotation."""
+"""Class files sort the subclasses (labels of training clips) of an archive into the classes of an annotation.
+
+For the priors of Chapter 6 they also name the classes in which the body moves forwards, and change the regions of
+templates that are marked.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +12,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, model_validator
 
 from kinedex.catalog.configs import Located, config_path, load_yaml
 from kinedex.ops.errors import ConfigError, did_you_mean
+from kinedex.ops.priors.constraints import Constraint, MarkEdit, Side
 
 OWN = "own"
 """Use this name in place of a class file to make every subclass a class of its own."""
@@ -19,11 +24,25 @@ OWN = "own"
 
 @dataclass(frozen=True)
 class MotionClass:
-    """A class with its name, its description and its subclasses."""
+    """A class of motions.
+
+    Attributes
+    ----------
+    name, description : str
+        Its name and its description.
+    subclasses : tuple of str
+        Its subclasses.
+    locomotion : bool
+        True where the body moves forwards: a fast foot then moves to the front.
+    marks : tuple of MarkEdit
+        Changes of the marked regions of its templates (thesis, Section 6.4.1).
+    """
 
     name: str
     description: str
     subclasses: tuple[str, ...]
+    locomotion: bool = False
+    marks: tuple[MarkEdit, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -58,10 +77,29 @@ class Classes:
         return self.of_subclass() | {name: name for name in self.names}
 
 
+class _MarkEntry(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    constraint: Constraint
+    side: Side | None = None
+    columns: tuple[int, int] | None = None
+    remove: bool = False
+    name: str = ""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> _MarkEntry:
+        if self.columns is not None and not 0 <= self.columns[0] <= self.columns[1]:
+            raise ValueError(f"columns must be the first and the last one, from 0, got {list(self.columns)}")
+        if self.name and self.remove:
+            raise ValueError("a region that is removed has no name; take out `name` or `remove`")
+        return self
+
+
 class _ClassEntry(BaseModel):
     model_config = ConfigDict(extra="forbid")
     description: str = ""
     subclasses: list[str] = []
+    locomotion: bool = False
+    marks: list[_MarkEntry] = []
 
 
 def class_files(classes: str | Path) -> list[Path]:
@@ -76,7 +114,7 @@ def load_classes(name_or_path: str | Path, subclasses: Iterable[str]) -> Classes
     ----------
     name_or_path : path
         "own", a shipped file of `configs/classes`, or a path to a .yaml file. The file maps a class to its description
-        and its subclasses, names or patterns with * ? [ ].
+        and its subclasses, names or patterns with * ? [ ]; for priors also to `locomotion` and `marks`.
     subclasses : iterable of str
         Every subclass that the archive has. A pattern matches any number of them; a class without a match stays.
 
@@ -114,7 +152,11 @@ def load_classes(name_or_path: str | Path, subclasses: Iterable[str]) -> Classes
                         f"subclass '{subclass}' is in class '{other}' already (line {line}); take it out of one", *key
                     )
                 taken.append(subclass)
-        classes.append(MotionClass(name, entry.description, tuple(dict.fromkeys(taken))))
+        marks = tuple(
+            MarkEdit(**mark.model_dump(), where=f"{path}:{located.line(name, 'marks', place)}: {name}")
+            for place, mark in enumerate(entry.marks)
+        )
+        classes.append(MotionClass(name, entry.description, tuple(dict.fromkeys(taken)), entry.locomotion, marks))
     return Classes(tuple(classes), tuple(name for name in known if name not in owner))
 
 

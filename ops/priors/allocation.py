@@ -1,0 +1,189 @@
+"""Allocation: which hit gives priors to a frame, and which frame lends its pose to another one (thesis, 6.4.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.priors.hits import Hit
+from kinedex.ops.priors.motion import Motion
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+LEAST_QUALITY = 0.1
+"""The least quality of a hit, which multiplies the weights of its priors."""
+
+POSE, ARCHIVE = "pose", "archive"
+"""Kinds of priors besides the constraints of `ops.priors.constraints.CONSTRAINTS`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Allocation:
+    """The hit of each frame.
+
+    Attributes
+    ----------
+    hits : tuple of Hit
+        Hits in frames of the recording.
+    owners : int64 array (T,)
+        The hit of least cost that covers each frame, −1 for none.
+    columns : int64 array (T,)
+        The column of the hit's template, −1 for none.
+    qualities : float64 array (H,)
+        The quality of each hit.
+    lenders : int64 array (T,)
+        The frame that lends its pose to each frame, −1 for none.
+    """
+
+    hits: tuple[Hit, ...]
+    owners: I64
+    columns: I64
+    qualities: F64
+    lenders: I64
+
+    def frames(self, hit: int) -> I64:
+        """Return the frames that a hit gives priors to."""
+        return np.flatnonzero(self.owners == hit)
+
+
+def allocate(hits: Sequence[Hit], frames: int, threshold: float) -> Allocation:
+    """Give each frame the hit of least cost that covers it, and the frame that lends its pose.
+
+    Parameters
+    ----------
+    hits : sequence of Hit
+        Hits; of equal costs the first counts.
+    frames : int
+        The number of frames T.
+    threshold : float
+        τ, which the quality max(`LEAST_QUALITY`, 1 − cost / τ) of a hit is measured against.
+
+    Returns
+    -------
+    Allocation
+    """
+    owners, columns = np.full(frames, -1, np.int64), np.full(frames, -1, np.int64)
+    costs = np.array([hit.cost for hit in hits], np.float64)
+    for place in np.argsort(costs, kind="stable")[::-1].tolist():  # the cheapest is written last
+        hit = hits[place]
+        owners[hit.start : hit.stop] = place
+        columns[hit.start : hit.stop] = np.rint(hit.columns).astype(np.int64)
+    qualities = np.maximum(LEAST_QUALITY, 1.0 - costs / threshold)
+    lenders = np.full(frames, -1, np.int64)
+    for place, hit in enumerate(hits):
+        source = _source(hits, place)
+        if source >= 0:
+            own = owners[hit.start : hit.stop] == place
+            lenders[hit.start : hit.stop][own] = _lenders(hit, hits[source])[own]
+    return Allocation(tuple(hits), owners, columns, qualities, lenders)
+
+
+def _source(hits: Sequence[Hit], place: int) -> int:
+    """Return the cheapest hit of the same motion that costs less and does not overlap, −1 for none."""
+    hit, best = hits[place], -1
+    for other, lender in enumerate(hits):
+        if lender.motion != hit.motion or not lender.cost < hit.cost:
+            continue
+        apart = lender.stop <= hit.start or hit.stop <= lender.start
+        if apart and (best < 0 or lender.cost < hits[best].cost):
+            best = other
+    return best
+
+
+def _lenders(hit: Hit, source: Hit) -> I64:
+    """Return for each frame of a hit the frame of another one whose column is nearest, the earliest of equals."""
+    apart = np.abs(np.rint(source.columns)[None, :] - np.rint(hit.columns)[:, None])
+    return source.start + apart.argmin(axis=1)
+
+
+@dataclass(frozen=True)
+class PriorRow:
+    """An interval of frames that got priors of one kind.
+
+    Attributes
+    ----------
+    round : int
+        The round, from 1.
+    kind : str
+        "archive", "pose", or a constraint.
+    side : str
+        "left" or "right" of a constraint, else empty.
+    motion : str
+        The name of the motion.
+    hit : int
+        The place of the hit in its round.
+    start, stop : int
+        The half-open range of frames.
+    first_column, last_column : int
+        The columns in the first and the last of these frames.
+    cost : float
+        The distance of the hit.
+    weight : float
+        What the weights of the priors were multiplied by.
+    kept : bool
+        False for priors that the guard withdrew.
+    reason : str
+        Why they were withdrawn; empty where they were kept.
+    """
+
+    round: int
+    kind: str
+    side: str
+    motion: str
+    hit: int
+    start: int
+    stop: int
+    first_column: int
+    last_column: int
+    cost: float
+    weight: float
+    kept: bool = True
+    reason: str = ""
+
+
+def prior_rows(
+    allocation: Allocation, motions: Sequence[Motion], weights: dict[str, float], number: int
+) -> list[PriorRow]:
+    """Return what was allocated in a round, hit by hit.
+
+    Parameters
+    ----------
+    allocation : Allocation
+        The hits of the frames.
+    motions : sequence of Motion
+        The motions of the archive.
+    weights : dict of str to float
+        The factor of each kind that is used: "archive", "pose" and constraints.
+    number : int
+        The round, from 1.
+    """
+    rows = []
+    for place, hit in enumerate(allocation.hits):
+        motion, frames = motions[hit.motion], allocation.frames(place)
+        columns, quality = allocation.columns[frames], float(allocation.qualities[place])
+        regions: list[tuple[str, str, npt.NDArray[np.bool_]]] = []
+        if ARCHIVE in weights and motion.poses is not None:
+            regions.append((ARCHIVE, "", np.ones(len(frames), np.bool_)))
+        elif POSE in weights:
+            regions.append((POSE, "", allocation.lenders[frames] >= 0))
+        regions += [
+            (mark.constraint, mark.side, (columns >= mark.start) & (columns < mark.stop))
+            for mark in motion.marks
+            if mark.constraint in weights
+        ]
+        for kind, side, marked in regions:
+            own, at = frames[marked], columns[marked]
+            for part in np.split(np.arange(len(own)), np.flatnonzero(np.diff(own) != 1) + 1):
+                if len(part):
+                    a, b = int(part[0]), int(part[-1])
+                    rows.append(
+                        PriorRow(
+                            number, kind, side, motion.name, place, int(own[a]), int(own[b]) + 1, int(at[a]),
+                            int(at[b]), hit.cost, quality * weights[kind],
+                        )
+                    )  # fmt: skip
+    return rows

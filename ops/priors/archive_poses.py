@@ -1,0 +1,147 @@
+"""The poses of a class: for each column of its template how the example clips turn every node (archive poses)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.body.kinematic_chain import Poses, rotation_of, vector_of
+from kinedex.ops.errors import ParameterError
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+Bool = npt.NDArray[np.bool_]
+
+LEAST_SEEN_S = 5 / 30
+"""A node's own way is measured where it is seen for so many seconds of a hit at least."""
+
+FULL_SEEN_S = 0.5
+"""The own way counts in full where a node is seen for so many seconds of a hit."""
+
+
+class PoseTable(NamedTuple):
+    """The turns of nodes in the example clips of a class, for the N columns of its template.
+
+    Attributes
+    ----------
+    means : float64 array (N, K, 3, 3)
+        The mean rotation M of each node.
+    spreads : float64 array (N, K, 3)
+        Root mean square of log(MᵀR) over the clips, about X, Y and Z of the node, in radians.
+    tilts : float64 array (N, 3)
+        The mean direction of the world's up axis in the frame of the first node.
+    clips : int
+        The number of clips.
+    """
+
+    means: F64
+    spreads: F64
+    tilts: F64
+    clips: int
+
+
+def pose_table(clips: Sequence[Poses], frames: Sequence[I64]) -> PoseTable:
+    """Return the mean poses of clips that are aligned to a template, and their spread.
+
+    Parameters
+    ----------
+    clips : sequence of Poses
+        The fitted poses of each example clip.
+    frames : sequence of int64 array (N,)
+        The frame of each clip that goes with each column, see `ops.priors.alignment.clip_frames`.
+
+    Raises
+    ------
+    ParameterError
+        If there is no clip.
+    """
+    if not clips:
+        raise ParameterError("clips", "at least one clip with poses", 0)
+    turns = np.stack([clip.turns[own] for clip, own in zip(clips, frames, strict=True)])
+    means = nearest_rotations(turns.mean(axis=0))
+    spreads = np.sqrt((relative_turns(means[None], turns) ** 2).mean(axis=0))
+    tilts = turns[:, :, 0, 1, :].mean(axis=0)  # Rᵀe_y is the second row of R
+    return PoseTable(means, spreads, tilts / np.linalg.norm(tilts, axis=1, keepdims=True), len(clips))
+
+
+def nearest_rotations(matrices: F64) -> F64:
+    """Return the rotations nearest to matrices (…, 3, 3), by singular values."""
+    left, _, right = np.linalg.svd(matrices)
+    signs = np.sign(np.linalg.det(left @ right))
+    left[..., 2] *= signs[..., None]
+    rotations: F64 = left @ right
+    return rotations
+
+
+def relative_turns(means: F64, turns: F64) -> F64:
+    """Return log(MᵀR), the rotation vectors (…, 3) from means M to turns R (…, 3, 3), in the frame of the means."""
+    means, turns = np.broadcast_arrays(means, turns)
+    vectors = np.empty((means.size // 9, 3))
+    _relative(np.ascontiguousarray(means).reshape(-1, 3, 3), np.ascontiguousarray(turns).reshape(-1, 3, 3), vectors)
+    return vectors.reshape(means.shape[:-1])
+
+
+@nb.njit(cache=True, nogil=True)
+def _relative(means: F64, turns: F64, vectors: F64) -> None:
+    product = np.empty((3, 3))
+    for place in range(len(means)):
+        for i in range(3):
+            for j in range(3):
+                product[i, j] = (
+                    means[place, 0, i] * turns[place, 0, j]
+                    + means[place, 1, i] * turns[place, 1, j]
+                    + means[place, 2, i] * turns[place, 2, j]
+                )
+        vectors[place] = vector_of(product)
+
+
+class OwnWay(NamedTuple):
+    """How an actor turns each node in a hit, measured where the cameras agree on it.
+
+    Attributes
+    ----------
+    turns : float64 array (K, 3, 3)
+        The rotation that follows the mean of the archive; the identity where the node is hardly seen.
+    residuals : float64 array (K, 3)
+        Root mean square of what is left of log(MᵀR) over the frames where the node is seen, in radians; NaN where it
+        is hardly seen.
+    """
+
+    turns: F64
+    residuals: F64
+
+
+def own_way(means: F64, turns: F64, seen: Bool, rate_hz: float) -> OwnWay:
+    """Measure how an actor differs from the archive in the frames of a hit.
+
+    Parameters
+    ----------
+    means : float64 array (E, K, 3, 3)
+        The archive's rotation of each node in the frames of the hit.
+    turns : float64 array (E, K, 3, 3)
+        Those of the track.
+    seen : bool array (E, K)
+        The nodes whose keypoints the cameras agree on.
+    rate_hz : float
+        Frames per second.
+
+    Returns
+    -------
+    OwnWay
+        The mean of log(MᵀR) over the N frames where a node is seen, times min(1, N / rate / `FULL_SEEN_S`), and
+        nothing below `LEAST_SEEN_S`.
+    """
+    counts = seen.sum(axis=0)
+    enough = counts >= LEAST_SEEN_S * rate_hz - 1e-9
+    vectors = relative_turns(means, turns)
+    shares = np.minimum(1.0, counts / (FULL_SEEN_S * rate_hz)) * enough
+    total = np.where(seen[:, :, None], vectors, 0.0).sum(axis=0)
+    offsets = total / np.maximum(counts, 1)[:, None] * shares[:, None]
+    own = np.stack([rotation_of(vector) for vector in offsets]) if len(offsets) else np.zeros((0, 3, 3))
+    left = relative_turns(means @ own, turns)
+    squares = np.where(seen[:, :, None], left**2, 0.0).sum(axis=0) / np.maximum(counts, 1)[:, None]
+    return OwnWay(own, np.where(enough[:, None], np.sqrt(squares), np.nan))

@@ -1,0 +1,41 @@
+"""The guard: the observations judge each hit against the track without priors (not in the thesis)."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.priors.allocation import Allocation
+
+F64 = npt.NDArray[np.float64]
+
+
+def cost_ratios(allocation: Allocation, costs: F64, without: F64) -> F64:
+    """Return how much worse a track fits the observations in the frames of each hit than the track without priors.
+
+    Parameters
+    ----------
+    allocation : Allocation
+        The hits of the frames.
+    costs : float64 array (T,)
+        The cost of the observations in each frame of the track with priors.
+    without : float64 array (T,)
+        The same of the track without priors.
+
+    Returns
+    -------
+    float64 array (H,)
+        The ratio of the sums over the frames of each hit; 1 where a hit has no frame, or both sums are 0.
+
+    Raises
+    ------
+    ParameterError
+        If the costs are not those of all frames.
+    """
+    if not len(costs) == len(without) == len(allocation.owners):
+        raise ParameterError("costs", f"those of {len(allocation.owners)} frames", (len(costs), len(without)))
+    places = allocation.owners + 1  # frames without a hit are in bin 0
+    ours, theirs = (np.bincount(places, weights=c, minlength=len(allocation.hits) + 1)[1:] for c in (costs, without))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(theirs > 0, ours / theirs, np.where(ours > 0, np.inf, 1.0))

@@ -1,0 +1,128 @@
+"""Hits: where a track resembles a motion class, and which column of its template goes with each frame (thesis, 6.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.annotation.segments import local_minima
+from kinedex.ops.distances.curve_path import curve_paths, essential_minima, least_curve
+from kinedex.ops.distances.dtw import distance_curves
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.templates.templates import QuantisedTemplate
+from kinedex.ops.words import U64
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Hit:
+    """An essential minimum of distance curves, with its path.
+
+    Attributes
+    ----------
+    motion : int
+        The index of the motion whose template fits.
+    start, stop : int
+        The half-open range of frames of the path.
+    cost : float
+        The distance in its last frame.
+    columns : float64 array (stop − start,)
+        The column of the template in each frame.
+    """
+
+    motion: int
+    start: int
+    stop: int
+    cost: float
+    columns: F64
+
+
+def find_hits(templates: Sequence[QuantisedTemplate], words: U64, threshold: float) -> tuple[list[Hit], list[Hit]]:
+    """Find where a take resembles motions (thesis, Eq. 6.5 and 6.6, Section 6.4.1).
+
+    Candidates are the local minima of a distance curve below the threshold; plateau frames count. Essential ones are
+    left by `ops.distances.curve_path.essential_minima`.
+
+    Parameters
+    ----------
+    templates : sequence of QuantisedTemplate
+        The template of each motion.
+    words : uint64 array (L,)
+        The words of the take; `NO_WORD` where a frame is invalid.
+    threshold : float
+        τ > 0.
+
+    Returns
+    -------
+    hits : list of Hit
+        The essential minima of Δ^min, the cheapest first.
+    alternatives : list of Hit
+        Those of each curve by itself that are no hits, the cheapest first: other motions that explain the same frames.
+
+    Raises
+    ------
+    ParameterError
+        If the threshold is not above 0.
+    """
+    if not threshold > 0:
+        raise ParameterError("threshold", "above 0", threshold)
+    curves = distance_curves(list(templates), words)
+    own = [
+        _candidates(template, words, motion, curve, local_minima(curve, threshold))
+        for motion, (template, curve) in enumerate(zip(templates, curves, strict=True))
+    ]
+    least = least_curve(curves)
+    ends = local_minima(least.costs, threshold)
+    places = {(hit.motion, hit.stop - 1): hit for hits in own for hit in hits}
+    best = _essential([places[int(least.curves[end]), end] for end in ends.tolist()])
+    chosen = {id(hit) for hit in best}
+    others = [hit for hits in own for hit in _essential(hits) if id(hit) not in chosen]
+    return best, sorted(others, key=lambda hit: (hit.cost, hit.stop, hit.motion))
+
+
+def _candidates(template: QuantisedTemplate, words: U64, motion: int, curve: F64, ends: I64) -> list[Hit]:
+    """Return the minima of one curve with their paths."""
+    return [
+        Hit(motion, path.start, end + 1, float(curve[end]), path.columns)
+        for end, path in zip(ends.tolist(), curve_paths(template, words, ends), strict=True)
+    ]
+
+
+def _essential(hits: Sequence[Hit]) -> list[Hit]:
+    """Return the hits that no cheaper one is close to, the cheapest first."""
+    starts, ends = (np.array(column, np.int64) for column in ([h.start for h in hits], [h.stop - 1 for h in hits]))
+    return [hits[place] for place in essential_minima(starts, ends, np.array([hit.cost for hit in hits])).tolist()]
+
+
+def at_rate(hits: Sequence[Hit], words_rate_hz: float, rate_hz: float, frames: int) -> list[Hit]:
+    """Return hits in the frames of a recording, whose words have another rate; columns are interpolated.
+
+    Parameters
+    ----------
+    hits : sequence of Hit
+        Hits in frames of the words.
+    words_rate_hz, rate_hz : float
+        Frames per second of the words and of the recording; frame 0 of both is the same moment.
+    frames : int
+        The number of frames of the recording.
+
+    Returns
+    -------
+    list of Hit
+        As many hits, in their order; a hit covers the recorded frames from its first to its last frame.
+    """
+    step = words_rate_hz / rate_hz
+    found = []
+    for hit in hits:
+        first = int(np.ceil(round(hit.start / step, 9)))
+        last = min(int(np.floor(round((hit.stop - 1) / step, 9))), frames - 1)
+        if last < first:  # a recording slower than its words can have no frame within a short hit
+            first = last = min(first, frames - 1)
+        columns = np.interp(np.arange(first, last + 1) * step, np.arange(hit.start, hit.stop), hit.columns)
+        found.append(Hit(hit.motion, first, last + 1, hit.cost, columns))
+    return found

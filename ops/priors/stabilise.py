@@ -1,0 +1,288 @@
+"""Rounds that stabilise a track by priors: hits, allocation, terms, another track, the guard (thesis, Chapter 6)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.body.kinematic_chain import ChainBody, Poses
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.priors.allocation import ARCHIVE, POSE, PriorRow, allocate, prior_rows
+from kinedex.ops.priors.archive_poses import relative_turns
+from kinedex.ops.priors.constraints import CONSTRAINTS
+from kinedex.ops.priors.guard import cost_ratios
+from kinedex.ops.priors.hits import at_rate, find_hits
+from kinedex.ops.priors.motion import Motion
+from kinedex.ops.priors.terms import TrackState, make_terms
+from kinedex.ops.tracking.prior_terms import PriorTerms
+from kinedex.ops.words import U64
+
+F64 = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+
+LOGICAL = "logical"
+"""The kind of priors that stands for all constraints."""
+
+KINDS = (LOGICAL, POSE, ARCHIVE)
+"""The kinds of priors: those of the thesis, and the poses of the archive."""
+
+FAR_RAD = 0.7
+"""A node that is farther than this from its prior starts from the prior, in radians."""
+
+SETTLED_RAD, SETTLED_M = 0.01, 0.01
+"""A round is the last one if no turn and no place has moved by more."""
+
+
+class Track(Protocol):
+    """What a tracker returns, see `ops.tracking.take_tracker.TakeTrack`."""
+
+    @property
+    def poses(self) -> Poses:
+        """The poses."""
+
+    @property
+    def positions(self) -> F64:
+        """The joints (T, J, 3) in metres."""
+
+    @property
+    def costs(self) -> F64:
+        """The cost of the observations in each frame (T,), which the guard compares."""
+
+
+class Tracker(Protocol):
+    """A tracker with its observations."""
+
+    @property
+    def body(self) -> ChainBody:
+        """The body."""
+
+    @property
+    def rate_hz(self) -> float:
+        """Frames per second."""
+
+    def track(self, start: Poses, priors: PriorTerms | None) -> Track:
+        """Track the recording again from a start, with the terms of priors."""
+
+    def nodes_seen(self, track: Track) -> Bool:
+        """Return the nodes whose keypoints the cameras agree on, bool (T, K)."""
+
+    def restart(self, poses: Poses, nodes_seen: Bool) -> Poses:
+        """Return poses whose first node is interpolated where it is not seen."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of priors.
+
+    Attributes
+    ----------
+    kinds : tuple of str
+        Kinds of priors, of `KINDS`.
+    threshold : float
+        τ > 0: a hit costs less.
+    rounds : int
+        The most rounds.
+    guard : float
+        A hit is withdrawn where the track with its priors fits the observations worse than the track without by more
+        than this factor; infinite for no guard.
+    factors : mapping of str to float
+        Factors of the weights of kinds or constraints, 1 by default.
+    words_rate_hz : float
+        Frames per second of the words.
+    """
+
+    kinds: tuple[str, ...] = (ARCHIVE,)
+    threshold: float = 0.13
+    rounds: int = 2
+    guard: float = 1.1
+    factors: Mapping[str, float] = field(default_factory=dict)
+    words_rate_hz: float = 30.0
+
+    def __post_init__(self) -> None:
+        unknown = [kind for kind in self.kinds if kind not in KINDS]
+        if unknown or not self.kinds:
+            raise ParameterError("kinds", f"of {', '.join(KINDS)}", list(self.kinds))
+        strange = [name for name in self.factors if name not in (*KINDS, *CONSTRAINTS)]
+        if strange or not all(np.isfinite(value) and value >= 0 for value in self.factors.values()):
+            known = ", ".join((*KINDS, *CONSTRAINTS))
+            raise ParameterError("factors", f"not negative, for kinds of {known}", dict(self.factors))
+        if not self.threshold > 0:
+            raise ParameterError("threshold", "above 0", self.threshold)
+        if not self.guard >= 0:
+            raise ParameterError("guard", "0 or above", self.guard)
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """The factor of each kind and constraint that is used."""
+        weights = {}
+        for kind in self.kinds:
+            for one in CONSTRAINTS if kind == LOGICAL else (kind,):
+                weights[str(one)] = self.factors.get(one, self.factors.get(kind, 1.0))
+        return weights
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """What a round did.
+
+    Attributes
+    ----------
+    rows : tuple of PriorRow
+        The priors that it allocated, kept or withdrawn.
+    costs : float64 array (T,)
+        The cost of the observations in each frame after it.
+    moved_mm : float64 array (T, J)
+        How far each joint moved in it.
+    """
+
+    rows: tuple[PriorRow, ...]
+    costs: F64
+    moved_mm: F64
+
+
+@dataclass(frozen=True, eq=False)
+class StabilisedTrack:
+    """A track after all rounds.
+
+    Attributes
+    ----------
+    track : Track
+        The track; the one without priors itself where no prior was left.
+    rounds : tuple of Round
+        What each round did.
+    moved_mm : float64 array (T, J)
+        How far each joint is from the track without priors.
+    """
+
+    track: Track
+    rounds: tuple[Round, ...]
+    moved_mm: F64
+
+
+def stabilise(
+    tracker: Tracker,
+    without: Track,
+    words: Callable[[Track], U64],
+    motions: Sequence[Motion],
+    settings: Settings | None = None,
+) -> StabilisedTrack:
+    """Stabilise a track by priors of an archive.
+
+    Parameters
+    ----------
+    tracker : Tracker
+        The tracker with its observations.
+    without : Track
+        The track without priors; that of a whole take has been restarted.
+    words : callable
+        Returns the words of a track, uint64 (L,), at the rate of the settings; their first frame is that of the track.
+    motions : sequence of Motion
+        What the archive knows.
+    settings : Settings, optional
+        The settings.
+
+    Returns
+    -------
+    StabilisedTrack
+    """
+    chosen = settings or Settings()
+    current, rounds = without, []
+    for number in range(1, chosen.rounds + 1):
+        before = current
+        current, rows = _round(tracker, before, without, words, motions, chosen, number)
+        rounds.append(Round(tuple(rows), current.costs, _moved_mm(before, current)))
+        if _settled(before, current):
+            break
+    return StabilisedTrack(current, tuple(rounds), _moved_mm(without, current))
+
+
+def _round(
+    tracker: Tracker, before: Track, without: Track, words: Callable[[Track], U64], motions: Sequence[Motion],
+    settings: Settings, number: int,
+) -> tuple[Track, list[PriorRow]]:  # fmt: skip
+    """Run one round; return its track and what it allocated."""
+    frames, weights = len(before.costs), settings.weights
+    state = state_of(tracker, before)
+    hits, _ = find_hits([motion.template for motion in motions], words(before), settings.threshold)
+    hits = at_rate(hits, settings.words_rate_hz, tracker.rate_hz, frames)
+    allocation = allocate(hits, frames, settings.threshold)
+    rows = prior_rows(allocation, motions, weights, number)
+    if not rows:
+        return without, rows
+    terms = make_terms(state, allocation, motions, weights)
+    after = tracker.track(round_start(tracker, state, terms), terms)
+    ratios = cost_ratios(allocation, after.costs, without.costs)
+    withdrawn: Bool = ratios > settings.guard
+    if not withdrawn.any():
+        return after, rows
+    kept = allocate([hit for hit, bad in zip(hits, withdrawn, strict=True) if not bad], frames, settings.threshold)
+    rows = _judged(rows, ratios, settings.guard)
+    if not prior_rows(kept, motions, weights, number):
+        return without, rows
+    bad_frames = np.flatnonzero(np.append(withdrawn, False)[allocation.owners])
+    places, turns = after.poses.places.copy(), after.poses.turns.copy()
+    places[bad_frames], turns[bad_frames] = without.poses.places[bad_frames], without.poses.turns[bad_frames]
+    return tracker.track(Poses(places, turns), make_terms(state, kept, motions, weights)), rows
+
+
+def _judged(rows: Sequence[PriorRow], ratios: F64, guard: float) -> list[PriorRow]:
+    """Mark the rows of hits that the guard withdraws."""
+    return [
+        replace(
+            row, kept=False,
+            reason=f"the observations fit {ratios[row.hit]:.2f} times as badly as without priors (guard {guard:g})",
+        )
+        if ratios[row.hit] > guard else row
+        for row in rows
+    ]  # fmt: skip
+
+
+def state_of(tracker: Tracker, track: Track) -> TrackState:
+    """Return a track as the state that priors are allocated to."""
+    positions = np.ascontiguousarray(np.moveaxis(track.positions, 0, 2))
+    return TrackState(tracker.body, track.poses, positions, tracker.nodes_seen(track), tracker.rate_hz)
+
+
+def round_start(tracker: Tracker, state: TrackState, terms: PriorTerms) -> Poses:
+    """Return the start of a round: the track before it, and the priors where it is not to be trusted.
+
+    A node with an archive or pose prior starts from it where it is not seen, where it is farther than `FAR_RAD` from
+    it, or where neither hip is seen; the first node is interpolated where neither hip is seen.
+
+    Parameters
+    ----------
+    tracker : Tracker
+        The tracker.
+    state : TrackState
+        The track before the round.
+    terms : PriorTerms
+        The terms of the round.
+    """
+    hips = [state.body.chain.nodes.index(name) for name in ("lhip", "rhip")]
+    lost = np.flatnonzero(~state.nodes_seen[:, hips].any(axis=1))
+    given = (terms.turn_weights > 0).all(axis=2)  # a constraint weighs one axis of an elbow alone
+    apart = np.zeros(given.shape)
+    apart[given] = np.linalg.norm(relative_turns(terms.turn_targets[given], state.poses.turns[given]), axis=1)
+    moved = ~state.nodes_seen | (apart > FAR_RAD)
+    moved[lost] = True
+    moved &= given
+    turns = np.where(moved[:, :, None, None], terms.turn_targets, state.poses.turns)
+    return tracker.restart(Poses(state.poses.places.copy(), turns), state.nodes_seen)
+
+
+def _moved_mm(before: Track, after: Track) -> F64:
+    moved: F64 = 1000.0 * np.linalg.norm(after.positions - before.positions, axis=2)
+    return moved
+
+
+def _settled(before: Track, after: Track) -> bool:
+    """Return True where no turn and no place moved by more than `SETTLED_RAD` and `SETTLED_M`."""
+    turned = np.linalg.norm(relative_turns(before.poses.turns, after.poses.turns), axis=-1)
+    return bool(
+        turned.max(initial=0.0) <= SETTLED_RAD
+        and np.abs(after.poses.places - before.poses.places).max(initial=0.0) <= SETTLED_M
+    )

@@ -1,0 +1,154 @@
+"""From allocations to the terms that a tracker adds to its energy (thesis, Sections 6.4.2 and 6.4.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.body.kinematic_chain import ChainBody, Poses
+from kinedex.ops.priors.allocation import ARCHIVE, POSE, Allocation
+from kinedex.ops.priors.archive_poses import own_way
+from kinedex.ops.priors.constraints import (
+    BENT_RAD,
+    Constraint,
+    PlacePulls,
+    Side,
+    front_pulls,
+    ground_pulls,
+    joined,
+    straight_elbow,
+)
+from kinedex.ops.priors.motion import Motion
+from kinedex.ops.tracking.prior_terms import PriorTerms, no_priors
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+Bool = npt.NDArray[np.bool_]
+
+POSE_RAD = 0.15
+"""Standard deviation of a turn about the one that a prior gives, besides the spread of the archive, in radians."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackState:
+    """A track that priors are allocated to.
+
+    Attributes
+    ----------
+    body : ChainBody
+        The body.
+    poses : Poses
+        Its poses.
+    positions : float64 array (J, 3, T)
+        Its joints in metres, Y up.
+    nodes_seen : bool array (T, K)
+        The nodes whose keypoints the cameras agree on.
+    rate_hz : float
+        Frames per second.
+    """
+
+    body: ChainBody
+    poses: Poses
+    positions: F64
+    nodes_seen: Bool
+    rate_hz: float
+
+
+def make_terms(
+    state: TrackState, allocation: Allocation, motions: Sequence[Motion], weights: Mapping[str, float]
+) -> PriorTerms:
+    """Turn an allocation into terms; all of them are constants of the round.
+
+    Parameters
+    ----------
+    state : TrackState
+        The track before the round.
+    allocation : Allocation
+        The hits of its frames.
+    motions : sequence of Motion
+        The motions of the archive.
+    weights : mapping of str to float
+        The factor of each kind of priors that is used: "archive", "pose" and constraints.
+
+    Returns
+    -------
+    PriorTerms
+    """
+    terms = no_priors(len(allocation.owners), len(state.body.chain.nodes))
+    borrowed = allocation.lenders >= 0
+    for place, hit in enumerate(allocation.hits):
+        table, frames = motions[hit.motion].poses, allocation.frames(place)
+        if ARCHIVE in weights and table is not None and len(frames):
+            borrowed[frames] = False
+            _add_archive(terms, state, allocation, motions, place, weights[ARCHIVE])
+    if POSE in weights:
+        _add_lent(terms, state, allocation, np.flatnonzero(borrowed), weights[POSE])
+    return _with_constraints(terms, state, allocation, motions, weights)
+
+
+def _add_archive(
+    terms: PriorTerms, state: TrackState, allocation: Allocation, motions: Sequence[Motion], place: int, weight: float
+) -> None:
+    """Add the archive's turns, in the actor's own way, and tilts to the frames of a hit."""
+    table = motions[allocation.hits[place].motion].poses
+    assert table is not None
+    frames = allocation.frames(place)
+    columns = allocation.columns[frames]
+    means, quality = table.means[columns], weight * allocation.qualities[place]
+    way = own_way(means, state.poses.turns[frames], state.nodes_seen[frames], state.rate_hz)
+    terms.turn_targets[frames, 1:] = (means @ way.turns)[:, 1:]
+    terms.turn_weights[frames, 1:] = quality / (table.spreads[columns, 1:] ** 2 + POSE_RAD**2)
+    terms.tilt_targets[frames] = table.tilts[columns]
+    terms.tilt_weights[frames] = quality / POSE_RAD**2
+
+
+def _add_lent(terms: PriorTerms, state: TrackState, allocation: Allocation, frames: I64, weight: float) -> None:
+    """Add the turns and tilts of frames that lend their poses."""
+    lent = state.poses.turns[allocation.lenders[frames]]
+    quality = weight * allocation.qualities[allocation.owners[frames]] / POSE_RAD**2
+    terms.turn_targets[frames, 1:] = lent[:, 1:]
+    terms.turn_weights[frames, 1:] = quality[:, None, None]
+    terms.tilt_targets[frames] = lent[:, 0, 1, :]
+    terms.tilt_weights[frames] = quality
+
+
+def _with_constraints(
+    terms: PriorTerms,
+    state: TrackState,
+    allocation: Allocation,
+    motions: Sequence[Motion],
+    weights: Mapping[str, float],
+) -> PriorTerms:
+    """Return terms together with those of the marked regions that the track passes through."""
+    quality = np.append(allocation.qualities, 0.0)[allocation.owners]  # −1 is the last place
+    pulls: list[PlacePulls] = []
+    regions: dict[tuple[Constraint, Side], Bool] = {}
+    for place, hit in enumerate(allocation.hits):
+        own = allocation.owners == place
+        for mark in motions[hit.motion].marks:
+            inside = own & (allocation.columns >= mark.start) & (allocation.columns < mark.stop)
+            key = (mark.constraint, mark.side)
+            regions[key] = regions.get(key, np.zeros_like(own)) | inside
+    for (constraint, side), marked in sorted(regions.items()):
+        if constraint not in weights or not marked.any():
+            continue
+        if constraint == "elbow_bent":
+            node, straight, target = straight_elbow(state.body, state.poses, marked, side)
+            straight &= ~terms.turn_weights[:, node].any(axis=1)
+            terms.turn_targets[straight, node] = target
+            axis = state.body.chain.axes_of(node)[0].direction
+            terms.turn_weights[straight, node, axis] = weights[constraint] * quality[straight] / BENT_RAD**2
+            continue
+        if constraint == "foot_on_ground":
+            found = ground_pulls(state.body, state.positions, marked, side)
+        else:
+            found = front_pulls(state.body, state.poses, state.positions, marked, constraint, side, state.rate_hz)
+        pulls.append(found._replace(weights=found.weights * weights[constraint] * quality[found.frames]))
+    places = joined(pulls)
+    return PriorTerms(
+        terms.turn_targets, terms.turn_weights, terms.tilt_targets, terms.tilt_weights, places.frames, places.joints,
+        places.directions, places.targets, places.weights,
+    )  # fmt: skip
