@@ -94,7 +94,7 @@ def remove(
     if as_json:
         files = [{"source_root": root, "source": path} for root, path in planned.files]
         document = {"store": store, "removed": accept, "takes": names, "files": files}
-        print_json({**document, "returning": planned.returning, "labels": planned.labels})
+        print_json({**document, "returning": planned.returning, "tracks": planned.tracks, "labels": planned.labels})
         return
     if not accept:
         show_table(planned.takes.select(["name", "actor", "class", "seconds", "source"]), "table", None, paged=True)
@@ -109,6 +109,11 @@ def remove(
     if planned.returning:
         print_message(
             f"the next ingest brings back {few(planned.returning)}: other takes of the same file stay in the store"
+        )
+    if planned.tracks:
+        print_message(
+            f"{few(planned.tracks)}: no motion file holds {'it' if len(planned.tracks) == 1 else 'them'}; the pipeline "
+            "that tracked a recording makes its take again, unless the recording is taken out of the recordings file"
         )
     if not accept:
         print_message("nothing was changed: --accept removes them")

@@ -27,6 +27,7 @@ from kinedex.pipelines.ingestion.take_names import Naming, TakeNames, file_names
 from kinedex.storage.formats.motion.reader import Reader, ReadSettings
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body, readers_by_ending
 from kinedex.storage.formats.motion.sources import Scan, SourceFile, path_groups
+from kinedex.storage.snapshot.schemas import TRACK_FORMAT
 from kinedex.storage.store.verification import damaged_frames
 from kinedex.storage.store.writer import StoreWriter
 
@@ -144,7 +145,9 @@ class _Comparison:
         self.found = found
         self.naming = naming
         self.root = found.motions[0].root
-        self.files = KnownFiles(writer.store.take_rows.to_pylist())
+        rows = writer.store.take_rows.to_pylist()
+        self.files = KnownFiles(rows)
+        self.tracks = [row["name"] for row in rows if row["format"] == TRACK_FORMAT]
         self.known: dict[str, KnownFile] = {}
         self.places: set[tuple[str, str]] = set()
         self.contents = {motion.path: FileContent(motion) for motion in found.motions}
@@ -186,6 +189,7 @@ class _Comparison:
         """Name the files; those that the store knows keep their names, unless the rule for names has changed."""
         paths = {file.place: path for path, file in self.known.items()}
         owners = {row["name"]: paths.get(file.place, "") for file in self.files for row in file.rows}
+        owners |= dict.fromkeys(self.tracks, "")
         keep = {path: file.name for path, file in self.known.items() if self._keeps_names(file)}
         names = TakeNames(self.naming, owners)
         self.names = names.add_files([motion.path for motion in self.motions], keep)

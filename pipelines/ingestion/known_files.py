@@ -10,6 +10,7 @@ from typing import Any
 
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.sources import SourceFile, checksum
+from kinedex.storage.snapshot.schemas import TRACK_FORMAT
 
 Row = dict[str, Any]
 
@@ -125,12 +126,12 @@ class KnownFiles:
     Parameters
     ----------
     rows : iterable of dict
-        The rows of its takes.
+        The rows of its takes; tracks come from no motion file and do not count.
     """
 
     def __init__(self, rows: Iterable[Row]) -> None:
         places: dict[tuple[str, str], list[Row]] = {}
-        for row in rows:
+        for row in (row for row in rows if row["format"] != TRACK_FORMAT):
             places.setdefault((row["source_root"], row["source"]), []).append(row)
         self._at = {place: KnownFile(*place, tuple(those)) for place, those in places.items()}
         self._with_path: dict[str, list[KnownFile]] = {}

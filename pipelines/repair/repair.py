@@ -24,6 +24,7 @@ from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.ingestion.file_batches import read_batch
 from kinedex.pipelines.repair.pipeline_files import ingest_settings, known_stages, pipeline_text
 from kinedex.pipelines.repair.sources import Sources
+from kinedex.pipelines.tracking.stored_results import stages_of_tracks
 from kinedex.storage.disk import TEMPORARY, sync_file, whole_file, write_errors
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
@@ -136,6 +137,7 @@ class _Work:
         self.quarantine = Quarantine.new(root)
         self.outcome = Repair(root)
         self.mended: set[str] = set()
+        self.tracking: set[str] = set()
 
     def say(self, line: str) -> None:
         self.outcome.lines.append(line)
@@ -367,6 +369,7 @@ class _Work:
             self._keep(part.path, "the part of frames is damaged", held, part.sha256)
         self.quarantine.takes += lost
         self.quarantine.write()
+        self.tracking |= stages_of_tracks(writer.store, {take.take_id for take in lost})
         writer.drop_takes([take.take_id for take in lost])
         for take in lost:
             self.say(f"take {take.name} is lost: {take.why}")
@@ -450,6 +453,8 @@ class _Work:
             for part in parts:
                 if part.path in wrong:
                     found.setdefault(part.stage, set()).add(part.path)
+        for name in self.tracking:
+            found.setdefault(name, set())
         for name, record in store.manifest.stages.items():
             if not wrong.isdisjoint(record.summary.get("files", ())):
                 found.setdefault(name, set())

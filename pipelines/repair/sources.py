@@ -19,6 +19,7 @@ from kinedex.pipelines.ingestion.parameters import IngestParameters
 from kinedex.pipelines.ingestion.quality import stored_figures
 from kinedex.storage.formats.motion.sources import Scan, SourceFile, checksum, path_groups, scan
 from kinedex.storage.repair.quarantine import LostTake
+from kinedex.storage.snapshot.schemas import TRACK_FORMAT
 from kinedex.storage.store.store import Store
 
 
@@ -31,7 +32,7 @@ class Found:
     batches : list of Batch
         The takes that can be read again, those with the same settings together.
     lost : list of LostTake
-        The takes whose source is gone or has changed.
+        The takes whose source is gone or has changed, and tracks, which no motion file holds.
     otherwise : list of str
         Names of the takes that are read otherwise than before: kinedex or a mapping has changed.
     """
@@ -99,6 +100,8 @@ class Sources:
     def _task(self, row: Mapping[str, Any]) -> tuple[int, Task]:
         """Return the task that reads a take again, with the number of the settings; a KinedexError if none can."""
         path = Path(row["source_root"]) / row["source"]
+        if row["format"] == TRACK_FORMAT:
+            raise KinedexError("no motion file holds it: it was tracked or stabilised by a pipeline")
         found, motions = self._scan(row["source_root"])
         motion = motions.get(row["source"])
         if found is None or motion is None:

@@ -10,6 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from kinedex.ops.errors import KinedexError
+from kinedex.storage.snapshot.schemas import TRACK_FORMAT
 from kinedex.storage.store.store import Store
 from kinedex.storage.store.writer import StoreWriter
 
@@ -26,6 +27,8 @@ class Removal:
         Source folder and path of the files all of whose takes go; an ingest passes them over from then on.
     returning : tuple of str
         Names of the takes that the next ingest brings back, because other takes of their file stay.
+    tracks : tuple of str
+        Names of the takes that were tracked or stabilised; no motion file holds them.
     labels : int
         Number of labels of these takes, which stay in the store.
     """
@@ -33,6 +36,7 @@ class Removal:
     takes: pa.Table
     files: tuple[tuple[str, str], ...]
     returning: tuple[str, ...]
+    tracks: tuple[str, ...]
     labels: int
 
 
@@ -64,12 +68,16 @@ def planned_removal(store: Store, names: Sequence[str] = (), where: str | None =
         raise KinedexError(f"the filter `{where}` selects none of these takes")
     gone = set(chosen.column("name").to_pylist())
     by_file: dict[tuple[str, str], set[str]] = defaultdict(set)
-    for row in store.take_rows.select(["name", "source_root", "source"]).to_pylist():
-        by_file[row["source_root"], row["source"]].add(row["name"])
+    tracks = set()
+    for row in store.take_rows.select(["name", "format", "source_root", "source"]).to_pylist():
+        if row["format"] == TRACK_FORMAT:
+            tracks.add(row["name"])
+        else:
+            by_file[row["source_root"], row["source"]].add(row["name"])
     files = tuple(sorted(file for file, takes in by_file.items() if takes <= gone))
     whole = {name for file in files for name in by_file[file]}
     labels = sum(take in gone for take in store.labels().column("take").to_pylist())
-    return Removal(chosen, files, tuple(sorted(gone - whole)), labels)
+    return Removal(chosen, files, tuple(sorted(gone - whole - tracks)), tuple(sorted(gone & tracks)), labels)
 
 
 def remove_takes(writer: StoreWriter, removal: Removal) -> None:

@@ -1,0 +1,85 @@
+"""Results of tracking stages: rows of takes and recordings that stay when others are put beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from kinedex.ops.errors import KinedexError
+from kinedex.storage.store.store import Store
+from kinedex.storage.store.writer import StoreWriter
+
+
+def put_beside(
+    writer: StoreWriter,
+    kind: str,
+    tables: Iterable[pa.Table],
+    *,
+    stage: str,
+    run: str,
+    column: str,
+    gone: Collection[object],
+) -> None:
+    """Put results of some takes or recordings; those of others that the stage has stay.
+
+    Parameters
+    ----------
+    writer : StoreWriter
+        The writer of the store.
+    kind : str
+        One of `RESULT_KINDS`.
+    tables : iterable of pyarrow.Table
+        The new rows.
+    stage : str
+        The stage, "<pipeline>/<stage>".
+    run : str
+        Id of the pipeline run.
+    column : str
+        The column that names the take or the recording of a row: take_id or recording.
+    gone : collection
+        The values in it whose earlier rows go.
+    """
+    writer.put_results(kind, _with_earlier(writer.store, kind, tables, stage, run, column, gone), stage=stage, run=run)
+
+
+def _with_earlier(
+    store: Store,
+    kind: str,
+    tables: Iterable[pa.Table],
+    stage: str,
+    run: str,
+    column: str,
+    gone: Collection[object],
+) -> Iterator[pa.Table]:
+    parts = [part for part in store.manifest.results.get(kind, ()) if part.stage == stage]
+    for rows in store.result_pieces(kind, parts):
+        names = pa.array(sorted(gone, key=repr), rows.schema.field(column).type)
+        left = rows.filter(pc.invert(pc.is_in(rows.column(column), names)))
+        if left.num_rows:
+            place = left.schema.get_field_index("run")
+            yield left.set_column(place, left.schema.field("run"), pa.repeat(pa.scalar(run), left.num_rows))
+    yield from tables
+
+
+def earlier_rows(store: Store, kind: str, stage: str) -> list[dict[str, object]]:
+    """Return the rows of a small kind of results that a stage has; none where they cannot be read."""
+    parts = [part for part in store.manifest.results.get(kind, ()) if part.stage == stage]
+    try:
+        return [row for rows in store.result_pieces(kind, parts) for row in rows.to_pylist()]
+    except KinedexError:
+        return []  # repair removes them, and the stage makes all of them again
+
+
+def stages_of_tracks(store: Store, take_ids: Collection[int]) -> set[str]:
+    """Return the stages that have made tracks, "<pipeline>/<stage>"."""
+    stages = {part.stage for part in store.manifest.results.get("tracks", ())}
+    return {stage for stage in stages if any(row["take_id"] in take_ids for row in earlier_rows(store, "tracks", stage))}
+
+
+def are_tracks_there(store: Store) -> bool:
+    """Return whether all takes that tracking stages have made are in the store."""
+    live = set(store.manifest.live_takes)
+    stages = {part.stage for part in store.manifest.results.get("tracks", ())}
+    return all(row["take_id"] in live for stage in stages for row in earlier_rows(store, "tracks", stage))
