@@ -75,7 +75,9 @@ def earlier_rows(store: Store, kind: str, stage: str) -> list[dict[str, object]]
 def stages_of_tracks(store: Store, take_ids: Collection[int]) -> set[str]:
     """Return the stages that have made tracks, "<pipeline>/<stage>"."""
     stages = {part.stage for part in store.manifest.results.get("tracks", ())}
-    return {stage for stage in stages if any(row["take_id"] in take_ids for row in earlier_rows(store, "tracks", stage))}
+    return {
+        stage for stage in stages if any(row["take_id"] in take_ids for row in earlier_rows(store, "tracks", stage))
+    }
 
 
 def are_tracks_there(store: Store) -> bool:
