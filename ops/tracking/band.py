@@ -1,11 +1,11 @@
 """The Gauss–Newton system of a whole take: blocks of frames and diagonal couplings, and its exact solution.
 
 Second differences of places and turns couple a frame with the two before and after it, each parameter only with itself,
-because H takes the derivative of every logarithm as the identity; g has the exact one. So the matrix is a band whose
-half-width is twice the number of parameters. Frames are eliminated one after the other: the matrix of a frame, of its
-couplings with the next two, and of what earlier frames left there is a *front*, and the Cholesky factorisation of its
-first rows leaves a smaller matrix for the next frame. Parameters that move no observed point stay diagonal in H; each
-of them is a band of its own of half-width 2, and is solved apart.
+because H takes the derivative of every logarithm as the identity; g has the exact one where it is asked for. So the
+matrix is a band whose half-width is twice the number of parameters. Frames are eliminated one after the other: the
+matrix of a frame, of its couplings with the next two, and of what earlier frames left there is a *front*, and the
+Cholesky factorisation of its first rows leaves a smaller matrix for the next frame. Parameters that move no observed
+point stay diagonal in H; each of them is a band of its own of half-width 2, and is solved apart.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def make_band(chain: ChainArrays, moving: I64, smoothness: F64, triples: F64) ->
 @njit(cache=True, nogil=True)
 def assemble(
     chain: ChainArrays, evidence: Evidence, priors: PriorArrays, places: F64, turns: F64, width: float, units: F64,
-    band: Band,
+    exact: bool, band: Band,
 ) -> float:  # fmt: skip
     """Compute H and g of a take at given poses, and return the cost.
 
@@ -112,6 +112,8 @@ def assemble(
         c of the loss; infinite for squares.
     units : float64 array (T, V, P)
         Out: the squares of the factors of residuals, see `rays.point_terms`.
+    exact : bool
+        True for the exact derivative of every logarithm in g; False for the identity, as in H.
     band : Band
         Out: the system.
 
@@ -130,7 +132,7 @@ def assemble(
                 band.blocks[t, a, b] = room.hessian[i, band.coupled[b]]
         for i in range(len(band.smoothness)):
             band.diagonals[t, i] = room.hessian[i, i]
-    return cost + _add_differences(chain, places, turns, band)
+    return cost + _add_differences(chain, places, turns, exact, band)
 
 
 @njit(cache=True, nogil=True)
@@ -161,7 +163,7 @@ def _differences(chain: ChainArrays, places: F64, turns: F64, band: Band) -> flo
 
 
 @njit(cache=True, nogil=True)
-def _add_differences(chain: ChainArrays, places: F64, turns: F64, band: Band) -> float:
+def _add_differences(chain: ChainArrays, places: F64, turns: F64, exact: bool, band: Band) -> float:
     """Add the second differences to g, and return their cost.
 
     log(R_tᵀR_{t+1}) = v moves with R_{t+1} by the inverse right Jacobian J of v, and with R_t by −Jᵀ.
@@ -189,7 +191,7 @@ def _add_differences(chain: ChainArrays, places: F64, turns: F64, band: Band) ->
                 two = v[t + 1, k, i] - v[t, k, i] if after > 0.0 else 0.0
                 pull[i] = smoothness[PLACES + d] * (one - two)
                 d += 1
-            jacobian = log_derivative(band.velocities[t, k])
+            jacobian = log_derivative(band.velocities[t, k]) if exact else np.eye(3)
             for b in range(first, d):
                 i, sign = chain.axis_directions[b], chain.axis_signs[b]
                 for a in range(3):
