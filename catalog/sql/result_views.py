@@ -434,7 +434,7 @@ checksum    VARCHAR    its SHA-256""",
         """source_root    VARCHAR    the folder that was ingested
 source    VARCHAR    the file, relative to it; also a folder that cannot be read
 ending    VARCHAR    its ending in small letters, with the dot
-outcome    VARCHAR    in (the store has its takes), refused, skeleton, not read, passed over (no motion)
+outcome    VARCHAR    in (the store has its takes), refused, skeleton, metadata, not read, passed over (no motion)
 takes    INTEGER    number of its takes in the store
 reason    VARCHAR    the fault, the way out, or the kind of a file that was passed over""",
         "SELECT outcome, ending, count(*) AS files FROM source_files GROUP BY ALL ORDER BY files DESC, ending",

@@ -34,7 +34,7 @@ def use(
     A view such as `annotations` shows the results of one pipeline: the chosen one, or the one that was run last. The
     rows of all pipelines are in `all_annotations`.
     """
-    from kinedex.storage.snapshot.shown_results import current_pipeline, pipeline_runs
+    from kinedex.storage.snapshot.shown_results import current_pipeline, pipeline_runs, result_pipelines
     from kinedex.storage.store.store import open_store
     from kinedex.storage.store.writer import StoreWriter
 
@@ -48,12 +48,12 @@ def use(
             manifest = writer.commit()
     current = current_pipeline(manifest)
     chosen = bool(manifest.chosen_pipeline) and manifest.chosen_pipeline == current
-    runs = pipeline_runs(manifest)
     if as_json:
+        runs = pipeline_runs(manifest)
         print_json({"store": store, "current": current, "chosen": chosen, "pipeline_runs": runs})
         return
     if pipeline is None and not latest:
-        show_table(runs.select(["pipeline", "finished", "stages", "views", "current"]), "table", None)
+        show_table(result_pipelines(manifest), "table", None)
     if current is None:
         print_message(f"{store}: no pipeline has made results")
         return

@@ -29,7 +29,9 @@ PipelineArgument = Annotated[
 SetOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--set", metavar="NAME=VALUE", help="Setting of the pipeline, or STAGE.PARAMETER; may be given several times."
+        "--set",
+        metavar="NAME=VALUE",
+        help="Setting of the pipeline, STAGE.PARAMETER, or PARAMETER of one stage; may be given several times.",
     ),
 ]
 ForceOption = Annotated[

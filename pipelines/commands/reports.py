@@ -9,13 +9,14 @@ import typer
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.app import RUN, command, group
+from kinedex.pipelines.console.escapes import visible
 
 report = group("report", "Compare evaluations.", RUN)
 
 FORMATS = (".md", ".html", ".json")
 EvaluationArgument = Annotated[
     str,
-    typer.Argument(help="Store, folder of its reports, or JSON file of them; ::METHOD at the end chooses a method."),
+    typer.Argument(help="Store, folder of its reports, or JSON file of them; ::PIPELINE, ::METHOD, or both choose."),
 ]
 
 
@@ -36,6 +37,8 @@ def compare(
     """List the classes and takes that improved or got worse from A to B.
 
     Two methods of one evaluation: kinedex report compare STORE::thesis STORE::best
+
+    A store with evaluations of several pipelines means the current one (`kinedex use`), unless ::PIPELINE is given.
     """
     from kinedex.pipelines.console.json_text import json_text
     from kinedex.pipelines.console.terminal import make_console
@@ -46,7 +49,10 @@ def compare(
 
     if output is not None and output.suffix not in FORMATS:
         raise KinedexError(f"--output {output}: must end in {', '.join(FORMATS)}")
-    found = pairs(read_run(a), read_run(b), split)
+    ours, theirs = read_run(a), read_run(b)
+    for remark in dict.fromkeys(one.remark for one in (ours, theirs) if one.remark is not None):
+        typer.echo(visible(remark), err=True)
+    found = pairs(ours, theirs, split)
     comparisons = without_repeats([compared(one, other, _names(a, b, one.name, other.name)) for one, other in found])
     if output is None:
         for one in comparisons:

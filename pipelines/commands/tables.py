@@ -28,6 +28,7 @@ from kinedex.pipelines.commands.options import (
 from kinedex.pipelines.commands.output import ROWS, is_for_people, print_json, print_message, print_path, show_table
 from kinedex.pipelines.commands.pages import Pages
 from kinedex.pipelines.commands.store_access import open_for_reading
+from kinedex.pipelines.console.escapes import visible
 from kinedex.pipelines.console.wording import counted
 
 if TYPE_CHECKING:
@@ -90,6 +91,7 @@ def sql(
             raise KinedexError("--path prints the path of the database file and runs no SQL: give no statement")
         _print_database(open_for_reading(store, at))
         return
+    from kinedex.pipelines.console.hidden_rows import hidden_rows_hints
     from kinedex.pipelines.console.sql_prompt import rows_line, run_prompt
     from kinedex.pipelines.console.terminal import make_console
 
@@ -107,8 +109,11 @@ def sql(
     if query is None and sys.stdin.isatty():
         run_prompt(opened, make_console(), timeout=timeout, max_rows=limit or None)
         return
-    found = opened.answer(sys.stdin.read() if query is None else query, timeout=timeout, max_rows=limit or None)
+    query = sys.stdin.read() if query is None else query
+    found = opened.answer(query, timeout=timeout, max_rows=limit or None)
     show_table(found.table, form, output)
+    for hint in hidden_rows_hints(opened, query, found.rows):
+        print(visible(hint), file=sys.stderr)
     if found.rows > found.table.num_rows:
         print(f"{rows_line(found)}; --limit 0 shows all", file=sys.stderr)
 

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from kinedex.catalog.sql.views import MACROS, VIEWS, Macro, View
 from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.pipelines.console.hidden_rows import hidden_rows_hints
 from kinedex.pipelines.console.tables import Shown
 from kinedex.storage.interruption import abandoned_statements
 from kinedex.storage.sql.queries import Answer, split_statements
@@ -109,6 +110,8 @@ def _select(store: Store, console: Console, statement: str, timeout: float | Non
     found = store.answer(statement, timeout=timeout, max_rows=max_rows)
     console.print(Shown(found.table))
     console.print(rows_line(found), markup=False)
+    for hint in hidden_rows_hints(store, statement, found.rows):
+        console.print(hint, markup=False)
 
 
 def rows_line(found: Answer) -> str:

@@ -199,18 +199,14 @@ class _PipelineReader:
         self._overrides.setdefault(stage, {})[key] = one
 
     def _only_stage_with(self, one: _Given) -> str:
-        """Return the stage that a parameter belongs to which is given without one; on the command line it is needed."""
+        """Return the stage that a parameter belongs to which is given without one; only one stage may have it."""
         stages = [stage for stage in self._entries if one.name in self._kind(stage).parameters.model_fields]
-        if len(stages) == 1 and not one.is_text:
+        if len(stages) == 1:
             return stages[0]
-        names = " or ".join(f"{stage}.{one.name}" for stage in stages)
-        if stages and not one.is_text:
-            raise KinedexError(f"{one.place}: several stages have this parameter; name one: {names}")
         if stages:
-            which = "a parameter of a stage" if len(stages) == 1 else "parameters of stages"
-            hint = f"; did you mean {names}, {which}?"
-        else:
-            hint = did_you_mean(one.name, self._settings) if self._settings else "; it has none"
+            names = " or ".join(f"{stage}.{one.name}" for stage in stages)
+            raise KinedexError(f"{one.place}: several stages have this parameter; name one: {names}")
+        hint = did_you_mean(one.name, self._settings) if self._settings else "; it has none"
         raise KinedexError(f"{one.place}: {self._located.path} has no setting of that name{hint}")
 
     def _kind(self, name: str) -> Stage[BaseModel]:

@@ -9,6 +9,8 @@ from typing import Any
 
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.evaluation.metrics import Counts
+from kinedex.storage.snapshot.manifest_files import read_newest, versions
+from kinedex.storage.snapshot.shown_results import pipelines_by_use
 from kinedex.storage.store.report_sums import refuse_damaged_report
 
 MARK = "::"
@@ -50,11 +52,15 @@ class MethodEvaluation:
 
 @dataclass(frozen=True)
 class ReadEvaluations:
-    """The evaluations of a path, as the user wrote it; of one method, or of all where `method` is None."""
+    """The evaluations of a path, as the user wrote it; of one method, or of all where `method` is None.
+
+    `remark` names the pipeline where a store has evaluations of several, and none was chosen.
+    """
 
     text: str
     method: str | None
     found: tuple[MethodEvaluation, ...]
+    remark: str | None = None
 
 
 def read_run(text: str) -> ReadEvaluations:
@@ -64,42 +70,54 @@ def read_run(text: str) -> ReadEvaluations:
     ----------
     text : str
         A store, a folder of reports (`…/results/reports/<pipeline>`), or a JSON file (methods.json, metrics.json, or
-        leave_one_out.json of earlier versions); `::METHOD` behind it chooses a method.
+        leave_one_out.json of earlier versions). `::PIPELINE` behind a store chooses a pipeline, the current one unless
+        given, and `::METHOD` a method; both can be given, in this order.
 
     Raises
     ------
     KinedexError
-        There is no evaluation, several pipelines have some, a file is none of these, or there is no such method.
+        There is no evaluation, a file is none of these, or there is no such pipeline or method.
     """
-    where, mark, method = text.partition(MARK)
-    found = [one for file in _files(Path(where).expanduser()) for one in _read(file)]
-    if mark:
-        names = {one.method for one in found if one.method}
-        if method not in names:
-            raise KinedexError(f"{where} has no method '{method}'{did_you_mean(method, names)}")
+    where, *names = text.split(MARK)
+    path = Path(where).expanduser()
+    files = _files_by_pipeline(path)
+    pipeline, *others = files
+    given = [one.method for file in files[pipeline] for one in _read(file)]
+    chosen = bool(names) and names[0] in files and not (len(names) == 1 and names[0] in given)
+    if chosen:
+        pipeline = names.pop(0)
+    found = [one for file in files[pipeline] for one in _read(file)]
+    if names:
+        method = MARK.join(names)
+        known = {one.method for one in found if one.method}
+        if method not in known:
+            both = known | set(others) if others and not chosen else known
+            what = "method" if chosen or not others else "method or pipeline"
+            raise KinedexError(f"{where} has no {what} '{method}'{did_you_mean(method, both)}")
         found = [one for one in found if one.method == method]
-    return ReadEvaluations(text, method if mark else None, tuple(found))
+    remark = None
+    if others and not chosen:
+        names_another = f"`{where}{MARK}PIPELINE` names another: {', '.join(others)}"
+        remark = f"{where}: the evaluation of pipeline {pipeline}; {names_another}"
+    return ReadEvaluations(text, MARK.join(names) or None, tuple(found), remark)
 
 
-def _files(path: Path) -> list[Path]:
-    """Return the JSON files of a path, all of one pipeline."""
+def _files_by_pipeline(path: Path) -> dict[str, list[Path]]:
+    """Return the JSON files of a path by pipeline, the current one of a store first."""
     if path.is_file():
-        return [path]
+        return {"": [path]}
     if not path.is_dir():
         raise KinedexError(f"{path}: there is no such store, folder or file")
     reports = path / "results" / "reports"
     folders = sorted(folder for folder in reports.iterdir() if folder.is_dir()) if reports.is_dir() else [path]
-    by_folder = {folder: _files_in(folder) for folder in folders}
-    having = [folder for folder, files in by_folder.items() if files]
-    if not having:
+    found = {folder.name: files for folder in folders if (files := _files_in(folder))}
+    if not found:
         raise KinedexError(
             f"{path} holds no evaluation: no {', '.join(_NAMES)}; run a pipeline with the stage compare_methods or "
             "evaluate"
         )
-    if len(having) > 1:
-        names = ", ".join(str(folder) for folder in having)
-        raise KinedexError(f"{path} holds evaluations of {len(having)} pipelines; name one of {names}")
-    return by_folder[having[0]]
+    order = pipelines_by_use(read_newest(path)) if len(found) > 1 and versions(path) else ()
+    return {name: found[name] for name in dict.fromkeys((*order, *found)) if name in found}
 
 
 _NAMES = ("methods.json", "metrics.json", "leave_one_out.json")

@@ -41,7 +41,7 @@ def refuse_losses(params: IngestParameters, store: Store, found: Scan) -> None:
         Takes would have no value any more in columns where they have one; the message names columns and takes.
     """
     rows = rows_below(store.take_rows.to_pylist(), found, params.root)
-    metadata = load_metadata(params.tables)
+    metadata = load_metadata(params.tables, found)
     columns = {**store.manifest.columns, **metadata.columns(store.manifest.columns)[0]}
     joined = metadata.join(rows, params.root, columns)
     lost = losses(rows, columns, descriptions(params, joined))

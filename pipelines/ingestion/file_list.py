@@ -67,5 +67,7 @@ def _outcomes(
         yield skeleton.path, "skeleton", 0, None
     for unread in found.unread:
         yield unread.path, "not read", 0, UNREAD[f".{unread.format}"]
+    for sidecar in found.sidecars:
+        yield sidecar.path, "metadata", 0, None
     for other in found.passed_over:
         yield other.path, "passed over", 0, other.kind

@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+import difflib
 import fnmatch
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
+from kinedex.ops.errors import ConfigError, SourceError
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.ingestion.described_takes import EVERYWHERE
 from kinedex.pipelines.ingestion.known_files import Row
-from kinedex.storage.formats.metadata_tables import Cell, MetadataRow, MetadataTable, converted, read_metadata, wider
+from kinedex.storage.formats.metadata_tables import (
+    KEYS,
+    Cell,
+    MetadataRow,
+    MetadataTable,
+    converted,
+    read_metadata,
+    read_sidecar,
+    wider,
+)
+from kinedex.storage.formats.motion.sources import Scan
 from kinedex.storage.snapshot.schemas import TakeColumn, column_problem
 
 MEANING = "a column of the user's tables (`metadata` of ingest)"
@@ -41,9 +54,31 @@ class Joined:
     without: list[str] = field(default_factory=list)
 
 
-def load_metadata(paths: Iterable[str]) -> Metadata:
-    """Read tables of metadata; a SourceError or ConfigError reports a fault in one."""
-    return Metadata(tuple(read_metadata(path) for path in paths))
+def load_metadata(paths: Iterable[str], found: Scan | None = None) -> Metadata:
+    """Read tables of metadata, and the YAML files beside motion files.
+
+    A SourceError or ConfigError reports a fault in a table. A file beside a motion file that describes no take, such as
+    one of a capture program, is a remark.
+
+    Parameters
+    ----------
+    paths : iterable of str
+        The tables.
+    found : Scan, optional
+        The files of the source.
+    """
+    tables = tuple(read_metadata(path) for path in paths)
+    given = {os.path.realpath(table.path) for table in tables}
+    sidecars: list[MetadataRow] = []
+    remarks: list[str] = []
+    for file in found.sidecars if found is not None else ():
+        if os.path.realpath(file.absolute) in given:
+            continue
+        try:
+            sidecars.append(read_sidecar(file.absolute, os.path.splitext(file.path)[0]))
+        except (SourceError, ConfigError) as fault:
+            remarks.append(f"not used as metadata of the motion file beside it: {fault}")
+    return Metadata(tables, tuple(sidecars), tuple(remarks))
 
 
 @dataclass(frozen=True)
@@ -54,9 +89,15 @@ class Metadata:
     ----------
     tables : tuple of MetadataTable
         The tables.
+    sidecars : tuple of MetadataRow
+        The content of files beside motion files; the key is the path of both without the ending.
+    remarks : tuple of str
+        Files beside motion files that are not used.
     """
 
     tables: tuple[MetadataTable, ...] = ()
+    sidecars: tuple[MetadataRow, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     @cached_property
     def types(self) -> dict[str, str]:
@@ -73,6 +114,10 @@ class Metadata:
 
     @property
     def _rows(self) -> Iterator[MetadataRow]:
+        return chain(self._table_rows, self.sidecars)
+
+    @property
+    def _table_rows(self) -> Iterator[MetadataRow]:
         return (row for table in self.tables for row in table.rows)
 
     def columns(self, declared: Mapping[str, TakeColumn]) -> tuple[dict[str, TakeColumn], list[str]]:
@@ -105,8 +150,8 @@ class Metadata:
         """Find the takes that the rows of the tables describe.
 
         A key is the name of a take; or the path of a file below the source, with or without ending; or the name of a
-        file, with or without ending. It may hold * and ?, for all takes that fit; the row of a take itself goes before,
-        and of several such rows the last one.
+        file, with or without ending. It may hold * and ?, for all takes that fit; a file beside the motion file goes
+        before these, the row of a take itself before both, and of several rows with * or ? the last one.
 
         Parameters
         ----------
@@ -127,7 +172,7 @@ class Metadata:
         takes = _Takes(rows, root)
         exact: dict[int, dict[str, tuple[MetadataRow, Any]]] = {}
         patterns: list[tuple[MetadataRow, re.Pattern[str]]] = []
-        for row in self._rows:
+        for row in self._table_rows:
             ids = takes.of_key(row)
             values = self._values(row, declared)
             if not ids and re.search(r"[*?]", row.key):
@@ -143,6 +188,9 @@ class Metadata:
             if not ids:
                 result.unused.append(row)
             for take in ids:
+                result.values.setdefault(take, {}).update(self._values(row, declared))
+        for row in self.sidecars:
+            for take in takes.beside(row.key):
                 result.values.setdefault(take, {}).update(self._values(row, declared))
         for take, found in exact.items():
             result.values.setdefault(take, {}).update((name, value) for name, (_, value) in found.items())
@@ -212,6 +260,10 @@ class _Takes:
                 return ids
         return []
 
+    def beside(self, path: str) -> list[int]:
+        """Return the takes of the motion files with a path without its ending."""
+        return self._stages[1].get(path, [])
+
     def fitting(self, pattern: re.Pattern[str]) -> list[int]:
         """Return the takes whose name or path fits a pattern."""
         return [take for take, name in self.names.items() if pattern.match(name) or pattern.match(self._paths[take])]
@@ -224,10 +276,16 @@ def lies_in_source(root: str, given: Sequence[str]) -> str | None:
     return next((path for path in tables if os.path.isfile(path) and os.path.realpath(path) not in known), None)
 
 
-def join_lines(tables: Iterable[MetadataTable], joined: Joined) -> list[str]:
+def join_lines(metadata: Metadata, joined: Joined) -> list[str]:
     """Return messages about a join: the takes described, the rows without a take, and the takes without a row."""
-    keys = ", ".join(dict.fromkeys(f"'{table.key}' of {table.path}" for table in tables))
-    lines = [f"metadata by {keys}: {counted(len(joined.values), 'take')} described"]
+    lines = [*metadata.remarks]
+    if not metadata.tables and not metadata.sidecars:
+        return lines
+    sources = dict.fromkeys(f"'{table.key}' of {table.path}" for table in metadata.tables)
+    if metadata.sidecars:
+        sources[f"{counted(len(metadata.sidecars), 'YAML file')} beside motion files"] = None
+    lines += [line for table in metadata.tables for line in _unnamed_key_lines(table)]
+    lines.append(f"metadata by {', '.join(sources)}: {counted(len(joined.values), 'take')} described")
     if joined.unused:
         few = ", ".join(f"'{row.key}' (line {row.line})" for row in joined.unused[:2])
         lines.append(
@@ -238,3 +296,14 @@ def join_lines(tables: Iterable[MetadataTable], joined: Joined) -> list[str]:
         few = ", ".join(f"'{name}'" for name in joined.without[:2])
         lines.append(f"{counted(len(joined.without), 'take')} without a row of metadata, such as {few}")
     return lines
+
+
+def _unnamed_key_lines(table: MetadataTable) -> list[str]:
+    """Return a message about a table whose first column is the key because no column has the name of one."""
+    if table.key.lower() in KEYS:
+        return []
+    line = f"{table.path} has no column {', '.join(KEYS[:-1])} or {KEYS[-1]}: its first, '{table.key}', names the takes"
+    for name in (table.key, *table.columns):
+        if near := difflib.get_close_matches(name.lower(), KEYS, 1):
+            return [f"{line}; if '{name}' means '{near[0]}', rename it"]
+    return [line]

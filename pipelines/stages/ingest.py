@@ -84,7 +84,7 @@ class Ingest(Stage[IngestParameters]):
         found = scan(params.source)
         if not found.motions:
             raise _no_motion_files(found, params.source)
-        metadata = load_metadata(params.tables)
+        metadata = load_metadata(params.tables, found)
         standing = read_newest(context.store_path) if versions(context.store_path) else None
         found = without_removed(found, standing)
         mappings = chosen_mappings(params, context.feature_set.joints, context.store_path, standing)
@@ -177,7 +177,7 @@ def _describe(
         for row in descriptions(params, joined).changed(here, writer.columns)
     ]
     writer.restate_takes(pa.Table.from_pylist(changed, schema=schema), described=True)
-    for line in join_lines(metadata.tables, joined) if metadata.tables else ():
+    for line in join_lines(metadata, joined):
         context.say(line)
     if changed:
         context.say(f"{counted(len(changed), 'take')} described anew by patterns or metadata; no file was read for it")

@@ -171,6 +171,31 @@ def _refuse_long(path: str | Path, text: str, line: int | None, column: str) -> 
         )
 
 
+def read_sidecar(path: str | Path, key: str) -> MetadataRow:
+    """Read a YAML file that describes the motion file beside it: a mapping from columns to values.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    key : str
+        The key of the row, which the file does not hold.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read, or is too large.
+    ConfigError
+        The file is no YAML, or holds other things than columns with texts, numbers, true, false, or lists of texts.
+    """
+    data = read_bytes(path, "files beside motion files", "give a table of metadata instead")
+    located = _located(path, data)
+    if not isinstance(located.data, dict):
+        raise located.error("expected a mapping from columns to values")
+    _checked(path, map(str, located.data), None)
+    return _yaml_row(located, (), key, located.data, "")
+
+
 # ---- CSV -------------------------------------------------------------------------------------------------
 
 
@@ -230,13 +255,7 @@ def _value(point: str, text: str) -> Value:
 
 
 def _read_yaml(path: str | Path, data: bytes) -> MetadataTable:
-    if len(data) > _MOST_YAML_BYTES:
-        most = _MOST_YAML_BYTES / 1e6
-        raise SourceError(path, f"has {len(data) / 1e6:.1f} MB; YAML and JSON have at most {most:g} MB: save it as CSV")
-    try:
-        located = parse_yaml(data.decode("utf-8-sig"), path)
-    except UnicodeDecodeError as fault:
-        raise ConfigError(path, f"is not UTF-8 text (byte {fault.start})") from None
+    located = _located(path, data)
     content = located.data
     if isinstance(content, dict):
         key, entries = "take", [((name,), str(name), values) for name, values in content.items()]
@@ -249,6 +268,17 @@ def _read_yaml(path: str | Path, data: bytes) -> MetadataTable:
     rows = [_yaml_row(located, place, name, values, key) for place, name, values in entries]
     columns = _checked(path, dict.fromkeys(name for row in rows for name in row.cells), None)
     return MetadataTable(str(path), key, tuple(columns), tuple(rows))
+
+
+def _located(path: str | Path, data: bytes) -> Located:
+    """Return the content of YAML with its lines."""
+    if len(data) > _MOST_YAML_BYTES:
+        most = _MOST_YAML_BYTES / 1e6
+        raise SourceError(path, f"has {len(data) / 1e6:.1f} MB; YAML and JSON have at most {most:g} MB: save it as CSV")
+    try:
+        return parse_yaml(data.decode("utf-8-sig"), path)
+    except UnicodeDecodeError as fault:
+        raise ConfigError(path, f"is not UTF-8 text (byte {fault.start})") from None
 
 
 def _yaml_row(located: Located, place: tuple[Any, ...], name: str, values: Any, key: str) -> MetadataRow:

@@ -121,6 +121,29 @@ def pipeline_runs(manifest: Manifest) -> pa.Table:
     return pa.Table.from_pylist(rows, schema=schema)
 
 
+def result_pipelines(manifest: Manifest) -> pa.Table:
+    """Return a row for each pipeline that has made results, the current one first.
+
+    Columns: pipeline, finished, stages, views (which show its results under their plain names), current.
+    """
+    runs = pipeline_runs(manifest).to_pylist()
+    rows: list[dict[str, Any]] = []
+    for name in pipelines_by_use(manifest):
+        own = [run for run in runs if run["pipeline"] == name]
+        rows.append(
+            {
+                "pipeline": name,
+                "finished": max((run["finished"] for run in own if run["finished"] is not None), default=None),
+                "stages": [key.partition("/")[2] for key in manifest.stages if pipeline_of(key) == name],
+                "views": sorted({view for run in own for view in run["views"]}),
+                "current": name == current_pipeline(manifest),
+            }
+        )
+    types = {**dict(_RUN_COLUMNS), "stages": "VARCHAR[]", "views": "VARCHAR[]"}
+    columns = ("pipeline", "finished", "stages", "views", "current")
+    return pa.Table.from_pylist(rows, schema=pa.schema([(name, arrow_type(types[name])) for name in columns]))
+
+
 def _moment(text: str) -> datetime | None:
     """Return the time of a record; None where it holds none, which must not keep the others from being shown."""
     with suppress(ValueError):

@@ -18,7 +18,10 @@ from kinedex.pipelines.evaluation.annotation_scores import Evaluation, Row, writ
 from kinedex.pipelines.evaluation.difference_tables import markdown, page
 from kinedex.pipelines.evaluation.differences import _difference_of, compared, content, without_repeats
 from kinedex.pipelines.evaluation.written_evaluations import MethodEvaluation, pairs, read_run
+from kinedex.storage.snapshot.manifest import StageRecord
+from kinedex.storage.store.writer import StoreWriter
 from tests.pipelines.study import Reading
+from tests.storage.made_up import BODY, make_store
 
 
 def counts(right: int, of: int = 10) -> Counts:
@@ -212,11 +215,28 @@ def test_what_cannot_be_compared_is_said(tmp_path: Path, a: str, b: str, split: 
         pairs(read_run(str(tmp_path / a)), read_run(str(tmp_path / b)), split)
 
 
-def test_a_store_with_reports_of_two_pipelines_asks_which(tmp_path: Path) -> None:
-    for name in ("p", "q"):
-        study_file(tmp_path / f"results/reports/{name}/methods.json", best={"x": 8})
-    with pytest.raises(KinedexError, match=r"evaluations of 2 pipelines; name one of .*reports/p, "):
-        read_run(str(tmp_path))
+def test_of_a_store_with_reports_of_two_pipelines_the_current_one_is_meant(tmp_path: Path) -> None:
+    store = make_store(tmp_path / "store", {"a": 9})
+    for name, count in (("p", 8), ("q", 7)):
+        study_file(store / f"results/reports/{name}/methods.json", best={"x": count}, q={"x": 1})
+    with StoreWriter.open(store, BODY) as writer:
+        for name in ("p", "q"):
+            summary = {"uses": "annotate"}
+            writer.record_stage(StageRecord(f"{name}/annotate", "", "r", "2026-01-01T00:00:00Z", 1.0, summary))
+            writer.record_run(name)
+        writer.commit()
+
+    def read(names: str) -> set[str]:
+        return {f"{one.method} {one.pooled.frames_both}" for one in read_run(f"{store}{names}").found}
+
+    assert read("") == {"best 7", "q 1"}
+    assert "pipeline q; `" in str(read_run(str(store)).remark)
+    assert (read("::p"), read("::p::best"), read("::best"), read("::q")) == (
+        {"best 8", "q 1"}, {"best 8"}, {"best 7"}, {"q 1"},
+    )  # fmt: skip
+    assert read_run(f"{store}::p").remark is None
+    with pytest.raises(KinedexError, match="no method or pipeline 'pp'; did you mean 'p'"):
+        read("::pp")
 
 
 def test_the_command_shows_and_writes_what_changed(tmp_path: Path) -> None:

@@ -31,6 +31,9 @@ UNREAD = {
 """Endings of motion files that kinedex does not read, and the way out."""
 
 
+SIDECARS = (".yaml", ".yml")
+"""Endings of files that describe the motion file of the same name beside them."""
+
 _MOST_ENDINGS = 6
 
 
@@ -116,6 +119,8 @@ class Scan:
         Possible motion files that cannot be read or lie outside the root.
     passed_over : tuple of PassedOver
         All other files.
+    sidecars : tuple of SourceFile
+        YAML files with the name of a motion file beside them, which describe its takes.
     """
 
     motions: tuple[SourceFile, ...]
@@ -123,11 +128,13 @@ class Scan:
     unread: tuple[SourceFile, ...] = ()
     refused: tuple[Refused, ...] = ()
     passed_over: tuple[PassedOver, ...] = ()
+    sidecars: tuple[SourceFile, ...] = ()
 
     @property
     def count(self) -> int:
         """The number of files; a folder that cannot be read counts as one."""
-        return sum(map(len, (self.motions, self.skeletons, self.unread, self.refused, self.passed_over)))
+        files = (self.motions, self.skeletons, self.unread, self.refused, self.passed_over, self.sidecars)
+        return sum(map(len, files))
 
     def hidden(self, path: str) -> bool:
         """Return whether a path lies where the scan had no access, so that nothing is known of it."""
@@ -145,7 +152,7 @@ class Scan:
     def digest(self) -> str:
         """A hash of every file's path, size and time: equal means that nothing has changed."""
         hasher = hashlib.sha256()
-        for file in (*self.motions, *self.skeletons):
+        for file in (*self.motions, *self.skeletons, *self.sidecars):
             hasher.update(f"{file.path}\0{file.size}\0{file.mtime_ns}\n".encode())
         for refused in self.refused:
             hasher.update(f"{refused.path}\0{refused.fault.reason}\n".encode())
@@ -173,7 +180,7 @@ class Scan:
 
 
 def scan(root: str | Path) -> Scan:
-    """List the files below a source root: motion files, skeleton files (.asf), and all others.
+    """List the files below a source root: motion files, skeleton files (.asf), sidecars, and all others.
 
     Links to folders are not followed, so that loops of links do no harm; a linked folder inside the root is found at
     its own place. Links to files are followed inside the root. Links that lead out of it or nowhere, and files without
@@ -199,10 +206,14 @@ def scan(root: str | Path) -> Scan:
     unread: list[SourceFile] = []
     refused: list[Refused] = []
     passed: list[PassedOver] = []
+    sidecars: list[SourceFile] = []
     kinds = dict.fromkeys(UNREAD, unread) | {".asf": skeletons} | dict.fromkeys(motion_endings(), motions)
-    for folder, name in _entries(root, refused):
+    entries = list(_entries(root, refused))
+    beside = _motion_stems(entries)
+    for folder, name in entries:
         path = readable(_below(root, folder, name))
-        kind = kinds.get(os.path.splitext(name)[1].lower())
+        stem, ending = os.path.splitext(name)
+        kind = sidecars if ending.lower() in SIDECARS and (folder, stem) in beside else kinds.get(ending.lower())
         if kind is None or is_of_system(name):
             passed.append(PassedOver(path, kind_of(name)))
             continue
@@ -214,7 +225,14 @@ def scan(root: str | Path) -> Scan:
                 passed.append(PassedOver(path, NO_MOTION))
         except SourceError as fault:
             refused.append(Refused(path, fault))
-    return Scan(tuple(motions), tuple(skeletons), tuple(unread), tuple(refused), tuple(passed))
+    return Scan(tuple(motions), tuple(skeletons), tuple(unread), tuple(refused), tuple(passed), tuple(sidecars))
+
+
+def _motion_stems(entries: Iterable[tuple[str, str]]) -> set[tuple[str, str]]:
+    """Return folder and name without ending of every entry that has the ending of a motion file."""
+    endings = set(motion_endings())
+    parts = ((folder, os.path.splitext(name)) for folder, name in entries)
+    return {(folder, stem) for folder, (stem, ending) in parts if ending.lower() in endings}
 
 
 def _entries(root: Path, refused: list[Refused]) -> Iterator[tuple[str, str]]:

@@ -131,3 +131,34 @@ def test_a_column_that_every_store_has_is_reported(ingested: tuple[Path, Path], 
     _, shown = ingest(tmp_path / "store", source, metadata=tmp_path / "t.csv", patterns=[r"x_(?P<actor>[a-z]+)_"])
     assert "the column 'frames' of metadata is no column of takes: every store has a column of this name" in shown
     assert open_store(tmp_path / "store").takes().sort("name")["actor"].to_list() == ["zoe", "al", "bo"]
+
+
+def test_a_yaml_file_beside_a_motion_file_describes_its_takes(tmp_path: Path) -> None:
+    source = write_archive(tmp_path / "archive", dict.fromkeys(FILES, 30))
+    (source / "a" / "x_al_walk.yaml").write_text("licence: CC0\ntags: [slow, calm]\nage: 30\n")
+    (source / "a" / "x_al_run.yml").write_text("capture: {volume: 3}\n")
+    (source / "a" / "other.yaml").write_text("licence: none\n")
+    (source / "a" / "x_al_run.yaml").symlink_to(tmp_path / "outside.yaml")
+    (tmp_path / "outside.yaml").write_text("licence: secret\n")
+    (tmp_path / "table.csv").write_text("tke,age\nx_al_walk,31\n")
+    store = tmp_path / "store"
+    _, shown = ingest(store, source)
+    assert "metadata by 1 YAML file beside motion files: 1 take described" in shown
+    assert "x_al_run.yml:1: capture: expected a text, a number" in shown
+    columns = ("name", "licence", "tags", "age")
+    assert open_store(store).takes().sort("name").select(columns).rows() == [
+        ("x_al_run", None, None, None), ("x_al_walk", "CC0", ["slow", "calm"], 30), ("x_bo_run", None, None, None),
+    ]  # fmt: skip
+    assert ingest(store, source)[0].ran == ()
+    files = {row["source"]: row["outcome"] for row in open_store(store).result("source_files").to_pylist()}
+    assert [files[f"a/{name}"] for name in ("x_al_walk.yaml", "other.yaml", "x_al_run.yaml")] == [
+        "metadata", "passed over", "refused",
+    ]  # fmt: skip
+
+    # a table that is given goes before, and the key that it takes for want of another is named
+    _, shown = ingest(store, source, metadata=[tmp_path / "table.csv"])
+    assert "its first, 'tke', names the takes; if 'tke' means 'take', rename it" in shown
+    assert open_store(store).takes("name = 'x_al_walk'")["age"].to_list() == [31]
+    (source / "a" / "x_al_walk.yaml").unlink()
+    with pytest.raises(KinedexError, match=r"licence: 1 take, such as 'CC0' of x_al_walk"):
+        ingest(store, source)

@@ -8,11 +8,20 @@ from pathlib import Path
 import polars as pl
 import pyarrow as pa
 import pytest
+from typer.testing import CliRunner
 
 from kinedex.ops.errors import StoreError
+from kinedex.pipelines.commands.cli import app
+from kinedex.pipelines.console.hidden_rows import hidden_rows_hints
 from kinedex.storage.snapshot.manifest import Source, StageRecord
 from kinedex.storage.snapshot.schemas import result_schema
-from kinedex.storage.snapshot.shown_results import PIPELINE_KINDS, current_pipeline, shown_parts, shown_pipeline
+from kinedex.storage.snapshot.shown_results import (
+    PIPELINE_KINDS,
+    current_pipeline,
+    result_pipelines,
+    shown_parts,
+    shown_pipeline,
+)
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
 from tests.storage.made_up import BODY, make_store
@@ -90,6 +99,30 @@ def test_pipeline_runs_says_what_each_is(store: Store) -> None:
     assert rows["run of first/annotate"]["views"] == []
     joined = "SELECT DISTINCT command FROM annotations JOIN pipeline_runs USING (pipeline, pipeline_run)"
     assert store.sql(joined).to_pylist() == [{"command": "do second/annotate"}]
+
+
+def test_a_pipeline_is_one_row_of_those_to_choose_from_however_often_it_ran(store: Store) -> None:
+    with StoreWriter.open(store.path, BODY) as writer:
+        put(writer, "source_files", "ingest/ingest", "ingest", 1)  # makes no results of a pipeline
+        put(writer, "metrics", "third/evaluate", "evaluate", 1, "2026-01-04")  # another run than that of third/rank
+        manifest = writer.commit()
+    rows = result_pipelines(manifest).to_pylist()
+    assert [(row["pipeline"], row["current"]) for row in rows] == [("third", True), ("second", False), ("first", False)]
+    assert (rows[0]["stages"], rows[0]["views"]) == (["rank", "evaluate"], ["metrics", "ranked_hits"])
+    assert rows[0]["finished"].day == 4
+
+
+def test_a_view_without_rows_of_its_pipeline_names_those_that_have_some(store: Store) -> None:
+    hints = hidden_rows_hints(store, "SELECT count(*) FROM metrics  -- annotations", 1)
+    assert hints == [
+        f"metrics shows 0 rows of pipeline second; all_metrics has those of first (1 row), too, and "
+        f"`kinedex use {store.path} NAME` shows another pipeline"
+    ]
+    assert hidden_rows_hints(store, "FROM annotations", 2) == []
+    assert len(hidden_rows_hints(store, "FROM annotations WHERE class = 'metrics'", 0)) == 1
+    assert hidden_rows_hints(store, "FROM all_metrics", 0) == hidden_rows_hints(store, "FROM takes", 0) == []
+    shown = CliRunner().invoke(app, ["sql", str(store.path), "FROM metrics"])
+    assert (shown.exit_code, shown.stderr) == (0, hidden_rows_hints(store, "FROM metrics", 0)[0] + "\n")
 
 
 def test_the_chosen_pipeline_stays_until_the_choice_ends(store: Store) -> None:
