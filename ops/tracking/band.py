@@ -26,6 +26,9 @@ I64 = npt.NDArray[np.int64]
 LEAST_DAMPING = 1e-6
 """Added to the diagonal of every system."""
 
+_PANEL = 8  # rows of a front that are subtracted from the others at once
+_FAST = {"contract", "reassoc", "nsz"}  # fused and vectorised sums: the same bytes again on the same machine
+
 
 class Band(NamedTuple):
     """The linear system of a take, and room for its solution.
@@ -41,7 +44,7 @@ class Band(NamedTuple):
     single : int64 array (N − M,)
         The others.
     blocks : float64 array (T, M, M)
-        Lower half of H of each frame for the coupled parameters, without second differences.
+        Upper half of H of each frame for the coupled parameters, without second differences.
     diagonals : float64 array (T, N)
         The diagonal of H of each frame, without second differences.
     gradient : float64 array (T, N)
@@ -128,8 +131,8 @@ def assemble(
         cost += frame_terms(chain, evidence, priors, t, places[t], turns[t], width, units[t], room, band.gradient[t])
         for a in range(len(band.coupled)):
             i = band.coupled[a]
-            for b in range(a + 1):
-                band.blocks[t, a, b] = room.hessian[i, band.coupled[b]]
+            for b in range(a, len(band.coupled)):
+                band.blocks[t, a, b] = room.hessian[band.coupled[b], i]
         for i in range(len(band.smoothness)):
             band.diagonals[t, i] = room.hessian[i, i]
     return cost + _add_differences(chain, places, turns, exact, band)
@@ -232,8 +235,8 @@ def solve_band(band: Band, damping: float, factors: F64, steps: F64) -> None:
         The system.
     damping : float
         λ of Levenberg's method.
-    factors : float64 array (T, M, 3 M)
-        Room for the rows of the fronts.
+    factors : float64 array (T, M, 2 M + 1)
+        Room for the rows of the factor.
     steps : float64 array (T, N)
         Out: x.
     """
@@ -275,65 +278,101 @@ def _solve_single(band: Band, damping: float, own: F64, near: F64, far: F64, ste
             steps[t, i] = step
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=_FAST)
 def _solve_coupled(band: Band, damping: float, own: F64, near: F64, far: F64, factors: F64, steps: F64) -> None:
     """Solve for the parameters that observations couple, frame by frame."""
     frames, m = len(own), len(band.coupled)
     weights = band.smoothness[band.coupled]
-    front = np.zeros((3 * m, 3 * m))  # upper half; its rows of this frame, the next one and the one after
+    front = np.zeros((3 * m, 3 * m))  # upper half; its rows are of this frame, the next one and the one after
     right = np.zeros(3 * m)
     for t in range(frames):
         for a in range(m):
-            i = band.coupled[a]
-            for b in range(a, m):
-                front[a, b] += band.blocks[t, b, a]
-            front[a, a] += weights[a] * own[t]
-            front[a, a] += damping * (band.diagonals[t, i] + weights[a] * own[t]) + LEAST_DAMPING
+            row, block, i = front[a, a:m], band.blocks[t, a, a:], band.coupled[a]
+            for b in range(len(row)):
+                row[b] += block[b]
+            diagonal = weights[a] * own[t]
+            row[0] += diagonal + damping * (band.diagonals[t, i] + diagonal) + LEAST_DAMPING
             front[a, m + a] += weights[a] * near[t]
             front[a, 2 * m + a] += weights[a] * far[t]
             right[a] -= band.gradient[t, i]
         _eliminate(front, right, m)
-        factors[t] = front[:m]
         for a in range(m):
+            row = front[a, a : 2 * m + a + 1]
+            for b in range(len(row)):
+                factors[t, a, b] = row[b]
             steps[t, band.coupled[a]] = right[a]
         _shift(front, right, m)
-    x = np.zeros(3 * m)
-    for t in range(frames - 1, -1, -1):
-        for a in range(m - 1, -1, -1):
-            total = steps[t, band.coupled[a]]
-            for b in range(a + 1, 2 * m + a + 1):
-                total -= factors[t, a, b] * x[b]
-            x[a] = total / factors[t, a, a]
-        for a in range(m):
-            steps[t, band.coupled[a]] = x[a]
-        x[2 * m :] = x[m : 2 * m]
-        x[m : 2 * m] = x[:m]
+    _substitute(band.coupled, factors, steps)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=_FAST)
 def _eliminate(front: F64, right: F64, m: int) -> None:
-    """Factorise the first m rows of a front and of its right side, and subtract what they leave from the other rows."""
-    for k in range(m):
-        stop = 2 * m + k + 1  # beyond it the row is 0
-        pivot = 1.0 / np.sqrt(max(front[k, k], 1e-300))
-        for j in range(k, stop):
-            front[k, j] *= pivot
-        right[k] *= pivot
-        for i in range(k + 1, stop):
-            factor = front[k, i]
-            for j in range(i, stop):
-                front[i, j] -= factor * front[k, j]
-            right[i] -= factor * right[k]
+    """Factorise the first m rows of a front and of its right side, and subtract what they leave from the other rows.
+
+    Row k ends at column 2 m + k: beyond it the coupling with the frame after the next one is 0. Rows are worked on as
+    slices from 0, which the compiler turns into vector instructions.
+    """
+    for low in range(0, m, _PANEL):
+        high = min(low + _PANEL, m)
+        stop = 2 * m + high
+        for k in range(low, high):
+            row, pivot = front[k, k:stop], 1.0 / np.sqrt(max(front[k, k], 1e-300))
+            for j in range(len(row)):
+                row[j] *= pivot
+            right[k] *= pivot
+            for i in range(k + 1, high):
+                _subtract(front[i, i:stop], front[k, i], front[k, i:stop])
+            for i in range(k + 1, stop):
+                right[i] -= front[k, i] * right[k]
+        for i in range(high, stop):
+            if high - low == _PANEL:
+                _subtract_panel(front, low, i, stop)
+                continue
+            for k in range(low, high):
+                _subtract(front[i, i:stop], front[k, i], front[k, i:stop])
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST)
+def _subtract(row: F64, factor: float, other: F64) -> None:
+    for j in range(len(row)):
+        row[j] -= factor * other[j]
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST)
+def _subtract_panel(front: F64, k: int, i: int, stop: int) -> None:
+    """Subtract eight rows at once from row i of the front, which is read and written once."""
+    row = front[i, i:stop]
+    p, q, r, s = front[k, i:stop], front[k + 1, i:stop], front[k + 2, i:stop], front[k + 3, i:stop]
+    t, u, v, w = front[k + 4, i:stop], front[k + 5, i:stop], front[k + 6, i:stop], front[k + 7, i:stop]
+    a, b, c, d, e, f, g, h = p[0], q[0], r[0], s[0], t[0], u[0], v[0], w[0]
+    for j in range(len(row)):
+        row[j] -= a * p[j] + b * q[j] + c * r[j] + d * s[j] + e * t[j] + f * u[j] + g * v[j] + h * w[j]
 
 
 @njit(cache=True, nogil=True)
 def _shift(front: F64, right: F64, m: int) -> None:
     """Move the rows of the next two frames to the front."""
     for i in range(2 * m):
-        for j in range(i, 2 * m):
-            front[i, j] = front[m + i, m + j]
-        for j in range(2 * m, 3 * m):
-            front[i, j] = 0.0
+        front[i, i : 2 * m] = front[m + i, m + i :]
+        front[i, 2 * m :] = 0.0
         right[i] = right[m + i]
-    front[2 * m :] = 0.0
-    right[2 * m :] = 0.0
+    for i in range(2 * m, 3 * m):
+        front[i, i:] = 0.0
+        right[i] = 0.0
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST)
+def _substitute(coupled: I64, factors: F64, steps: F64) -> None:
+    """Solve the factorised system backwards, in place of the right side."""
+    frames, m = len(steps), len(coupled)
+    x = np.zeros(3 * m)
+    for t in range(frames - 1, -1, -1):
+        for a in range(m - 1, -1, -1):
+            row, later = factors[t, a, 1:], x[a + 1 : 2 * m + a + 1]
+            total = 0.0
+            for b in range(len(row)):
+                total += row[b] * later[b]
+            x[a] = (steps[t, coupled[a]] - total) / factors[t, a, 0]
+        for a in range(m):
+            steps[t, coupled[a]] = x[a]
+        x[m:] = x[: 2 * m].copy()

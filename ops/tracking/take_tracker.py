@@ -225,7 +225,7 @@ def _solve(
     moving = np.unique(np.concatenate([evidence.nodes, chain.joint_nodes[joints]]))
     band = make_band(chain, moving, smoothness, triples)
     units = np.zeros(evidence.confidence.shape)
-    factors = np.empty((len(triples), len(band.coupled), 3 * len(band.coupled)))
+    factors = np.empty((len(triples), len(band.coupled), 2 * len(band.coupled) + 1))
     steps = np.empty_like(band.gradient)
     trial = Poses(np.empty_like(poses.places), np.empty_like(poses.turns))
     count = 0

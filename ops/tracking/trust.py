@@ -128,7 +128,10 @@ def _nodes_seen(body: ChainBody, joints: I64, seen: Bool) -> Bool:
 
 
 def restart(body: ChainBody, poses: Poses, nodes_seen: Bool) -> Poses:
-    """Return poses to start again from: the pelvis is interpolated where neither hip is seen.
+    """Return poses to start again from: nodes that are not seen are interpolated, and the pelvis if neither hip is.
+
+    A solver stays near its start; where cameras contradict each other, or too few of them see a limb, its start is
+    better taken from the frames around than from what they show.
 
     Parameters
     ----------
@@ -142,33 +145,38 @@ def restart(body: ChainBody, poses: Poses, nodes_seen: Bool) -> Poses:
     Returns
     -------
     Poses
-        The poses, with place and turn of the pelvis taken from the nearest frames before and after in which a hip is
-        seen; before the first one, and after the last one, they have its values.
+        The poses, in which such turns, and the place of the body with that of the pelvis, lie between those of the
+        nearest frames before and after in which the node is seen; before the first one, and after the last one, they
+        are held.
     """
-    hips = [body.chain.nodes.index(name) for name in ("lhip", "rhip")]
-    return interpolate_pelvis(poses, np.asarray(nodes_seen[:, hips].any(axis=1)))
+    nodes = body.chain.nodes
+    known = nodes_seen.copy()
+    known[:, 0] = nodes_seen[:, [nodes.index("lhip"), nodes.index("rhip")]].any(axis=1)
+    return interpolated(poses, known)
 
 
-def interpolate_pelvis(poses: Poses, known: Bool) -> Poses:
-    """Return poses whose pelvis is interpolated where it is not known.
+def interpolated(poses: Poses, known: Bool) -> Poses:
+    """Return poses whose turns are interpolated where they are not known; the place goes with the first node.
 
     Parameters
     ----------
     poses : Poses
-        T poses.
-    known : bool array (T,)
-        True where the pelvis stays; where it is known nowhere, all poses stay.
+        T poses of K nodes.
+    known : bool array (T, K)
+        True where a turn stays. A node that is known nowhere stays as it is.
     """
     places, turns = poses.places.copy(), poses.turns.copy()
-    frames = np.flatnonzero(known)
-    if len(frames) in (0, len(known)):
-        return Poses(places, turns)
-    after = np.searchsorted(frames, np.arange(len(known)))
-    low, high = frames[np.maximum(after - 1, 0)], frames[np.minimum(after, len(frames) - 1)]
-    for t in np.flatnonzero(~known):
-        one, two = low[t], high[t]
-        share = (t - one) / (two - one) if two > one else 0.0
-        places[t] = (1.0 - share) * poses.places[one] + share * poses.places[two]
-        way = vector_of(np.ascontiguousarray(poses.turns[one, 0].T) @ poses.turns[two, 0])
-        turns[t, 0] = poses.turns[one, 0] @ rotation_of(share * way)
+    for k in range(known.shape[1]):
+        frames = np.flatnonzero(known[:, k])
+        if len(frames) in (0, len(known)):
+            continue
+        after = np.searchsorted(frames, np.arange(len(known)))
+        low, high = frames[np.maximum(after - 1, 0)], frames[np.minimum(after, len(frames) - 1)]
+        for t in np.flatnonzero(~known[:, k]):
+            one, two = low[t], high[t]
+            share = (t - one) / (two - one) if two > one else 0.0
+            way = vector_of(np.ascontiguousarray(poses.turns[one, k].T) @ poses.turns[two, k])
+            turns[t, k] = poses.turns[one, k] @ rotation_of(share * way)
+            if k == 0:
+                places[t] = (1.0 - share) * poses.places[one] + share * poses.places[two]
     return Poses(places, turns)

@@ -1,0 +1,120 @@
+"""The track of a recording without priors: start, solve, restart where too little is seen, and solve again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinedex.ops.body.kinematic_chain import ChainBody, Poses
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
+from kinedex.ops.tracking.rays import SIGMA_PX
+from kinedex.ops.tracking.take_tracker import SCHEDULE, Loss, TakeTrack, track_take
+from kinedex.ops.tracking.triangulation import (
+    LEAST_CONFIDENCE,
+    start_from_places,
+    start_from_triangulation,
+    triangulate,
+)
+from kinedex.ops.tracking.trust import Trust, restart, trust
+
+
+@dataclass(frozen=True, eq=False)
+class FirstTrack:
+    """The track of a recording without priors.
+
+    Attributes
+    ----------
+    start : Poses
+        The poses that it was started from.
+    before : TakeTrack
+        The track before the restart.
+    track : TakeTrack
+        The track.
+    trust : Trust
+        Trust in the observations, by the track.
+    """
+
+    start: Poses
+    before: TakeTrack
+    track: TakeTrack
+    trust: Trust
+
+
+def first_track(
+    body: ChainBody,
+    observations: Rays | Places,
+    points: BodyPoints | None,
+    rate_hz: float,
+    loss: Loss = "geman_mcclure",
+    sigma_px: float = SIGMA_PX,
+    cuts: Sequence[int] = (),
+) -> FirstTrack:
+    """Track a recording without priors.
+
+    Parameters
+    ----------
+    body : ChainBody
+        A body of the shipped chain's nodes.
+    observations : Rays or Places
+        What is observed in T frames.
+    points : BodyPoints or None
+        The points that rays observe; None for places.
+    rate_hz : float
+        Frames per second.
+    loss : str, optional
+        `geman_mcclure`, or `squares`, which the thesis has.
+    sigma_px : float, optional
+        Standard deviation of a keypoint in pixels.
+    cuts : sequence of int, optional
+        Frames that do not follow from the frame before.
+
+    Raises
+    ------
+    ParameterError
+        The arguments do not fit each other, or a hip or a shoulder is seen nowhere.
+    """
+    start = find_start(body, observations, points, sigma_px)
+    before = track_take(body, observations, points, rate_hz, start, None, loss, sigma_px, SCHEDULE, cuts)
+    seen = trust(body, observations, points, before.poses, sigma_px).nodes_seen
+    again = restart(body, before.poses, seen)
+    track = track_take(body, observations, points, rate_hz, again, None, loss, sigma_px, SCHEDULE[-1:], cuts)
+    return FirstTrack(start, before, track, trust(body, observations, points, track.poses, sigma_px))
+
+
+def find_start(
+    body: ChainBody, observations: Rays | Places, points: BodyPoints | None, sigma_px: float = SIGMA_PX
+) -> Poses:
+    """Return poses to start a track from: the chain fitted to points, interpolated where they cannot be trusted.
+
+    A triangulated point counts only if more than half of the cameras that see it agree on it: where two of four
+    cameras confuse left and right, either pair agrees with itself, and the choice between them flickers.
+
+    Parameters
+    ----------
+    body : ChainBody
+        A body of the shipped chain's nodes.
+    observations : Rays or Places
+        What is observed in T frames.
+    points : BodyPoints or None
+        The points that rays observe; None for places.
+    sigma_px : float, optional
+        Standard deviation of a keypoint in pixels.
+
+    Raises
+    ------
+    ParameterError
+        The points do not fit the observations, or a hip or a shoulder is seen nowhere.
+    """
+    if isinstance(observations, Places):
+        start = start_from_places(body, observations)
+    elif points is None:
+        raise ParameterError("points", "the points that the rays observe", None)
+    else:
+        places, cameras = triangulate(observations)
+        given = (observations.confidence >= LEAST_CONFIDENCE).sum(axis=1)
+        agreed = np.where((2 * cameras > given)[:, :, None], places, np.nan)
+        start = start_from_triangulation(body, agreed, points)
+    return restart(body, start, trust(body, observations, points, start, sigma_px).nodes_seen)
