@@ -5,12 +5,15 @@ studies.bandai`. Confidence is calibrated as the stage `annotate` does, on the e
 right is one most of whose frames are of its class. Sets:
 
 - mm: takes of HDM05's actor mm, learned from 1, 2, 3, 5 and all clips of each class of bd, bk and dg.
-- left out: the clips of one of bd, bk and dg laid end to end, learned from clips of the other two, as many; and from
-  all clips of five classes, so that what is of the others should get no label.
-- examples: Bandai, five examples of each content, all other takes, as in `studies.bandai`.
+- left out: the clips of one of bd, bk and dg laid end to end, learned from clips of the other two, as many.
+- open: the same, learned from all clips of five classes, so that what is of the others should get no label.
+- examples: Bandai, five examples of each content, all other takes, as in `studies.bandai`; and the takes of each of
+  the two data sets among them.
 - styles: Bandai, half of the styles, drawn, as examples, the takes of the others.
 
-`--prior` prints the numbers of `ops.annotation.confidence.PRIORS`, from the set "left out".
+Evidence and spreads of `ops.annotation.confidence` were chosen on the seeds 0 to 5 of all sets but mm, and on clips of
+synthetic actors who were left out (`--clips`). `--prior` prints the numbers of `PRIORS`, from the sets left out and
+open.
 """
 
 from __future__ import annotations
@@ -26,8 +29,9 @@ import numpy.typing as npt
 import polars as pl
 
 from kinedex.catalog.classes import OWN, load_classes
-from kinedex.ops.annotation.confidence import PRIORS, Prior, evidence_of, learn_confidence
-from kinedex.ops.evaluation.reliability import auroc, brier, reliability
+from kinedex.ops.annotation.confidence import PRIORS, Prior, learn_confidence
+from kinedex.ops.annotation.evidence import evidence_of
+from kinedex.ops.evaluation.reliability import EDGES, auroc, brier, reliability
 from kinedex.ops.words import U64, TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
@@ -48,7 +52,7 @@ METHODS = ("best", "thesis")
 DELTA, TAU = 0.05, 0.13
 COUNTS = (1, 2, 3, 5, None)
 OPEN_CLASSES, LEAST_TAKES, BOOTSTRAPS = 5, 8, 1000
-BUCKETS = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 1.0)
+FIFTHS = 5
 
 
 @dataclass(frozen=True)
@@ -113,8 +117,8 @@ class Study:
                 label = made.classes[one.class_index]
                 right = _is_right(take, label, one.start, one.stop)
                 yield {
-                    "method": method, "take": take.name, "class": label, "truth": _truth(take, one.start, one.stop),
-                    "confidence": sure, "margin": one.margin, "cost": one.cost, "right": right,
+                    "method": method, "take": take.name, "actor": take.actor, "confidence": sure,
+                    "margin": one.margin, "cost": one.cost, "right": right,
                 }  # fmt: skip
 
 
@@ -128,11 +132,6 @@ def _is_right(take: Judged, label: str, start: int, stop: int) -> bool:
     return 2 * own > stop - start
 
 
-def _truth(take: Judged, start: int, stop: int) -> str:
-    shares = [(min(stop, b) - max(start, a), name) for name, a, b in take.truth]
-    return max(shares, default=(0, ""))[1]
-
-
 def _some(clips: Sequence[Clip], count: int | None, seed: int) -> list[Clip]:
     """Draw clips of every class."""
     random, found = np.random.default_rng(seed), []
@@ -142,7 +141,7 @@ def _some(clips: Sequence[Clip], count: int | None, seed: int) -> list[Clip]:
     return found
 
 
-def of_mm(store: Store, truth: Path, clips: Sequence[Clip], draws: int) -> Iterator[Trial]:
+def of_mm(store: Store, truth: Path, clips: Sequence[Clip], seeds: Sequence[int]) -> Iterator[Trial]:
     """Yield the trials of the set mm."""
     segments: dict[str, list[tuple[str, int, int]]] = defaultdict(list)
     for one in placed_files(store, [read_labels(truth)]).segments:
@@ -151,44 +150,58 @@ def of_mm(store: Store, truth: Path, clips: Sequence[Clip], draws: int) -> Itera
         Judged(name, "mm", store.words([store.take_id(name)]).take(0), tuple(own))
         for name, own in sorted(segments.items())
     ]
-    for count in COUNTS:
-        for seed in range(draws if count is not None else 1):
+    for count in COUNTS[:-1]:
+        for seed in seeds:
             yield Trial(_some(clips, count, seed), takes)
+    yield Trial(clips, takes)
 
 
-def of_left_out(clips: Sequence[Clip], draws: int) -> Iterator[Trial]:
+def of_left_out(clips: Sequence[Clip], seeds: Sequence[int]) -> Iterator[Trial]:
     """Yield the trials of the set left out."""
-    labels = sorted({clip.label for clip in clips})
-    for actor in sorted({clip.group for clip in clips}):
-        others = [clip for clip in clips if clip.group != actor]
-        own = [clip for clip in clips if clip.group == actor]
-        takes = [
-            Judged(f"{actor} {place}", actor, one.words, one.truth)
-            for place, one in enumerate(laid_out(own, 1, len(own), OPEN_CLASSES + 4))
-        ]
-        for seed in range(draws):
+    for others, takes in _by_actor(clips):
+        for seed in seeds:
             for count in COUNTS[:-1]:
                 yield Trial(_some(others, count, seed), takes)
-            few = np.random.default_rng(seed).permutation(labels)[:OPEN_CLASSES].tolist()
-            yield Trial([clip for clip in others if clip.label in few], takes)
         yield Trial(others, takes)
 
 
-def of_examples(store: Store, clips: Mapping[str, Clip], draws: int) -> Iterator[Trial]:
+def of_open(clips: Sequence[Clip], seeds: Sequence[int]) -> Iterator[Trial]:
+    """Yield the trials of the set open."""
+    labels = sorted({clip.label for clip in clips})
+    for others, takes in _by_actor(clips):
+        for seed in seeds:
+            few = np.random.default_rng(seed).permutation(labels)[:OPEN_CLASSES].tolist()
+            yield Trial([clip for clip in others if clip.label in few], takes)
+
+
+def _by_actor(clips: Sequence[Clip]) -> Iterator[tuple[list[Clip], list[Judged]]]:
+    """Yield for each actor the clips of the others, and takes of the own clips laid end to end."""
+    for actor in sorted({clip.group for clip in clips}):
+        own = [clip for clip in clips if clip.group == actor]
+        yield (
+            [clip for clip in clips if clip.group != actor],
+            [
+                Judged(f"{actor} {place}", actor, one.words, one.truth)
+                for place, one in enumerate(laid_out(own, 1, len(own), OPEN_CLASSES + 4))
+            ],
+        )
+
+
+def of_examples(store: Store, clips: Mapping[str, Clip], seeds: Sequence[int]) -> Iterator[Trial]:
     """Yield the trials of the set examples."""
-    for seed in range(draws):
+    for seed in seeds:
         drawn = draw_examples(store.takes(), seed, 5, LEAST_TAKES)
         yield Trial(
             [clips[name] for name in drawn.examples], [_alone(name, clips[name]) for name in drawn.rest["name"]]
         )
 
 
-def of_styles(clips: Mapping[str, Clip], draws: int) -> Iterator[Trial]:
+def of_styles(clips: Mapping[str, Clip], seeds: Sequence[int]) -> Iterator[Trial]:
     """Yield the trials of the set styles."""
     labels = [clip.label for clip in clips.values()]
     usual = {name: clip for name, clip in clips.items() if labels.count(clip.label) >= LEAST_TAKES}
     styles = sorted({clip.group for clip in usual.values()})
-    for seed in range(draws):
+    for seed in seeds:
         half = set(np.random.default_rng(seed).permutation(styles)[: len(styles) // 2].tolist())
         learned = [clip for clip in usual.values() if clip.group in half]
         known = {clip.label for clip in learned}
@@ -200,10 +213,11 @@ def _alone(name: str, clip: Clip) -> Judged:
     return Judged(name, clip.group, clip.words, ((clip.label, 0, len(clip.words)),))
 
 
-def interval(rows: pl.DataFrame, measure: Callable[[I64], float]) -> tuple[float, float]:
-    """Return the 95 % interval of a measure of rows, over takes drawn with replacement."""
-    takes = rows.with_row_index().group_by("take", maintain_order=True).agg("index")["index"]
-    groups = [np.array(own, np.int64) for own in takes]
+def interval(rows: pl.DataFrame, by: str, measure: Callable[[I64], float]) -> tuple[float, float]:
+    """Return the 95 % interval of a measure of rows, over takes or actors drawn with replacement."""
+    groups = [
+        np.array(own, np.int64) for own in rows.with_row_index().group_by(by, maintain_order=True).agg("index")["index"]
+    ]
     drawn = np.random.default_rng(0).integers(0, len(groups), (BOOTSTRAPS, len(groups)))
     values = [measure(np.concatenate([groups[place] for place in one.tolist()])) for one in drawn]
     low, high = np.nanpercentile(values, [2.5, 97.5])
@@ -227,41 +241,37 @@ def areas(rows: pl.DataFrame) -> dict[str, Callable[[I64], float]]:
     }
 
 
-def report(name: str, rows: pl.DataFrame) -> None:
-    """Print the tables of one set as Markdown."""
+def report(name: str, rows: pl.DataFrame, by: str) -> None:
+    """Print the tables of one set as Markdown; intervals are over takes or actors."""
     for method in METHODS:
         own = rows.filter(pl.col("method") == method)
-        right = own["right"].to_numpy()
-        takes = own["take"].n_unique()
-        print(f"\n{name}, {method}: {own.height} segments of {takes} takes, {right.mean():.0%} right\n")
+        right, sure = own["right"].to_numpy(), own["confidence"].to_numpy()
+        print(
+            f"\n{name}, {method}: {own.height} segments of {own['take'].n_unique()} takes, {right.mean():.0%} right; "
+            f"intervals over {own[by].n_unique()} {by}s\n"
+        )
         print("| | AUROC (95 %) | Brier score |\n|---|---|--:|")
         for column, area in areas(own).items():
-            low, high = interval(own, area)
+            low, high = interval(own, by, area)
             score = f"{brier(own[column].to_numpy(), right):.3f}" if column in ("confidence", "margin") else ""
             print(f"| {column} | {area(np.arange(len(right))):.2f} ({low:.2f}–{high:.2f}) | {score} |")
-        print("\n| confidence | segments | mean | right (95 %) | classes alike |\n|---|--:|--:|---|--:|")
-        for bucket in reliability(own["confidence"].to_numpy(), right, BUCKETS):
-            some = own.filter(pl.col("confidence").is_between(bucket.low, bucket.high, closed="left"))
-            if bucket.count:
-                ends = interval(some, _share(some))
-                # every class of the takes counts the same, however many segments it has
-                weights = 1 / some.join(counts(own), on="truth", maintain_order="left")["len"].to_numpy()
-                print(
-                    f"| {bucket.low:g} to {bucket.high:g} | {bucket.count} | {bucket.confidence:.0%} | "
-                    f"{bucket.share:.0%} ({ends[0]:.0%}–{ends[1]:.0%}) | "
-                    f"{np.average(some['right'].to_numpy(), weights=weights):.0%} |",
-                    flush=True,
-                )
+        fifths = (0.0, *np.quantile(sure, np.arange(1, FIFTHS) / FIFTHS).tolist(), 1.0)
+        for title, edges in (("confidence", EDGES), ("fifth", fifths)):
+            print(f"\n| {title} | segments | mean | right (95 %) |\n|---|--:|--:|---|")
+            for bucket in reliability(sure, right, edges):
+                if bucket.count:
+                    some = own.filter((sure >= bucket.low) & (sure < bucket.high))
+                    low, high = interval(some, by, _share(some))
+                    print(
+                        f"| {bucket.low:.2g} to {bucket.high:.2g} | {bucket.count} | {bucket.confidence:.0%} | "
+                        f"{bucket.share:.0%} ({low:.0%}–{high:.0%}) |",
+                        flush=True,
+                    )
 
 
 def _share(rows: pl.DataFrame) -> Callable[[I64], float]:
     right = rows["right"].to_numpy()
     return lambda some: float(right[some].mean())
-
-
-def counts(rows: pl.DataFrame) -> pl.DataFrame:
-    """Return the number of segments by true class."""
-    return rows.group_by("truth").len()
 
 
 def print_priors(study: Study, trials: Sequence[Trial]) -> None:
@@ -281,7 +291,7 @@ def print_priors(study: Study, trials: Sequence[Trial]) -> None:
         evidence, truth = np.concatenate(parts), np.array(right)
         centres, scales = evidence.mean(axis=0), evidence.std(axis=0)
         bare = Prior(names, tuple(centres), tuple(scales), 0.0, (0.0,) * len(names))
-        learned = learn_confidence(bare, evidence, np.zeros(len(truth), np.int64), truth, np.ones(len(truth)), 1)
+        learned = learn_confidence(bare, evidence, np.zeros(len(truth), np.int64), truth, 1)
         offset, slopes = learned.coefficients[[0]] + learned.coefficients[-1], learned.coefficients[1:-1]
         rounded = [[round(float(one), 3) for one in some] for some in (centres, scales, offset, slopes)]
         print(method, names, *rounded)
@@ -293,30 +303,37 @@ def main() -> None:
     parser.add_argument("store", type=Path, help="store of `kinedex run hdm05-cmu`")
     parser.add_argument("truth", type=Path, help="ground truth of HDM05's takes")
     parser.add_argument("--bandai", type=Path, help="store of `python -m studies.bandai`")
-    parser.add_argument("--draws", type=int, default=3, help="draws of examples")
-    parser.add_argument("--sets", nargs="+", default=["mm", "left out", "examples", "styles"])
+    parser.add_argument("--clips", default="actor IN ('bd', 'bk', 'dg')", help="SQL filter of the clips of STORE")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[6, 7, 8, 9, 10, 11], help="of the draws of examples")
+    parser.add_argument("--sets", nargs="+", default=["mm", "left out", "open", "examples", "styles"])
     parser.add_argument("--prior", action="store_true", help="print the numbers of the priors, and nothing else")
     given = parser.parse_args()
-    store, executor = open_store(given.store), make_executor("serial", None)
-    clips = clips_of(store, "actor IN ('bd', 'bk', 'dg')")
+    store, executor, seeds = open_store(given.store), make_executor("serial", None), given.seeds
+    clips = clips_of(store, given.clips)
     if given.prior:
-        print_priors(Study(store, executor), list(of_left_out(clips, given.draws)))
+        print_priors(Study(store, executor), [*of_left_out(clips, seeds), *of_open(clips, seeds)])
         return
-    trials: dict[str, tuple[Store, Callable[[], Iterator[Trial]]]] = {
-        "mm": (store, lambda: of_mm(store, given.truth, clips, given.draws)),
-        "left out": (store, lambda: of_left_out(clips, given.draws)),
+    trials: dict[str, tuple[Store, str, Callable[[], Iterator[Trial]]]] = {
+        "mm": (store, "take", lambda: of_mm(store, given.truth, clips, seeds)),
+        "left out": (store, "take", lambda: of_left_out(clips, seeds)),
+        "open": (store, "take", lambda: of_open(clips, seeds)),
     }
     if given.bandai is not None:
         bandai = open_store(given.bandai)
         takes = bandai.takes("class IS NOT NULL AND actor IS NOT NULL").sort("name")
         named = dict(zip(takes["name"].to_list(), clips_of(bandai, "true"), strict=True))
-        trials["examples"] = bandai, lambda: of_examples(bandai, named, given.draws)
-        trials["styles"] = bandai, lambda: of_styles(named, given.draws)
-    for name, (archive, make) in trials.items():
-        if name in given.sets:
-            study = Study(archive, executor)
-            rows = [row for trial in make() for method in METHODS for row in study.rows(trial, method)]
-            report(name, pl.DataFrame(rows, infer_schema_length=None))
+        trials["examples"] = bandai, "take", lambda: of_examples(bandai, named, seeds)
+        trials["styles"] = bandai, "actor", lambda: of_styles(named, seeds)
+    for name, (archive, by, make) in trials.items():
+        if name not in given.sets:
+            continue
+        study = Study(archive, executor)
+        found = [row for trial in make() for method in METHODS for row in study.rows(trial, method)]
+        rows = pl.DataFrame(found, infer_schema_length=None)
+        report(name, rows, by)
+        if name == "examples":
+            for part in ("dataset-1", "dataset-2"):
+                report(f"{name} of {part}", rows.filter(pl.col("take").str.starts_with(part)), by)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import polars as pl
 
-from kinedex.ops.annotation.confidence import evidence_of
+from kinedex.ops.annotation.evidence import evidence_of
 from kinedex.ops.annotation.segments import Segment
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.words import TakeWords

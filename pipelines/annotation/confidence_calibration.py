@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.classes import Classes
-from kinedex.ops.annotation.confidence import PRIORS, UNKNOWN, Confidence, evidence_of, learn_confidence
+from kinedex.ops.annotation.confidence import PRIORS, UNKNOWN, Confidence, learn_confidence
+from kinedex.ops.annotation.evidence import evidence_of
 from kinedex.ops.words import ALL_KNOWN, U64, TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.batches import annotate_words
@@ -83,13 +84,13 @@ class KnownTake:
         The words.
     known : int
         The mask of the features that all of them know.
-    parts : tuple of (str, str, int, int)
-        Actor, class and frames [start, stop) of each example.
+    parts : tuple of (str, int, int)
+        Class and frames [start, stop) of each example.
     """
 
     words: U64
     known: int
-    parts: tuple[tuple[str, str, int, int], ...]
+    parts: tuple[tuple[str, int, int], ...]
 
 
 @dataclass(frozen=True)
@@ -114,14 +115,11 @@ class Known:
         Their classes.
     right : bool array (S,)
         True where the label is right.
-    alike : tuple of (str, str), length S
-        The actor and the class of the example that has most of their frames.
     """
 
     evidence: F64
     classes: I64
     right: Bool
-    alike: tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)
@@ -181,7 +179,7 @@ def calibrate_confidence(
         theirs = [part for one in some if of_subclass.get(one.subclass) in shown and (part := one.only(names)).names]
         if theirs:
             annotator = make(learn(rest), [words for one in rest for words in one.words])
-            takes = tuple(_laid_out(theirs, actors, of_subclass, count))
+            takes = tuple(_laid_out(theirs, of_subclass, count))
             parts.append(Part(annotator, prior.evidence, takes, frozenset(of_subclass.values())))
     return _learned(method, list(executor.map(annotate_part, parts)), len(classes.names))
 
@@ -199,13 +197,9 @@ def _learned(method: str, found: Sequence[Known], class_count: int) -> Calibrate
     right = np.concatenate([np.empty(0, np.bool_), *(one.right for one in found)])
     if prior is UNKNOWN and len(right) < LEAST_SEGMENTS:
         return CalibratedConfidence(None, len(right), int(right.sum()), _UNKNOWN)
-    alike = [one for each in found for one in each.alike]
-    counts = {one: alike.count(one) for one in set(alike)}
     evidence = np.concatenate([np.empty((0, len(prior.evidence))), *(one.evidence for one in found)])
     classes = np.concatenate([np.empty(0, np.int64), *(one.classes for one in found)])
-    # Segments of one person and class are alike: n of them count as √n that are independent.
-    weights = np.array([counts[one] ** -0.5 for one in alike])
-    confidence = learn_confidence(prior, evidence, classes, right, weights, class_count)
+    confidence = learn_confidence(prior, evidence, classes, right, class_count)
     remark = (
         f"confidence is calibrated on {counted(len(right), 'segment')} of examples that were left out in "
         f"{counted(len(found), 'part')}, {int(right.sum())} of them right"
@@ -230,16 +224,16 @@ def annotate_part(part: Part) -> Known:
         [segment for segment in one.segments if labels[segment.class_index]] for one in annotate_words(annotator, laid)
     ]
     evidence = evidence_of(part.evidence, found, offsets, *annotator.shapes)
-    classes, right, alike = [], [], []
+    classes, right = [], []
     for take, segments in zip(takes, found, strict=True):
         for one in segments:
-            shares = [max(0, min(one.stop, stop) - max(one.start, start)) for _, _, start, stop in take.parts]
             label = annotator.classes[one.class_index]
-            own = sum(share for share, (_, name, *_) in zip(shares, take.parts, strict=True) if name == label)
+            own = sum(
+                max(0, min(one.stop, stop) - max(one.start, start)) for name, start, stop in take.parts if name == label
+            )
             classes.append(one.class_index)
             right.append(2 * own > one.stop - one.start)
-            alike.append(take.parts[int(np.argmax(shares))][:2])
-    return Known(evidence, np.array(classes, np.int64), np.array(right, np.bool_), tuple(alike))
+    return Known(evidence, np.array(classes, np.int64), np.array(right, np.bool_))
 
 
 def _thinned(clips: TrainingClips) -> TrainingClips:
@@ -264,15 +258,9 @@ def _parts(group_of: Mapping[str, str]) -> dict[str, int]:
     return found
 
 
-def _laid_out(
-    clips: Sequence[TrainingClips], actors: Mapping[str, str | None], of_subclass: Mapping[str, str], count: int
-) -> Iterator[KnownTake]:
+def _laid_out(clips: Sequence[TrainingClips], of_subclass: Mapping[str, str], count: int) -> Iterator[KnownTake]:
     """Lay clips that know the same features end to end in a drawn order, so many for a take."""
-    every = [
-        (one.known, actors.get(take) or "", of_subclass[one.subclass], words)
-        for one in clips
-        for take, words in zip(one.of_takes, one.words, strict=True)
-    ]
+    every = [(one.known, of_subclass[one.subclass], words) for one in clips for words in one.words]
     drawn = [every[place] for place in np.random.default_rng(0).permutation(len(every)).tolist()]
     for mask, group in groupby(sorted(drawn, key=lambda one: one[0]), key=lambda one: one[0]):
         alike = list(group)
@@ -280,7 +268,7 @@ def _laid_out(
             yield _joined(mask, alike[first : first + count])
 
 
-def _joined(mask: int, clips: Sequence[tuple[int, str, str, U64]]) -> KnownTake:
-    edges = pairwise(np.cumsum([0, *(len(words) for _, _, _, words in clips)]).tolist())
-    parts = tuple((actor, label, *edge) for (_, actor, label, _), edge in zip(clips, edges, strict=True))
-    return KnownTake(np.concatenate([words for _, _, _, words in clips]), mask, parts)
+def _joined(mask: int, clips: Sequence[tuple[int, str, U64]]) -> KnownTake:
+    edges = pairwise(np.cumsum([0, *(len(words) for _, _, words in clips)]).tolist())
+    parts = tuple((label, *edge) for (_, label, _), edge in zip(clips, edges, strict=True))
+    return KnownTake(np.concatenate([words for _, _, words in clips]), mask, parts)

@@ -1,4 +1,4 @@
-"""Confidence with plain loops: Bayesian logistic regression by coordinate search, and evidence frame by frame."""
+"""Confidence with plain loops: Bayesian logistic regression by coordinate search."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ def loss(
     point: Sequence[float],
     rows: Sequence[Sequence[float]],
     right: Sequence[bool],
-    weights: Sequence[float],
     mean: Sequence[float],
     spread: Sequence[float],
 ) -> float:
     """Return minus the logarithm of likelihood times prior, without constants."""
     total = sum(((a - b) / s) ** 2 / 2 for a, b, s in zip(point, mean, spread, strict=True))
-    for row, true, weight in zip(rows, right, weights, strict=True):
+    for row, true in zip(rows, right, strict=True):
         odds = sum(a * b for a, b in zip(point, row, strict=True))
-        total += weight * math.log1p(math.exp(-odds if true else odds))
+        total += math.log1p(math.exp(-odds if true else odds))
     return total
 
 
@@ -56,9 +55,3 @@ def curvature(function: Callable[[list[float]], float], point: Sequence[float]) 
         ]
         for i in size
     ]
-
-
-def others(segments: Sequence[tuple[int, int]], start: int, stop: int) -> float:
-    """Return log(1 + n), n being the mean number of other segments of a frame."""
-    counts = [sum(first <= frame < last for first, last in segments) for frame in range(start, stop)]
-    return math.log(sum(counts) / len(counts))

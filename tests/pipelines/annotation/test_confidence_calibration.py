@@ -113,11 +113,11 @@ def test_takes_are_about_as_long_as_those_to_annotate() -> None:
     some = [clips("jump", 1, PEOPLE, 0), clips("wave", 2, PEOPLE, 1)]
     for frames, count in ((1, 1), (12, 1), (40, 4), (50, 4), (10**9, 16)):
         assert Target([frames], [None]).laid([12, 12]) == count
-        takes = list(_laid_out(some, {}, {"jump": "jump", "wave": "wave"}, count))
+        takes = list(_laid_out(some, {"jump": "jump", "wave": "wave"}, count))
         assert len(takes) == 16 // count
         assert sum(len(one.words) for one in takes) == 16 * 12
         for one in takes:
-            assert [part[2] for part in one.parts] == list(range(0, len(one.words), 12))
+            assert [part[1] for part in one.parts] == list(range(0, len(one.words), 12))
 
 
 def test_actors_are_known_where_most_takes_are_of_theirs() -> None:

@@ -1,0 +1,169 @@
+"""Evidence: numbers of an annotated segment that distinguish right labels from wrong ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numba as nb
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.annotation.decoding import STANDING_OUT
+from kinedex.ops.annotation.segments import Segment
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+_NO_COST = 0.3  # stands for the cost of a segment in which no path ends
+_DISTANT = 5.0  # a segment at distance 1 / 5 has no support, however much its template asks for
+
+
+def evidence_of(
+    names: Sequence[str],
+    found: Sequence[Sequence[Segment]],
+    offsets: I64,
+    columns: Sequence[int],
+    fixed: Sequence[float],
+) -> F64:
+    """Return numbers of segments that distinguish right labels from wrong ones.
+
+    Parameters
+    ----------
+    names : sequence of str, length E
+        The numbers: "lead", the root of the value per frame that only the segment's class can give; "margin"; "cost",
+        its root; "pace", the logarithm of the length over that of the template; "haste", its magnitude; "fixed", the
+        share of features that the template asks for; "support", how much more the frames support this label than the
+        best of the other labels that most of them have, in √frames; "others", log(1 + n), n being the number of other
+        labels of a frame on average; "covered", the share of the take's frames that have a label.
+    found : sequence of sequence of Segment, length T
+        The segments of each take in the order of their starts, in frames of the take.
+    offsets : int64 array (T + 1,)
+        The first frame of each take where all are laid end to end, and the end.
+    columns : sequence of int
+        The number of columns of each template.
+    fixed : sequence of float
+        The share of fixed entries of each template.
+
+    Returns
+    -------
+    float64 array (S, E)
+        The numbers of all segments, take by take.
+    """
+    if not any(found):
+        return np.empty((0, len(names)))
+    evidence = _Evidence(found, offsets, np.array(columns, np.float64), np.array(fixed, np.float64))
+    return np.stack([_NUMBERS[name](evidence) for name in names], axis=1)
+
+
+@dataclass(frozen=True)
+class _Evidence:
+    """The segments of all takes as columns, S of them, and the numbers of each."""
+
+    found: Sequence[Sequence[Segment]]
+    offsets: I64
+    columns: F64
+    shares: F64
+
+    @cached_property
+    def segments(self) -> list[Segment]:
+        return [one for own in self.found for one in own]
+
+    @cached_property
+    def takes(self) -> I64:
+        return np.repeat(np.arange(len(self.found)), [len(own) for own in self.found])
+
+    @cached_property
+    def spans(self) -> I64:
+        """Return starts and stops, int64 (2, S), where all takes are laid end to end."""
+        spans = np.array([(one.start, one.stop) for one in self.segments], np.int64).T
+        return spans + self.offsets[:-1][self.takes]
+
+    @cached_property
+    def frames(self) -> F64:
+        return (self.spans[1] - self.spans[0]).astype(np.float64)
+
+    @cached_property
+    def templates(self) -> I64:
+        return np.array([one.subclass for one in self.segments], np.int64)
+
+    @cached_property
+    def labels(self) -> I64:
+        """Return the number of labels of each frame of all takes, int64 (L,)."""
+        changes = np.zeros(int(self.offsets[-1]) + 1, np.int64)
+        np.add.at(changes, self.spans[0], 1)
+        np.add.at(changes, self.spans[1], -1)
+        return np.cumsum(changes)[:-1]
+
+    def margin(self) -> F64:
+        return np.array([one.margin for one in self.segments])
+
+    def cost(self) -> F64:
+        costs = np.array([one.cost for one in self.segments])
+        return np.sqrt(np.where(np.isfinite(costs), costs, _NO_COST**2))
+
+    def pace(self) -> F64:
+        return np.log(self.frames / self.columns[self.templates])
+
+    def haste(self) -> F64:
+        return np.abs(self.pace())
+
+    def fixed(self) -> F64:
+        return self.shares[self.templates]
+
+    def lead(self) -> F64:
+        a_frame = np.maximum([one.value for one in self.segments], 0.0) / self.frames
+        alone = np.clip(self.margin() / np.maximum(-np.expm1(-a_frame / STANDING_OUT), 1e-9), 0.0, 1.0)
+        return np.sqrt(a_frame * alone)
+
+    def support(self) -> F64:
+        own = self.fixed() * (1.0 - _DISTANT * self.cost() ** 2) * np.sqrt(self.frames)
+        classes = np.array([one.class_index for one in self.segments], np.int64)
+        return own - _strongest_rivals(*self.spans, self.takes, classes, own)
+
+    def others(self) -> F64:
+        before = np.concatenate([[0], np.cumsum(self.labels)])
+        return np.log((before[self.spans[1]] - before[self.spans[0]]) / self.frames)
+
+    def covered(self) -> F64:
+        before = np.concatenate([[0], np.cumsum(self.labels > 0)])[self.offsets]
+        shares: F64 = np.diff(before) / np.maximum(np.diff(self.offsets), 1)
+        return shares[self.takes]
+
+
+_NUMBERS: dict[str, Callable[[_Evidence], F64]] = {
+    "lead": _Evidence.lead,
+    "margin": _Evidence.margin,
+    "cost": _Evidence.cost,
+    "pace": _Evidence.pace,
+    "haste": _Evidence.haste,
+    "fixed": _Evidence.fixed,
+    "support": _Evidence.support,
+    "others": _Evidence.others,
+    "covered": _Evidence.covered,
+}
+
+
+@nb.njit(cache=True, nogil=True)
+def _strongest_rivals(starts: I64, stops: I64, takes: I64, classes: I64, strengths: F64) -> F64:
+    """Return the greatest strength of a segment of another class with most of the frames; its own where there is none.
+
+    Segments are in order of take and start, in frames of all takes laid end to end.
+    """
+    longest = np.max(stops - starts)
+    result = strengths.copy()
+    first = 0
+    for i in range(len(starts)):
+        while starts[first] + longest <= starts[i]:
+            first += 1
+        best = -np.inf
+        for j in range(first, len(starts)):
+            if starts[j] >= stops[i]:
+                break
+            shared = min(stops[i], stops[j]) - max(starts[i], starts[j])
+            if classes[j] != classes[i] and takes[j] == takes[i] and 2 * shared > stops[i] - starts[i]:
+                best = max(best, strengths[j])
+        if best > -np.inf:
+            result[i] = best
+    return result
