@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from kinedex.catalog.configs import Located, config_names, config_path, load_yaml
@@ -22,6 +23,12 @@ from kinedex.ops.tracking.observations import BodyPoints
 
 NAMED = "named"
 """The set of keypoints that have names in their files, in any order."""
+
+_LIMBS = tuple(
+    (f"{side}_{start}", f"{side}_{end}")
+    for start, end in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"), ("eye", "ear"))
+    for side in ("left", "right")
+)
 
 MOST_KEYPOINTS = 1000
 """Most keypoints of a set."""
@@ -211,7 +218,29 @@ def _place(located: Located, chain: KinematicChain, name: str, point: str | dict
 
 
 @lru_cache(maxsize=1)
-def keypoint_sets_by_count() -> Mapping[int, KeypointSet]:
-    """Return the shipped sets that the number of keypoints of a file decides for, by this number."""
+def keypoint_sets_by_count() -> Mapping[int, tuple[KeypointSet, ...]]:
+    """Return the shipped sets by their number of keypoints, those that the number may decide for."""
     shipped = [load_keypoint_set(name) for name in config_names("keypoints")]
-    return {len(one.order): one for one in sorted(shipped, key=lambda one: len(one.order)) if one.by_count}
+    counts = sorted({len(one.order) for one in shipped if one.by_count})
+    return {count: tuple(one for one in shipped if one.by_count and len(one.order) == count) for count in counts}
+
+
+def likeliest_set(sets: Sequence[KeypointSet], points: npt.NDArray[np.float64]) -> KeypointSet:
+    """Return the set of several with as many keypoints that makes the shortest limbs.
+
+    In a wrong order, limbs go across the body.
+
+    Parameters
+    ----------
+    sets : sequence of KeypointSet
+        Sets with P keypoints.
+    points : float64 array (N, P, 2) or (N, P, 3)
+        Keypoints of persons; NaN where one is missing.
+    """
+    lengths = []
+    for one in sets:
+        ends = [(one.order.index(a), one.order.index(b)) for a, b in _LIMBS if {a, b} <= {*one.order}]
+        bones = np.array([np.linalg.norm(points[:, a] - points[:, b], axis=-1) for a, b in ends])
+        seen = bones[np.isfinite(bones)]
+        lengths.append(float(np.mean(seen)) if len(seen) else np.inf)
+    return sets[int(np.argmin(lengths))]

@@ -24,6 +24,7 @@ FIELD_TERMS = {
     "pruning": "leaving out what a lower bound excludes; the word of dynamic time warping's literature",
     "ranking": "the order of an archive by a template's distance",
     "reading": "what the benchmark times: files to words",
+    "recording": "a noun: what cameras, depth cameras or sensors took down, before it is a take",
     "scaling": "how cost grows with the number of workers or the size of the archive",
     "searching": "what the benchmark times: keyframe search",
     "sharing": "memory that processes share",

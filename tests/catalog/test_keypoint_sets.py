@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kinedex.catalog.configs import config_names, config_path, load_yaml, parse_yaml
-from kinedex.catalog.keypoint_sets import keypoint_sets_by_count, load_keypoint_set, parse_keypoint_set
+from kinedex.catalog.keypoint_sets import keypoint_sets_by_count, likeliest_set, load_keypoint_set, parse_keypoint_set
 from kinedex.catalog.kinematics import load_kinematic_chain
 from kinedex.ops.body.kinematic_chain import ChainBody
 from kinedex.ops.errors import ConfigError, KinedexError
@@ -24,8 +24,20 @@ def body() -> ChainBody:
 
 
 def test_the_number_of_keypoints_decides_the_set() -> None:
-    sets = {count: one.name for count, one in keypoint_sets_by_count().items()}
-    assert sets == {17: "coco-17", 18: "coco-18", 25: "body-25", 26: "halpe-26", 33: "mediapipe-33"}
+    sets = {count: [one.name for one in sets] for count, sets in keypoint_sets_by_count().items()}
+    assert sets.pop(25) == ["body-25", "body-25b"]
+    assert sets == {17: ["coco-17"], 18: ["coco-18"], 26: ["halpe-26"], 33: ["mediapipe-33"]}
+
+
+@pytest.mark.parametrize("name", ["body-25", "body-25b"])
+def test_of_two_sets_with_as_many_keypoints_the_one_with_short_limbs_is_meant(name: str) -> None:
+    rest = {"hip": 1.0, "knee": 0.6, "ankle": 0.1, "shoulder": 1.5, "elbow": 1.2, "wrist": 0.9, "eye": 1.7, "ear": 1.7}
+    order = load_keypoint_set(name).order
+    heights = [next((height for part, height in rest.items() if key.endswith(part)), 0.0) for key in order]
+    sides = [0.2 * (key.startswith("left") - key.startswith("right")) for key in order]
+    points = np.stack([sides, heights], axis=1)[None]
+    points[0, order.index("left_wrist")] = np.nan
+    assert likeliest_set(keypoint_sets_by_count()[25], points).name == name
 
 
 @pytest.mark.parametrize("name", [name for name in config_names("keypoints") if name != "named"])

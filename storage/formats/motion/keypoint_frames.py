@@ -196,8 +196,8 @@ def _places(path: Path, found: Keypoints, number: int, person: Any) -> F64 | Non
 
 def _names_of(count: int) -> tuple[str, ...]:
     """Return the names of as many keypoints without names; empty for a number that no set is known by."""
-    known = keypoint_sets_by_count().get(count)
-    return known.order if known is not None else ()
+    known = keypoint_sets_by_count().get(count, ())
+    return known[0].order if known else ()
 
 
 def _name(path: Path, found: Keypoints, number: int, names: tuple[str, ...], count: int | None = None) -> None:

@@ -49,7 +49,7 @@ def openpose(points: np.ndarray, **more: Any) -> dict[str, Any]:
     return {"version": 1.3, "people": [{"person_id": [-1], "pose_keypoints_2d": [], "pose_keypoints_3d": flat, **more}]}
 
 
-@pytest.mark.parametrize("names", [one.order for one in keypoint_sets_by_count().values()], ids=len)
+@pytest.mark.parametrize("names", [sets[0].order for sets in keypoint_sets_by_count().values()], ids=len)
 def test_a_file_of_frames_comes_in_by_the_number_of_its_points(tmp_path: Path, names: tuple[str, ...]) -> None:
     walk = keypoints_of(names, 6)
     path = save(tmp_path / "a.json", {"frames": [{"keypoints_3d": places.tolist()} for places in walk]})

@@ -1,0 +1,158 @@
+"""The file of recordings by cameras: the name of each recording, with its files and what they mean."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from kinedex.catalog.configs import Located, load_yaml
+from kinedex.ops.errors import ConfigError, did_you_mean
+
+ESTIMATE = "estimate"
+"""The body whose lengths are measured in the recording itself."""
+
+_NAME = re.compile(r"\w[\w .+-]{0,99}")
+_KEY = "recordings"
+
+
+class CameraRecording(BaseModel):
+    """A recording of one person by several calibrated cameras, or a 3D track.
+
+    Attributes
+    ----------
+    cameras : str, optional
+        The calibration: one file, or a file for each camera with `{camera}` in its path.
+    keypoints : str, optional
+        Files of 2D keypoints; `{camera}` stands for the camera, `*` for any letters.
+    silhouettes : str, optional
+        Files of masks, written like `keypoints`.
+    track : str, optional
+        A take of the store, in the place of cameras, keypoints and silhouettes.
+    rate_hz : float, optional
+        Frames per second; that of the take where a track is given.
+    up : str, optional
+        The axis of the calibration that points up; needed where the kind of file does not determine it.
+    unit : str, optional
+        The unit of lengths of the calibration; needed where the kind of file does not determine it.
+    size : tuple of (int, int), optional
+        Width and height of the images in pixels, for calibrations without it.
+    keypoint_set : str, optional
+        A shipped file of `configs/keypoints`, or the path of one; by default names or the number of keypoints decide.
+    person : str
+        Who is tracked where a frame has several: "largest", "most_confident", or the id of a person.
+    body : str
+        A take of the store whose bone lengths are those of the person, or "estimate".
+    offsets : mapping of str to int
+        Camera → frames: frame k of the recording is frame k + offset of this camera's files.
+    cuts : list of int
+        Frames, as the files number them, that begin anew after a cut.
+    truth : str, optional
+        A take of the store, or a file of positions, that the track is compared with.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+    cameras: str | None = Field(None, min_length=1)
+    keypoints: str | None = Field(None, min_length=1)
+    silhouettes: str | None = Field(None, min_length=1)
+    track: str | None = Field(None, min_length=1)
+    rate_hz: float | None = Field(None, gt=0, le=10_000, allow_inf_nan=False)
+    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
+    unit: Literal["m", "cm", "mm", "in"] | None = None
+    size: tuple[Annotated[int, Field(gt=0, le=100_000)], Annotated[int, Field(gt=0, le=100_000)]] | None = None
+    keypoint_set: str | None = Field(None, min_length=1)
+    person: Annotated[str, BeforeValidator(lambda value: str(value) if type(value) is int else value)] = "largest"
+    body: str = Field(ESTIMATE, min_length=1)
+    offsets: dict[str, Annotated[int, Field(ge=-1_000_000, le=1_000_000)]] = {}
+    cuts: list[Annotated[int, Field(ge=0)]] = []
+    truth: str | None = Field(None, min_length=1)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingsFile:
+    """A file of recordings.
+
+    Attributes
+    ----------
+    located : Located
+        The file, with the lines of its keys.
+    recordings : mapping of str to CameraRecording
+        The recordings by name, in the order of the file.
+    """
+
+    located: Located
+    recordings: Mapping[str, CameraRecording]
+
+    @property
+    def folder(self) -> Path:
+        """The folder that relative paths start from."""
+        return self.located.path.parent
+
+    def recording(self, name: str) -> CameraRecording:
+        """Return a recording; a ConfigError names the nearest one where there is none of this name."""
+        if name not in self.recordings:
+            raise self.located.error(f"no recording is called '{name}'{did_you_mean(name, self.recordings)}", _KEY)
+        return self.recordings[name]
+
+    def error(self, name: str, key: str, message: str) -> ConfigError:
+        """Return an error that names a recording's key and its line."""
+        return self.located.error(message, _KEY, name, key)
+
+
+def load_recordings(path: str | Path) -> RecordingsFile:
+    """Read a file of recordings.
+
+    Raises
+    ------
+    ConfigError
+        The file is wrong; the message names the line, the key and what was expected.
+    """
+    return parse_recordings(load_yaml(path))
+
+
+def parse_recordings(located: Located) -> RecordingsFile:
+    """Return the recordings of a parsed file.
+
+    Raises
+    ------
+    ConfigError
+        The file is wrong; the message names the line, the key and what was expected.
+    """
+    content = located.mapping()
+    other = next((key for key in content if key != _KEY), None)
+    if other is not None:
+        raise located.error(f"no such key; recordings stand under `{_KEY}`", str(other))
+    entries = content.get(_KEY)
+    if not isinstance(entries, dict) or not entries:
+        raise located.error("expected a mapping of names to recordings, as `recordings: {walk: {cameras: …}}`", _KEY)
+    found = {}
+    for name, entry in entries.items():
+        if not isinstance(name, str) or not _NAME.fullmatch(name):
+            raise located.error(
+                "a recording's name must be 1 to 100 letters, digits or ' _.+-', and begin with a letter or digit, got "
+                f"{str(name)[:50]!r}; put numbers in quotes", _KEY, name,
+            )  # fmt: skip
+        found[name] = located.model(CameraRecording, _KEY, name, data=entry)
+        _check(located, name, found[name])
+    return RecordingsFile(located, found)
+
+
+def _check(located: Located, name: str, recording: CameraRecording) -> None:
+    """Refuse a recording that has neither cameras with observations nor a track, or both."""
+    at = (_KEY, name)
+    observed = recording.keypoints or recording.silhouettes
+    if recording.track is not None:
+        for key in ("cameras", "keypoints", "silhouettes", "size", "keypoint_set", "offsets"):
+            if getattr(recording, key):
+                raise located.error("must not stand beside `track`, which is in their place", *at, key)
+        return
+    if not observed:
+        raise located.error("must have `keypoints` or `silhouettes`, with `cameras`; or `track`", *at)
+    if recording.cameras is None:
+        raise located.error("must have `cameras`, the file of their calibration", *at)
+    if recording.rate_hz is None:
+        raise located.error("must have `rate_hz`, the frames per second of the cameras", *at)

@@ -1,0 +1,232 @@
+"""Calibrations of cameras: OpenCV YAML and JSON, TOML of AniPose and Pose2Sim, JSON of CMU Panoptic.
+
+Whatever the file, a camera is x_camera = R · X + t. Lengths and axes are those of the file until `in_metres` turns the
+world to metres with Y up.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.cameras import Camera
+from kinedex.catalog.configs import Located, parse_yaml
+from kinedex.ops.errors import ConfigError
+from kinedex.storage.formats.cameras.camera_values import (
+    Calibration,
+    camera_of,
+    refuse_names,
+    value_of,
+)
+from kinedex.storage.formats.motion.keypoint_frames import load_json
+from kinedex.storage.formats.motion.reader import file_size
+from kinedex.storage.formats.small_files import read_bytes
+
+F64 = npt.NDArray[np.float64]
+
+UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+"""Units of length of calibrations, and the metres of one."""
+
+_TURNS = {
+    "y": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    "z": ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
+    "x": ((0, 0, 1), (1, 0, 0), (0, 1, 0)),
+    "-y": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
+    "-z": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
+    "-x": ((0, 1, 0), (-1, 0, 0), (0, 0, 1)),
+}
+
+UP_AXES = tuple(_TURNS)
+"""Axes that can point up."""
+
+_MOST_BYTES = {".json": 16 << 20}
+_FEWEST_BYTES = 1 << 20  # of YAML and TOML, which people can read
+_ENDINGS = (".yaml", ".yml", ".json", ".toml")
+
+
+def read_calibration(path: str | Path, size: tuple[int, int] | None = None) -> Calibration:
+    """Read the cameras of a calibration.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file ending in .yaml, .yml, .json or .toml.
+    size : tuple of (int, int), optional
+        Width and height of the images in pixels, for files that have none.
+
+    Returns
+    -------
+    Calibration
+        The cameras in the file's unit and axes; a file of a single camera names it by its own name.
+
+    Raises
+    ------
+    ConfigError
+        The file is no calibration, or one of lenses that are not read; the message names line and key.
+    SourceError
+        The file cannot be read.
+    """
+    path = Path(path)
+    ending = path.suffix.lower()
+    if ending not in _ENDINGS:
+        raise ConfigError(path, f"expected a calibration ending in {', '.join(_ENDINGS)}")
+    most = _MOST_BYTES.get(ending, _FEWEST_BYTES)
+    if file_size(path) > most:
+        raise ConfigError(path, f"has {file_size(path) / 1e6:.1f} MB, and calibrations {most >> 20} MB at most")
+    if ending == ".json":
+        located = Located(path, load_json(path))
+    elif ending == ".toml":
+        return _toml(_load_toml(path), size)
+    else:
+        located = _load_opencv_yaml(path)
+    content = located.mapping()
+    cameras = content.get("cameras")
+    if isinstance(cameras, list) and all(isinstance(one, Mapping) for one in cameras):
+        if all({"K", "R", "t"} <= one.keys() for one in cameras) and cameras:
+            return _panoptic(located, cameras, size)
+        names = [str(one.get("name", f"cam{i + 1}")) for i, one in enumerate(cameras)]
+        refuse_names(located, names)
+        places: dict[str, tuple[str | int, ...]] = {name: ("cameras", i) for i, name in enumerate(names)}
+        return _sections(located, dict(zip(names, cameras, strict=True)), places, size)
+    if isinstance(cameras, Mapping):
+        return _sections(located, _mappings(cameras), {str(name): ("cameras", name) for name in cameras}, size)
+    if value_of(content, "matrix"):
+        return _sections(located, {path.stem: content}, {path.stem: ()}, size)
+    return _sections(located, _mappings(content), {str(name): (name,) for name in content}, size)
+
+
+def in_metres(calibration: Calibration, unit: str | None, up: str | None) -> tuple[Camera, ...]:
+    """Return the cameras of a calibration in a world in metres with Y up.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The cameras of a file.
+    unit : str, optional
+        "m", "cm", "mm" or "in"; None for the unit of the file's kind.
+    up : str, optional
+        The axis that points up; None for that of the file's kind.
+
+    Raises
+    ------
+    ConfigError
+        The kind of file does not determine what is None.
+    """
+    for key, given, known, values in (
+        ("unit", unit, calibration.unit, UNITS_M),
+        ("up", up, calibration.up, UP_AXES),
+    ):
+        if not (given or known):
+            raise ConfigError(
+                calibration.path,
+                f"{calibration.kind} does not state {'its unit' if key == 'unit' else 'which axis points up'}; write "
+                f"`{key}:` in the recording, one of {', '.join(values)}",
+            )
+    turn = np.array(_TURNS[up or calibration.up], np.float64)
+    scale = UNITS_M[unit or calibration.unit]
+    return tuple(camera.in_world(turn, scale) for camera in calibration.cameras)
+
+
+def up_turn(up: str) -> F64:
+    """Return the rotation (3, 3) that takes a world with this axis up to Y up."""
+    return np.array(_TURNS[up], np.float64)
+
+
+def _mappings(content: Mapping[Any, Any]) -> dict[str, Mapping[str, Any]]:
+    """Return the sections with a camera matrix; others, such as `metadata`, are none of a camera."""
+    return {
+        str(name): values
+        for name, values in content.items()
+        if isinstance(values, Mapping) and value_of(values, "matrix")
+    }
+
+
+def _sections(
+    located: Located,
+    entries: Mapping[str, Mapping[str, Any]],
+    places: Mapping[str, tuple[str | int, ...]],
+    size: tuple[int, int] | None,
+) -> Calibration:
+    """Return the cameras of a file of OpenCV, in which programs name units and axes nowhere."""
+    if not entries:
+        raise located.error(
+            "expected cameras, each with `camera_matrix`, `dist_coeffs`, `rvec` or `R`, and `tvec` or `T`"
+        )
+    refuse_names(located, list(entries))
+    cameras = tuple(camera_of(located, places[name], name, one, size) for name, one in entries.items())
+    return Calibration(str(located.path), "a calibration of OpenCV", cameras)
+
+
+def _panoptic(located: Located, entries: list[Mapping[str, Any]], size: tuple[int, int] | None) -> Calibration:
+    names = [str(one.get("name", i)) for i, one in enumerate(entries)]
+    refuse_names(located, names)
+    cameras = tuple(
+        camera_of(located, ("cameras", i), name, one, size)
+        for i, (name, one) in enumerate(zip(names, entries, strict=True))
+    )
+    return Calibration(str(located.path), "a calibration of CMU Panoptic", cameras, "cm", "-y")
+
+
+def _toml(located: Located, size: tuple[int, int] | None) -> Calibration:
+    """Return the cameras of a TOML file: Pose2Sim writes `fisheye` into each section, AniPose only where it is true."""
+    content = located.mapping()
+    entries = _mappings(content)
+    if not entries:
+        raise located.error(
+            "expected a section for each camera with `matrix`, `distortions`, `rotation`, `translation`"
+        )
+    refuse_names(located, list(entries))
+    cameras = tuple(camera_of(located, (name,), name, one, size) for name, one in entries.items())
+    labels = {str(one["name"]): name for name, one in entries.items() if one.get("name") not in (None, name)}
+    if any("fisheye" in one for one in entries.values()):
+        return Calibration(str(located.path), "a calibration of Pose2Sim", cameras, "m", "z", labels)
+    return Calibration(str(located.path), "a calibration of AniPose", cameras, "mm", "", labels)
+
+
+def _load_toml(path: Path) -> Located:
+    """Return a TOML file with the lines of its sections and of the keys in them."""
+    text = _text(path)
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as fault:
+        found = re.search(r"\(at line (\d+)", str(fault))
+        raise ConfigError(path, f"is not valid TOML: {fault}", line=int(found[1]) if found else None) from None
+    except (RecursionError, ValueError) as fault:
+        raise ConfigError(path, f"is not TOML that can be read: {str(fault)[:200]}") from None
+    return Located(path, data, _toml_lines(text.split("\n")))
+
+
+def _toml_lines(lines: Iterable[str]) -> dict[tuple[str | int, ...], int]:
+    """Return the lines of sections and keys as people write them; other ways to write them have no line."""
+    found: dict[tuple[str | int, ...], int] = {}
+    section: tuple[str | int, ...] = ()
+    for number, line in enumerate(lines, 1):
+        if (header := re.match(r'\s*\[\s*"?([^\]\["]+?)"?\s*\]', line)) is not None:
+            section = (header[1],)
+            found.setdefault(section, number)
+        elif (key := re.match(r"\s*([A-Za-z0-9_-]+)\s*=", line)) is not None:
+            found.setdefault((*section, key[1]), number)
+    return found
+
+
+def _load_opencv_yaml(path: Path) -> Located:
+    """Return a YAML file; the first line of OpenCV, %YAML:1.0, is none of YAML and becomes an empty one."""
+    text = _text(path)
+    if text.startswith("%YAML:1.0"):
+        _, end, rest = text.partition("\n")
+        text = end + rest
+    return parse_yaml(text, path)
+
+
+def _text(path: Path) -> str:
+    data = read_bytes(path, "calibrations", "write one calibration a file")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as fault:
+        raise ConfigError(path, f"is not UTF-8 text (byte {fault.start})") from None

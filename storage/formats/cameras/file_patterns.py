@@ -1,0 +1,193 @@
+"""Files of cameras by a pattern, in which `{camera}` stands for a part of a name that differs between the cameras.
+
+`*` stands for any letters of a name and `?` for one; every other letter is itself. A relative pattern stays below the
+folder of the file that has it.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from kinedex.ops.errors import SourceError
+
+CAMERA = "{camera}"
+"""The placeholder."""
+
+MOST_FILES = 2_000_000
+"""Most files of a pattern."""
+
+_DIGITS = re.compile(r"(\d+)")
+
+
+@dataclass(frozen=True)
+class CameraFiles:
+    """The files that a pattern names.
+
+    Attributes
+    ----------
+    pattern : str
+        The pattern.
+    files : mapping of str to tuple of Path
+        What `{camera}` stands for → the files, in natural order; "" → the files of a pattern without it.
+    """
+
+    pattern: str
+    files: Mapping[str, tuple[Path, ...]]
+
+    @property
+    def each_camera(self) -> bool:
+        """True if the pattern has `{camera}`."""
+        return CAMERA in self.pattern
+
+
+def natural_key(text: str) -> tuple[tuple[int, str], ...]:
+    """Return a key that sorts numbers in names by their values: cam2 before cam10."""
+    parts = _DIGITS.split(text)
+    keys = [(int(part[-18:]), part) if place % 2 else (0, part.casefold()) for place, part in enumerate(parts)]
+    return (*keys, (0, text))
+
+
+def find_files(folder: Path, pattern: str, ending: str = "", excluded: Path | None = None) -> CameraFiles:
+    """Return the files that a pattern names.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder that a relative pattern starts from.
+    pattern : str
+        The pattern; where it ends with a folder, its files with `ending` are meant.
+    ending : str, optional
+        The ending of files of a folder, as ".json".
+    excluded : Path, optional
+        A file that is not meant, though the pattern may match it.
+
+    Raises
+    ------
+    SourceError
+        The pattern leaves the folder or matches nothing, or a folder cannot be read.
+    """
+    path = Path(pattern)
+    parts = path.parts[1:] if path.is_absolute() else path.parts
+    if not parts or ".." in parts or "**" in pattern or "\0" in pattern:
+        raise SourceError(
+            folder,
+            f"'{pattern}' must be a path below this folder, without '..' and '**'; files elsewhere need absolute paths",
+        )
+    found: list[tuple[Path, str | None]] = [(Path(path.anchor) if path.is_absolute() else folder, None)]
+    for part in parts:
+        found = [match for place, camera in found for match in _step(place, camera, part)]
+        if len(found) > MOST_FILES:
+            raise SourceError(folder, f"'{pattern}' matches more than {MOST_FILES:,} files")
+    if ending:
+        found = [match for place, camera in found for match in _inside(place, camera, ending)]
+    files: dict[str, list[Path]] = {}
+    for place, camera in found:
+        if place.is_file() and place != excluded:
+            files.setdefault(camera or "", []).append(place)
+    if not files:
+        raise SourceError(folder, f"no file matches '{pattern}'; {{camera}} stands for a part of a name, * for letters")
+    order = sorted(files, key=natural_key)
+    return CameraFiles(pattern, {key: tuple(sorted(files[key], key=_path_key)) for key in order})
+
+
+def match_cameras(
+    path: Path, what: str, names: Iterable[str], labels: Mapping[str, str], files: Iterable[str]
+) -> tuple[dict[str, str], str]:
+    """Return camera → what `{camera}` stands for in its files, and a note on how they were matched.
+
+    By name where any name agrees, else by natural order where there are as many of both.
+
+    Parameters
+    ----------
+    path : Path
+        The file with the pattern, for errors.
+    what : str
+        The key of the pattern, for messages.
+    names : iterable of str
+        The cameras of the calibration.
+    labels : mapping of str to str
+        Further names of cameras → the names.
+    files : iterable of str
+        What `{camera}` stands for.
+
+    Raises
+    ------
+    SourceError
+        No name agrees, and there are more or fewer cameras than files.
+    """
+    cameras, found = list(names), list(files)
+    own = {camera: camera for camera in cameras if camera in found}
+    own |= {camera: label for label, camera in labels.items() if camera not in own and label in found}
+    if own:
+        lone = [camera for camera in cameras if camera not in own]
+        other = [value for value in found if value not in own.values()]
+        notes = [f"no {what} of camera {', '.join(lone)}"] if lone else []
+        notes += (
+            [f"{what} of {', '.join(other)}, which the calibration does not have, are passed over"] if other else []
+        )
+        return {camera: own[camera] for camera in cameras if camera in own}, "; ".join(notes)
+    if len(cameras) != len(found):
+        raise SourceError(
+            path,
+            f"{what}: {{camera}} stands for {_some(found)} in the files, and the calibration has {_some(cameras)}: "
+            "no name agrees, and their numbers differ; name the files' parts as the cameras",
+        )
+    pairs = dict(zip(sorted(cameras, key=natural_key), sorted(found, key=natural_key), strict=True))
+    listed = ", ".join(f"{camera} = {value}" for camera, value in pairs.items())
+    return {camera: pairs[camera] for camera in cameras}, f"{what} matched to cameras in natural order: {listed}"
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
+
+
+def _path_key(path: Path) -> tuple[tuple[int, str], ...]:
+    return natural_key(str(path))
+
+
+def _step(place: Path, camera: str | None, part: str) -> Iterable[tuple[Path, str | None]]:
+    """Yield what one name of the pattern matches in a folder, with what `{camera}` stands for so far."""
+    plain = not set("*?") & set(part)
+    if plain and (camera is not None or CAMERA not in part):
+        literal = place / part.replace(CAMERA, camera or "")
+        if os.path.lexists(literal):
+            yield literal, camera
+        return
+    expression = _expression(part, camera)
+    for name in _names(place):
+        if (match := expression.fullmatch(name)) is not None:
+            yield place / name, match.groupdict().get("camera") or camera
+
+
+def _inside(place: Path, camera: str | None, ending: str) -> Iterable[tuple[Path, str | None]]:
+    if not place.is_dir():
+        return [(place, camera)]
+    return [(place / name, camera) for name in _names(place) if name.lower().endswith(ending)]
+
+
+def _names(place: Path) -> list[str]:
+    """Return the names in a folder but hidden ones; none of what is no folder."""
+    try:
+        return sorted(name for name in os.listdir(place) if not name.startswith("."))
+    except (NotADirectoryError, FileNotFoundError):
+        return []
+    except OSError as fault:
+        raise SourceError(place, f"cannot be read: {fault.strerror}") from fault
+
+
+def _expression(part: str, camera: str | None) -> re.Pattern[str]:
+    """Return the regular expression of one name of a pattern."""
+    text, known = "", camera is not None
+    for piece in re.split(r"(\{camera\}|\*+|\?)", part):
+        if piece == CAMERA:
+            text += re.escape(camera) if camera is not None else "(?P=camera)" if known else "(?P<camera>.+?)"
+            known = True
+        elif piece.startswith("*"):
+            text += ".*"
+        else:
+            text += "." if piece == "?" else re.escape(piece)
+    return re.compile(text, re.DOTALL)

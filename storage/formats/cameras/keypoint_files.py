@@ -1,0 +1,243 @@
+"""The keypoints of a recording: files of any form, one keypoint set, one person, arrays over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.keypoint_sets import (
+    NAMED,
+    KeypointSet,
+    keypoint_sets_by_count,
+    likeliest_set,
+    load_keypoint_set,
+)
+from kinedex.ops.errors import SourceError, did_you_mean
+from kinedex.storage.formats.cameras.coco_results import read_coco_results
+from kinedex.storage.formats.cameras.file_patterns import CameraFiles
+from kinedex.storage.formats.cameras.keypoint_tables import read_keypoint_table
+from kinedex.storage.formats.cameras.openpose import read_openpose
+from kinedex.storage.formats.cameras.persons import SeenPersons, chosen_persons
+from kinedex.storage.formats.motion.table_sections import beginning
+
+F64 = npt.NDArray[np.float64]
+
+TABLES = (".csv", ".parquet")
+
+_MOST_NUMBERS = 200_000_000
+_SAMPLE = 2000  # persons that decide between two keypoint sets
+
+
+@dataclass(frozen=True, eq=False)
+class KeypointArrays:
+    """Keypoints of the person who is tracked.
+
+    Attributes
+    ----------
+    keypoint_set : KeypointSet
+        Their set.
+    names : tuple of str
+        P keypoints that have a place on the body.
+    unused : tuple of str
+        Those that have none, or that no camera has.
+    pixels : float64 array (T, V, P, 2)
+        Places in the images; NaN where a keypoint is missing.
+    confidence : float64 array (T, V, P)
+        Confidence in [0, 1]; 0 where a keypoint is missing.
+    first_frame : int
+        The number of the first frame in the files.
+    several : int
+        Images with several persons.
+    empty : int
+        Images without a person.
+    without_confidence : int
+        Keypoints without a confidence, which count as 1.
+    above_one : int
+        Keypoints with a confidence above 1, which count as 1.
+    """
+
+    keypoint_set: KeypointSet
+    names: tuple[str, ...]
+    unused: tuple[str, ...]
+    pixels: F64
+    confidence: F64
+    first_frame: int
+    several: int
+    empty: int
+    without_confidence: int
+    above_one: int
+
+
+def read_keypoint_files(files: CameraFiles, recording: str) -> dict[str, SeenPersons]:
+    """Read the persons of every camera.
+
+    Parameters
+    ----------
+    files : CameraFiles
+        Files of OpenPose (one a frame), COCO results (one a camera), or tables (one a camera, or one for all).
+    recording : str
+        The recording whose rows of a table count.
+
+    Returns
+    -------
+    dict of str to SeenPersons
+        What `{camera}` stands for, or the camera of a table's rows → its persons.
+
+    Raises
+    ------
+    SourceError
+        A file has another form, or there are too many.
+    """
+    found: dict[str, SeenPersons] = {}
+    for camera, paths in files.files.items():
+        ending = paths[0].suffix.lower()
+        if ending in TABLES:
+            tables = read_keypoint_table(_only(paths, "a table"), recording)
+            if files.each_camera and len(tables) > 1 and camera not in tables:
+                raise SourceError(paths[0], f"has rows of {len(tables)} cameras, and is the file of one, '{camera}'")
+            found |= {camera: tables.get(camera) or next(iter(tables.values()))} if files.each_camera else tables
+        elif ending != ".json":
+            raise SourceError(paths[0], "expected keypoints ending in .json, .csv or .parquet")
+        elif not files.each_camera:
+            raise SourceError(paths[0], "keypoints in JSON need {camera} in their path, as pose/{camera}/*.json")
+        elif beginning(paths[0]).lstrip().startswith("[") or '"annotations"' in beginning(paths[0]):
+            found[camera] = read_coco_results(_only(paths, "COCO results"))
+        else:
+            found[camera] = read_openpose(paths)
+    return found
+
+
+def _only(paths: Sequence[Path], what: str) -> Path:
+    if len(paths) > 1:
+        raise SourceError(paths[1], f"{what} must be one file for each camera, and {paths[0].name} is one already")
+    return paths[0]
+
+
+def keypoint_arrays(
+    seen: Sequence[SeenPersons | None], choice: KeypointSet | None, person: str, offsets: Sequence[int]
+) -> KeypointArrays:
+    """Return the keypoints of one person in all cameras as arrays.
+
+    Parameters
+    ----------
+    seen : sequence of SeenPersons or None
+        The persons of V cameras; None for a camera without keypoints.
+    choice : KeypointSet, optional
+        The keypoint set; by default the names or the number of keypoints decide.
+    person : str
+        "largest", "most_confident", or an id.
+    offsets : sequence of int
+        Frame k of the recording is frame k + offset of the camera.
+
+    Raises
+    ------
+    SourceError, ConfigError
+        The keypoint set does not fit or is not known, nobody is seen, or most frames are missing.
+    """
+    there = [one for one in seen if one is not None and one.keypoints]
+    if not there:
+        raise SourceError(next(one.path for one in seen if one is not None), "has no person in any frame")
+    keypoint_set, columns = _columns(there, choice)
+    names = tuple(name for name in columns if name in keypoint_set.places)
+    unused = tuple(name for name in (keypoint_set.order or columns) if name not in names)
+    if not names:
+        raise SourceError(
+            there[0].path, f"has no keypoint with a place on the body{did_you_mean('', keypoint_set.places)}"
+        )
+    by_camera = [None if one is None else chosen_persons(one, person) if one.keypoints else {} for one in seen]
+    numbers = [
+        frame - offset
+        for one, offset in zip(seen, offsets, strict=True)
+        if one is not None
+        for frame in (min(one.frames, default=0), max(one.frames, default=0))
+    ]
+    first, frames = min(numbers), max(numbers) - min(numbers) + 1
+    most = max(len(one.frames) for one in there)
+    if frames > 10 * most + 1000 or frames * len(seen) * len(names) * 3 > _MOST_NUMBERS:
+        raise SourceError(
+            there[0].path, f"frames {first} to {first + frames - 1}, of which one camera has {most} at most: too many "
+            "are missing, or too many for one recording; check the numbers in the names, and `offsets:`, or cut it",
+        )  # fmt: skip
+    rows = np.full((frames, len(seen), len(names), 3), np.nan)
+    rows[..., 2] = 0.0
+    for v, (one, points, offset) in enumerate(zip(seen, by_camera, offsets, strict=True)):
+        if one is None or points is None:
+            continue
+        own = _own_columns(one, keypoint_set)
+        places = [own.index(name) for name in names if name in own]
+        into = [p for p, name in enumerate(names) if name in own]
+        for frame, person_rows in points.items():
+            rows[frame - offset - first, v, into] = _padded(person_rows, len(own))[places]
+    seen_points = np.isfinite(rows[..., 0])
+    confidence = rows[..., 2]
+    without, above = int((np.isnan(confidence) & seen_points).sum()), int((confidence > 1).sum())
+    confidence = np.where(seen_points, np.clip(np.where(np.isnan(confidence), 1.0, confidence), 0.0, 1.0), 0.0)
+    images = frames * sum(one is not None for one in seen)
+    return KeypointArrays(
+        keypoint_set,
+        names,
+        unused,
+        np.ascontiguousarray(rows[..., :2]),
+        confidence,
+        first,
+        sum(one.crowded() for one in there),
+        images - int(seen_points.any(axis=2).sum()),
+        without,
+        above,
+    )
+
+
+def _columns(seen: Sequence[SeenPersons], choice: KeypointSet | None) -> tuple[KeypointSet, tuple[str, ...]]:
+    """Return the keypoint set, and the names of the keypoints that the files have."""
+    named = [one for one in seen if one.names]
+    if named:
+        keypoint_set = choice or load_keypoint_set(NAMED)
+        if len(named) < len(seen):
+            other = next(one for one in seen if not one.names)
+            raise SourceError(other.path, f"numbers its keypoints, and {named[0].path.name} names them")
+        columns = tuple(dict.fromkeys(name for one in seen for name in one.names))
+        strange = next((name for name in columns if keypoint_set.order and name not in keypoint_set.order), None)
+        if strange is not None:
+            near = did_you_mean(strange, keypoint_set.order)
+            raise SourceError(named[0].path, f"the keypoint set '{keypoint_set.name}' has no '{strange}'{near}")
+        return keypoint_set, columns
+    count = max(one.keypoints for one in seen)
+    other_count = next((one for one in seen if one.keypoints != count), None)
+    if other_count is not None and other_count.path.suffix.lower() not in TABLES:
+        raise SourceError(other_count.path, f"has {other_count.keypoints} keypoints, and other cameras {count}")
+    if choice is not None:
+        table = seen[0].path.suffix.lower() in TABLES  # nobody may have seen the last keypoints
+        if not (len(choice.order) == count or (table and count < len(choice.order))):
+            raise SourceError(
+                seen[0].path, f"has {count} keypoints of a person, and the set '{choice.name}' {len(choice.order)}"
+            )
+        return choice, choice.order
+    known_sets = keypoint_sets_by_count()
+    sets = known_sets.get(count, ())
+    if not sets:
+        known = ", ".join(f"{count} ({' or '.join(one.name for one in sets)})" for count, sets in known_sets.items())
+        raise SourceError(
+            seen[0].path, f"has {count} keypoints of a person, and the number is none of {known}; write "
+            "`keypoint_set:` in the recording, a shipped set or a file of your own",
+        )  # fmt: skip
+    if len(sets) == 1:
+        return sets[0], sets[0].order
+    persons = [person.points[:, :2] for one in seen for those in one.frames.values() for person in those]
+    step = max(1, len(persons) // _SAMPLE)
+    chosen = likeliest_set(sets, np.array(persons[::step]))
+    return chosen, chosen.order
+
+
+def _own_columns(one: SeenPersons, keypoint_set: KeypointSet) -> tuple[str, ...]:
+    return one.names or keypoint_set.order
+
+
+def _padded(rows: F64, count: int) -> F64:
+    """Return the keypoints of a person with missing ones at the end."""
+    if len(rows) == count:
+        return rows
+    return np.concatenate([rows, np.tile([np.nan, np.nan, 0.0], (count - len(rows), 1))])

@@ -1,0 +1,234 @@
+"""Keypoints in one table, CSV or Parquet: camera, frame, keypoint, x, y, and perhaps confidence, person, recording."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from kinedex.catalog.keypoint_sets import MOST_KEYPOINTS
+from kinedex.ops.errors import SourceError, did_you_mean
+from kinedex.storage.formats.cameras.persons import FARTHEST_PX, Person, SeenPersons, checked_points, refuse_crowds
+from kinedex.storage.formats.csv_tables import CsvTable, decoded
+from kinedex.storage.formats.motion.reader import file_size, source_bytes
+
+I64 = npt.NDArray[np.int64]
+
+MOST_ROWS = 50_000_000
+"""Most rows of a table."""
+
+_MOST_CSV_BYTES = 2 << 30
+_ALIASES = {
+    "conf": "confidence",
+    "score": "confidence",
+    "likelihood": "confidence",
+    "view": "camera",
+    "person_id": "person",
+}
+_NUMBERS = ("frame", "x", "y", "confidence")
+_COLUMNS = ("recording", "camera", "frame", "person", "keypoint", "x", "y", "confidence")
+_REQUIRED = ("frame", "keypoint", "x", "y")
+_FIRST_LINE = 2
+
+
+def read_keypoint_table(path: Path, recording: str = "") -> dict[str, SeenPersons]:
+    """Read the persons of all cameras of a table.
+
+    Parameters
+    ----------
+    path : Path
+        A file ending in .csv or .parquet.
+    recording : str, optional
+        The recording whose rows count, where the table has a column `recording`.
+
+    Returns
+    -------
+    dict of str to SeenPersons
+        Camera → its persons; "" → those of a table without a column `camera`. Keypoints are named, or numbers from 0.
+
+    Raises
+    ------
+    SourceError
+        The file is no such table; the message names the line or the row.
+    """
+    table = _parquet(path) if path.suffix.lower() == ".parquet" else _csv(path)
+    if not table.height:
+        raise SourceError(path, "has no rows")
+    if "recording" in table.columns and recording:
+        known = table["recording"].unique().to_list()
+        table = table.filter(pl.col("recording") == recording)
+        if not table.height:
+            near = did_you_mean(recording, [str(name) for name in known if name is not None])
+            raise SourceError(path, f"has no rows of the recording '{recording}'{near}")
+    _refuse_missing(path, table)
+    names, places = _keypoints(path, table)
+    rows = np.stack([table[key].to_numpy() for key in ("x", "y", "confidence")], axis=1)
+    far = np.flatnonzero((np.abs(rows[:, :2]) > FARTHEST_PX).any(axis=1) | np.isinf(rows).any(axis=1))
+    if len(far):
+        raise _error(path, table, int(far[0]), f"expected pixels within {FARTHEST_PX:g}, got one beyond")
+    rows = checked_points(path, "a row", rows)
+    count = len(names) or int(places.max()) + 1
+    return {
+        str(camera): _persons(path, part, rows[part["row"].to_numpy()], places[part["row"].to_numpy()], names, count)
+        for camera, part in _by_camera(table)
+    }
+
+
+def _by_camera(table: pl.DataFrame) -> list[tuple[str, pl.DataFrame]]:
+    table = table.with_columns(pl.int_range(pl.len(), dtype=pl.Int64).alias("row"))
+    if "camera" not in table.columns:
+        return [("", table)]
+    return [(str(part["camera"][0]), part) for part in table.partition_by("camera", maintain_order=True)]
+
+
+def _persons(
+    path: Path, table: pl.DataFrame, rows: npt.NDArray[np.float64], places: I64, names: tuple[str, ...], count: int
+) -> SeenPersons:
+    """Return the persons of one camera."""
+    seen = SeenPersons(path, names=names)
+    groups = table.select("frame", "person").with_columns(pl.struct("frame", "person").rank("dense").alias("group"))
+    group = groups["group"].to_numpy().astype(np.int64) - 1
+    key = group * count + places
+    order = np.argsort(key, kind="stable")
+    twice = np.flatnonzero(np.diff(key[order]) == 0)
+    if len(twice):
+        message = "this keypoint stands twice in its frame; persons of one frame need a column `person`"
+        raise _error(path, table, int(order[twice[0] + 1]), message)
+    points = np.full((int(group.max()) + 1, count, 3), np.nan)
+    points[:, :, 2] = 0.0
+    points[group, places] = rows
+    first = groups.unique("group").sort("group")
+    for number, (frame, person) in enumerate(first.select("frame", "person").iter_rows()):
+        persons = seen.frames.setdefault(int(frame), [])
+        if np.isfinite(points[number, :, 0]).any():
+            persons.append(Person(str(person), points[number]))
+            refuse_crowds(path, f"frame {frame}", persons)
+    return seen
+
+
+def _keypoints(path: Path, table: pl.DataFrame) -> tuple[tuple[str, ...], I64]:
+    """Return the names of the keypoints, none if they are numbers, and the place of each row's."""
+    texts = table["keypoint"]
+    numbers = texts.cast(pl.Int64, strict=False)
+    if numbers.null_count() == 0:
+        places = numbers.to_numpy()
+        wrong = np.flatnonzero((places < 0) | (places >= MOST_KEYPOINTS))
+        if len(wrong):
+            raise _error(path, table, int(wrong[0]), f"`keypoint` must be 0 to {MOST_KEYPOINTS - 1}, or a name")
+        return (), places.astype(np.int64)
+    names = texts.unique(maintain_order=True)
+    if len(names) > MOST_KEYPOINTS:
+        raise SourceError(path, f"has {len(names)} keypoints, and {MOST_KEYPOINTS} are read at most")
+    order = {name: i for i, name in enumerate(names.to_list())}
+    return tuple(order), texts.replace_strict(order, return_dtype=pl.Int64).to_numpy()
+
+
+def _refuse_missing(path: Path, table: pl.DataFrame) -> None:
+    for key in ("frame", "keypoint", "camera"):
+        if key in table.columns and table[key].null_count():
+            row = int(table[key].is_null().arg_true()[0])
+            raise _error(path, table, row, f"`{key}` must not be empty")
+
+
+def _error(path: Path, table: pl.DataFrame, row: int, message: str) -> SourceError:
+    """Return an error that names the line of a CSV file, or the row of another table, from 0."""
+    number = int(table["line"][row])
+    if path.suffix.lower() == ".csv":
+        return SourceError(path, message, line=number)
+    return SourceError(path, f"row {number - _FIRST_LINE}: {message}")
+
+
+def _csv(path: Path) -> pl.DataFrame:
+    """Return a CSV table; numbers that are none are refused with their line."""
+    if file_size(path) > _MOST_CSV_BYTES:
+        raise SourceError(path, f"has more than {_MOST_CSV_BYTES >> 30} GB; write Parquet, or a file for each camera")
+    data = source_bytes(path)
+    head = CsvTable.of(path, data[: data.find(b"\n", 4096) + 1 or len(data)])
+    text = decoded(path, data)
+    skipped = 1 if text[:4].lower() == "sep=" else 0
+    try:
+        table = pl.read_csv(
+            io.BytesIO(text.encode("utf-8", "replace")), separator=head.separator, infer_schema=False,
+            skip_rows=skipped, truncate_ragged_lines=True, raise_if_empty=False, n_rows=MOST_ROWS + 1,
+        )  # fmt: skip
+    except Exception as fault:  # polars has many errors, all of a file that is no table
+        raise SourceError(path, f"is no table that can be read: {str(fault).splitlines()[0][:200]}") from None
+    table = table.with_columns(pl.int_range(_FIRST_LINE + skipped, pl.len() + _FIRST_LINE + skipped).alias("line"))
+    if head.decimal_comma:
+        present = [name for name in table.columns if _column(name) in _NUMBERS]
+        table = table.with_columns(pl.col(name).str.replace(",", ".", literal=True) for name in present)
+    return _typed(path, table)
+
+
+def _parquet(path: Path) -> pl.DataFrame:
+    try:
+        with pq.ParquetFile(path) as file:
+            if file.metadata.num_rows > MOST_ROWS:
+                raise SourceError(path, f"has {file.metadata.num_rows:,} rows, and {MOST_ROWS:,} are read at most")
+            wanted = [name for name in file.schema_arrow.names if _column(name) in _COLUMNS]
+            found: Any = pl.from_arrow(file.read(columns=wanted))
+    except SourceError:
+        raise
+    except (OSError, pa.ArrowException, pl.exceptions.PolarsError, ValueError, TypeError, KeyError) as fault:
+        raise SourceError(path, f"cannot be read as Parquet: {str(fault)[:200]}") from None
+    table: pl.DataFrame = found
+    return _typed(path, table.with_columns(pl.int_range(_FIRST_LINE, pl.len() + _FIRST_LINE).alias("line")))
+
+
+def _column(name: str) -> str:
+    """Return what a column is called here."""
+    plain = name.strip().lower()
+    return _ALIASES.get(plain, plain)
+
+
+def _typed(path: Path, table: pl.DataFrame) -> pl.DataFrame:
+    """Return the columns that count, as texts and numbers; an absent confidence is NaN, an absent person ""."""
+    names: dict[str, str] = {}
+    for name in table.columns:
+        if _column(name) in (*_COLUMNS, "line") and _column(name) not in names.values():
+            names[name] = _column(name)
+    table = table.select(list(names)).rename(names)
+    for key in _REQUIRED:
+        if key not in table.columns:
+            expected = "camera, frame, keypoint, x, y, confidence"
+            raise SourceError(path, f"has no column `{key}`; expected {expected}")
+    texts = [key for key in ("recording", "camera", "person", "keypoint") if key in table.columns]
+    try:
+        table = table.with_columns(pl.col(key).cast(pl.String).str.strip_chars() for key in texts)
+        for key in (key for key in _NUMBERS if key in table.columns):
+            table = _numeric(path, table, key)
+    except pl.exceptions.PolarsError as fault:
+        raise SourceError(path, f"has columns of other types than numbers and names: {str(fault)[:200]}") from None
+    if "confidence" not in table.columns:
+        table = table.with_columns(pl.lit(np.nan).alias("confidence"))
+    if "person" not in table.columns:
+        table = table.with_columns(pl.lit("").alias("person"))
+    table = table.with_columns(pl.col("person").fill_null(""))
+    empty = [
+        pl.when(pl.col(key) == "").then(None).otherwise(pl.col(key)).alias(key) for key in texts if key != "person"
+    ]
+    return table.with_columns(*empty, *(pl.col(key).fill_null(np.nan) for key in _NUMBERS[1:]))
+
+
+def _numeric(path: Path, table: pl.DataFrame, key: str) -> pl.DataFrame:
+    """Return a table with a column as numbers; a text that is none is refused."""
+    given = table[key]
+    if given.dtype == pl.String:
+        given = given.str.strip_chars()
+        given = given.set(given == "", None)
+    numbers = given.cast(pl.Float64, strict=False)
+    wrong = (numbers.is_null() & given.is_not_null()).arg_true()
+    if key == "frame":
+        whole = numbers.is_null() | ((numbers == numbers.round()) & (numbers.abs() < 1e15))
+        wrong = (~whole.fill_null(False) | (numbers.is_null() & given.is_not_null())).arg_true()
+    if len(wrong):
+        row = int(wrong[0])
+        kind = "a whole number" if key == "frame" else "a number"
+        raise _error(path, table, row, f"`{key}` must be {kind}, got {str(given[row])[:50]!r}")
+    return table.with_columns(numbers.cast(pl.Int64) if key == "frame" else numbers)

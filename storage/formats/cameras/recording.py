@@ -1,0 +1,349 @@
+"""A recording by calibrated cameras: its files read together, checked, and made into arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.cameras import Camera, observed_rays
+from kinedex.catalog.keypoint_sets import KeypointSet, load_keypoint_set
+from kinedex.catalog.recordings import CameraRecording, RecordingsFile
+from kinedex.ops.body.kinematic_chain import ChainBody
+from kinedex.ops.errors import ConfigError, SourceError, did_you_mean
+from kinedex.ops.tracking.observations import BodyPoints, Rays
+from kinedex.storage.formats.cameras.calibrations import in_metres, read_calibration
+from kinedex.storage.formats.cameras.camera_values import Calibration
+from kinedex.storage.formats.cameras.file_patterns import CAMERA, CameraFiles, find_files, match_cameras
+from kinedex.storage.formats.cameras.keypoint_files import KeypointArrays, keypoint_arrays, read_keypoint_files
+from kinedex.storage.formats.cameras.masks import CameraMasks, MaskFrames, mask_arrays, open_bits, open_images
+from kinedex.storage.formats.cameras.persons import SeenPersons
+from kinedex.storage.formats.cameras.recording_checks import check_cameras, check_keypoints
+
+F64 = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RecordingCounts:
+    """Counts of what is odd in a recording and normal in some measure.
+
+    Attributes
+    ----------
+    images_with_several_persons : int
+        Images, one for each frame and camera, with several persons.
+    images_without_person : int
+        Images in which the person is not seen.
+    keypoints_without_confidence : int
+        Keypoints whose confidence is missing and counts as 1.
+    confidences_above_one : int
+        Confidences that count as 1.
+    keypoints_outside_image : int
+        Keypoints outside the image of their camera.
+    """
+
+    images_with_several_persons: int = 0
+    images_without_person: int = 0
+    keypoints_without_confidence: int = 0
+    confidences_above_one: int = 0
+    keypoints_outside_image: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A recording of one person by V calibrated cameras.
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    cameras : tuple of Camera
+        The cameras, in metres with Y up.
+    rate_hz : float
+        Frames per second.
+    first_frame : int
+        The number of the first frame in the files.
+    keypoint_set : KeypointSet or None
+        The set of the keypoints; None without keypoints.
+    keypoints : tuple of str
+        P keypoints that have a place on the body.
+    pixels : float64 array (T, V, P, 2)
+        Keypoints in the images; NaN where one is missing.
+    confidence : float64 array (T, V, P)
+        Confidence in [0, 1]; 0 where a keypoint is missing.
+    masks : MaskFrames or None
+        Silhouettes, read frame by frame.
+    cuts : tuple of int
+        Frames, from 0, that begin anew.
+    counts : RecordingCounts
+        What was odd.
+    notes : tuple of str
+        Sentences for the user: how names were matched, what is unused, what looks wrong.
+    """
+
+    name: str
+    cameras: tuple[Camera, ...]
+    rate_hz: float
+    first_frame: int
+    keypoint_set: KeypointSet | None
+    keypoints: tuple[str, ...]
+    pixels: F64
+    confidence: F64
+    masks: MaskFrames | None
+    cuts: tuple[int, ...]
+    counts: RecordingCounts
+    notes: tuple[str, ...]
+
+    @property
+    def frames(self) -> int:
+        """The number of frames."""
+        return len(self.pixels)
+
+    def rays(self) -> Rays:
+        """Return the rays of the keypoints."""
+        return observed_rays(self.cameras, self.pixels, self.confidence)
+
+    def body_points(self, body: ChainBody) -> BodyPoints:
+        """Return where the keypoints lie on a body."""
+        if self.keypoint_set is None:
+            return BodyPoints(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0, np.int64))
+        return self.keypoint_set.body_points(self.keypoints, body)
+
+
+def read_recording(file: RecordingsFile, name: str) -> Recording:
+    """Read a recording by cameras.
+
+    Parameters
+    ----------
+    file : RecordingsFile
+        The file of recordings, see `kinedex.catalog.recordings.load_recordings`.
+    name : str
+        The name of one of them, with cameras.
+
+    Raises
+    ------
+    ConfigError
+        A key of the recording, or a calibration, is wrong; the message names line and key.
+    SourceError
+        A file of keypoints or masks is wrong.
+    """
+    given = file.recording(name)
+    if given.cameras is None or given.rate_hz is None:
+        raise file.error(name, "track", "is a 3D track of the store, which has no cameras to be read")
+    calibration = _calibration(file, name, given)
+    labels = dict(calibration.labels or {})
+    try:
+        cameras = in_metres(calibration, given.unit, given.up)
+    except ConfigError as fault:
+        raise file.error(name, "cameras", fault.reason) from None
+    notes: list[str] = []
+    seen, shifts = _keypoints(file, name, given, cameras, labels, notes)
+    masks = _masks(file, name, given, cameras, labels, notes)
+    used = [camera for camera in cameras if camera.name in seen or camera.name in masks]
+    offsets = _offsets(file, name, given, cameras, labels, shifts)
+    check_cameras(file, name, used)
+    keypoints, counts = None, RecordingCounts()
+    shift = [offsets.get(camera.name, 0) for camera in used]
+    if seen:
+        chosen = _keypoint_set(file, name, given)
+        keypoints = keypoint_arrays([seen.get(camera.name) for camera in used], chosen, given.person, shift)
+        counts, more = _checked(file, name, used, keypoints, given.unit or calibration.unit)
+        notes += more
+    first, frames = _extent(file, name, keypoints, [masks.get(camera.name) for camera in used], shift)
+    mask_frames = None
+    if masks:
+        starts = tuple(first + offset for offset in shift)
+        mask_frames = MaskFrames(tuple(masks.get(camera.name) for camera in used), starts, frames)
+    pixels, confidence = _over(keypoints, len(used), first, frames)
+    return Recording(
+        name,
+        tuple(used),
+        given.rate_hz,
+        first,
+        None if keypoints is None else keypoints.keypoint_set,
+        () if keypoints is None else keypoints.names,
+        pixels,
+        confidence,
+        mask_frames,
+        _cuts(file, name, given, first, frames),
+        counts,
+        tuple(notes),
+    )
+
+
+def _files(file: RecordingsFile, name: str, key: str, pattern: str, ending: str = "") -> CameraFiles:
+    """Return the files of a key but the file of recordings itself; errors name the key."""
+    try:
+        return find_files(file.folder, pattern, ending, file.located.path)
+    except SourceError as fault:
+        raise file.error(name, key, f"{fault.reason} ({fault.path})") from None
+
+
+def _calibration(file: RecordingsFile, name: str, given: CameraRecording) -> Calibration:
+    """Return the calibration: one file of all cameras, or a file for each, named by what `{camera}` stands for."""
+    files = _files(file, name, "cameras", str(given.cameras))
+    if any(len(paths) > 1 for paths in files.files.values()):
+        raise file.error(name, "cameras", f"'{given.cameras}' matches several files; name one, or use {CAMERA}")
+    if not files.each_camera:
+        return read_calibration(files.files[""][0], given.size)
+    read = {camera: read_calibration(paths[0], given.size) for camera, paths in files.files.items()}
+    several = next((one for one in read.values() if len(one.cameras) != 1), None)
+    if several is not None:
+        raise file.error(name, "cameras", f"{several.path} has {len(several.cameras)} cameras, and must have one")
+    first = next(iter(read.values()))
+    cameras = tuple(
+        Camera(camera, one.matrix, one.distortion, one.rotation, one.translation, one.size)
+        for camera, one in ((camera, found.cameras[0]) for camera, found in read.items())
+    )
+    return Calibration(first.path, first.kind, cameras, first.unit, first.up)
+
+
+def _keypoints(
+    file: RecordingsFile,
+    name: str,
+    given: CameraRecording,
+    cameras: Sequence[Camera],
+    labels: Mapping[str, str],
+    notes: list[str],
+) -> tuple[dict[str, SeenPersons], dict[str, str]]:
+    """Return the persons of each camera by its name, and the name of each camera by that of its files."""
+    if given.keypoints is None:
+        return {}, {}
+    found = read_keypoint_files(_files(file, name, "keypoints", given.keypoints, ".json"), name)
+    if list(found) == [""]:
+        raise file.error(name, "keypoints", f"the table has no column `camera`, and the path no {CAMERA}")
+    pairs = _matched(file, name, "keypoints", cameras, labels, found, notes)
+    return {camera: found[value] for camera, value in pairs.items()}, {value: camera for camera, value in pairs.items()}
+
+
+def _keypoint_set(file: RecordingsFile, name: str, given: CameraRecording) -> KeypointSet | None:
+    """Return the keypoint set of the recording, if it names one; a path starts from the folder of the file."""
+    if given.keypoint_set is None:
+        return None
+    path = Path(given.keypoint_set)
+    try:
+        return load_keypoint_set(file.folder / path if path.suffix or len(path.parts) > 1 else given.keypoint_set)
+    except ConfigError as fault:
+        if fault.line is not None:
+            raise
+        raise file.error(
+            name, "keypoint_set", f"{fault.path}: {fault.reason}" if path.suffix else fault.reason
+        ) from None
+
+
+def _masks(
+    file: RecordingsFile,
+    name: str,
+    given: CameraRecording,
+    cameras: Sequence[Camera],
+    labels: Mapping[str, str],
+    notes: list[str],
+) -> dict[str, CameraMasks]:
+    """Return the masks of each camera by its name."""
+    if given.silhouettes is None:
+        return {}
+    files = _files(file, name, "silhouettes", given.silhouettes, ".png")
+    by_name = {camera.name: camera for camera in cameras}
+    first = next(iter(files.files.values()))[0]
+    if first.suffix.lower() == ".npz":
+        arrays: dict[str, tuple[Path, str]] = {}
+        for value, paths in files.files.items():
+            names = mask_arrays(paths[0])
+            if files.each_camera and len(names) != 1:
+                raise SourceError(paths[0], f"expected one array, the masks of one camera, got {len(names)}")
+            arrays |= {value: (paths[0], names[0])} if files.each_camera else {one: (paths[0], one) for one in names}
+        pairs = _matched(file, name, "silhouettes", cameras, labels, arrays, notes)
+        return {camera: open_bits(*arrays[value], by_name[camera]) for camera, value in pairs.items()}
+    if not files.each_camera:
+        raise file.error(name, "silhouettes", f"masks in PNG need {CAMERA} in their path, as masks/{CAMERA}/*.png")
+    pairs = _matched(file, name, "silhouettes", cameras, labels, files.files, notes)
+    return {camera: open_images(files.files[value], by_name[camera]) for camera, value in pairs.items()}
+
+
+def _matched(
+    file: RecordingsFile,
+    name: str,
+    key: str,
+    cameras: Sequence[Camera],
+    labels: Mapping[str, str],
+    values: Mapping[str, object],
+    notes: list[str],
+) -> dict[str, str]:
+    """Return camera → the name of its files; the way it was found is noted."""
+    try:
+        pairs, note = match_cameras(file.folder, key, [camera.name for camera in cameras], labels, values)
+    except SourceError as fault:
+        raise file.error(name, key, fault.reason) from None
+    notes += [note] if note else []
+    return pairs
+
+
+def _offsets(
+    file: RecordingsFile,
+    name: str,
+    given: CameraRecording,
+    cameras: Sequence[Camera],
+    labels: Mapping[str, str],
+    files: Mapping[str, str],
+) -> dict[str, int]:
+    """Return camera → offset; `offsets` may name a camera, its label, or its files."""
+    known = {**files, **labels, **{camera.name: camera.name for camera in cameras}}
+    for key in given.offsets:
+        if key not in known:
+            raise file.error(name, "offsets", f"no camera is called '{key}'{did_you_mean(key, known)}")
+    return {known[key]: offset for key, offset in given.offsets.items()}
+
+
+def _checked(
+    file: RecordingsFile, name: str, cameras: Sequence[Camera], keypoints: KeypointArrays, unit: str
+) -> tuple[RecordingCounts, list[str]]:
+    """Return the counts of keypoints, and notes on them; refuse those that no tracker can use."""
+    outside, notes = check_keypoints(file, name, cameras, keypoints, unit)
+    found = keypoints.keypoint_set
+    counts = RecordingCounts(
+        keypoints.several, keypoints.empty, keypoints.without_confidence, keypoints.above_one, outside
+    )
+    unused = [f"not used, for want of a place on the body or of any image: {', '.join(keypoints.unused)}"]
+    return counts, [f"keypoints are those of {found.name}", *(unused if keypoints.unused else []), *notes]
+
+
+def _extent(
+    file: RecordingsFile,
+    name: str,
+    keypoints: KeypointArrays | None,
+    masks: Sequence[CameraMasks | None],
+    offsets: Sequence[int],
+) -> tuple[int, int]:
+    """Return the number of the first frame in keypoints or masks, and the number of frames."""
+    ends = [] if keypoints is None else [keypoints.first_frame, keypoints.first_frame + len(keypoints.pixels) - 1]
+    present = 0
+    for one, offset in zip(masks, offsets, strict=True):
+        if one is not None:
+            numbers = one.frames
+            present = max(present, len(numbers))
+            ends += [numbers[0] - offset, numbers[-1] - offset]
+    first, frames = min(ends), max(ends) - min(ends) + 1
+    if frames > 10 * max(present, 0 if keypoints is None else len(keypoints.pixels)) + 1000:
+        raise file.error(name, "silhouettes", f"most of the frames {first} to {first + frames - 1} are missing")
+    return first, frames
+
+
+def _over(keypoints: KeypointArrays | None, cameras: int, first: int, frames: int) -> tuple[F64, F64]:
+    """Return keypoints over all frames of the recording; none where there are masks only."""
+    count = 0 if keypoints is None else len(keypoints.names)
+    pixels = np.full((frames, cameras, count, 2), np.nan)
+    confidence = np.zeros((frames, cameras, count))
+    if keypoints is not None:
+        part = slice(keypoints.first_frame - first, keypoints.first_frame - first + len(keypoints.pixels))
+        pixels[part], confidence[part] = keypoints.pixels, keypoints.confidence
+    return pixels, confidence
+
+
+def _cuts(file: RecordingsFile, name: str, given: CameraRecording, first: int, frames: int) -> tuple[int, ...]:
+    """Return the cuts as frames from 0."""
+    for cut in given.cuts:
+        if not first < cut < first + frames:
+            raise file.error(name, "cuts", f"must lie between the frames {first} and {first + frames - 1}, got {cut}")
+    return tuple(sorted({cut - first for cut in given.cuts}))
