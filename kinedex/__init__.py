@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from kinedex.ops.errors import ConfigError, KinedexError, ParameterError, SourceError, StoreError
     from kinedex.pipelines.api.annotation import Evaluation, annotate, evaluate
     from kinedex.pipelines.api.labels import Labels
+    from kinedex.pipelines.api.pages import write_page
     from kinedex.pipelines.api.picture import Picture
     from kinedex.pipelines.api.pipeline import ingest, run_pipeline
     from kinedex.pipelines.api.query import Query
@@ -62,6 +63,7 @@ __all__ = [
     "open_store",
     "read",
     "run_pipeline",
+    "write_page",
 ]
 
 _HOMES = {
@@ -88,6 +90,7 @@ _HOMES = {
     "open_store": "pipelines.api.store",
     "read": "pipelines.api.take",
     "run_pipeline": "pipelines.api.pipeline",
+    "write_page": "pipelines.api.pages",
 }
 """The module of each public name; it is imported when the name is first used, so that `import kinedex` is quick."""
 

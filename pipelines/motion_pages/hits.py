@@ -92,7 +92,7 @@ def best_hits(store: Store, hits: pa.Table, stage: str, each: int) -> dict[str, 
     """
     rows = sorted(hits.to_pylist(), key=lambda row: (row["template"], row["rank"]))
     names = list(dict.fromkeys(row["template"] for row in rows))
-    examples = _template_examples(store, names, "soft", stage)
+    examples = template_examples(store, names, "soft", stage)
     groups = []
     for name in names:
         own = [row for row in rows if row["template"] == name]
@@ -162,7 +162,7 @@ def write_ranking(
     title = f"Ranked by {what}" if len(what) < 80 else f"Ranked by {len(names)} templates"
     amount = ""
     if html is not None:
-        examples = Examples({EXAMPLE: [example]}) if example else _template_examples(store, names, kind, stage)
+        examples = Examples({EXAMPLE: [example]}) if example else template_examples(store, names, kind, stage)
         lead = f"Hits with a distance below {tau:g} in {store.path.resolve().name}, the best first."
         if not any(cost < tau for cost in hits.column("cost").to_pylist()):
             lead = f"There is no hit with a distance below {tau:g}; these are the nearest places."
@@ -174,7 +174,7 @@ def write_ranking(
     return amount
 
 
-def _template_examples(store: Store, names: Sequence[str], kind: str, stage: str | None) -> Examples:
+def template_examples(store: Store, names: Sequence[str], kind: str, stage: str | None = None) -> Examples:
     """Return the clips of learned templates as examples; templates of files have none."""
     try:
         known = stored_templates(store, stage)
