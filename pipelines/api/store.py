@@ -664,7 +664,8 @@ class Store:
         Warns
         -----
         UserWarning
-            Templates are excluded or not applied to some takes, or some have no query where others do.
+            Templates are excluded or not applied to some takes, or some have no query where others do; or one has no
+            hit: the warning names its nearest place and the tau that makes it one.
 
         Examples
         --------
@@ -691,8 +692,9 @@ class Store:
             where=where,
             workers=workers,
             mirror=mirror,
+            nearest=1,
         )
-        for remark in found.remarks:
+        for remark in (*found.remarks, *found.misses(tau, "tau=")):
             warnings.warn(remark, stacklevel=2)
         return data_frame(found.table()).drop("run")
 

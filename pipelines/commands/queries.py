@@ -20,9 +20,10 @@ from kinedex.pipelines.commands.options import (
     StorePath,
     WhereOption,
 )
-from kinedex.pipelines.commands.output import print_json, print_message, print_path, show_table
+from kinedex.pipelines.commands.output import ROWS, is_for_people, print_json, print_message, print_path, show_table
 from kinedex.pipelines.commands.pages import Pages
 from kinedex.pipelines.commands.store_access import open_for_reading
+from kinedex.pipelines.console.wording import counted
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -44,6 +45,18 @@ SaveOption = Annotated[
 ]
 
 
+SearchLimitOption = Annotated[
+    int | None,
+    typer.Option(
+        "--limit", "--top",
+        min=0,
+        metavar="N",
+        help="Show this many intervals, in the order of the takes, and report the number of all; 0 shows all. A table "
+        "on a terminal has 200 unless given, everything else has all.",
+    ),
+]  # fmt: skip
+
+
 @command(SEARCH)
 def search(
     store: StorePath,
@@ -54,6 +67,7 @@ def search(
     where: WhereOption = None,
     explain: ExplainOption = False,
     save: SaveOption = None,
+    limit: SearchLimitOption = None,
     form: FormatOption = "table",
     output: HitsOutputOption = None,
     html: HtmlOption = None,
@@ -101,26 +115,34 @@ def search(
         return
     for remark in remarks:
         typer.echo(remark, err=True)
+    if limit is None and is_for_people(form, output):
+        limit = ROWS
+    shown = hits.slice(0, limit or None)
     if plain:
-        _show_hits(hits, save, run)
+        _show_hits(hits, shown, save, run)
     elif pages.picture is not None:
         print_path(pages.picture)
     else:
-        show_table(hits if save is not None else hits.drop_columns(["saved_as"]), form, output)
+        show_table(shown if save is not None else shown.drop_columns(["saved_as"]), form, output)
+        if shown.num_rows < hits.num_rows:
+            typer.echo(f"{counted(hits.num_rows, 'interval')}{_part(shown.num_rows)}", err=True)
     pages.report()
 
 
-def _show_hits(hits: pa.Table, save: str | None, run: str | None) -> None:
-    """Show hits as a table with a line below it, or the line alone where they were saved."""
-    from kinedex.pipelines.console.wording import counted
-
+def _show_hits(hits: pa.Table, shown: pa.Table, save: str | None, run: str | None) -> None:
+    """Show the first hits as a table with a line on all below it, or the line alone where they were saved."""
     if save is not None:
         print_message(f"{counted(hits.num_rows, 'hit')} saved as '{save}' (run {run})")
         return
-    show_table(hits.drop_columns(["run", "saved_as", "take_id"]), "table", None)
+    show_table(shown.drop_columns(["run", "saved_as", "take_id"]), "table", None)
     takes = len(set(hits.column("take_id").to_pylist()))
-    hint = "" if hits.num_rows else "; --explain shows at which keyframe the search ends"
+    hint = _part(shown.num_rows) if shown.num_rows < hits.num_rows else ""
+    hint = hint if hits.num_rows else "; --explain shows at which keyframe the search ends"
     print_message(f"{counted(hits.num_rows, 'interval')} in {counted(takes, 'take')}{hint}")
+
+
+def _part(shown: int) -> str:
+    return f"; the first {shown:,} are shown, --limit 0 shows all"
 
 
 def _explanation(table: pa.Table) -> pa.Table:

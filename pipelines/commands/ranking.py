@@ -109,7 +109,7 @@ def rank(
     for remark in (*found.remarks, *found.misses(tau)):
         typer.echo(remark, err=True)
     if form == "table" and output is None:
-        _show_hits(found, tau, _summary(found.rankings, tau, queries is not None, seconds))
+        _show_hits(found, tau, _summary(found.rankings, tau, top, queries is not None, seconds))
     elif not pages.picture:
         show_table(found.table(), form, output)
     if output is not None:
@@ -150,14 +150,20 @@ def _check_source(names: list[str], every: bool, take: str | None, start: str | 
         raise KinedexError("--start and --stop need --take: they are the interval of the example in a take")
 
 
-def _summary(rankings: Sequence[Ranking], tau: float, preselected: bool, seconds: float) -> str:
-    """Return the line below the table: hits, frames, the shares that were not searched, and the time."""
+def _summary(rankings: Sequence[Ranking], tau: float, top: int, preselected: bool, seconds: float) -> str:
+    """Return the line below the table: hits, frames, the shares that were not searched, and the time.
+
+    Where a template has as many hits as asked for, there may be more of it.
+    """
     from kinedex.pipelines.console.wording import counted
 
     kept = sum(one.searched for one in rankings) / max(sum(one.frames for one in rankings), 1)
     shares = [one.skipped for one in rankings if one.skipped is not None]
+    limited = any(len(one.hits) == top for one in rankings)
+    hits = counted(sum(len(one.hits) for one in rankings), "best hit" if limited else "hit")
     return (
-        f"{counted(sum(len(one.hits) for one in rankings), 'hit')} below {tau:g}"
+        f"{hits} below {tau:g}"
+        + (f", as --top {top} asks for" if limited else "")
         + (f" by {len(rankings)} templates" if len(rankings) > 1 else "")
         + f"; {rankings[0].frames:,} frames"
         + (f", {kept:.1%} of them within keyframe hits" if preselected else "")

@@ -29,7 +29,7 @@ from kinedex.pipelines.commands.output import ROWS, is_for_people, print_json, p
 from kinedex.pipelines.commands.pages import Pages
 from kinedex.pipelines.commands.store_access import open_for_reading
 from kinedex.pipelines.console.escapes import visible
-from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.console.wording import counted, few
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -195,8 +195,23 @@ def takes(
     count = f"{counted(table.num_rows, 'take')}, {seconds / 60:.1f} minutes{part}"
     if form == "table" and output is None:
         print_message("; ".join([count, *_take_remarks(table, wanted)]))
+        if where is not None and not table.num_rows:
+            print_message(_nothing_chosen(opened, where))
     elif part:
         print(count, file=sys.stderr)
+
+
+def _nothing_chosen(store: Store, where: str) -> str:
+    """Return a hint for a filter that chooses no take: the values of the columns that it names."""
+    every = store.takes_table()
+    words = dict.fromkeys(re.findall(r"\w+", re.sub(r"'(?:[^']|'')*'", " ", where)))
+    texts = {name for name in every.column_names if str(every.schema.field(name).type) == "string"}
+    found = []
+    for name in (word for word in words if word in texts):
+        values = sorted({value for value in every.column(name).to_pylist() if value is not None})
+        shown = few([f"'{value}'" for value in values])
+        found.append(f"{name} has {shown}" if values else f"{name} has no value")
+    return f"no take of {counted(every.num_rows, 'take')} fits" + "".join(f"; {one}" for one in found)
 
 
 def _take_remarks(table: pa.Table, columns: Sequence[str]) -> Iterator[str]:

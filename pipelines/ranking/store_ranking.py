@@ -66,9 +66,12 @@ class StoreRanking:
         sides = [hit.mirrored for ranking in rankings for hit in ranking.hits]
         return table.append_column("mirrored", pa.array(sides, pa.bool_()))
 
-    def misses(self, tau: float) -> list[str]:
-        """Return a sentence on each template without a hit below tau: its nearest place and the τ that it takes."""
-        return [_miss(one, tau, self.rate_hz) for one in self.nearest]
+    def misses(self, tau: float, option: str = "--tau ") -> list[str]:
+        """Return a sentence on each template without a hit below tau: its nearest place and the τ that it takes.
+
+        `option` is how the caller gives a τ: "--tau " of the command, "tau=" of Python.
+        """
+        return [_miss(one, tau, self.rate_hz, option) for one in self.nearest]
 
 
 def rank_store(
@@ -141,7 +144,7 @@ def rank_store(
     return StoreRanking(tuple(rankings), store.rate_hz, tuple(remarks), mirror, tuple(near))
 
 
-def _miss(one: Ranking, tau: float, rate_hz: float) -> str:
+def _miss(one: Ranking, tau: float, rate_hz: float, option: str) -> str:
     """Return the sentence on a template without a hit below tau, of which the nearest places are known."""
     if not one.hits:
         return f"'{one.name}' fits nowhere below {FARTHEST:g}"
@@ -149,7 +152,7 @@ def _miss(one: Ranking, tau: float, rate_hz: float) -> str:
     enough = min((floor(best.cost * 100) + 1) / 100, FARTHEST)  # two digits, above the cost
     return (
         f"no hit of '{one.name}' below {tau:g}; the nearest place costs {best.cost:.3f}: {best.take} at "
-        f"{best.start / rate_hz:.2f} s; --tau {enough:g} makes it a hit"
+        f"{best.start / rate_hz:.2f} s; {option}{enough:g} makes it a hit"
     )
 
 

@@ -102,6 +102,12 @@ def test_takes_are_listed_filtered_and_written(store: Path, tmp_path: Path) -> N
     assert "3 takes" in kinedex("takes", store).stdout
 
 
+def test_a_filter_that_fits_no_take_shows_the_values_of_its_columns(store: Path) -> None:
+    shown = kinedex("takes", store, "--where", "class = 'wvae' AND actor IS NOT NULL AND frames > 1").stdout
+    assert "0 takes" in shown
+    assert re.search(r"no take of 3 takes fits; class has 'bow', 'wave'; actor has 'aa', 'bb'", shown), shown
+
+
 def test_sql_prints_the_file_for_other_clients(store: Path) -> None:
     done = kinedex("sql", store, "--path")
     assert Path(done.stdout.strip()).is_absolute()
@@ -227,6 +233,17 @@ def test_search_prints_hits_and_explains(store: Path) -> None:
     assert "lknee_bent" in explained
     assert "*****" not in explained
     assert ",pattern," in kinedex("search", store, "example", "--explain", "--format", "csv").stdout
+
+
+def test_a_search_shows_as_many_intervals_as_asked_for_and_counts_all(store: Path, tmp_path: Path) -> None:
+    (tmp_path / "upright.yaml").write_text("upright:\n  keyframes:\n    - {off: [spine_horizontal]}\n")
+    every, first = (kinedex("search", store, tmp_path / "upright.yaml", *more) for more in ((), ("--top", "1")))
+    count = len(every.stdout.splitlines())
+    assert "3 intervals in 3 takes\n" in every.stdout
+    assert "3 intervals in 3 takes; the first 1 are shown, --limit 0 shows all" in first.stdout
+    assert len(first.stdout.splitlines()) == count - 2
+    table = kinedex("search", store, tmp_path / "upright.yaml", "--top", "2", "--format", "csv")
+    assert (len(table.stdout.splitlines()), "3 intervals; the first 2 are shown" in table.stderr) == (3, True)
 
 
 def test_verify_finds_a_damaged_part(store: Path, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from kinedex import open_store as open_archive
 from kinedex.catalog.queries.keyframe_query import Keyframe, KeyframeQuery
 from kinedex.catalog.queries.query_files import read_query_files
 from kinedex.ops.errors import KinedexError
@@ -368,6 +369,10 @@ def test_without_a_hit_the_nearest_places_are_shown(store: Store, tmp_path: Path
     document = json.loads(again.stdout)
     assert document["hits"]
     assert document["nearest"] == []
+    limited = CliRunner().invoke(app, [*asked[:4], tau[1], "--top", "1"])
+    assert f"1 best hit below {float(tau[1]):g}, as --top 1 asks for; " in limited.output
+    with pytest.warns(UserWarning, match=r"no hit of 'odd' below 0.001; the nearest place .*; tau=[\d.]+ makes it a"):
+        assert open_archive(store.path).rank(str(tmp_path / "odd.yaml"), tau=0.001).height == 0
     document = json.loads(CliRunner().invoke(app, [*asked, "--json"]).stdout)
     assert document["hits"] == []
     assert len(document["nearest"]) == 5
