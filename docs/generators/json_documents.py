@@ -23,6 +23,18 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         "stages": "for each stage its `stage`, `inputs`, `runs_because` (null where it is up to date), "
         "`last_finished` and `last_seconds` (null where it never ran)",
     },
+    "export": {
+        **_STORE,
+        "files": "paths of the files of a take; of a data set metadata.csv and dataset.json, which list the others",
+        "folder": "path of the data set; null for one take as a file",
+        "clips": "number of its clips",
+        "seconds": "length of all clips",
+        "written": "number of clips that were written",
+        "reused": "number of clips that were there already",
+        "splits": "for each split its `clips`, `seconds`, `share` of the time, and `classes` (number of clips)",
+        "excluded": "file of a clip that could not be written → the reason (exit code 3 where there are any)",
+        "remarks": "what was left out, in words",
+    },
     "takes list": {
         **_STORE,
         "seconds": "length of all these takes",

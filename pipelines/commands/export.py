@@ -11,8 +11,8 @@ import typer
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.app import ASK, LEFT_OUT, command
-from kinedex.pipelines.commands.options import AtOption, StorePath, WhereOption, seconds_of
-from kinedex.pipelines.commands.output import print_message, print_path
+from kinedex.pipelines.commands.options import AtOption, JsonOption, StorePath, WhereOption, seconds_of
+from kinedex.pipelines.commands.output import print_json, print_message, print_path
 from kinedex.pipelines.commands.store_access import open_for_reading
 from kinedex.pipelines.export.forms import FORMS, form_named
 
@@ -141,6 +141,7 @@ def export(
     distinct: DistinctOption = None,
     workers: ProcessesOption = None,
     at: AtOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Write takes, or clips cut out of them, as files.
 
@@ -158,34 +159,54 @@ def export(
         _shares_of(shares), seed, balance, per_class, distinct,
     )  # fmt: skip
     if alone:
-        _export_take(open_for_reading(store, at), what.takes[0], how, output)
+        _export_take(open_for_reading(store, at), what.takes[0], how, output, as_json)
     elif output is None:
         raise KinedexError("-o is missing: the folder of the data set, as in -o clips")
     else:
-        _export_data_set(open_for_reading(store, at), what, how, Path(output), workers)
+        _export_data_set(open_for_reading(store, at), what, how, Path(output), workers, as_json)
 
 
 def _is_folder(output: str | None) -> bool:
     return output is not None and (output.endswith(("/", os.sep)) or Path(output).is_dir())
 
 
-def _export_take(store: Store, take: str, how: How, output: str | None) -> None:
+def _export_take(store: Store, take: str, how: How, output: str | None, as_json: bool) -> None:
     from kinedex.pipelines.export.single import export_take
     from kinedex.storage.formats.labels.file_names import file_names
 
     form = form_named(how.form)
     # a take may be named as no file can be
     (name,) = file_names([Path(take).name])
-    for file in export_take(store, take, how, Path(output or f"{name}.{form.endings[0]}")):
+    files = export_take(store, take, how, Path(output or f"{name}.{form.endings[0]}"))
+    if as_json:
+        seconds = store.take_frames[store.take_id(take)] / store.rate_hz
+        print_json(_document(store, files, clips=1, written=1, seconds=seconds))
+        return
+    for file in files:
         print_path(file)
 
 
-def _export_data_set(store: Store, what: What, how: How, folder: Path, workers: int | None) -> None:
+def _document(store: Store, files: list[Path], **facts: object) -> dict[str, object]:
+    """Return what an export has made, as `--json` prints it; a take alone has no folder."""
+    empty: dict[str, object] = {
+        "folder": None,
+        "clips": 0,
+        "seconds": 0.0,
+        "written": 0,
+        "reused": 0,
+        "splits": {},
+        "excluded": {},
+    }
+    return {"store": store.path, "files": files, **empty, "remarks": [], **facts}
+
+
+def _export_data_set(store: Store, what: What, how: How, folder: Path, workers: int | None, as_json: bool) -> None:
     """Write a data set; exit with `LEFT_OUT` where clips could not be written."""
     from kinedex.pipelines.console.terminal import Terminal
     from kinedex.pipelines.engine.executors import make_executor
     from kinedex.pipelines.export.export import export_data_set, summary_lines
-    from kinedex.pipelines.export.folder import DATA_SET
+    from kinedex.pipelines.export.folder import DATA_SET, METADATA
+    from kinedex.pipelines.export.metadata import split_facts
 
     executor = make_executor("processes", workers)
     try:
@@ -194,8 +215,14 @@ def _export_data_set(store: Store, what: What, how: How, folder: Path, workers: 
         executor.abort()
         raise
     executor.close()
-    for line in summary_lines(done, how):
-        print_message(line)
-    print_path(folder / DATA_SET)
+    if as_json:
+        files = [folder / METADATA, folder / DATA_SET]
+        facts = {"folder": folder, "clips": len(done.rows), "seconds": sum(row["seconds"] for row in done.rows)}
+        facts |= {"written": done.written, "reused": done.reused, "splits": split_facts(done.rows, how)}
+        print_json(_document(store, files, **facts, excluded=done.excluded, remarks=done.remarks))
+    else:
+        for line in summary_lines(done, how):
+            print_message(line)
+        print_path(folder / DATA_SET)
     if done.excluded:
         raise typer.Exit(LEFT_OUT)

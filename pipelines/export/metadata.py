@@ -22,6 +22,15 @@ from kinedex.storage.store.store import Store
 
 _LICENCES = ("licence", "license")
 
+_DESCRIBING = ("pattern", "metadata")
+"""The origins of columns that people fill: groups of paths, and tables of metadata."""
+
+_MEASURED = ("height_m",)
+"""The measured columns of takes that are of use beside a clip; the others judge whole takes (`suspect_takes`)."""
+
+_DIGITS = 4
+"""The digits behind the point of numbers that kinedex has computed."""
+
 
 @dataclass(frozen=True)
 class Facts:
@@ -49,9 +58,10 @@ class Facts:
 
 
 def metadata_rows(facts: Facts, done: Sequence[Done]) -> list[dict[str, Any]]:
-    """Return the rows of `metadata.csv`: one for each clip, with the columns of its take behind its own.
+    """Return the rows of `metadata.csv`: one for each clip, with columns of its take behind its own.
 
-    A column of takes, or of the SQL query, whose name is one of the others' begins with `take_` or `sql_`.
+    These are the columns that named groups of paths and tables of metadata fill, and the height. A column of takes, or
+    of the SQL query, whose name is one of the others' begins with `take_` or `sql_`.
 
     Parameters
     ----------
@@ -90,7 +100,7 @@ def _row(facts: Facts, done: Done) -> dict[str, Any]:
         "inner_stop": edges[1],
         "outer_start": clip.first,
         "outer_stop": clip.last,
-        "confidence": interval.confidence,
+        "confidence": _rounded(interval.confidence),
         "actor": take["actor"],
         "licence": next((take[name] for name in take if name.lower() in _LICENCES), None),
         "origin": interval.origin,
@@ -103,13 +113,25 @@ def _row(facts: Facts, done: Done) -> dict[str, Any]:
         "source_start": inner[0],
         "source_stop": inner[1],
     }
-    more = {name: take[name] for name in store.manifest.columns if name.lower() not in _LICENCES}
+    declared = store.manifest.columns.items()
+    more = {
+        name: take[name]
+        for name, column in declared
+        if name.lower() not in _LICENCES and (column.origin in _DESCRIBING or name in _MEASURED)
+    }
     for prefix, columns in (("take_", more), ("sql_", interval.more)):
         for name, value in columns.items():
             # JSON has no number for NaN and infinity
             unknown = isinstance(value, float) and not math.isfinite(value)
-            row[f"{prefix}{name}" if name in row else name] = None if unknown else value
+            measured = prefix == "take_" and name in _MEASURED
+            row[f"{prefix}{name}" if name in row else name] = (
+                None if unknown else _rounded(value) if measured else value
+            )
     return row
+
+
+def _rounded(value: Any) -> Any:
+    return round(value, _DIGITS) if isinstance(value, float) else value
 
 
 def metadata_text(rows: Sequence[Mapping[str, Any]]) -> str:

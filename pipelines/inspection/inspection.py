@@ -162,7 +162,7 @@ def inspect_file(
         found.lines[before:] = [("mapping", f"{body.skeleton}: no mapping fits all these names")]
     elif raw is None or persons:
         found.add("mapping", body.skeleton)
-    _add_body(found, body, feature_set, given)
+    _add_body(found, body, feature_set, given, ending)
     found.figure = _figure(file, body, feature_set.joints)
     return found
 
@@ -261,7 +261,7 @@ def _raw_poses(found: Inspection, file: Path, given: ReadSettings) -> _Skeleton:
     if poses.rate_hz is not None:
         _add_time(found, poses.rate_hz, len(poses.turns))
     else:
-        found.add("length", f"{len(poses.turns)} frames; the rate is not in the file")
+        found.add("length", f"{len(poses.turns)} frames; {_NO_RATE}")
     return _Skeleton("amass", {name: i for i, name in enumerate(names)})
 
 
@@ -276,11 +276,12 @@ def _raw_points(
         found.add("nodes", f"{count} without names")
     seen = np.flatnonzero(np.isfinite(points.positions[:, 0]).any(axis=0))
     shown = seen[_shown(len(seen))].tolist() if len(seen) else _shown(frames)
-    times = _times(shown, points.rate_hz) if points.rate_hz else [f"frame {frame}" for frame in shown]
-    if points.rate_hz:
-        _add_time(found, points.rate_hz, frames)
+    rate_hz = points.rate_hz or points.clock_hz
+    times = _times(shown, rate_hz) if rate_hz else [f"frame {frame}" for frame in shown]
+    if rate_hz:
+        _add_time(found, rate_hz, frames, "" if points.rate_hz else " (by its column of times)")
     else:
-        found.add("length", f"{frames} frames; the rate is not in the file")
+        found.add("length", f"{frames} frames; {_NO_RATE}")
     gaps = find_gaps(points.positions)
     if gaps:
         longest = max(gap.frames for gap in gaps)
@@ -346,12 +347,24 @@ def _add_mapping(found: Inspection, raw: _Skeleton, mappings: Mappings) -> None:
         found.add("mapping", "none for these names")
 
 
-def _add_body(found: Inspection, body: Body, feature_set: FeatureSet, given: ReadSettings) -> None:
+_NO_RATE = "the rate is not in the file"
+
+
+def _rate_note(given: ReadSettings, ending: str, stated: bool) -> str:
+    """Return how the rate of a file is known, as a note behind it; nothing for one that the file states."""
+    if given.override_rate_hz or (given.rate_hz and not stated):
+        return " (given)"
+    if stated:
+        return ""
+    files = "Acclaim files do" if ending == ".amc" else "the file does"
+    return f" (assumed: {files} not contain it)"
+
+
+def _add_body(found: Inspection, body: Body, feature_set: FeatureSet, given: ReadSettings, ending: str) -> None:
     if not any(name == "rate" for name, _ in found.lines):
+        stated = ending != ".amc" and not any(text.endswith(_NO_RATE) for name, text in found.lines if name == "length")
         found.lines = [line for line in found.lines if line[0] != "length"]
-        known = given.rate_hz or given.override_rate_hz
-        how = "given" if known else "assumed: Acclaim files do not contain it"
-        _add_time(found, body.rate_hz, body.frames, f" ({how})")
+        _add_time(found, body.rate_hz, body.frames, _rate_note(given, ending, stated))
     found.add("unit", body.unit)
     valid = np.flatnonzero(body.valid) if body.valid is not None else np.arange(body.frames)
     if len(valid) < body.frames:

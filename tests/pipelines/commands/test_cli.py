@@ -275,6 +275,7 @@ def test_json_documents_have_the_keys_of_the_reference(store: Path, source: Path
         "ingest": document("ingest", store, source, "--executor", "serial"),
         "plan": document("plan", "annotate", "--store", store, *settings),
         "takes list": document("takes", store),
+        "export": document("export", store, "-o", tmp_path / "clips"),
         "search": document("search", store, "example"),
         "search --explain": document("search", store, "example", "--explain"),
         "rank": document("rank", store, "--take", "x_aa_wave_001_120", "--tau", "1"),

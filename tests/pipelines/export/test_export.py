@@ -85,6 +85,9 @@ def test_annotations_labels_and_sql_name_their_intervals(store: kinedex.Store, t
     places = ["take", "start", "stop", "class"]
     assert made.select(places).sort(places).rows() == found.select(places).sort(places).rows()
     assert set(made["run"]) == set(found["run"])
+    assert made["confidence"].to_list() == [round(one, 4) for one in made["confidence"]]
+    assert {"height_m", "actor"} <= set(made.columns)
+    assert not {"jitter_m_s3", "foot_skate_m_s", "up_axis"} & set(made.columns)
     made = store.export(tmp_path / "b", labels=True)
     assert [(row["class"], row["start"]) for row in made.to_dicts()] == LABELS
     query = "SELECT take, start, stop, class, 'x' AS note FROM labels WHERE class = 'sway' AND verdict = 'positive'"

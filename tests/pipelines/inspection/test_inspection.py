@@ -145,6 +145,17 @@ def test_positions_are_described_with_their_gaps_and_drawn_as_dots_until_they_co
     assert "lknee 2 frames" in message(found, "warnings")
 
 
+def test_the_rate_of_a_table_is_that_of_its_times(tmp_path: Path) -> None:
+    file = tmp_path / "walk.csv"
+    names = [f"{joint}_{axis}" for joint in load_feature_set().joints for axis in "xyz"]
+    rows = [[f"{row / 50:.4f}", *(str(0.01 * (row + column)) for column in range(len(names)))] for row in range(40)]
+    file.write_text("\n".join(",".join(cells) for cells in [["time", *names], *rows]))
+    lines = dict(inspect_file(file).lines)
+    assert lines["rate"] == "50 Hz (by its column of times)"
+    file.write_text("\n".join(",".join(cells[1:]) for cells in [["time", *names], *rows]))
+    assert dict(inspect_file(file, given=ReadSettings(rate_hz=60)).lines)["rate"] == "60 Hz (given)"
+
+
 def test_markers_are_described_and_drawn_in_frames_that_are_whole(tmp_path: Path) -> None:
     points = standing_markers(90)
     points[LABELS.index("LKNE"), :, 30:] = np.nan
