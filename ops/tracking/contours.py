@@ -31,7 +31,9 @@ INSIDE = 0.97
 WEIGHT, SIGMA_PX = 0.15, 3.0
 """Weight of a correspondence, and standard deviation of the boundary in pixels of the camera."""
 
-_HALF = 127.5  # of a probability of foreground from 0 to 255: the boundary
+HALF = 127.5
+"""The boundary: half of a probability of foreground from 0 to 255."""
+
 _NEAREST_M = 0.3  # the least depth that a pixel's size is taken at, as for rays of keypoints
 _NORMAL_M = 0.01  # how far a point is moved along its normal to see where the normal points in the image
 
@@ -153,7 +155,7 @@ def contour_normals(one: F64, other: F64, radius: float, centre: F64, share: flo
 
 
 @njit(cache=True, nogil=True)
-def find_contours(view: View, mask: U8, joints: F64, capsules: Capsules, found: Contours) -> int:
+def find_contours(view: View, mask: U8, joints: F64, capsules: Capsules, found: Contours) -> tuple[int, int]:
     """Find the boundary of the foreground from the contour points of a pose in one camera.
 
     Parameters
@@ -171,10 +173,12 @@ def find_contours(view: View, mask: U8, joints: F64, capsules: Capsules, found: 
 
     Returns
     -------
-    int
+    correspondences : int
         The number of correspondences. A point that finds no boundary within `view.reach` has none.
+    visible : int
+        The number of contour points that the body does not hide.
     """
-    count, most = 0, len(found.capsules)
+    count, visible, most = 0, 0, len(found.capsules)
     seen = np.empty_like(joints)
     seen_joints(view, joints, seen)
     boxes, normals, centre = np.empty((len(capsules.radii), 4)), np.empty((2, 3)), np.zeros(3)
@@ -190,12 +194,13 @@ def find_contours(view: View, mask: U8, joints: F64, capsules: Capsules, found: 
                 continue
             for side in range(2):
                 if count >= most:
-                    return count
+                    return count, visible
                 x = one[0] + share * (other[0] - one[0]) + radius * normals[side, 0]
                 y = one[1] + share * (other[1] - one[1]) + radius * normals[side, 1]
                 z = one[2] + share * (other[2] - one[2]) + radius * normals[side, 2]
                 if z <= 1e-3 or _hidden(n, x / z, y / z, boxes, seen, capsules):
                     continue
+                visible += 1
                 shift = _boundary(view, mask, (x, y, z), normals[side], found.directions[count])
                 if np.isnan(shift):
                     continue
@@ -207,7 +212,7 @@ def find_contours(view: View, mask: U8, joints: F64, capsules: Capsules, found: 
                         + view.rotation[2, i] * (z - view.translation[2])
                     )
                 count += 1
-    return count
+    return count, visible
 
 
 @njit(cache=True, nogil=True)
@@ -238,7 +243,7 @@ def _boundary(view: View, mask: U8, point: tuple[float, float, float], normal: F
     value = _foreground(mask, column, row)
     if length == 0.0 or np.isnan(value):
         return np.nan
-    outwards = value >= _HALF
+    outwards = value >= HALF
     sign = 1.0 / length if outwards else -1.0 / length
     along, down = sign * along, sign * down
     way = 0.0
@@ -247,9 +252,9 @@ def _boundary(view: View, mask: U8, point: tuple[float, float, float], normal: F
         value = _foreground(mask, column + way * along, row + way * down)
         if np.isnan(value):
             return np.nan
-        if (value >= _HALF) != outwards:
+        if (value >= HALF) != outwards:
             last = np.ceil(way) - 1.0
-            way = last + (way - last) * (before - _HALF) / (before - value)
+            way = last + (way - last) * (before - HALF) / (before - value)
             break
     else:
         return np.nan
@@ -293,9 +298,38 @@ def _ray(view: View, column: float, row: float, direction: F64) -> bool:
     return bool(np.isfinite(norm))
 
 
+class ContourSums(NamedTuple):
+    """Correspondences as squares of the moves of joints from the pose that found them.
+
+    A point at the place s of a capsule's axis moves as (1 − s) of the joint at its start and s of that at its end.
+
+    Attributes
+    ----------
+    joints : float64 array (J, 3)
+        The joints of the pose that found the correspondences.
+    matrices : float64 array (J, 3, 3)
+        Sums of (1 − s)² A or s² A with A = w (I − n nᵀ).
+    vectors : float64 array (J, 3)
+        Sums of (1 − s) b or s b with b = w (I − n nᵀ)(y − C).
+    mixed : float64 array (N, 3, 3)
+        Sums of s (1 − s) A of each capsule.
+    """
+
+    joints: F64
+    matrices: F64
+    vectors: F64
+    mixed: F64
+
+
+def contour_sums(capsules: Capsules, joints: int) -> ContourSums:
+    """Return sums of no correspondence, for J joints."""
+    shapes = (joints, 3), (joints, 3, 3), (joints, 3), (len(capsules.radii), 3, 3)
+    return ContourSums(*(np.zeros(shape) for shape in shapes))
+
+
 @njit(cache=True, nogil=True)
-def add_contours(view: View, found: Contours, count: int, capsules: Capsules, matrices: F64, vectors: F64) -> float:
-    """Add correspondences of one camera to the joints: A and b of Eq. 6.4, in the shares 1 − s and s.
+def add_contours(view: View, found: Contours, count: int, capsules: Capsules, sums: ContourSums) -> float:
+    """Add correspondences of one camera to the sums of a frame (thesis, Eq. 6.4).
 
     Parameters
     ----------
@@ -307,8 +341,8 @@ def add_contours(view: View, found: Contours, count: int, capsules: Capsules, ma
         Their number.
     capsules : Capsules
         The surface of the body.
-    matrices, vectors : float64 array (J, 3, 3), (J, 3)
-        A and b of each joint, which the sums of w (I − n nᵀ) and w (I − n nᵀ)(y − C) are added to.
+    sums : ContourSums
+        The sums, which are added to.
 
     Returns
     -------
@@ -326,14 +360,16 @@ def add_contours(view: View, found: Contours, count: int, capsules: Capsules, ma
             depth += apart[i] * n[i]
         weight = WEIGHT * (focal / (max(depth, _NEAREST_M) * SIGMA_PX)) ** 2
         capsule, share = found.capsules[c], found.shares[c]
+        start, end = capsules.starts[capsule], capsules.ends[capsule]
         for i in range(3):
             apart[i] -= depth * n[i]
             cost += weight * apart[i] * apart[i]
-        for end in range(2):
-            joint = capsules.starts[capsule] if end == 0 else capsules.ends[capsule]
-            part = weight * (1.0 - share if end == 0 else share)
-            for i in range(3):
-                vectors[joint, i] += part * apart[i]
-                for j in range(3):
-                    matrices[joint, i, j] += part * ((1.0 if i == j else 0.0) - n[i] * n[j])
+        for i in range(3):
+            sums.vectors[start, i] += weight * (1.0 - share) * apart[i]
+            sums.vectors[end, i] += weight * share * apart[i]
+            for j in range(3):
+                part = weight * ((1.0 if i == j else 0.0) - n[i] * n[j])
+                sums.matrices[start, i, j] += (1.0 - share) ** 2 * part
+                sums.matrices[end, i, j] += share**2 * part
+                sums.mixed[capsule, i, j] += share * (1.0 - share) * part
     return cost

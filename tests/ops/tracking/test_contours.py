@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from kinedex.ops.body.capsules import Capsules
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.body_mask import render_mask
-from kinedex.ops.tracking.contours import add_contours, contour_points, contour_room, find_contours
+from kinedex.ops.tracking.contours import add_contours, contour_points, contour_room, contour_sums, find_contours
 from kinedex.ops.tracking.views import View, camera_view, mask_pixel
 from tests.ops.tracking.scene import CAPSULES, JOINTS, cameras, looking_at
 from tests.oracles import contours as oracle
@@ -54,8 +54,9 @@ def test_a_camera_inside_the_cylinder_sees_no_contour() -> None:
 def test_contours_of_the_true_pose_lie_on_the_boundary(share: int, distortion: tuple[float, ...]) -> None:
     for view in cameras(2, share=share, distortion=distortion):
         found = contour_room(CAPSULES, POSE)
-        count = find_contours(view, mask_of(POSE, view), POSE, CAPSULES, found)
+        count, visible = find_contours(view, mask_of(POSE, view), POSE, CAPSULES, found)
         assert count > 100
+        assert count == visible
         # the boundary of the raster is half a pixel of the mask off at most, and further where it is not smooth
         assert np.quantile(np.abs(found.shifts[:count]), 0.9) < 0.75 * share
         assert abs(found.shifts[:count].mean()) < 0.25 * share
@@ -72,7 +73,7 @@ def test_the_boundary_of_a_probability_is_a_half() -> None:
     ramp = np.clip(127.5 - 4 * (np.arange(640) - column - 30), 0, 255)
     mask = np.broadcast_to(ramp, (480, 640)).astype(np.uint8)
     found = contour_room(CAPSULES, POSE)
-    count = find_contours(view, mask, POSE, CAPSULES, found)
+    count, _ = find_contours(view, mask, POSE, CAPSULES, found)
     assert count > 30
     seen = found.directions[:count] @ view.rotation.T
     columns = [mask_pixel(view, x, y)[0] for x, y in seen[:, :2] / seen[:, 2:]]
@@ -84,34 +85,37 @@ def test_masks_without_a_boundary_within_reach_give_nothing() -> None:
     found = contour_room(CAPSULES, POSE)
     mask = mask_of(POSE, view)
     for empty in (np.zeros_like(mask), np.full_like(mask, 255), np.roll(mask, 200, axis=1)):
-        assert find_contours(view, empty, POSE, CAPSULES, found) == 0
+        assert find_contours(view, empty, POSE, CAPSULES, found)[0] == 0
     behind = POSE + 3 * (view.centre - POSE)
-    assert find_contours(view, mask, behind, CAPSULES, found) == 0
+    assert find_contours(view, mask, behind, CAPSULES, found)[0] == 0
 
 
 def test_the_sums_of_a_camera_are_the_squares_of_its_correspondences() -> None:
     (view,) = cameras(1)
     moved = POSE + np.array([-0.016, 0.0, 0.037])  # across the view
     found = contour_room(CAPSULES, POSE)
-    count = find_contours(view, mask_of(POSE, view), moved, CAPSULES, found)
-    matrices, vectors = np.zeros((len(POSE), 3, 3)), np.zeros((len(POSE), 3))
-    cost = add_contours(view, found, count, CAPSULES, matrices, vectors)
+    count, _ = find_contours(view, mask_of(POSE, view), moved, CAPSULES, found)
+    sums = contour_sums(CAPSULES, len(POSE))
+    cost = add_contours(view, found, count, CAPSULES, sums)
 
-    def squares(move: np.ndarray) -> float:
+    def squares(moves: np.ndarray) -> float:
+        """Return the squares after moves (J, 3) of the joints."""
         total = 0.0
         for c in range(count):
-            n, y = found.directions[c], found.points[c]
+            n, y, s = found.directions[c], found.points[c], found.shares[c]
+            start, end = (ends[found.capsules[c]] for ends in (CAPSULES.starts, CAPSULES.ends))
             depth = (y - view.centre) @ n
-            apart = y + move - view.centre
+            apart = y + (1 - s) * moves[start] + s * moves[end] - view.centre
             apart = apart - (apart @ n) * n
             total += 0.15 * (apart @ apart) * (view.matrix[0, 0] / depth / 3) ** 2
         return total
 
-    assert cost == pytest.approx(squares(np.zeros(3)))
-    move = np.array([-0.02, 0.01, 0.005])  # of all joints: the shares of a point add up to 1
-    expected = cost + 2 * vectors.sum(axis=0) @ move + move @ matrices.sum(axis=0) @ move
-    assert expected == pytest.approx(squares(move))
-    assert squares(np.array([0.016, 0.0, -0.037])) < 0.5 * cost
+    assert cost == pytest.approx(squares(np.zeros_like(POSE)))
+    moves = np.random.default_rng(1).normal(0, 0.02, POSE.shape)
+    expected = cost + 2 * (sums.vectors * moves).sum() + np.einsum("ji,jik,jk->", moves, sums.matrices, moves)
+    expected += 2 * np.einsum("ni,nik,nk->", moves[CAPSULES.starts], sums.mixed, moves[CAPSULES.ends])
+    assert expected == pytest.approx(squares(moves))
+    assert squares(np.full_like(POSE, POSE - moved)) < 0.5 * cost
 
 
 def test_masks_are_exact_at_every_pixel() -> None:

@@ -1,0 +1,440 @@
+"""Track a body frame by frame, on rays, silhouettes, or places of joints (thesis, Section 6.2).
+
+Every frame starts from the pose of the last one and minimises the squares of Eq. 6.4 by Gauss and Newton's method; no
+term joins frames. On silhouettes a frame starts from the last pose moved on by the last velocity, and its
+correspondences are found anew several times.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from kinedex.ops.body.capsules import Capsules, rest_poses
+from kinedex.ops.body.kinematic_chain import (
+    PLACES,
+    ChainArrays,
+    ChainBody,
+    Poses,
+    forward,
+    point_jacobian,
+    pose_joints,
+    pose_nodes,
+    rotation_of,
+    take_step,
+    vector_of,
+)
+from kinedex.ops.body.pose_fit import solve_step
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.tracking.blocks import (
+    FrameRoom,
+    PriorArrays,
+    add_point,
+    frame_cost,
+    frame_room,
+    frame_terms,
+    place_points,
+    prior_arrays,
+)
+from kinedex.ops.tracking.contours import (
+    HALF,
+    ContourSums,
+    Silhouettes,
+    add_contours,
+    contour_room,
+    contour_sums,
+    find_contours,
+)
+from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
+from kinedex.ops.tracking.prior_terms import PriorTerms
+from kinedex.ops.tracking.rays import SIGMA_PX, Evidence, make_evidence, point_cost
+from kinedex.ops.tracking.triangulation import start_from_places, start_from_triangulation, triangulate
+from kinedex.ops.tracking.views import View
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+U8 = npt.NDArray[np.uint8]
+Bool = npt.NDArray[np.bool_]
+
+STEPS = 10
+"""Steps in a frame without silhouettes, those that fail included."""
+
+PASSES, PASS_STEPS = 8, 2
+"""Times that a frame finds its correspondences with silhouettes, and steps with each of them."""
+
+START_RAD = 0.12
+"""Standard deviation of a node's turn about the start of a frame, on silhouettes, where no prior pulls the node."""
+
+LEAST_CONTOURS = 30
+"""Correspondences with silhouettes below which a frame is lost."""
+
+LEAST_FOUND = 0.5
+"""Share of the visible contour that must find a boundary; below it a frame is lost."""
+
+LEAST_RAYS, LEAST_PLACES = 12, 4
+"""Rays and places of joints below which a frame is lost without silhouettes."""
+
+FASTEST_M_S = 9.0
+"""Speed of the root above which a frame is lost: 0.3 m a frame at 30 Hz."""
+
+_CARRIED = 0.7  # share of the last turns that a frame on silhouettes starts with
+_DAMPING, _EASED, _RAISED = 1e-4, 0.2, 10.0  # the first damping, and its factors after a success and a failure
+_STIFF = 1e-2  # added to the diagonal of H, per rad² and m²
+_TOLERANCE = 1e-4  # a frame is done where a step reduces the cost by less than this share
+
+
+@dataclass(frozen=True, eq=False)
+class FrameTrack:
+    """A track of frames.
+
+    Attributes
+    ----------
+    poses : Poses
+        T poses.
+    positions : float64 array (T, J, 3)
+        The joints in metres.
+    costs : float64 array (T,)
+        Squares of the residuals of the observations.
+    lost : bool array (T,)
+        True where a frame observes too little, or would jump: its pose is the last one.
+    contours : int64 array (T,)
+        Correspondences with silhouettes.
+    shifts_px : float64 array (T,)
+        Mean distance of the contour from the silhouettes' boundary in pixels of the cameras, NaN without any.
+    """
+
+    poses: Poses
+    positions: F64
+    costs: F64
+    lost: Bool
+    contours: I64
+    shifts_px: F64
+
+
+def track_frames(
+    body: ChainBody,
+    observations: Rays | Places | None,
+    points: BodyPoints | None,
+    rate_hz: float,
+    first: Poses | None = None,
+    priors: PriorTerms | None = None,
+    silhouettes: Silhouettes | None = None,
+    sigma_px: float = SIGMA_PX,
+) -> FrameTrack:
+    """Track a body frame by frame.
+
+    Parameters
+    ----------
+    body : ChainBody
+        The body.
+    observations : Rays or Places or None
+        Rays of the points or places of the joints over T frames; None for silhouettes alone.
+    points : BodyPoints or None
+        The points that the rays observe; None without rays.
+    rate_hz : float
+        Frames per second.
+    first : Poses, optional
+        One pose, the start of the first frame; by default it is fitted to the triangulated points, or to the places.
+    priors : PriorTerms, optional
+        Terms of priors, of T frames.
+    silhouettes : Silhouettes, optional
+        Masks of T frames in calibrated cameras.
+    sigma_px : float, optional
+        Standard deviation of a keypoint in pixels.
+
+    Returns
+    -------
+    FrameTrack
+        The track.
+
+    Raises
+    ------
+    ParameterError
+        There is nothing to track, or no first pose of silhouettes alone; a number of frames differs, or a mask is not
+        of its camera's size.
+    """
+    tracker = _Tracker(body, observations, points, rate_hz, priors, silhouettes, sigma_px)
+    if first is None:
+        first = _first_pose(body, observations, points)
+    if first.places.shape != (1, 3) or first.turns.shape != (1, len(body.chain.nodes), 3, 3):
+        raise ParameterError("first", f"one pose of {len(body.chain.nodes)} nodes", first.turns.shape)
+    frames = tracker.frames
+    poses = Poses(np.empty((frames, 3)), np.empty((frames, *first.turns.shape[1:])))
+    costs, lost = np.zeros(frames), np.zeros(frames, np.bool_)
+    contours, shifts = np.zeros(frames, np.int64), np.full(frames, np.nan)
+    state = _State(first.places[0].copy(), first.turns[0].copy(), np.zeros(3), np.zeros((len(first.turns[0]), 3)))
+    for t in range(frames):
+        state = tracker.track(t, state)
+        poses.places[t], poses.turns[t] = state.place, state.turns
+        costs[t], lost[t], contours[t], shifts[t] = state.cost, state.frames_lost > 0, state.contours, state.shift_px
+    positions, _ = forward(body, poses)
+    return FrameTrack(poses, np.ascontiguousarray(positions.transpose(2, 0, 1)), costs, lost, contours, shifts)
+
+
+def _first_pose(body: ChainBody, observations: Rays | Places | None, points: BodyPoints | None) -> Poses:
+    """Return the pose that the first frame starts from."""
+    if observations is None:
+        raise ParameterError("first", "a pose, which silhouettes alone do not give", None)
+    if isinstance(observations, Places):
+        start = start_from_places(body, observations)
+    else:
+        assert points is not None  # which `make_evidence` has seen to
+        start = start_from_triangulation(body, triangulate(observations)[0], points)
+    return Poses(start.places[:1], start.turns[:1])
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """The pose of a frame, its velocity per frame, and what was observed."""
+
+    place: F64
+    turns: F64
+    moved: F64  # (3,) metres
+    turned: F64  # (K, 3) rotation vectors
+    cost: float = 0.0
+    frames_lost: int = 0
+    contours: int = 0
+    shift_px: float = np.nan
+
+
+class _Tracker:
+    """The observations, the priors and the room that all frames of a track share."""
+
+    def __init__(
+        self,
+        body: ChainBody,
+        observations: Rays | Places | None,
+        points: BodyPoints | None,
+        rate_hz: float,
+        priors: PriorTerms | None,
+        silhouettes: Silhouettes | None,
+        sigma_px: float,
+    ) -> None:
+        if not (np.isfinite(rate_hz) and rate_hz > 0):
+            raise ParameterError("rate_hz", "positive and finite", rate_hz)
+        joints = len(body.chain.joints)
+        if observations is None:
+            if silhouettes is None:
+                raise ParameterError("observations", "rays or places, unless there are silhouettes", None)
+            frames = len(silhouettes.masks)
+            observations = Places(np.full((frames, joints, 3), np.nan), np.ones((frames, joints)))
+        counts = observations.confidence if isinstance(observations, Rays) else observations.sigma_m
+        self.frames = len(counts)
+        if silhouettes is not None and len(silhouettes.masks) != self.frames:
+            raise ParameterError("masks", f"those of {self.frames} frames", len(silhouettes.masks))
+        self.body, self.silhouettes = body, silhouettes
+        self.evidence = make_evidence(body, observations, points, sigma_px)
+        arrays = prior_arrays(body, priors, self.frames)
+        # frames on silhouettes write their start into these
+        targets, weights = arrays.turn_targets.copy(), arrays.turn_weights.copy()
+        self.priors = arrays._replace(turn_targets=targets, turn_weights=weights)
+        self.longest_step_m = FASTEST_M_S / rate_hz
+        self.room = frame_room(body.arrays, self.evidence)
+        self.units = np.zeros((len(self.evidence.centres), len(self.evidence.nodes)))
+        none = Capsules(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
+        self.capsules = none if silhouettes is None else silhouettes.capsules
+        self.sums = contour_sums(self.capsules, joints)
+        if silhouettes is not None:
+            # at rest no line between joints is shorter than in another pose
+            rest = forward(body, rest_poses(body.chain))[0]
+            self.contours = contour_room(self.capsules, rest[:, :, 0])
+
+    def track(self, t: int, last: _State) -> _State:
+        """Return the state of frame t from that of the frame before."""
+        place, turns, count, share, shift = last.place.copy(), last.turns.copy(), 0, 0.0, np.nan
+        if self.silhouettes is None:
+            cost = self._solve(t, place, turns, STEPS)
+        else:
+            place += last.moved
+            turns = turns @ np.stack([rotation_of(_CARRIED * vector) for vector in last.turned])
+            _pull_to_start(self.priors, t, turns)
+            masks = self._masks(t)
+            for _ in range(PASSES):
+                count, share, shift, contour_cost = self._find(masks, place, turns)
+                cost = self._solve(t, place, turns, PASS_STEPS)
+            cost += contour_cost
+        step = place - last.place
+        seen = (count >= LEAST_CONTOURS and share >= LEAST_FOUND) or self._sees(t)
+        # the way that was possible since the last frame that was not lost
+        longest = self.longest_step_m * (1 + last.frames_lost)
+        if not seen or not np.sqrt(step @ step) <= longest:
+            still = last.place if self.silhouettes is None else self._centred(masks, last.place, last.turns)
+            none = np.zeros_like(last.moved), np.zeros_like(last.turned)
+            return _State(still, last.turns, *none, cost, last.frames_lost + 1, count, shift)
+        turned = np.stack([vector_of(turn) for turn in last.turns.transpose(0, 2, 1) @ turns])
+        if last.frames_lost:
+            step, turned = np.zeros_like(step), np.zeros_like(turned)
+        return _State(place, turns, step, turned, cost, 0, count, shift)
+
+    def _masks(self, t: int) -> list[tuple[View, U8]]:
+        """Return the cameras that show something in frame t, with their masks."""
+        assert self.silhouettes is not None
+        masks = self.silhouettes.masks[t]
+        if len(masks) != len(self.silhouettes.views):
+            raise ParameterError(f"masks of frame {t}", f"those of {len(self.silhouettes.views)} cameras", len(masks))
+        found = []
+        for v, (view, mask) in enumerate(zip(self.silhouettes.views, masks, strict=True)):
+            if mask is not None and mask.shape != view.plane.shape[:2]:
+                shape = view.plane.shape[:2]
+                raise ParameterError(f"mask of camera {v} in frame {t}", f"of shape {shape}", mask.shape)
+            if mask is not None and mask.any():
+                found.append((view, mask))
+        return found
+
+    def _find(self, masks: list[tuple[View, U8]], place: F64, turns: F64) -> tuple[int, float, float, float]:
+        """Find the correspondences of a pose, and return their number, share of the contour, mean shift and cost."""
+        assert self.silhouettes is not None
+        capsules, sums = self.capsules, self.sums
+        pose_nodes(self.body.arrays, place, turns, self.room.turned, self.room.centres)
+        pose_joints(self.body.arrays, self.room.turned, self.room.centres, sums.joints)
+        sums.matrices[:], sums.vectors[:], sums.mixed[:] = 0.0, 0.0, 0.0
+        total, contour, shifts, cost = 0, 0, 0.0, 0.0
+        for view, mask in masks:
+            count, visible = find_contours(view, mask, sums.joints, capsules, self.contours)
+            cost += add_contours(view, self.contours, count, capsules, sums)
+            total, contour = total + count, contour + visible
+            shifts += float(np.abs(self.contours.shifts[:count]).sum())
+        return (total, total / contour, shifts / total, cost) if total else (0, 0.0, np.nan, 0.0)
+
+    def _solve(self, t: int, place: F64, turns: F64, steps: int) -> float:
+        """Move the pose of a frame to the minimum, in place, and return the squares of rays and places."""
+        chain, evidence, room = self.body.arrays, self.evidence, self.room
+        _solve_frame(chain, evidence, self.priors, self.capsules, self.sums, t, place, turns, steps, self.units, room)
+        pose_nodes(chain, place, turns, room.turned, room.centres)
+        place_points(evidence.nodes, evidence.offsets, room.turned, room.centres, room.points)
+        return point_cost(evidence, t, room.points, np.inf, self.units, True)
+
+    def _sees(self, t: int) -> bool:
+        """Return True where a frame has enough rays or places of joints."""
+        rays = np.count_nonzero(self.evidence.confidence[t] > 0)
+        places = np.isfinite(self.evidence.places[t]).all(axis=1).sum() if len(self.evidence.places) else 0
+        return bool(rays >= LEAST_RAYS or places >= LEAST_PLACES)
+
+    def _centred(self, masks: list[tuple[View, U8]], place: F64, turns: F64) -> F64:
+        """Return a place at which the middle of the body is where the rays of the masks' centroids meet."""
+        assert self.silhouettes is not None
+        if len(masks) < 2:
+            return place
+        capsules = self.capsules
+        joints = forward(self.body, Poses(place[None], turns[None]))[0][:, :, 0]
+        one, other = joints[capsules.starts], joints[capsules.ends]
+        areas = capsules.radii * np.sqrt(((other - one) ** 2).sum(axis=1))
+        middle = (areas[:, None] * 0.5 * (one + other)).sum(axis=0) / areas.sum()
+        matrix, vector = np.zeros((3, 3)), np.zeros(3)
+        for view, mask in masks:
+            rows, columns = np.nonzero(mask >= HALF)
+            if not len(rows):
+                continue
+            x, y = view.plane[round(float(rows.mean())), round(float(columns.mean()))]
+            ray = np.array([x, y, 1.0]) @ view.rotation
+            square = np.eye(3) - np.outer(ray, ray) / (ray @ ray)
+            matrix, vector = matrix + square, vector + square @ view.centre
+        found: F64 = place + np.linalg.lstsq(matrix, vector, rcond=None)[0] - middle
+        return found if np.isfinite(found).all() and np.linalg.cond(matrix) < 1e3 else place
+
+
+def _pull_to_start(priors: PriorArrays, t: int, turns: F64) -> None:
+    """Pull the nodes that no prior pulls to the start of a frame, in the arrays of the priors."""
+    free = priors.turn_weights[t].max(axis=1) <= 0.0
+    priors.turn_targets[t, free] = turns[free]
+    priors.turn_weights[t, free] = START_RAD**-2.0
+
+
+@njit(cache=True, nogil=True)
+def _solve_frame(
+    chain: ChainArrays, evidence: Evidence, priors: PriorArrays, capsules: Capsules, sums: ContourSums, t: int,
+    place: F64, turns: F64, steps: int, units: F64, room: FrameRoom,
+) -> None:  # fmt: skip
+    """Take steps of Levenberg's method from the pose of a frame, in place, while the cost falls."""
+    size = PLACES + len(chain.axis_nodes)
+    gradient, step, damped = np.empty(size), np.empty(size), np.empty((size, size))
+    new_place, new_turns, joints = np.empty_like(place), np.empty_like(turns), np.empty_like(sums.joints)
+    damping, fresh, cost = _DAMPING, True, 0.0
+    for _ in range(steps):
+        if fresh:
+            cost = frame_terms(chain, evidence, priors, t, place, turns, np.inf, units, room, gradient)
+            pose_joints(chain, room.turned, room.centres, joints)
+            cost += _add_sums(chain, capsules, sums, joints, room, gradient)
+        damped[:] = room.hessian
+        for i in range(size):
+            damped[i, i] += damping * room.hessian[i, i] + _STIFF
+        solve_step(damped, gradient, step)
+        take_step(chain, place, turns, step, new_place, new_turns)
+        new = frame_cost(chain, evidence, priors, t, new_place, new_turns, np.inf, units, room)
+        pose_joints(chain, room.turned, room.centres, joints)
+        new += _sums_cost(capsules, sums, joints)
+        fresh = new < cost
+        if not fresh:
+            damping *= _RAISED
+            continue
+        damping *= _EASED
+        place[:], turns[:] = new_place, new_turns
+        if cost - new <= _TOLERANCE * abs(cost):
+            break
+
+
+@njit(cache=True, nogil=True)
+def _sums_cost(capsules: Capsules, sums: ContourSums, joints: F64) -> float:
+    """Return the cost of correspondences beyond that of the pose that found them."""
+    cost = 0.0
+    moves = joints - sums.joints
+    for j in range(len(joints)):
+        for i in range(3):
+            along = 2.0 * sums.vectors[j, i]
+            for a in range(3):
+                along += sums.matrices[j, i, a] * moves[j, a]
+            cost += along * moves[j, i]
+    for n in range(len(capsules.radii)):
+        start, end = capsules.starts[n], capsules.ends[n]
+        for i in range(3):
+            for a in range(3):
+                cost += 2.0 * moves[start, i] * sums.mixed[n, i, a] * moves[end, a]
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def _add_sums(
+    chain: ChainArrays, capsules: Capsules, sums: ContourSums, joints: F64, room: FrameRoom, gradient: F64
+) -> float:
+    """Add the correspondences to H and g of a frame, and return their cost."""
+    moves, vectors = joints - sums.joints, sums.vectors.copy()
+    others = np.empty_like(room.columns)
+    for n in range(len(capsules.radii)):
+        start, end = capsules.starts[n], capsules.ends[n]
+        if sums.mixed[n, 0, 0] + sums.mixed[n, 1, 1] + sums.mixed[n, 2, 2] <= 0.0:
+            continue
+        for i in range(3):
+            for a in range(3):
+                vectors[start, i] += sums.mixed[n, i, a] * moves[end, a]
+                vectors[end, i] += sums.mixed[n, i, a] * moves[start, a]
+        one = point_jacobian(chain, room.turned, room.centres, chain.joint_nodes[start], joints[start], room.columns)
+        other = point_jacobian(chain, room.turned, room.centres, chain.joint_nodes[end], joints[end], others)
+        _add_mixed(room.columns, one, others, other, sums.mixed[n], room.hessian)
+    for j in range(len(joints)):
+        if sums.matrices[j, 0, 0] + sums.matrices[j, 1, 1] + sums.matrices[j, 2, 2] <= 0.0:
+            continue
+        for i in range(3):
+            for a in range(3):
+                vectors[j, i] += sums.matrices[j, i, a] * moves[j, a]
+        add_point(
+            chain, room.turned, room.centres, chain.joint_nodes[j], joints[j], sums.matrices[j], vectors[j],
+            room.columns, room.hessian, gradient,
+        )  # fmt: skip
+    return _sums_cost(capsules, sums, joints)
+
+
+@njit(cache=True, nogil=True)
+def _add_mixed(columns: F64, one: int, others: F64, other: int, matrix: F64, hessian: F64) -> None:
+    """Add JᵀAK + KᵀAJ of the derivatives of two points to the lower half of H."""
+    for a in range(one):
+        p, u, v, w = int(columns[a, 0]), columns[a, 1], columns[a, 2], columns[a, 3]
+        x = matrix[0, 0] * u + matrix[0, 1] * v + matrix[0, 2] * w
+        y = matrix[1, 0] * u + matrix[1, 1] * v + matrix[1, 2] * w
+        z = matrix[2, 0] * u + matrix[2, 1] * v + matrix[2, 2] * w
+        for b in range(other):
+            q = int(others[b, 0])
+            product = x * others[b, 1] + y * others[b, 2] + z * others[b, 3]
+            hessian[max(p, q), min(p, q)] += 2.0 * product if p == q else product

@@ -1,0 +1,170 @@
+"""The tracker of frames: rays, places and silhouettes of a moving figure, frames that are lost, and priors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kinedex.ops.body.kinematic_chain import Poses, forward, pose_joints, pose_nodes, rest_cost, rotation_of, take_step
+from kinedex.ops.body.pose_fit import fit_poses
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.tracking import frame_tracker as module
+from kinedex.ops.tracking.body_mask import render_mask
+from kinedex.ops.tracking.contours import ContourSums, Silhouettes
+from kinedex.ops.tracking.frame_tracker import FrameTrack, track_frames
+from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
+from kinedex.ops.tracking.prior_terms import no_priors
+from tests.ops.tracking.scene import BODY, CAPSULES, CHAIN, JOINTS, cameras
+
+FRAMES = 5
+VIEWS = cameras(4)
+LIMBS = [CHAIN.joint(side + name) for side in "lr" for name in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")]
+START = fit_poses(BODY, JOINTS)
+
+
+def motion() -> Poses:
+    """Return poses in which the figure walks 3 cm a frame, lifts its left leg and bends its right elbow."""
+    turns = np.repeat(START.turns, FRAMES, axis=0)
+    for t in range(FRAMES):
+        for node, vector in {"lhip": (-0.08, 0, 0), "lknee": (0.12, 0, 0), "relbow": (0, 0.1, 0)}.items():
+            k = CHAIN.nodes.index(node)
+            turns[t, k] = turns[t, k] @ rotation_of(t * np.array(vector, float))
+    places = START.places + np.arange(FRAMES)[:, None] * np.array([0.02, 0.0, 0.02])
+    return Poses(places, turns)
+
+
+TRUTH = np.ascontiguousarray(forward(BODY, motion())[0].transpose(2, 0, 1))
+MASKS = [
+    tuple(render_mask(CAPSULES, joints, view).view(np.uint8) * np.uint8(255) for view in VIEWS) for joints in TRUTH
+]
+NOTHING = (None,) * len(VIEWS)
+POINTS = BodyPoints(BODY.arrays.joint_nodes, BODY.arrays.joint_offsets, np.arange(len(CHAIN.joints)))
+
+
+def rays() -> Rays:
+    """Return rays through all joints, without noise."""
+    centres = np.array([view.centre for view in VIEWS])
+    directions = TRUTH[:, None] - centres[:, None]
+    directions /= np.linalg.norm(directions, axis=3, keepdims=True)
+    return Rays(centres, np.full(len(VIEWS), VIEWS[0].matrix[0, 0]), directions, np.ones(directions.shape[:3]))
+
+
+def apart(track: FrameTrack) -> np.ndarray:
+    """Return the mean distance of the limbs' joints from the truth in each frame, in metres."""
+    return np.linalg.norm(track.positions - TRUTH, axis=2)[:, LIMBS].mean(axis=1)
+
+
+def test_rays_without_noise_give_the_joints_back() -> None:
+    track = track_frames(BODY, rays(), POINTS, 30.0, sigma_px=0.05)
+    assert apart(track).max() < 1e-4
+    assert not track.lost.any()
+    assert np.isnan(track.shifts_px).all()
+    assert track.costs.max() < 1.0
+
+
+def test_places_of_joints_are_followed_through_gaps() -> None:
+    places = TRUTH.copy()
+    places[2, CHAIN.joint("lknee")] = np.nan
+    places[3] = np.nan
+    track = track_frames(BODY, Places(places, np.full(places.shape[:2], 0.002)), None, 30.0)
+    assert apart(track)[[0, 1, 2, 4]].max() < 2e-3
+    assert track.lost.tolist() == [False, False, False, True, False]
+    np.testing.assert_array_equal(track.positions[3], track.positions[2])
+
+
+def test_silhouettes_alone_are_followed() -> None:
+    track = track_frames(BODY, None, None, 30.0, START, silhouettes=Silhouettes(VIEWS, MASKS, CAPSULES))
+    assert apart(track).max() < 0.015
+    assert not track.lost.any()
+    assert track.contours.min() > 200
+    assert track.shifts_px.max() < 1.0
+
+
+def test_rays_and_silhouettes_complete_each_other() -> None:
+    seen = rays()
+    hidden = [CHAIN.joint(name) for name in ("lknee", "lankle", "ltoes")]
+    seen.confidence[:, :, hidden] = 0.0
+    masks = Silhouettes(VIEWS, MASKS, CAPSULES)
+    both = track_frames(BODY, seen, POINTS, 30.0, START, silhouettes=masks)
+    alone = track_frames(BODY, seen, POINTS, 30.0, START)
+    assert apart(both).max() < 0.015
+    assert apart(both)[-1] < 0.5 * apart(alone)[-1]
+
+
+def test_a_body_out_of_sight_keeps_its_pose_and_is_found_at_the_centroids() -> None:
+    away = Poses(motion().places + np.array([1.3, 0.0, 0.6]), motion().turns)
+    joints = np.ascontiguousarray(forward(BODY, away)[0].transpose(2, 0, 1))[3:]
+    there = tuple(render_mask(CAPSULES, joints[0], view).view(np.uint8) * np.uint8(255) for view in VIEWS)
+    masks = [MASKS[0], NOTHING, there, there, there]
+    track = track_frames(BODY, None, None, 30.0, START, silhouettes=Silhouettes(VIEWS, masks, CAPSULES))
+    assert track.lost.tolist() == [False, True, True, False, False]
+    np.testing.assert_array_equal(track.positions[1], track.positions[0])
+    assert track.contours[1] == 0
+    assert np.linalg.norm(track.positions[2] - joints[0], axis=1)[LIMBS].mean() < 0.1
+    assert np.linalg.norm(track.positions[4] - joints[0], axis=1)[LIMBS].mean() < 0.03
+
+
+def test_a_jump_that_no_body_makes_is_lost_until_there_was_time_for_it() -> None:
+    places = TRUTH.copy()
+    places[2:] += np.array([0.5, 0.0, 0.0])
+    track = track_frames(BODY, Places(places, np.full(places.shape[:2], 0.01)), None, 30.0)
+    assert track.lost.tolist() == [False, False, True, False, False]
+
+
+def test_priors_pull_and_priors_without_weight_do_nothing() -> None:
+    priors = no_priors(FRAMES, len(CHAIN.nodes))
+    elbow = CHAIN.nodes.index("lelbow")
+    priors.turn_targets[:, elbow] = rotation_of(np.array([0.0, -1.0, 0.0]))
+    masks = Silhouettes(VIEWS, MASKS, CAPSULES)
+    for observations in ({"observations": rays(), "points": POINTS}, {"observations": None, "points": None}):
+        settings = {"body": BODY, "rate_hz": 30.0, "first": START, **observations}
+        settings |= {"silhouettes": masks} if observations["points"] is None else {}
+        without, same = (track_frames(**settings, priors=one) for one in (None, priors))
+        np.testing.assert_array_equal(without.poses.turns, same.poses.turns)
+    priors.turn_weights[:, elbow] = 1e6
+    before = priors.turn_weights.copy()
+    pulled = track_frames(**settings, priors=priors)
+    np.testing.assert_allclose(pulled.poses.turns[-1, elbow], priors.turn_targets[-1, elbow], atol=0.02)
+    np.testing.assert_array_equal(priors.turn_weights, before)  # the caller's terms stay as they are
+
+
+def test_steps_on_silhouettes_end_where_the_squares_of_the_twin_are_least() -> None:
+    tracker = module._Tracker(BODY, None, None, 30.0, None, Silhouettes(VIEWS, MASKS, CAPSULES), 5.0)
+    place, turns = motion().places[1].copy(), START.turns[0].copy()
+    tracker._find(tracker._masks(1), place, turns)
+    sums = ContourSums(*(part.copy() for part in tracker.sums))
+    tracker._solve(1, place, turns, 60)
+
+    def cost(vector: np.ndarray) -> float:
+        """Return the squares of correspondences that move with both ends of their capsule, and the pulls to rest."""
+        room, joints = tracker.room, np.empty((len(CHAIN.joints), 3))
+        moved, turned = np.empty(3), np.empty_like(turns)
+        take_step(BODY.arrays, place, turns, vector, moved, turned)
+        pose_nodes(BODY.arrays, moved, turned, room.turned, room.centres)
+        pose_joints(BODY.arrays, room.turned, room.centres, joints)
+        move = joints - sums.joints
+        squares = np.einsum("ji,jik,jk->", move, sums.matrices, move) + 2 * (sums.vectors * move).sum()
+        squares += 2 * np.einsum("ni,nik,nk->", move[CAPSULES.starts], sums.mixed, move[CAPSULES.ends])
+        return float(squares + rest_cost(BODY.arrays, turned))
+
+    for d in range(CHAIN.parameters):
+        small = 1e-5 * np.eye(CHAIN.parameters)[d]
+        slope, bend = cost(small) - cost(-small), cost(small) + cost(-small) - 2 * cost(0 * small)
+        assert abs(slope) < 0.01 * max(bend / 1e-5, 1e-5)  # the minimum is within 0.5 % of a radian or metre
+
+
+def test_what_cannot_be_tracked_is_refused() -> None:
+    masks = Silhouettes(VIEWS, MASKS, CAPSULES)
+    with pytest.raises(ParameterError, match="observations must be rays or places, unless there are silhouettes"):
+        track_frames(BODY, None, None, 30.0, START)
+    with pytest.raises(ParameterError, match="first must be a pose, which silhouettes alone do not give"):
+        track_frames(BODY, None, None, 30.0, silhouettes=masks)
+    with pytest.raises(ParameterError, match="rate_hz must be positive"):
+        track_frames(BODY, rays(), POINTS, 0.0)
+    with pytest.raises(ParameterError, match="masks must be those of 5 frames, got 2"):
+        track_frames(BODY, rays(), POINTS, 30.0, START, silhouettes=Silhouettes(VIEWS, MASKS[:2], CAPSULES))
+    wrong = [*MASKS[:1], (MASKS[1][0][:100], *MASKS[1][1:]), *MASKS[2:]]
+    with pytest.raises(ParameterError, match=r"mask of camera 0 in frame 1 must be of shape \(480, 640\)"):
+        track_frames(BODY, None, None, 30.0, START, silhouettes=Silhouettes(VIEWS, wrong, CAPSULES))
+    with pytest.raises(ParameterError, match="masks of frame 0 must be those of 3 cameras, got 4"):
+        track_frames(BODY, None, None, 30.0, START, silhouettes=Silhouettes(VIEWS[:3], MASKS, CAPSULES))
