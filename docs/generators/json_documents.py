@@ -139,6 +139,13 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         "files": "paths of the files beside it that its parameters name",
         "remarks": "what the file alone does not reproduce, and what to do about it",
     },
+    "simulate cameras": {
+        "folder": "path of the folder",
+        "recordings": "name of each recording → the take that it shows",
+        "frames": "number of frames of all recordings",
+        "failures": "number of failures in them",
+        "recordings_file": "path of the file that `track` reads",
+    },
     "duplicates": {
         **_STORE,
         "takes": "number of takes of the store",

@@ -23,7 +23,7 @@ F64 = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Setup:
-    """What a recording is made with.
+    """A setup holds what a recording is made with.
 
     Attributes
     ----------

@@ -22,6 +22,7 @@ from kinedex.pipelines.commands import (  # noqa: F401
     queries,
     ranking,
     reports,
+    simulate,
     tables,
     templates,
 )

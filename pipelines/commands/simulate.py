@@ -1,0 +1,63 @@
+"""The commands `simulate …`, which make recordings of takes whose truth is known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from kinedex.pipelines.commands.app import MAINTAIN, command, group
+from kinedex.pipelines.commands.options import AtOption, JsonOption, StorePath, WhereOption
+from kinedex.pipelines.commands.output import print_json, print_message, print_path
+from kinedex.pipelines.commands.store_access import open_for_reading
+
+simulate = group("simulate", "Make recordings of takes, with their truth apart.", MAINTAIN)
+
+
+@command(of=simulate)
+def cameras(
+    store: StorePath,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="New folder of the recordings.")],
+    seed: Annotated[int, typer.Option(min=0, help="Seed of cameras, errors and failures.")],
+    takes: Annotated[list[str] | None, typer.Argument(metavar="[TAKE...]", help="Takes to film.")] = None,
+    where: WhereOption = None,
+    count: Annotated[int, typer.Option("--cameras", min=1, max=100, metavar="N", help="Number of cameras.")] = 4,
+    keypoints: Annotated[
+        str, typer.Option(metavar="SET", help="Keypoint set, as coco-17, body-25 or halpe-26; or a file.")
+    ] = "coco-17-toes",
+    form: Annotated[str, typer.Option("--format", help="Keypoints as parquet or openpose.")] = "parquet",
+    silhouettes: Annotated[bool, typer.Option("--silhouettes", help="Write masks of the body, too.")] = False,
+    noise: Annotated[float, typer.Option(min=0, metavar="PX", help="Noise of keypoints in pixels.")] = 4.0,
+    failures: Annotated[float, typer.Option(min=0, max=100, metavar="RATE", help="Failures per second.")] = 0.67,
+    long: Annotated[
+        bool, typer.Option("--long", help="Let failures last 1.2 to 2.2 s instead of 0.4 to 1.2 s.")
+    ] = False,
+    at: AtOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Film takes by simulated cameras.
+
+    DIR/recordings.yaml names the recordings, as `kinedex track` reads them. DIR/truth has the true joints, and the
+    failures of the detector. The same command makes the same bytes.
+    """
+    from dataclasses import asdict, replace
+
+    from kinedex.ops.simulation.cameras import CameraRing
+    from kinedex.ops.simulation.failures import LONG, FailureRate
+    from kinedex.ops.simulation.keypoints import Detector
+    from kinedex.ops.simulation.recording import Setup
+    from kinedex.pipelines.console.terminal import Terminal
+    from kinedex.pipelines.console.wording import counted
+    from kinedex.pipelines.simulation.camera_recordings import RECORDINGS, Request, simulate_cameras
+
+    rate = replace(LONG if long else FailureRate(), per_second=failures)
+    setup = Setup(CameraRing(count), Detector(noise_px=noise), rate)
+    request = Request(tuple(takes or ()), where, seed, setup, keypoints, form, silhouettes)
+    made = simulate_cameras(open_for_reading(store, at), request, output, Terminal().progress)
+    if as_json:
+        print_json(asdict(made) | {"recordings_file": made.folder / RECORDINGS})
+        return
+    number = counted(len(made.recordings), "recording")
+    print_message(f"{number} of {made.frames:,} frames with {counted(made.failures, 'failure')}, in {made.folder}")
+    print_path(made.folder / RECORDINGS)
