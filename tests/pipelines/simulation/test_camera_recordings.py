@@ -14,11 +14,15 @@ from PIL import Image
 from typer.testing import CliRunner
 
 import kinedex
+from kinedex.catalog.keypoint_sets import KeypointPlace, KeypointSet, load_keypoint_set
+from kinedex.catalog.recordings import load_recordings
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.tracking.triangulation import triangulate
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.simulation.camera_recordings import limbs_of, recording_names
 from kinedex.pipelines.stages.index import Index
 from kinedex.pipelines.stages.ingest import Ingest
+from kinedex.storage.formats.cameras.recording import read_recording
 from tests.pipelines.archives import context, write_archive
 
 TAKES = {"x_al_hop_1.amc": 90, "x_bo_hop_2.amc": 60}
@@ -62,6 +66,21 @@ def test_recordings_name_their_files_and_the_truth_is_apart(store: Path, tmp_pat
     with (tmp_path / "r" / "truth" / "failures.csv").open() as file:
         failures = list(csv.DictReader(file))
     assert len(failures) == document["failures"] == round(4 * len(true) / 30)
+
+
+@pytest.mark.parametrize("form", ["parquet", "openpose"])
+def test_recordings_are_read_as_they_were_made(store: Path, tmp_path: Path, form: str) -> None:
+    made = simulate(store, "x_bo_hop_2", "-o", tmp_path / "r", "--seed", 1, "--format", form, "--failures", 2)
+    assert made[0] == 0, made[1]
+    recording = read_recording(load_recordings(tmp_path / "r" / "recordings.yaml"), "x_bo_hop_2")
+    positions = kinedex.open_store(store).positions("x_bo_hop_2")
+    assert recording.pixels.shape == (len(positions), 4, 19, 2)
+    assert recording.keypoints == load_keypoint_set("coco-17-toes").order
+    points, _ = triangulate(recording.rays())
+    joints = kinedex.open_store(store)["x_bo_hop_2"].joints
+    for keypoint, joint in (("left_hip", "lhip"), ("right_knee", "rknee"), ("left_wrist", "lwrist")):
+        away = points[:, recording.keypoints.index(keypoint)] - positions[:, joints.index(joint)]
+        assert np.nanmedian(np.linalg.norm(away, axis=1)) < 0.06
 
 
 def test_the_same_command_makes_the_same_bytes_and_another_seed_others(store: Path, tmp_path: Path) -> None:
@@ -140,7 +159,5 @@ def test_names_of_takes_cannot_leave_the_folder() -> None:
 
 
 def test_a_keypoint_set_without_elbows_is_refused() -> None:
-    from kinedex.catalog.keypoint_sets import KeypointPlace, KeypointSet
-
     with pytest.raises(KinedexError, match="no keypoint at"):
         limbs_of(KeypointSet("heads", ("nose",), {"nose": KeypointPlace(node="neck")}, False))
