@@ -322,19 +322,38 @@ weight    DOUBLE    mean robust weight, from 0 (excluded) to 1""",
         stages="track stabilise",
     ),
     _view(
+        "archive_poses",
+        "The poses of classes, for each column of their templates, as the example clips have them.",
+        """class    VARCHAR    the class of the template
+clips    VARCHAR[]    the example clips
+columns    INTEGER    columns of the template
+nodes    VARCHAR[]    nodes of the kinematic chain
+means    DOUBLE[]    mean rotation of each node, columns × nodes × 3 × 3
+spreads    DOUBLE[]    spread about the axes of each node in radians, columns × nodes × 3
+tilts    DOUBLE[]    mean direction of the up axis seen from the first node, columns × 3
+fingerprint    VARCHAR    hash of all that the poses follow from""",
+        "SELECT class, len(clips) AS clips, columns FROM archive_poses ORDER BY class",
+        stages="stabilise",
+    ),
+    _view(
         "priors",
         "The priors that hits in the archive have lent to takes, and those that were withdrawn.",
         f"""{_TAKE}
 round    INTEGER    from 1
-kind    VARCHAR    archive, pose or logical
+kind    VARCHAR    archive, pose, or the constraint: foot_on_ground, elbow_bent, hand_to_front or foot_to_front
+side    VARCHAR    left or right of a constraint; NULL for other kinds
 class    VARCHAR    class of the hit
 hit    INTEGER    number of the hit within its round
-{_SECONDS}
-columns    INTEGER    columns of the template that it covers
+source_start    INTEGER    first frame of the recording, from 0
+source_stop    INTEGER    frame of the recording after the last
+start_seconds    DOUBLE    start as time
+stop_seconds    DOUBLE    stop as time
+first_column    INTEGER    column of the template in the first frame, from 0
+last_column    INTEGER    column of the template in the last frame
 cost    DOUBLE    cost of the hit, from 0
-weight    DOUBLE    quality of the hit, which multiplies its weights
-kept    BOOLEAN    false for a hit whose priors were withdrawn
-reason    VARCHAR    the reason for which it was withdrawn""",
+weight    DOUBLE    factor of the weights of its priors
+kept    BOOLEAN    false for priors that were withdrawn
+reason    VARCHAR    the reason for which they were withdrawn""",
         "SELECT take, class, count(*) FILTER (NOT kept) AS withdrawn, count(*) AS hits FROM priors GROUP BY ALL "
         "ORDER BY ALL",
         stages="stabilise",
