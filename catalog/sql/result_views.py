@@ -211,14 +211,19 @@ recall    DOUBLE[]    after each rank""",
         """recording    VARCHAR    name of the recording
 rate_hz    DOUBLE    frames per second
 source_frames    BIGINT    its number of frames
+first_frame    BIGINT    the number that its files give the first frame
 cameras    VARCHAR[]    names of its cameras; empty for a 3D track
-keypoint_set    VARCHAR    the set of its keypoints
-keypoints    VARCHAR[]    names of its keypoints
-unused_keypoints    VARCHAR[]    keypoints that no place of the body is known for
-track    VARCHAR    the 3D track that it consists of: a take or a file; NULL for cameras
+keypoint_set    VARCHAR    the set of its keypoints; NULL without keypoints
+keypoints    VARCHAR[]    names of its keypoints that have a place on the body
+silhouettes    BOOLEAN    true where it has silhouettes, which stay in their files
+cuts    INTEGER[]    frames that do not follow from the frame before
+track    VARCHAR    the take that stands for it; NULL for cameras
 body    VARCHAR    the take whose bone lengths are used, or estimate
+truth    VARCHAR    the take or file that it is compared with
+file    VARCHAR    the recordings file
 remarks    VARCHAR[]    remarks of its reader
-checksum    VARCHAR    hash of all its files and settings""",
+checksum    VARCHAR    hash of all its files
+fingerprint    VARCHAR    hash of all that was read, for reuse""",
         "SELECT recording, len(cameras) AS cameras, source_frames / rate_hz AS seconds FROM recordings ORDER BY ALL",
         stages="observe",
     ),

@@ -8,6 +8,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from kinedex.ops.errors import KinedexError
+from kinedex.storage.store.reused_results import reused_parts, values_in
 from kinedex.storage.store.store import Store
 from kinedex.storage.store.writer import StoreWriter
 
@@ -20,7 +21,7 @@ def put_beside(
     stage: str,
     run: str,
     column: str,
-    gone: Collection[object],
+    gone: Collection[int | str],
 ) -> None:
     """Put results of some takes or recordings; those of others that the stage has stay.
 
@@ -41,26 +42,19 @@ def put_beside(
     gone : collection
         The values in it whose earlier rows go.
     """
-    writer.put_results(kind, _with_earlier(writer.store, kind, tables, stage, run, column, gone), stage=stage, run=run)
+    store = writer.store
+    before = [part for part in store.manifest.results.get(kind, ()) if part.stage == stage]
+    stay = set().union(*(values_in(store, part, column) for part in before)) - set(gone)
+    reused = reused_parts(store, kind, stage, stay, column)
 
-
-def _with_earlier(
-    store: Store,
-    kind: str,
-    tables: Iterable[pa.Table],
-    stage: str,
-    run: str,
-    column: str,
-    gone: Collection[object],
-) -> Iterator[pa.Table]:
-    parts = [part for part in store.manifest.results.get(kind, ()) if part.stage == stage]
-    for rows in store.result_pieces(kind, parts):
-        names = pa.array(sorted(gone, key=repr), rows.schema.field(column).type)
-        left = rows.filter(pc.invert(pc.is_in(rows.column(column), names)))
-        if left.num_rows:
+    def pieces() -> Iterator[pa.Table]:
+        for rows in store.result_pieces(kind, reused.again):
+            left = rows.filter(pc.is_in(rows.column(column), pa.array(sorted(stay), rows.schema.field(column).type)))
             place = left.schema.get_field_index("run")
             yield left.set_column(place, left.schema.field("run"), pa.repeat(pa.scalar(run), left.num_rows))
-    yield from tables
+        yield from tables
+
+    writer.put_results(kind, pieces(), stage=stage, run=run, keep=reused.stay)
 
 
 def earlier_rows(store: Store, kind: str, stage: str) -> list[dict[str, object]]:

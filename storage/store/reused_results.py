@@ -36,7 +36,9 @@ class ReusedParts:
     again: tuple[ResultPart, ...]
 
 
-def reused_parts(store: Snapshot, kind: str, stage: str, take_ids: Collection[int]) -> ReusedParts:
+def reused_parts(
+    store: Snapshot, kind: str, stage: str, take_ids: Collection[int | str], column: str = "take_id"
+) -> ReusedParts:
     """Divide the parts of a stage's results into those that stay and those whose rows are put again.
 
     Parameters
@@ -44,11 +46,13 @@ def reused_parts(store: Snapshot, kind: str, stage: str, take_ids: Collection[in
     store : Snapshot
         The store that has the results.
     kind : str
-        A kind of results with a column `take_id`.
+        A kind of results with the column.
     stage : str
         The stage, "<pipeline>/<stage>".
-    take_ids : collection of int
-        The takes whose rows still hold.
+    take_ids : collection of int or str
+        The takes whose rows still hold, or other values of the column.
+    column : str, optional
+        The column that names the take of a row.
 
     Raises
     ------
@@ -59,7 +63,7 @@ def reused_parts(store: Snapshot, kind: str, stage: str, take_ids: Collection[in
     whole, again = [], []
     for part in store.manifest.results.get(kind, ()) if wanted else ():
         if part.stage == stage:
-            held = _takes_of(store, part)
+            held = values_in(store, part, column)
             if held <= wanted:
                 whole.append(part)
             elif held & wanted:
@@ -69,8 +73,9 @@ def reused_parts(store: Snapshot, kind: str, stage: str, take_ids: Collection[in
     return ReusedParts(stay, (*again, *(part for part in whole if part.path in small)))
 
 
-def _takes_of(store: Snapshot, part: ResultPart) -> set[int]:
+def values_in(store: Snapshot, part: ResultPart, column: str) -> set[int | str]:
+    """Return the values of a column in a part of results."""
     file = store.checked.part(part)
     with read_errors(file):
-        column = pq.read_table(file, columns=["take_id"]).column("take_id")
-    return set(pc.unique(column).to_pylist())
+        found = pq.read_table(file, columns=[column]).column(column)
+    return set(pc.unique(found).to_pylist())

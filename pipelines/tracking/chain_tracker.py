@@ -1,0 +1,265 @@
+"""The trackers with what they observe, in the form that the rounds of priors drive them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.body.kinematic_chain import ChainBody, Poses, forward
+from kinedex.ops.priors.stabilise import Track
+from kinedex.ops.tracking.frame_tracker import track_frames
+from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
+from kinedex.ops.tracking.prior_terms import PriorTerms
+from kinedex.ops.tracking.rays import LEAST_CONFIDENCE, LEAST_DEPTH_M, SIGMA_PX
+from kinedex.ops.tracking.take_tracker import SCHEDULE, Loss, track_take
+from kinedex.ops.tracking.triangulation import start_from_places, start_from_triangulation, triangulate
+from kinedex.ops.tracking.trust import SEEN, TRUST_WIDTH, Trust, restart, trust
+from kinedex.ops.tracking.views import Silhouettes
+
+F64 = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+
+AGREEING = 0.5
+"""A camera agrees with a track on a keypoint where its robust weight is at least this."""
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """The observations of a recording, or the joints of a 3D track, of one body.
+
+    Attributes
+    ----------
+    body : ChainBody
+        The body.
+    rate_hz : float
+        Frames per second.
+    observations : Rays or Places or None
+        Rays of keypoints, or places of joints, in T frames; None for silhouettes alone.
+    points : BodyPoints, optional
+        The points of the body that rays observe.
+    silhouettes : Silhouettes, optional
+        Masks in calibrated cameras.
+    cuts : tuple of int
+        Frames that do not follow from the frame before.
+    """
+
+    body: ChainBody
+    rate_hz: float
+    observations: Rays | Places | None
+    points: BodyPoints | None = None
+    silhouettes: Silhouettes | None = None
+    cuts: tuple[int, ...] = ()
+
+    @property
+    def frames(self) -> int:
+        """The number of frames."""
+        if isinstance(self.observations, Rays):
+            return len(self.observations.confidence)
+        if self.observations is not None:
+            return len(self.observations.places)
+        assert self.silhouettes is not None
+        return len(self.silhouettes.masks)
+
+    @property
+    def seen(self) -> Bool:
+        """The frames in which anything is observed, bool (T,)."""
+        seen = np.zeros(self.frames, np.bool_)
+        if isinstance(self.observations, Rays):
+            seen |= (self.observations.confidence >= LEAST_CONFIDENCE).any(axis=(1, 2))
+        elif self.observations is not None:
+            seen |= np.isfinite(self.observations.places).all(axis=2).any(axis=1)
+        if self.silhouettes is not None:
+            seen |= np.asarray(self.silhouettes.masks).reshape(self.frames, -1).any(axis=1)
+        return seen
+
+
+@dataclass(frozen=True)
+class TrackSettings:
+    """Settings of a tracker.
+
+    Attributes
+    ----------
+    tracker : str
+        `take`, all frames at once, or `frames`, one after the other, as the thesis has it.
+    loss : str
+        `geman_mcclure` or `squares`, of the tracker `take`.
+    sigma_px : float
+        Standard deviation of a keypoint in pixels.
+    schedule : tuple of float
+        The values of c of the first solve.
+    """
+
+    tracker: Literal["take", "frames"] = "take"
+    loss: Loss = "geman_mcclure"
+    sigma_px: float = SIGMA_PX
+    schedule: tuple[float, ...] = field(default=SCHEDULE)
+
+
+class ChainTracker:
+    """A tracker with its observations, as `ops.priors.stabilise` drives it.
+
+    Parameters
+    ----------
+    observed : Observed
+        What is observed.
+    settings : TrackSettings
+        The tracker and its settings.
+    """
+
+    def __init__(self, observed: Observed, settings: TrackSettings) -> None:
+        self.observed = observed
+        self.settings = settings
+
+    @property
+    def body(self) -> ChainBody:
+        """The body."""
+        return self.observed.body
+
+    @property
+    def rate_hz(self) -> float:
+        """Frames per second."""
+        return self.observed.rate_hz
+
+    def first(self) -> Track:
+        """Track without priors, with the restart where neither hip is seen.
+
+        Raises
+        ------
+        ParameterError
+            Hips and shoulders are seen in no frame.
+        """
+        if self.settings.tracker == "frames":
+            return self._frame_by_frame(None, None)
+        observed = self.observed
+        if isinstance(observed.observations, Rays):
+            assert observed.points is not None
+            points, _ = triangulate(observed.observations)
+            start = start_from_triangulation(observed.body, points, observed.points)
+        else:
+            assert observed.observations is not None
+            start = start_from_places(observed.body, observed.observations)
+        track = self._take(start, None, self.settings.schedule)
+        return self.track(self.restart(track.poses, self.nodes_seen(track)), None)
+
+    def track(self, start: Poses, priors: PriorTerms | None) -> Track:
+        """Track the recording again from a start, with the terms of priors."""
+        if self.settings.tracker == "frames":
+            return self._frame_by_frame(Poses(start.places[:1], start.turns[:1]), priors)
+        return self._take(start, priors, (self.settings.schedule[-1],))
+
+    def trust(self, poses: Poses) -> Trust | None:
+        """Return how far the observations agree with poses; None for silhouettes alone."""
+        observed = self.observed
+        if observed.observations is None:
+            return None
+        return trust(observed.body, observed.observations, observed.points, poses, self.settings.sigma_px)
+
+    def nodes_seen(self, track: Track) -> Bool:
+        """Return the nodes whose keypoints the cameras agree on, bool (T, K); all of them for silhouettes alone."""
+        found = self.trust(track.poses)
+        if found is None:
+            return np.ones(track.poses.turns.shape[:2], np.bool_)
+        return found.nodes_seen
+
+    def restart(self, poses: Poses, nodes_seen: Bool) -> Poses:
+        """Return poses whose first node is interpolated where neither hip is seen."""
+        return restart(self.body, poses, nodes_seen)
+
+    def _take(self, start: Poses, priors: PriorTerms | None, schedule: Sequence[float]) -> Track:
+        observed, settings = self.observed, self.settings
+        assert observed.observations is not None
+        return track_take(
+            observed.body, observed.observations, observed.points, observed.rate_hz, start, priors, settings.loss,
+            settings.sigma_px, schedule, observed.cuts,
+        )  # fmt: skip
+
+    def _frame_by_frame(self, first: Poses | None, priors: PriorTerms | None) -> Track:
+        observed = self.observed
+        return track_frames(
+            observed.body, observed.observations, observed.points, observed.rate_hz, first, priors,
+            observed.silhouettes, self.settings.sigma_px,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class RayResiduals:
+    """Distances of keypoints from a track in the images.
+
+    Attributes
+    ----------
+    pixels : float64 array (T, V, P)
+        Distance of each keypoint from its ray, in pixels; NaN where it is not seen.
+    weights : float64 array (T, V, P)
+        The robust weight of each, from 0 (excluded) to 1.
+    """
+
+    pixels: F64
+    weights: F64
+
+
+def ray_residuals(observed: Observed, poses: Poses, sigma_px: float) -> RayResiduals:
+    """Return the residuals of the rays of a recording.
+
+    Parameters
+    ----------
+    observed : Observed
+        A recording with rays.
+    poses : Poses
+        The track.
+    sigma_px : float
+        Standard deviation of a keypoint in pixels.
+    """
+    rays, points = observed.observations, observed.points
+    assert isinstance(rays, Rays)
+    assert points is not None
+    positions, turned = forward(observed.body, poses)
+    centres = positions[list(observed.body.chain.centres)].transpose(2, 0, 1)[:, points.nodes]
+    places = centres + np.einsum("tpij,pj->tpi", turned[:, points.nodes], points.offsets)
+    gaps = places[:, None] - rays.centres[None, :, None]
+    depths = np.einsum("tvpi,tvpi->tvp", gaps, rays.directions)
+    apart = np.linalg.norm(gaps - depths[..., None] * rays.directions, axis=3)
+    pixels = apart / np.maximum(depths, LEAST_DEPTH_M) * rays.focal_px[None, :, None]
+    seen = rays.confidence >= LEAST_CONFIDENCE
+    weights = (1.0 + (pixels / (sigma_px * TRUST_WIDTH)) ** 2) ** -2
+    return RayResiduals(np.where(seen, pixels, np.nan), np.where(seen, weights, 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class FrameFigures:
+    """Figures of the frames of a track.
+
+    Attributes
+    ----------
+    cameras : int64 array (T,), optional
+        Cameras that saw the body; None without cameras.
+    agreeing : float64 array (T,), optional
+        Cameras that agree with the track, on average over the keypoints that are seen; None without cameras.
+    trusted : float64 array (T,)
+        Share of the keypoints that are trusted.
+    contested : int64 array (T,)
+        Keypoints in which the cameras disagree.
+    """
+
+    cameras: npt.NDArray[np.int64] | None
+    agreeing: F64 | None
+    trusted: F64
+    contested: npt.NDArray[np.int64]
+
+
+def frame_figures(tracker: ChainTracker, poses: Poses) -> FrameFigures:
+    """Return the figures of the frames of a track."""
+    observed, frames = tracker.observed, tracker.observed.frames
+    found = tracker.trust(poses)
+    if found is None:
+        return FrameFigures(None, None, np.ones(frames), np.zeros(frames, np.int64))
+    trusted, contested = (found.keypoints > SEEN).mean(axis=1), found.contested.sum(axis=1)
+    if not isinstance(observed.observations, Rays):
+        return FrameFigures(None, None, trusted, contested)
+    residuals = ray_residuals(observed, poses, tracker.settings.sigma_px)
+    seen = np.isfinite(residuals.pixels)
+    agreeing = (residuals.weights >= AGREEING).sum(axis=1).sum(axis=1) / np.maximum(seen.any(axis=1).sum(axis=1), 1)
+    return FrameFigures(seen.any(axis=2).sum(axis=1), agreeing, trusted, contested)

@@ -1,0 +1,99 @@
+"""Parameters of tracking, of stabilisation, and of their evaluation."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from kinedex.ops.priors.stabilise import Settings
+from kinedex.ops.templates.templates import Kind
+from kinedex.ops.tracking.take_tracker import Loss
+from kinedex.pipelines.engine.file_parameters import NamesFile
+from kinedex.pipelines.tracking.chain_tracker import TrackSettings
+
+Priors = Literal["archive", "pose", "logical"]
+
+
+class ObserveParameters(BaseModel):
+    """The parameters of the stage `observe`."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    recordings: Annotated[str, NamesFile("file")] = Field(
+        min_length=1, description="the recordings file: name → files, calibration, rate, body, truth"
+    )
+    only: list[str] = Field([], description="names of recordings to read; all of the file unless given")
+
+
+class TrackParameters(BaseModel):
+    """The parameters of the stage `track`."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    tracker: Literal["take", "frames"] = Field(
+        "take", description="take: all frames at once; frames: one after the other, as the thesis has it"
+    )
+    loss: Loss = Field(
+        "geman_mcclure", description="geman_mcclure, which outliers hardly move, or squares; of the tracker take"
+    )
+    sigma_px: float = Field(5.0, gt=0, le=1000, description="standard deviation of a keypoint in pixels")
+    sigma_m: float = Field(0.02, gt=0, le=10, description="standard deviation of a joint of a 3D track in metres")
+
+    @property
+    def settings(self) -> TrackSettings:
+        """The settings of the tracker."""
+        return TrackSettings(self.tracker, self.loss, self.sigma_px)
+
+
+class PriorParameters(BaseModel):
+    """The parameters of priors."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    templates: Kind = Field("soft", description="which of the learned templates: soft or hard")
+    delta: float = Field(0.05, ge=0, lt=0.5, description="template values within delta of 0 or 1 count")
+    tau: float = Field(0.13, ge=1e-6, le=1, description="distances below tau make a hit")
+    priors: list[Priors] | None = Field(
+        None,
+        min_length=1,
+        description="archive: poses of example clips; pose: poses of better hits in the same take; logical: feet on "
+        "the ground, bent elbows, hands and feet to the front. Unless given, archive; for silhouettes alone pose and "
+        "logical",
+    )
+    rounds: int = Field(2, ge=1, le=20, description="the most rounds")
+    guard: float | None = Field(
+        1.1, gt=0, description="priors that raise the cost of the observations by more are withdrawn; null: never"
+    )
+    weights: dict[str, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = Field(
+        {}, description="factors of the weights of kinds of priors, 1 unless given"
+    )
+    classes: Annotated[str, NamesFile("classes")] = Field(
+        "own", description="class file with `locomotion:` and `marks:`; own: neither"
+    )
+
+    def settings(self, silhouettes_only: bool, words_rate_hz: float) -> Settings:
+        """Return the settings of the rounds.
+
+        Parameters
+        ----------
+        silhouettes_only : bool
+            True for a recording without keypoints.
+        words_rate_hz : float
+            Frames per second of words.
+        """
+        kinds = self.priors or (["pose", "logical"] if silhouettes_only else ["archive"])
+        guard = float("inf") if self.guard is None else self.guard
+        return Settings(tuple(dict.fromkeys(kinds)), self.tau, self.rounds, guard, self.weights, words_rate_hz)
+
+
+class StabiliseParameters(PriorParameters):
+    """The parameters of the stage `stabilise`."""
+
+    takes: list[str] = Field(
+        [], description="takes to stabilise: tracked ones, or any; those of the stage track unless given"
+    )
+    body: str = Field(
+        "estimate", description="of 3D tracks: a take of the actor whose bone lengths count, or estimate: its own"
+    )
+    sigma_m: float = Field(0.02, gt=0, le=10, description="standard deviation of a joint of a 3D track in metres")

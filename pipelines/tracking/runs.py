@@ -1,0 +1,337 @@
+"""Runs over many recordings and takes: each is put into the store as soon as it is done, unchanged ones stay."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+
+import pyarrow as pa
+
+from kinedex.catalog.classes import load_classes
+from kinedex.catalog.recordings import load_recordings
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.priors.motion import Motion
+from kinedex.pipelines.console.wording import counted, few
+from kinedex.pipelines.engine.executors import Executor
+from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
+from kinedex.pipelines.tracking.archive_motions import PosesOfArchive, archive_motions, archive_poses, poses_table
+from kinedex.pipelines.tracking.bodies import archive_body
+from kinedex.pipelines.tracking.chain_tracker import TrackSettings
+from kinedex.pipelines.tracking.parameters import ObserveParameters, StabiliseParameters, TrackParameters
+from kinedex.pipelines.tracking.recordings import (
+    RECORDING_KINDS,
+    read_named,
+    recording_fingerprint,
+    remarks_of,
+    stored_rows,
+)
+from kinedex.pipelines.tracking.stored_results import earlier_rows, put_beside
+from kinedex.pipelines.tracking.tracked_takes import (
+    TRACKED,
+    declare_track_columns,
+    put_tracks,
+    refuse_names,
+    stabilised_name,
+)
+from kinedex.pipelines.tracking.work import (
+    Finished,
+    StabiliseTask,
+    TrackTask,
+    hash_of,
+    stabilise_take,
+    track_recording,
+    tracked_row,
+)
+from kinedex.storage.index.builder import build_index
+from kinedex.storage.lock import Wait
+from kinedex.storage.snapshot.manifest_files import read_newest
+from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.verification import damaged_frames
+from kinedex.storage.store.writer import StoreWriter
+
+
+@dataclass(frozen=True)
+class Place:
+    """The place of a run: where its results belong, and how it reports.
+
+    Attributes
+    ----------
+    stage : str
+        The stage, "<pipeline>/<stage>".
+    run : str
+        Id of the run.
+    executor : Executor
+        Spreads recordings and takes over workers.
+    say : callable
+        Shows a line.
+    code : str
+        A hash of the sources that run, for reuse; empty for none.
+    anew : bool
+        All is done again.
+    """
+
+    stage: str
+    run: str
+    executor: Executor
+    say: Callable[[str], None]
+    code: str = ""
+    anew: bool = False
+
+    def reusable(self, store: Store, kind: str, key: str) -> dict[str, str]:
+        """Return the values of a column of earlier rows of this stage with their fingerprints."""
+        if self.anew or not self.code:
+            return {}
+        return {str(row[key]): str(row["fingerprint"]) for row in earlier_rows(store, kind, self.stage)}
+
+
+@dataclass
+class Outcome:
+    """The outcome of a run.
+
+    Attributes
+    ----------
+    names : list of str
+        The recordings or takes, those that stayed as they were among them.
+    unchanged : list of str
+        Those that stayed as they were.
+    remarks : list of str
+        Sentences about what was left out.
+    """
+
+    names: list[str] = field(default_factory=list)
+    unchanged: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+
+
+def observe(writer: StoreWriter, params: ObserveParameters, place: Place) -> Outcome:
+    """Read recordings, and commit each.
+
+    Raises
+    ------
+    KinedexError
+        The recordings file, or a file of a recording, is wrong; recordings before it stay in the store.
+    """
+    file = load_recordings(params.recordings)
+    names = params.only or list(file.recordings)
+    for name in names:
+        file.recording(name)
+    before = place.reusable(writer.store, "recordings", "recording")
+    done = Outcome(names)
+    for name in names:
+        if before.get(name) == recording_fingerprint(file, name, place.code):
+            done.unchanged.append(name)
+            continue
+        read = read_named(file, name, place.code)
+        for kind in RECORDING_KINDS:
+            put_beside(
+                writer, kind, [read.table(kind, place.run)], stage=place.stage, run=place.run, column="recording",
+                gone=[name],
+            )  # fmt: skip
+        writer.commit()
+        if read.recording is None:
+            place.say(f"{name}: the take '{read.given.track}' as a 3D track")
+            continue
+        found = read.recording
+        keypoints = f"{len(found.keypoints)} keypoints" if found.keypoints else "silhouettes"
+        place.say(
+            f"{name}: {counted(len(found.cameras), 'camera')}, {counted(found.frames, 'frame')} at {found.rate_hz:g} Hz, "
+            f"{keypoints}"
+        )
+        for remark in remarks_of(found):
+            place.say(f"{name}: {remark}")
+    return done
+
+
+def track(writer: StoreWriter, params: TrackParameters, names: Sequence[str] | None, observed: str, place: Place) -> Outcome:
+    """Track recordings that a stage has observed, and commit each as a take.
+
+    Parameters
+    ----------
+    writer : StoreWriter
+        The writer of the store.
+    params : TrackParameters
+        The tracker.
+    names : sequence of str, optional
+        The recordings; all that the stage has observed unless given.
+    observed : str
+        The stage that has read them, "<pipeline>/<stage>".
+    place : Place
+        Where the results belong.
+    """
+    store = writer.store
+    rows = stored_rows(store, observed)
+    names = list(rows) if names is None else names
+    takes = {name: f"{name}{TRACKED}" for name in names}
+    mean = archive_body(store)
+    prints = {
+        name: hash_of(
+            place.code, params.model_dump(), rows[name]["fingerprint"], _body_words(store, rows[name]), mean.offsets
+        )
+        for name in names
+    }
+    tasks = [
+        lambda ids, name=name: TrackTask(
+            writer.store, observed, name, takes[name], ids[takes[name]], params.settings, params.sigma_m, mean,
+            prints[name], place.run,
+        )
+        for name in names
+    ]  # fmt: skip
+    return _run(writer, place, track_recording, dict(zip(takes.values(), tasks, strict=True)), {
+        takes[name]: prints[name] for name in names
+    })  # fmt: skip
+
+
+def _body_words(store: Store, row: dict[str, object]) -> object:
+    """Return what identifies the takes that a recording names, so that it is tracked again once these change."""
+    rows = {one["name"]: (one["checksum"], one["recipe"]) for one in store.take_rows.to_pylist()}
+    return [rows.get(str(row[key])) for key in ("body", "track")]
+
+
+@dataclass(frozen=True, eq=False)
+class Archive:
+    """What an archive lends.
+
+    Attributes
+    ----------
+    templates : sequence of SubclassTemplate
+        Its templates.
+    clips : sequence of TrainingClips
+        Their example clips.
+    """
+
+    templates: Sequence[SubclassTemplate]
+    clips: Sequence[TrainingClips]
+
+
+def stabilise(
+    writer: StoreWriter,
+    params: StabiliseParameters,
+    tracker: TrackParameters,
+    takes: Sequence[str],
+    archive: Archive,
+    place: Place,
+) -> Outcome:
+    """Stabilise takes by priors of an archive, and commit each.
+
+    Parameters
+    ----------
+    writer : StoreWriter
+        The writer of the store.
+    params : StabiliseParameters
+        The priors.
+    tracker : TrackParameters
+        The tracker of takes that come from recordings.
+    takes : sequence of str
+        The takes.
+    archive : Archive
+        The archive.
+    place : Place
+        Where the results belong.
+
+    Raises
+    ------
+    KinedexError
+        A take is not in the store, or was stabilised already.
+    """
+    store = writer.store
+    for take in takes:
+        if take not in store.take_ids:
+            raise KinedexError(f"{store.path}: no take '{take}'{did_you_mean(take, store.take_ids)}")
+    motions, remarks = _motions(writer, params, archive, place)
+    classes = [repr(params.model_dump(exclude={"takes"})), repr(tracker.model_dump())]
+    mean = archive_body(store)
+    lent = hash_of(*(part for motion in motions for part in _motion_parts(motion)))
+    rows = {row["name"]: row for row in store.take_rows.to_pylist()}
+    settings, made, prints = tracker.settings, {}, {}
+    for take in takes:
+        tracked = tracked_row(store, take)
+        silhouettes = tracked is not None and _silhouettes_only(store, tracked["recording"])
+        name = stabilised_name(take)
+        prints[name] = hash_of(
+            place.code, classes, lent, rows[take]["checksum"], rows[take]["recipe"], mean.offsets,
+            tracked and tracked["fingerprint"],
+        )  # fmt: skip
+        own = settings if tracked is not None else TrackSettings("take", settings.loss, settings.sigma_px)
+        priors = params.settings(silhouettes, store.rate_hz)
+
+        def task(
+            ids: dict[str, int], take: str = take, name: str = name, own: TrackSettings = own, priors=priors
+        ) -> StabiliseTask:
+            return StabiliseTask(
+                writer.store, take, name, ids[name], own, params.sigma_m, params.body, mean, priors, motions,
+                prints[name], place.run,
+            )  # fmt: skip
+
+        made[name] = task
+    done = _run(writer, place, stabilise_take, made, prints)
+    done.remarks += remarks
+    return done
+
+
+def _silhouettes_only(store: Store, recording: str) -> bool:
+    row = stored_rows(store).get(recording)
+    return row is not None and bool(row["silhouettes"]) and not row["keypoints"]
+
+
+def _motions(
+    writer: StoreWriter, params: StabiliseParameters, archive: Archive, place: Place
+) -> tuple[list[Motion], list[str]]:
+    """Return the motions of an archive, with poses where they are wanted; poses that were fitted are stored."""
+    store = writer.store
+    poses: PosesOfArchive | None = None
+    remarks: list[str] = []
+    if params.priors is None or "archive" in params.priors:
+        poses = archive_poses(
+            store, archive.clips, archive.templates, place.executor, place.code,
+            [] if place.anew else earlier_rows(store, "archive_poses", place.stage),
+        )  # fmt: skip
+        table = poses_table(poses.classes.values(), place.run)
+        writer.put_results("archive_poses", table, stage=place.stage, run=place.run)
+        remarks = poses.remarks
+    classes = load_classes(params.classes, [one.subclass for one in archive.templates])
+    for remark in remarks:
+        place.say(remark)
+    return archive_motions(archive.templates, poses, store.feature_set, classes, params.delta), remarks
+
+
+def _motion_parts(motion: Motion) -> Iterable[object]:
+    yield from (motion.name, motion.marks, motion.template.ones, motion.template.zeros)
+    if motion.poses is not None:
+        yield from (motion.poses.means, motion.poses.spreads, motion.poses.tilts)
+
+
+def _run(writer, place, work, tasks, prints) -> Outcome:
+    """Do the tasks whose takes are not up to date, and commit each take with its results."""
+    done = Outcome(list(tasks))
+    if not tasks:
+        return done
+    declare_track_columns(writer)
+    refuse_names(writer.store, list(tasks))
+    ids = writer.assign_take_ids(tasks)
+    before = place.reusable(writer.store, "tracks", "take")
+    damaged = {take for part in damaged_frames(writer.store) for take in part.live}
+    live = set(writer.manifest.live_takes) - damaged
+    done.unchanged = [name for name in tasks if before.get(name) == prints[name] and ids[name] in live]
+    new = [make(ids) for name, make in tasks.items() if name not in done.unchanged]
+    results = place.executor.map(work, new)
+    for finished in results:
+        _put(writer, place, finished)
+        place.say(finished.line)
+    return done
+
+
+def _put(writer: StoreWriter, place: Place, finished: Finished) -> None:
+    ids = put_tracks(writer, [finished.track])
+    for kind, table in finished.tables.items():
+        put_beside(
+            writer, kind, [table], stage=place.stage, run=place.run, column="take_id", gone=list(ids.values())
+        )
+    writer.commit()
+
+
+def renew_index(path, wait: Wait) -> None:
+    """Build the index of the takes as they are now."""
+    store = open_store(path, at="newest")
+    if store.manifest.live_takes:
+        build_index(store, wait=wait)

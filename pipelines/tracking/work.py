@@ -1,0 +1,335 @@
+"""The work on one recording or take: tracking and stabilising, in any process."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from kinedex.catalog.kinematics import load_kinematic_chain, load_surface
+from kinedex.ops.body.capsules import body_capsules
+from kinedex.ops.body.kinematic_chain import ChainBody, Poses
+from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.ops.priors.motion import Motion
+from kinedex.ops.priors.stabilise import Settings, Track, stabilise
+from kinedex.ops.tracking.contours import Silhouettes
+from kinedex.ops.tracking.observations import Places
+from kinedex.ops.tracking.triangulation import triangulate
+from kinedex.ops.tracking.views import camera_view
+from kinedex.ops.words import U64
+from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.ingestion.analysis import analyse
+from kinedex.pipelines.tracking.bodies import body_of_places, body_of_points, take_body, take_joints
+from kinedex.pipelines.tracking.chain_tracker import ChainTracker, Observed, TrackSettings
+from kinedex.pipelines.tracking.recordings import StoredRecording, stored_recording
+from kinedex.pipelines.tracking.result_tables import TRACK_KINDS, TrackResult
+from kinedex.pipelines.tracking.tracked_takes import Provenance, observed_frames, track_body
+from kinedex.pipelines.tracking.tracked_takes import Track as TrackedTake
+from kinedex.storage.store.store import Store
+
+F64 = npt.NDArray[np.float64]
+ESTIMATE = "estimate"
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A recording or a 3D track that is ready to be tracked.
+
+    Attributes
+    ----------
+    observed : Observed
+        What is observed, with the body.
+    provenance : Provenance
+        Its files.
+    body_from : str
+        Origin of the lengths.
+    actor : str, optional
+        The actor.
+    remarks : tuple of str
+        Remarks about it.
+    """
+
+    observed: Observed
+    provenance: Provenance
+    body_from: str
+    actor: str | None = None
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Finished:
+    """A track with its results.
+
+    Attributes
+    ----------
+    track : Track
+        The take to put into the store.
+    tables : dict of str to pyarrow.Table
+        Its results by kind.
+    line : str
+        A sentence that reports it.
+    """
+
+    track: TrackedTake
+    tables: dict[str, pa.Table]
+    line: str
+
+
+@dataclass(frozen=True, eq=False)
+class TrackTask:
+    """A recording to track.
+
+    Attributes
+    ----------
+    store : Store
+        The store that has its observations.
+    stage : str or None
+        The stage that has read them.
+    recording : str
+        Its name.
+    take, take_id : str, int
+        The take that it becomes.
+    settings : TrackSettings
+        The tracker.
+    sigma_m : float
+        Standard deviation of a joint of a 3D track in metres.
+    mean : ChainBody
+        The mean body of the archive.
+    fingerprint, run : str
+        Hash of all that it follows from, and the run.
+    """
+
+    store: Store
+    stage: str | None
+    recording: str
+    take: str
+    take_id: int
+    settings: TrackSettings
+    sigma_m: float
+    mean: ChainBody
+    fingerprint: str
+    run: str
+
+    @property
+    def subject(self) -> str:
+        """The recording, for messages."""
+        return self.recording
+
+
+@dataclass(frozen=True, eq=False)
+class StabiliseTask:
+    """A take to stabilise; `motions` are those of the archive, the other attributes as of `TrackTask`."""
+
+    store: Store
+    of: str
+    take: str
+    take_id: int
+    tracker: TrackSettings
+    sigma_m: float
+    body: str
+    mean: ChainBody
+    priors: Settings
+    motions: Sequence[Motion]
+    fingerprint: str
+    run: str
+
+    @property
+    def subject(self) -> str:
+        """The take, for messages."""
+        return self.of
+
+
+def track_recording(task: TrackTask) -> Finished:
+    """Track a recording without priors."""
+    found = stored_recording(task.store, task.recording, task.stage)
+    subject = recording_subject(task.store, found, task.mean, task.sigma_m)
+    tracker = ChainTracker(subject.observed, task.settings)
+    track = _first(tracker, task.recording)
+    result = _result(task, tracker, track, subject)
+    line = f"{task.recording}: {counted(len(track.costs), 'frame')} tracked as {task.take}" + _doubts(result, subject)
+    return _finished(task, result, subject, TRACK_KINDS, line)
+
+
+def stabilise_take(task: StabiliseTask) -> Finished:
+    """Stabilise a take by priors of the archive."""
+    subject = take_subject(task)
+    tracker = ChainTracker(subject.observed, task.tracker)
+
+    def words(current: Track) -> U64:
+        placed = _take(task.take, subject, current.poses, task.fingerprint)
+        return analyse(track_body(placed, task.store.feature_set), task.store.feature_set, task.store.rate_hz)[2]
+
+    done = stabilise(tracker, _first(tracker, task.of), words, task.motions, task.priors)
+    rows = tuple(row for one in done.rounds for row in one.rows)
+    result = replace(
+        _result(task, tracker, done.track, subject),
+        track_of=task.of,
+        moved_mm=done.moved_mm,
+        rows=rows,
+        rounds=len(done.rounds),
+    )
+    return _finished(task, result, subject, (*TRACK_KINDS, "priors"), _stabilised_line(task, result))
+
+
+def recording_subject(store: Store, found: StoredRecording, mean: ChainBody, sigma_m: float) -> Subject:
+    """Return a recording as it is tracked.
+
+    Raises
+    ------
+    KinedexError
+        Its body cannot be measured; the message names the way out.
+    """
+    where = f"recording '{found.name}', body"
+    body, given = found.row["body"], None
+    if body != ESTIMATE:
+        given = take_body(store, body, where)
+    if found.recording is None:
+        name = found.row["track"]
+        own = places_subject(store, name, ESTIMATE if given is None else body, mean, sigma_m)
+        cuts = tuple(found.row["cuts"])
+        origin = replace(found.provenance, recording=found.name)
+        return replace(own, observed=replace(own.observed, cuts=cuts), provenance=origin)
+    recording, remarks = found.recording, [*found.row["remarks"]]
+    rays = recording.rays() if recording.keypoints else None
+    if given is None:
+        if rays is None:
+            raise KinedexError(f"{where}: lengths are not measured from silhouettes; name a take: `body: <take>`")
+        points, cameras = triangulate(rays)
+        estimate = body_of_points(points, cameras, recording.body_points(mean).joints, mean)
+        given, body = estimate.body, ESTIMATE
+        remarks += [
+            f"{one.joint}: {one.left_m:.3f} m on the left, {one.right_m:.3f} m on the right; keypoints under a wrong "
+            "name, or a bad calibration?"
+            for one in estimate.uneven
+        ]
+    observed = Observed(
+        given, recording.rate_hz, rays, recording.body_points(given) if rays is not None else None,
+        _silhouettes(found, given), recording.cuts,
+    )  # fmt: skip
+    return Subject(observed, found.provenance, body, None, tuple(remarks))
+
+
+def _silhouettes(found: StoredRecording, body: ChainBody) -> Silhouettes | None:
+    recording = found.recording
+    if recording is None or recording.masks is None:
+        return None
+    views = tuple(
+        camera_view(one.matrix, one.rotation, one.translation, one.distortion, one.size, size)
+        for one, size in zip(recording.cameras, recording.masks.sizes, strict=True)
+    )
+    return Silhouettes(views, recording.masks, body_capsules(body, load_surface()))
+
+
+def places_subject(store: Store, take: str, body: str, mean: ChainBody, sigma_m: float) -> Subject:
+    """Return a take of the store as a 3D track."""
+    row = next(row for row in store.take_rows.to_pylist() if row["name"] == take)
+    places = take_joints(store, take).transpose(2, 0, 1)
+    _require_trunk(take, places)
+    own = body_of_places(places, mean) if body == ESTIMATE else take_body(store, body, "body")
+    observed = Observed(own, store.rate_hz, Places(places, np.full(places.shape[:2], sigma_m)))
+    provenance = Provenance(
+        row["source_root"], row["source"], row["checksum"], row["source_bytes"], row["source_mtime_ns"],
+        row.get("recording"), tuple(row.get("cameras") or ()),
+    )  # fmt: skip
+    return Subject(observed, provenance, "the track itself" if body == ESTIMATE else body, row["actor"])
+
+
+def _require_trunk(take: str, places: F64) -> None:
+    chain = load_kinematic_chain()
+    for name in ("lhip", "rhip", "lshoulder", "rshoulder"):
+        if not np.isfinite(places[:, chain.joint(name)]).all(axis=1).any():
+            raise KinedexError(
+                f"take '{take}' has no {name} in any frame; a 3D track needs hips and shoulders. Is its skeleton mapping "
+                f"right? `kinedex inspect FILE` shows how its joints were named"
+            )
+
+
+def take_subject(task: StabiliseTask) -> Subject:
+    """Return what a take is stabilised from: its recording if it was tracked from one, else its own joints."""
+    row = tracked_row(task.store, task.of)
+    if row is None:
+        return places_subject(task.store, task.of, task.body, task.mean, task.sigma_m)
+    return recording_subject(task.store, stored_recording(task.store, row["recording"]), task.mean, task.sigma_m)
+
+
+def tracked_row(store: Store, take: str) -> dict[str, Any] | None:
+    """Return the row of `tracks` of a take that was tracked from a recording that the store has; None for others."""
+    for part in store.manifest.results.get("tracks", ()):
+        for rows in store.result_pieces("tracks", [part]):
+            for row in rows.to_pylist():
+                if row["take"] == take and row["take_id"] == store.take_ids.get(take) and row["track_of"] is None:
+                    return dict(row)
+    return None
+
+
+def _first(tracker: ChainTracker, name: str) -> Track:
+    try:
+        return tracker.first()
+    except ParameterError as fault:
+        raise KinedexError(f"{name}: {fault}") from None
+
+
+def _take(name: str, subject: Subject, poses: Poses, recipe: str, warnings: Sequence[str] = ()) -> TrackedTake:
+    observed = subject.observed
+    valid = observed_frames(observed.seen, observed.rate_hz)
+    return TrackedTake(
+        name, subject.provenance, observed.body, poses, observed.rate_hz, valid, recipe, subject.actor, tuple(warnings)
+    )
+
+
+def _result(task: TrackTask | StabiliseTask, tracker: ChainTracker, track: Track, subject: Subject) -> TrackResult:
+    lost = getattr(track, "lost", None)
+    return TrackResult(
+        task.take_id, task.take, tracker, track.poses, track.costs, task.fingerprint, subject.body_from,
+        subject.provenance.cameras, subject.provenance.recording, lost=lost, remarks=subject.remarks,
+    )  # fmt: skip
+
+
+def _finished(
+    task: TrackTask | StabiliseTask, result: TrackResult, subject: Subject, kinds: Sequence[str], line: str
+) -> Finished:
+    take = _take(task.take, subject, result.poses, task.fingerprint, _warnings(result))
+    return Finished(take, {kind: result.table(kind, task.run) for kind in kinds}, line)
+
+
+def _warnings(result: TrackResult) -> list[str]:
+    """Return the warnings of the take."""
+    lost = 0 if result.lost is None else int(result.lost.sum())
+    return [f"the tracker had lost the body in {counted(lost, 'frame')}"] if lost else []
+
+
+def _doubts(result: TrackResult, subject: Subject) -> str:
+    unseen = int((~observed_frames(subject.observed.seen, subject.observed.rate_hz)).sum())
+    lost = 0 if result.lost is None else int(result.lost.sum())
+    parts = [f"{unseen} invalid, which nothing has seen"] if unseen else []
+    parts += [f"{lost} in which the body was lost"] if lost else []
+    return f", {', '.join(parts)}" if parts else ""
+
+
+def _stabilised_line(task: StabiliseTask, result: TrackResult) -> str:
+    kept = {(row.round, row.hit) for row in result.rows if row.kept}
+    gone = {(row.round, row.hit) for row in result.rows if not row.kept}
+    last = {hit for number, hit in kept if number == result.rounds}
+    moved = 0.0 if result.moved_mm is None else float(result.moved_mm.mean())
+    if not kept:
+        why = f"{counted(len(gone), 'hit')} withdrawn" if gone else "no motion of the archive was found"
+        return f"{task.of}: nothing changed, {why}; as {task.take}"
+    withdrawn = f", {counted(len(gone), 'hit')} withdrawn" if gone else ""
+    return (
+        f"{task.of}: priors of {counted(len(last), 'hit')} in {counted(result.rounds, 'round')}{withdrawn}; joints "
+        f"moved by {moved:.1f} mm on average; as {task.take}"
+    )
+
+
+def hash_of(*parts: object) -> str:
+    """Return a hash of values whose repr determines them, and of arrays."""
+    hasher = hashlib.sha256()
+    for part in parts:
+        content = np.ascontiguousarray(part).tobytes() if isinstance(part, np.ndarray) else repr(part).encode()
+        hasher.update(len(content).to_bytes(8, "little") + content)
+    return hasher.hexdigest()[:32]
