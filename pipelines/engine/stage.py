@@ -118,6 +118,9 @@ BUILT_IN = {
     "evaluate": "kinedex.pipelines.stages.evaluate:Evaluate",
     "compare_methods": "kinedex.pipelines.stages.compare_methods:CompareMethods",
     "report": "kinedex.pipelines.stages.report:Report",
+    "observe": "kinedex.pipelines.stages.observe:Observe",
+    "track": "kinedex.pipelines.stages.track:Track",
+    "stabilise": "kinedex.pipelines.stages.stabilise:Stabilise",
 }
 """The built-in stages, in the form of entry points."""
 

@@ -247,4 +247,3 @@ def _clip_poses(store: Store, name: str, words: U64, mirrored: bool) -> Poses:
         joints = mirrored_places(joints.transpose(2, 0, 1), chain.joints).transpose(1, 2, 0)
     joints = np.ascontiguousarray(joints)
     return fit_poses(measured_body(chain, joints), joints)
-

@@ -9,7 +9,7 @@ from kinedex.catalog.kinematics import load_kinematic_chain
 from kinedex.ops.body.kinematic_chain import ChainBody
 from kinedex.ops.body.pose_fit import measured_body
 from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
-from kinedex.ops.tracking.body_estimate import BodyEstimate, estimate_body, mean_body
+from kinedex.ops.tracking.body_estimate import estimate_body, mean_body
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.snapshot.schemas import TRACK_FORMAT
 from kinedex.storage.store.store import Store
@@ -96,11 +96,6 @@ def archive_body(store: Store) -> ChainBody:
     return mean_body(load_kinematic_chain(), bodies or [usual_body()])
 
 
-def body_of_points(points: F64, cameras: npt.NDArray[np.int64], joints: npt.NDArray[np.int64], mean: ChainBody) -> BodyEstimate:
-    """Return the body that triangulated keypoints show, see `estimate_body`."""
-    return estimate_body(mean.chain, points, cameras, joints, mean)
-
-
 def body_of_places(places: F64, mean: ChainBody) -> ChainBody:
     """Return the body of a 3D track: its own lengths, and those of the mean body in proportion for joints it lacks.
 
@@ -119,7 +114,7 @@ def body_of_places(places: F64, mean: ChainBody) -> ChainBody:
     try:
         return measured_body(mean.chain, np.ascontiguousarray(places.transpose(1, 2, 0)))
     except ParameterError:
-        shown = np.isfinite(places).all(axis=2)
+        shown = np.isfinite(places.sum(axis=2))
         joints = np.flatnonzero(shown.any(axis=0))
         seen = np.where(shown[:, joints], 3, 0)
         return estimate_body(mean.chain, places[:, joints], seen, joints, mean).body

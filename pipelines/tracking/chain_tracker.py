@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses, forward
 from kinedex.ops.priors.stabilise import Track
+from kinedex.ops.tracking.contours import Silhouettes
 from kinedex.ops.tracking.frame_tracker import track_frames
 from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
 from kinedex.ops.tracking.prior_terms import PriorTerms
@@ -18,7 +19,6 @@ from kinedex.ops.tracking.rays import LEAST_CONFIDENCE, LEAST_DEPTH_M, SIGMA_PX
 from kinedex.ops.tracking.take_tracker import SCHEDULE, Loss, track_take
 from kinedex.ops.tracking.triangulation import start_from_places, start_from_triangulation, triangulate
 from kinedex.ops.tracking.trust import SEEN, TRUST_WIDTH, Trust, restart, trust
-from kinedex.ops.tracking.views import Silhouettes
 
 F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
@@ -71,9 +71,10 @@ class Observed:
         if isinstance(self.observations, Rays):
             seen |= (self.observations.confidence >= LEAST_CONFIDENCE).any(axis=(1, 2))
         elif self.observations is not None:
-            seen |= np.isfinite(self.observations.places).all(axis=2).any(axis=1)
+            seen |= np.isfinite(self.observations.places.sum(axis=2)).any(axis=1)
         if self.silhouettes is not None:
-            seen |= np.asarray(self.silhouettes.masks).reshape(self.frames, -1).any(axis=1)
+            masks = self.silhouettes.masks
+            seen |= [any(mask is not None and mask.any() for mask in masks[t]) for t in range(len(masks))]
         return seen
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from kinedex.ops.body.kinematic_chain import ChainBody, Poses, rotation_of, vector_of
+from kinedex.ops.body.kinematic_chain import Poses, rotation_of, vector_of
 from kinedex.ops.priors.allocation import PriorRow
 from kinedex.ops.tracking.observations import Rays
 from kinedex.pipelines.tracking.chain_tracker import ChainTracker, frame_figures, ray_residuals
@@ -81,7 +81,7 @@ class TrackResult:
 
     def table(self, kind: str, run: str) -> pa.Table:
         """Return the rows of one kind of results."""
-        tables = {
+        tables: dict[str, Callable[[], dict[str, Any] | list[dict[str, Any]]]] = {
             "tracks": self._track,
             "chain_poses": self._poses,
             "track_frames": self._frames,
@@ -89,7 +89,7 @@ class TrackResult:
             "priors": self._priors,
         }
         rows = tables[kind]()
-        own = {"run": run, "take_id": self.take_id, "take": self.take}
+        own: dict[str, Any] = {"run": run, "take_id": self.take_id, "take": self.take}
         if isinstance(rows, dict):
             count = len(next(iter(rows.values())))
             return _table(kind, {name: [value] * count for name, value in own.items()} | rows)
@@ -179,25 +179,6 @@ class TrackResult:
             }
             for row in self.rows
         ]
-
-
-@dataclass(frozen=True, eq=False)
-class StoredTrack:
-    """The poses of a track as a store has them.
-
-    Attributes
-    ----------
-    row : dict
-        Its row of the results `tracks`.
-    body : ChainBody
-        The body.
-    poses : Poses
-        The poses.
-    """
-
-    row: dict[str, Any]
-    body: ChainBody
-    poses: Poses
 
 
 def stored_poses(rows: pa.Table, nodes: int) -> Poses:

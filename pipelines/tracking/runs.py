@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import closing
-from dataclasses import dataclass, field
-
-import pyarrow as pa
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TypeVar
 
 from kinedex.catalog.classes import load_classes
 from kinedex.catalog.recordings import load_recordings
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.priors.motion import Motion
-from kinedex.pipelines.console.wording import counted, few
+from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
 from kinedex.pipelines.tracking.archive_motions import PosesOfArchive, archive_motions, archive_poses, poses_table
 from kinedex.pipelines.tracking.bodies import archive_body
-from kinedex.pipelines.tracking.chain_tracker import TrackSettings
 from kinedex.pipelines.tracking.parameters import ObserveParameters, StabiliseParameters, TrackParameters
 from kinedex.pipelines.tracking.recordings import (
     RECORDING_KINDS,
@@ -45,10 +43,11 @@ from kinedex.pipelines.tracking.work import (
 )
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.lock import Wait
-from kinedex.storage.snapshot.manifest_files import read_newest
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import damaged_frames
 from kinedex.storage.store.writer import StoreWriter
+
+Task = TypeVar("Task", TrackTask, StabiliseTask)
 
 
 @dataclass(frozen=True)
@@ -135,15 +134,17 @@ def observe(writer: StoreWriter, params: ObserveParameters, place: Place) -> Out
         found = read.recording
         keypoints = f"{len(found.keypoints)} keypoints" if found.keypoints else "silhouettes"
         place.say(
-            f"{name}: {counted(len(found.cameras), 'camera')}, {counted(found.frames, 'frame')} at {found.rate_hz:g} Hz, "
-            f"{keypoints}"
+            f"{name}: {counted(len(found.cameras), 'camera')}, {counted(found.frames, 'frame')} at {found.rate_hz:g} "
+            f"Hz, {keypoints}"
         )
         for remark in remarks_of(found):
             place.say(f"{name}: {remark}")
     return done
 
 
-def track(writer: StoreWriter, params: TrackParameters, names: Sequence[str] | None, observed: str, place: Place) -> Outcome:
+def track(
+    writer: StoreWriter, params: TrackParameters, names: Sequence[str] | None, observed: str, place: Place
+) -> Outcome:
     """Track recordings that a stage has observed, and commit each as a take.
 
     Parameters
@@ -161,29 +162,25 @@ def track(writer: StoreWriter, params: TrackParameters, names: Sequence[str] | N
     """
     store = writer.store
     rows = stored_rows(store, observed)
-    names = list(rows) if names is None else names
-    takes = {name: f"{name}{TRACKED}" for name in names}
+    chosen = list(rows) if names is None else names
+    ids = _take_ids(writer, [f"{name}{TRACKED}" for name in chosen])
     mean = archive_body(store)
-    prints = {
-        name: hash_of(
-            place.code, params.model_dump(), rows[name]["fingerprint"], _body_words(store, rows[name]), mean.offsets
-        )
-        for name in names
-    }
     tasks = [
-        lambda ids, name=name: TrackTask(
-            writer.store, observed, name, takes[name], ids[takes[name]], params.settings, params.sigma_m, mean,
-            prints[name], place.run,
+        TrackTask(
+            writer.store, observed, name, f"{name}{TRACKED}", ids[f"{name}{TRACKED}"], params.settings,
+            params.sigma_m, mean,
+            hash_of(
+                place.code, params.model_dump(), rows[name]["fingerprint"], _named(store, rows[name]), mean.offsets
+            ),
+            place.run,
         )
-        for name in names
+        for name in chosen
     ]  # fmt: skip
-    return _run(writer, place, track_recording, dict(zip(takes.values(), tasks, strict=True)), {
-        takes[name]: prints[name] for name in names
-    })  # fmt: skip
+    return _run(writer, place, track_recording, tasks)
 
 
-def _body_words(store: Store, row: dict[str, object]) -> object:
-    """Return what identifies the takes that a recording names, so that it is tracked again once these change."""
+def _named(store: Store, row: dict[str, object]) -> list[object]:
+    """Return checksum and recipe of the takes that a recording names, so that it is tracked again once they change."""
     rows = {one["name"]: (one["checksum"], one["recipe"]) for one in store.take_rows.to_pylist()}
     return [rows.get(str(row[key])) for key in ("body", "track")]
 
@@ -239,32 +236,24 @@ def stabilise(
         if take not in store.take_ids:
             raise KinedexError(f"{store.path}: no take '{take}'{did_you_mean(take, store.take_ids)}")
     motions, remarks = _motions(writer, params, archive, place)
-    classes = [repr(params.model_dump(exclude={"takes"})), repr(tracker.model_dump())]
-    mean = archive_body(store)
+    mean, ids = archive_body(store), _take_ids(writer, map(stabilised_name, takes))
     lent = hash_of(*(part for motion in motions for part in _motion_parts(motion)))
+    chosen = (params.model_dump(exclude={"takes"}), tracker.model_dump())
     rows = {row["name"]: row for row in store.take_rows.to_pylist()}
-    settings, made, prints = tracker.settings, {}, {}
+    tasks = []
     for take in takes:
-        tracked = tracked_row(store, take)
+        tracked, name = tracked_row(store, take), stabilised_name(take)
         silhouettes = tracked is not None and _silhouettes_only(store, tracked["recording"])
-        name = stabilised_name(take)
-        prints[name] = hash_of(
-            place.code, classes, lent, rows[take]["checksum"], rows[take]["recipe"], mean.offsets,
-            tracked and tracked["fingerprint"],
+        settings = tracker.settings if tracked is not None else replace(tracker.settings, tracker="take")
+        follows = (rows[take]["checksum"], rows[take]["recipe"], tracked and tracked["fingerprint"])
+        tasks.append(
+            StabiliseTask(
+                writer.store, take, name, ids[name], settings, params.sigma_m, params.body, mean,
+                params.settings(silhouettes, store.rate_hz), motions,
+                hash_of(place.code, chosen, lent, follows, mean.offsets), place.run,
+            )
         )  # fmt: skip
-        own = settings if tracked is not None else TrackSettings("take", settings.loss, settings.sigma_px)
-        priors = params.settings(silhouettes, store.rate_hz)
-
-        def task(
-            ids: dict[str, int], take: str = take, name: str = name, own: TrackSettings = own, priors=priors
-        ) -> StabiliseTask:
-            return StabiliseTask(
-                writer.store, take, name, ids[name], own, params.sigma_m, params.body, mean, priors, motions,
-                prints[name], place.run,
-            )  # fmt: skip
-
-        made[name] = task
-    done = _run(writer, place, stabilise_take, made, prints)
+    done = _run(writer, place, stabilise_take, tasks)
     done.remarks += remarks
     return done
 
@@ -296,41 +285,37 @@ def _motions(
 
 
 def _motion_parts(motion: Motion) -> Iterable[object]:
-    yield from (motion.name, motion.marks, motion.template.ones, motion.template.zeros)
+    yield from (motion.name, motion.marks, motion.template.mask, motion.template.value)
     if motion.poses is not None:
         yield from (motion.poses.means, motion.poses.spreads, motion.poses.tilts)
 
 
-def _run(writer, place, work, tasks, prints) -> Outcome:
-    """Do the tasks whose takes are not up to date, and commit each take with its results."""
-    done = Outcome(list(tasks))
-    if not tasks:
-        return done
+def _take_ids(writer: StoreWriter, names: Iterable[str]) -> dict[str, int]:
+    """Return the ids of takes that are to be made, by their names."""
+    takes = list(names)
     declare_track_columns(writer)
-    refuse_names(writer.store, list(tasks))
-    ids = writer.assign_take_ids(tasks)
+    refuse_names(writer.store, takes)
+    return writer.assign_take_ids(takes)
+
+
+def _run(writer: StoreWriter, place: Place, work: Callable[[Task], Finished], tasks: Sequence[Task]) -> Outcome:
+    """Do the tasks whose takes are not up to date, and commit each take with its results."""
     before = place.reusable(writer.store, "tracks", "take")
     damaged = {take for part in damaged_frames(writer.store) for take in part.live}
     live = set(writer.manifest.live_takes) - damaged
-    done.unchanged = [name for name in tasks if before.get(name) == prints[name] and ids[name] in live]
-    new = [make(ids) for name, make in tasks.items() if name not in done.unchanged]
-    results = place.executor.map(work, new)
-    for finished in results:
-        _put(writer, place, finished)
+    unchanged = [one.take for one in tasks if before.get(one.take) == one.fingerprint and one.take_id in live]
+    for finished in place.executor.map(work, [one for one in tasks if one.take not in unchanged]):
+        ids = put_tracks(writer, [finished.track])
+        for kind, table in finished.tables.items():
+            put_beside(
+                writer, kind, [table], stage=place.stage, run=place.run, column="take_id", gone=list(ids.values())
+            )
+        writer.commit()
         place.say(finished.line)
-    return done
+    return Outcome([one.take for one in tasks], unchanged)
 
 
-def _put(writer: StoreWriter, place: Place, finished: Finished) -> None:
-    ids = put_tracks(writer, [finished.track])
-    for kind, table in finished.tables.items():
-        put_beside(
-            writer, kind, [table], stage=place.stage, run=place.run, column="take_id", gone=list(ids.values())
-        )
-    writer.commit()
-
-
-def renew_index(path, wait: Wait) -> None:
+def renew_index(path: Path, wait: Wait) -> None:
     """Build the index of the takes as they are now."""
     store = open_store(path, at="newest")
     if store.manifest.live_takes:

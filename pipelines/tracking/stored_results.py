@@ -74,8 +74,13 @@ def stages_of_tracks(store: Store, take_ids: Collection[int]) -> set[str]:
     }
 
 
-def are_tracks_there(store: Store) -> bool:
-    """Return whether all takes that tracking stages have made are in the store."""
+def are_tracks_there(store: Store, kind: str) -> bool:
+    """Return whether all takes that stages of a kind have made are in the store."""
     live = set(store.manifest.live_takes)
-    stages = {part.stage for part in store.manifest.results.get("tracks", ())}
+    records = store.manifest.stages
+    stages = {
+        part.stage
+        for part in store.manifest.results.get("tracks", ())
+        if part.stage in records and records[part.stage].summary.get("uses") == kind
+    }
     return all(row["take_id"] in live for stage in stages for row in earlier_rows(store, "tracks", stage))

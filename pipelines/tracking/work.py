@@ -17,6 +17,7 @@ from kinedex.ops.body.kinematic_chain import ChainBody, Poses
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.ops.priors.motion import Motion
 from kinedex.ops.priors.stabilise import Settings, Track, stabilise
+from kinedex.ops.tracking.body_estimate import estimate_body
 from kinedex.ops.tracking.contours import Silhouettes
 from kinedex.ops.tracking.observations import Places
 from kinedex.ops.tracking.triangulation import triangulate
@@ -24,7 +25,7 @@ from kinedex.ops.tracking.views import camera_view
 from kinedex.ops.words import U64
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.ingestion.analysis import analyse
-from kinedex.pipelines.tracking.bodies import body_of_places, body_of_points, take_body, take_joints
+from kinedex.pipelines.tracking.bodies import body_of_places, take_body, take_joints
 from kinedex.pipelines.tracking.chain_tracker import ChainTracker, Observed, TrackSettings
 from kinedex.pipelines.tracking.recordings import StoredRecording, stored_recording
 from kinedex.pipelines.tracking.result_tables import TRACK_KINDS, TrackResult
@@ -200,7 +201,7 @@ def recording_subject(store: Store, found: StoredRecording, mean: ChainBody, sig
         if rays is None:
             raise KinedexError(f"{where}: lengths are not measured from silhouettes; name a take: `body: <take>`")
         points, cameras = triangulate(rays)
-        estimate = body_of_points(points, cameras, recording.body_points(mean).joints, mean)
+        estimate = estimate_body(mean.chain, points, cameras, recording.body_points(mean).joints, mean)
         given, body = estimate.body, ESTIMATE
         remarks += [
             f"{one.joint}: {one.left_m:.3f} m on the left, {one.right_m:.3f} m on the right; keypoints under a wrong "
@@ -219,8 +220,10 @@ def _silhouettes(found: StoredRecording, body: ChainBody) -> Silhouettes | None:
     if recording is None or recording.masks is None:
         return None
     views = tuple(
-        camera_view(one.matrix, one.rotation, one.translation, one.distortion, one.size, size)
-        for one, size in zip(recording.cameras, recording.masks.sizes, strict=True)
+        camera_view(
+            one.matrix, one.rotation, one.translation, one.distortion, one.size, None if masks is None else masks.size
+        )
+        for one, masks in zip(recording.cameras, recording.masks.cameras, strict=True)
     )
     return Silhouettes(views, recording.masks, body_capsules(body, load_surface()))
 
@@ -244,8 +247,8 @@ def _require_trunk(take: str, places: F64) -> None:
     for name in ("lhip", "rhip", "lshoulder", "rshoulder"):
         if not np.isfinite(places[:, chain.joint(name)]).all(axis=1).any():
             raise KinedexError(
-                f"take '{take}' has no {name} in any frame; a 3D track needs hips and shoulders. Is its skeleton mapping "
-                f"right? `kinedex inspect FILE` shows how its joints were named"
+                f"take '{take}' has no {name} in any frame; a 3D track needs hips and shoulders. Is its skeleton "
+                "mapping right? `kinedex inspect FILE` shows how its joints were named"
             )
 
 

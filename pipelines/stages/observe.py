@@ -1,0 +1,38 @@
+"""Stage observe: recordings of calibrated cameras, read and checked, become observations in the store."""
+
+from __future__ import annotations
+
+from kinedex.catalog.recordings import load_recordings
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.digests import Reading
+from kinedex.pipelines.engine.stage import Stage
+from kinedex.pipelines.tracking.parameters import ObserveParameters
+from kinedex.pipelines.tracking.recordings import files_stamp
+from kinedex.pipelines.tracking.runs import Place, observe
+from kinedex.pipelines.tracking.work import hash_of
+from kinedex.storage.store.store import Store
+
+
+class Observe(Stage[ObserveParameters]):
+    """Recordings of calibrated cameras, read and checked."""
+
+    name = "observe"
+    parameters = ObserveParameters
+
+    def reading(self, params: ObserveParameters, store: Store) -> Reading:
+        """Return a digest of no take: recordings do not depend on the archive."""
+        return Reading("no takes", "")
+
+    def external_digest(self, params: ObserveParameters, store: Store | None) -> str:
+        """Return a hash of the recordings' settings, and of their files by path, size and time."""
+        file = load_recordings(params.recordings)
+        return hash_of(*(files_stamp(file, name) for name in params.only or file.recordings))
+
+    def run(self, context: StageContext, params: ObserveParameters) -> dict[str, object]:
+        """Read the recordings that are new or changed, each committed whole."""
+        place = Place(context.key(), context.run, context.executor, context.say, context.code, context.anew)
+        with context.writer() as writer:
+            done = observe(writer, params, place)
+        if done.unchanged:
+            context.say(f"unchanged: {len(done.unchanged)} of {len(done.names)}")
+        return {"recordings": done.names, "unchanged": len(done.unchanged)}

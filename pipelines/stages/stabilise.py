@@ -1,0 +1,59 @@
+"""Stage stabilise: takes that were tracked badly in parts, stabilised by priors of the archive."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from kinedex.catalog.classes import class_files
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.digests import Reading, files_digest
+from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.templates.learning import read_templates
+from kinedex.pipelines.templates.training import TemplateParameters, training_material
+from kinedex.pipelines.tracking.parameters import StabiliseParameters, TrackParameters
+from kinedex.pipelines.tracking.runs import Archive, Place, renew_index, stabilise
+from kinedex.pipelines.tracking.stored_results import are_tracks_there, earlier_rows
+from kinedex.pipelines.tracking.tracked_takes import STABILISED
+from kinedex.pipelines.tracking.work import hash_of
+from kinedex.storage.store.store import Store
+
+
+class Stabilise(Stage[StabiliseParameters]):
+    """Takes that were tracked badly in parts, stabilised by priors of the archive (thesis, Sections 6.3 and 6.4)."""
+
+    name = "stabilise"
+    parameters = StabiliseParameters
+    inputs: ClassVar = {
+        "takes": Input("ingest", optional=True),
+        "templates": Input("learn_templates"),
+        "tracks": Input("track"),
+    }
+
+    def external_digest(self, params: StabiliseParameters, store: Store | None) -> str:
+        """Return a hash of the class file."""
+        return files_digest(class_files(params.classes))
+
+    def reading(self, params: StabiliseParameters, store: Store) -> Reading:
+        """Return a digest of all takes but those that were stabilised."""
+        rows = (row for row in store.take_rows.to_pylist() if not row["name"].endswith(STABILISED))
+        return Reading(hash_of(sorted((row["name"], row["checksum"], row["recipe"], row["class"]) for row in rows)), "")
+
+    def is_current(self, store: Store) -> bool:
+        """Return whether all stabilised takes are in the store."""
+        return are_tracks_there(store, "stabilise")
+
+    def run(self, context: StageContext, params: StabiliseParameters) -> dict[str, object]:
+        """Stabilise the takes that are new or changed, each committed whole."""
+        place = Place(context.key(), context.run, context.executor, context.say, context.code, context.anew)
+        tracks = context.key(context.inputs["tracks"])
+        with context.writer() as writer:
+            store = writer.store
+            learned = read_templates(store, context.key(context.inputs["templates"]), params.templates)
+            material = training_material(store, context.params_of("templates", TemplateParameters))
+            takes = params.takes or [str(row["take"]) for row in earlier_rows(store, "tracks", tracks)]
+            tracker = context.params_of("tracks", TrackParameters)
+            done = stabilise(writer, params, tracker, takes, Archive(learned, material.clips), place)
+        renew_index(context.store_path, context.wait)
+        if done.unchanged:
+            context.say(f"unchanged: {len(done.unchanged)} of {len(done.names)}")
+        return {"takes": done.names, "unchanged": len(done.unchanged), "remarks": done.remarks}

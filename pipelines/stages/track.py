@@ -1,0 +1,45 @@
+"""Stage track: recordings become takes, tracked with a kinematic chain and without priors."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.digests import Reading
+from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.tracking.bodies import archive_body
+from kinedex.pipelines.tracking.parameters import ObserveParameters, TrackParameters
+from kinedex.pipelines.tracking.runs import Place, renew_index, track
+from kinedex.pipelines.tracking.stored_results import are_tracks_there
+from kinedex.pipelines.tracking.work import hash_of
+from kinedex.storage.snapshot.schemas import TRACK_FORMAT
+from kinedex.storage.store.store import Store
+
+
+class Track(Stage[TrackParameters]):
+    """Recordings become takes, tracked with a kinematic chain and without priors (thesis, Section 6.2)."""
+
+    name = "track"
+    parameters = TrackParameters
+    inputs: ClassVar = {"takes": Input("ingest", optional=True), "recordings": Input("observe")}
+
+    def reading(self, params: TrackParameters, store: Store) -> Reading:
+        """Return a digest of the bodies of the archive, which lend lengths that no camera shows."""
+        takes = [row for row in store.take_rows.to_pylist() if row["format"] != TRACK_FORMAT]
+        known = sorted((row["name"], row["checksum"], row["recipe"]) for row in takes)
+        return Reading(hash_of(known, archive_body(store).offsets), "")
+
+    def is_current(self, store: Store) -> bool:
+        """Return whether all tracks are in the store."""
+        return are_tracks_there(store, "track")
+
+    def run(self, context: StageContext, params: TrackParameters) -> dict[str, object]:
+        """Track the recordings that are new or changed, each committed whole."""
+        place = Place(context.key(), context.run, context.executor, context.say, context.code, context.anew)
+        names = context.params_of("recordings", ObserveParameters).only or None
+        with context.writer() as writer:
+            done = track(writer, params, names, context.key(context.inputs["recordings"]), place)
+        renew_index(context.store_path, context.wait)
+        if done.unchanged:
+            context.say(f"unchanged: {len(done.unchanged)} of {len(done.names)}")
+        return {"takes": done.names, "unchanged": len(done.unchanged)}
