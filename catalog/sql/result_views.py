@@ -279,6 +279,7 @@ nodes    VARCHAR[]    nodes of the chain, in the order of `chain_poses`
 joints    VARCHAR[]    joints of the chain, in the order of `body` and `moved_mm`
 body    DOUBLE[]    place of each joint in the frame of its node in metres, three numbers a joint
 body_from    VARCHAR    origin of the lengths: a take, estimate, or the track itself
+sigma_px    DOUBLE    standard deviation of a keypoint that it was tracked with, in pixels
 rate_hz    DOUBLE    frames per second of its poses
 source_frames    BIGINT    its number of poses
 rounds    INTEGER    rounds with priors; 0 for a take that was tracked

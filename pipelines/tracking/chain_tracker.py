@@ -26,6 +26,8 @@ Bool = npt.NDArray[np.bool_]
 AGREEING = 0.5
 """A camera agrees with a track on a keypoint where its robust weight is at least this."""
 
+_MEDIAN_OF_GAUSSIAN = 1.1774  # of the distance from the centre, in the plane
+
 
 @dataclass(frozen=True, eq=False)
 class Observed:
@@ -184,6 +186,29 @@ class ChainTracker:
             observed.body, observed.observations, observed.points, observed.rate_hz, first, priors,
             observed.silhouettes, self.settings.sigma_px,
         )  # fmt: skip
+
+
+def keypoint_sigma(rays: Rays, points: F64) -> float:
+    """Return the standard deviation of keypoints in pixels, from their distances to the points they triangulate to.
+
+    Parameters
+    ----------
+    rays : Rays
+        Rays of keypoints.
+    points : float64 array (T, P, 3)
+        Their triangulated points, NaN where there is none.
+
+    Returns
+    -------
+    float
+        The median distance over that of a Gaussian of deviation 1 in the plane; `SIGMA_PX` at least.
+    """
+    gaps = points[:, None] - rays.centres[None, :, None]
+    depths = np.einsum("tvpi,tvpi->tvp", gaps, rays.directions)
+    apart = np.linalg.norm(gaps - depths[..., None] * rays.directions, axis=3)
+    used = (rays.confidence >= LEAST_CONFIDENCE) & (depths > LEAST_DEPTH_M)
+    pixels = (apart / np.where(used, depths, 1.0) * rays.focal_px[None, :, None])[used]
+    return max(SIGMA_PX, float(np.median(pixels)) / _MEDIAN_OF_GAUSSIAN) if len(pixels) else SIGMA_PX
 
 
 @dataclass(frozen=True, eq=False)

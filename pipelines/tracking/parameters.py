@@ -37,13 +37,15 @@ class TrackParameters(BaseModel):
     loss: Loss = Field(
         "geman_mcclure", description="geman_mcclure, which outliers hardly move, or squares; of the tracker take"
     )
-    sigma_px: float = Field(5.0, gt=0, le=1000, description="standard deviation of a keypoint in pixels")
+    sigma_px: float | None = Field(
+        None, gt=0, le=1000,
+        description="standard deviation of a keypoint in pixels; measured in each recording, 5 at least, unless given",
+    )  # fmt: skip
     sigma_m: float = Field(0.02, gt=0, le=10, description="standard deviation of a joint of a 3D track in metres")
 
-    @property
-    def settings(self) -> TrackSettings:
-        """The settings of the tracker."""
-        return TrackSettings(self.tracker, self.loss, self.sigma_px)
+    def settings(self, measured_px: float) -> TrackSettings:
+        """Return the settings of the tracker for a recording whose keypoints have a standard deviation."""
+        return TrackSettings(self.tracker, self.loss, self.sigma_px or measured_px)
 
 
 class PriorParameters(BaseModel):

@@ -108,6 +108,7 @@ class TrackResult:
                 "joints": list(chain.joints),
                 "body": self.tracker.body.offsets.ravel().tolist(),
                 "body_from": self.body_from,
+                "sigma_px": self.tracker.settings.sigma_px,
                 "rate_hz": self.tracker.rate_hz,
                 "source_frames": len(self.poses.places),
                 "rounds": self.rounds,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
@@ -167,8 +167,7 @@ def track(
     mean = archive_body(store)
     tasks = [
         TrackTask(
-            writer.store, observed, name, f"{name}{TRACKED}", ids[f"{name}{TRACKED}"], params.settings,
-            params.sigma_m, mean,
+            writer.store, observed, name, f"{name}{TRACKED}", ids[f"{name}{TRACKED}"], params, mean,
             hash_of(
                 place.code, params.model_dump(), rows[name]["fingerprint"], _named(store, rows[name]), mean.offsets
             ),
@@ -244,11 +243,10 @@ def stabilise(
     for take in takes:
         tracked, name = tracked_row(store, take), stabilised_name(take)
         silhouettes = tracked is not None and _silhouettes_only(store, tracked["recording"])
-        settings = tracker.settings if tracked is not None else replace(tracker.settings, tracker="take")
         follows = (rows[take]["checksum"], rows[take]["recipe"], tracked and tracked["fingerprint"])
         tasks.append(
             StabiliseTask(
-                writer.store, take, name, ids[name], settings, params.sigma_m, params.body, mean,
+                writer.store, take, name, ids[name], tracker, params.sigma_m, params.body, mean,
                 params.settings(silhouettes, store.rate_hz), motions,
                 hash_of(place.code, chosen, lent, follows, mean.offsets), place.run,
             )

@@ -20,13 +20,15 @@ from kinedex.ops.priors.stabilise import Settings, Track, stabilise
 from kinedex.ops.tracking.body_estimate import estimate_body
 from kinedex.ops.tracking.contours import Silhouettes
 from kinedex.ops.tracking.observations import Places
+from kinedex.ops.tracking.rays import SIGMA_PX
 from kinedex.ops.tracking.triangulation import triangulate
 from kinedex.ops.tracking.views import camera_view
 from kinedex.ops.words import U64
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.ingestion.analysis import analyse
 from kinedex.pipelines.tracking.bodies import body_of_places, take_body, take_joints
-from kinedex.pipelines.tracking.chain_tracker import ChainTracker, Observed, TrackSettings
+from kinedex.pipelines.tracking.chain_tracker import ChainTracker, Observed, keypoint_sigma
+from kinedex.pipelines.tracking.parameters import TrackParameters
 from kinedex.pipelines.tracking.recordings import StoredRecording, stored_recording
 from kinedex.pipelines.tracking.result_tables import TRACK_KINDS, TrackResult
 from kinedex.pipelines.tracking.tracked_takes import Provenance, observed_frames, track_body
@@ -53,6 +55,8 @@ class Subject:
         The actor.
     remarks : tuple of str
         Remarks about it.
+    sigma_px : float
+        Standard deviation of its keypoints in pixels, as they triangulate.
     """
 
     observed: Observed
@@ -60,6 +64,7 @@ class Subject:
     body_from: str
     actor: str | None = None
     remarks: tuple[str, ...] = ()
+    sigma_px: float = SIGMA_PX
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,10 +100,8 @@ class TrackTask:
         Its name.
     take, take_id : str, int
         The take that it becomes.
-    settings : TrackSettings
+    params : TrackParameters
         The tracker.
-    sigma_m : float
-        Standard deviation of a joint of a 3D track in metres.
     mean : ChainBody
         The mean body of the archive.
     fingerprint, run : str
@@ -110,8 +113,7 @@ class TrackTask:
     recording: str
     take: str
     take_id: int
-    settings: TrackSettings
-    sigma_m: float
+    params: TrackParameters
     mean: ChainBody
     fingerprint: str
     run: str
@@ -124,13 +126,16 @@ class TrackTask:
 
 @dataclass(frozen=True, eq=False)
 class StabiliseTask:
-    """A take to stabilise; `motions` are those of the archive, the other attributes as of `TrackTask`."""
+    """A take to stabilise; `motions` are those of the archive, the other attributes as of `TrackTask`.
+
+    `tracker` counts for takes that were tracked from a recording, and its loss for all.
+    """
 
     store: Store
     of: str
     take: str
     take_id: int
-    tracker: TrackSettings
+    tracker: TrackParameters
     sigma_m: float
     body: str
     mean: ChainBody
@@ -148,8 +153,8 @@ class StabiliseTask:
 def track_recording(task: TrackTask) -> Finished:
     """Track a recording without priors."""
     found = stored_recording(task.store, task.recording, task.stage)
-    subject = recording_subject(task.store, found, task.mean, task.sigma_m)
-    tracker = ChainTracker(subject.observed, task.settings)
+    subject = recording_subject(task.store, found, task.mean, task.params.sigma_m)
+    tracker = ChainTracker(subject.observed, task.params.settings(subject.sigma_px))
     track = _first(tracker, task.recording)
     result = _result(task, tracker, track, subject)
     line = f"{task.recording}: {counted(len(track.costs), 'frame')} tracked as {task.take}" + _doubts(result, subject)
@@ -159,7 +164,10 @@ def track_recording(task: TrackTask) -> Finished:
 def stabilise_take(task: StabiliseTask) -> Finished:
     """Stabilise a take by priors of the archive."""
     subject = take_subject(task)
-    tracker = ChainTracker(subject.observed, task.tracker)
+    settings = task.tracker.settings(subject.sigma_px)
+    if isinstance(subject.observed.observations, Places):
+        settings = replace(settings, tracker="take")
+    tracker = ChainTracker(subject.observed, settings)
 
     def words(current: Track) -> U64:
         placed = _take(task.take, subject, current.poses, task.fingerprint)
@@ -197,10 +205,10 @@ def recording_subject(store: Store, found: StoredRecording, mean: ChainBody, sig
         return replace(own, observed=replace(own.observed, cuts=cuts), provenance=origin)
     recording, remarks = found.recording, [*found.row["remarks"]]
     rays = recording.rays() if recording.keypoints else None
+    points, cameras = triangulate(rays) if rays is not None else (None, None)
     if given is None:
-        if rays is None:
+        if points is None or cameras is None:
             raise KinedexError(f"{where}: lengths are not measured from silhouettes; name a take: `body: <take>`")
-        points, cameras = triangulate(rays)
         estimate = estimate_body(mean.chain, points, cameras, recording.body_points(mean).joints, mean)
         given, body = estimate.body, ESTIMATE
         remarks += [
@@ -212,7 +220,8 @@ def recording_subject(store: Store, found: StoredRecording, mean: ChainBody, sig
         given, recording.rate_hz, rays, recording.body_points(given) if rays is not None else None,
         _silhouettes(found, given), recording.cuts,
     )  # fmt: skip
-    return Subject(observed, found.provenance, body, None, tuple(remarks))
+    sigma_px = keypoint_sigma(rays, points) if rays is not None and points is not None else SIGMA_PX
+    return Subject(observed, found.provenance, body, None, tuple(remarks), sigma_px)
 
 
 def _silhouettes(found: StoredRecording, body: ChainBody) -> Silhouettes | None:
