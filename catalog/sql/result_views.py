@@ -109,7 +109,8 @@ subclass    VARCHAR    whose template came nearest
 cost    DOUBLE    least distance within the range, from 0
 confidence    DOUBLE    probability that the label is right, calibrated on examples; null where it cannot be known
 {_METHOD}
-margin    DOUBLE    from 0 (something else would do as well) to 1""",
+margin    DOUBLE    from 0 (something else would do as well) to 1
+value    DOUBLE    what the frames add to the explanation of the take (method best); null for methods without one""",
         "SELECT class, count(*) AS segments, sum(stop_seconds - start_seconds) AS seconds FROM annotations "
         "WHERE method IN ('templates', 'templates within keyframe hits') GROUP BY class ORDER BY class",
         stages="annotate",

@@ -1,4 +1,9 @@
-"""Clips that show the same motion: near-duplicates by the places of their joints."""
+"""Clips that show the same motion: near-duplicates by the places of their joints.
+
+They may be two performances, at two speeds, as far apart as the user allows. `ops.duplicates` finds one recording that
+is in an archive twice: it looks for equal runs of words, which two performances hardly share, and finds parts and other
+rates, which an outline of a whole clip cannot.
+"""
 
 from __future__ import annotations
 

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import polars as pl
 
+from kinedex.ops.annotation.confidence import Confidence
 from kinedex.ops.annotation.evidence import evidence_of
 from kinedex.ops.annotation.segments import Segment
 from kinedex.ops.distances.dtw import distance_curves
@@ -147,11 +148,30 @@ def _with_confidences(annotator: Annotator, words: TakeWords, found: list[TakeAn
     """Return annotations with the confidence of each segment, where the annotator has one."""
     if annotator.confidence is None:
         return found
-    segments = [one.segments for one in found]
-    classes = np.array([one.class_index for own in segments for one in own], np.int64)
-    evidence = evidence_of(annotator.confidence.prior.evidence, segments, words.offsets, *annotator.shapes)
-    sure = iter(annotator.confidence.of(evidence, classes).tolist())
+    sure = iter(confidences_of(annotator, annotator.confidence, [one.segments for one in found], words.offsets))
     return [replace(one, confidences=tuple(islice(sure, len(one.segments)))) for one in found]
+
+
+def confidences_of(
+    annotator: Annotator, confidence: Confidence, segments: Sequence[Sequence[Segment]], offsets: I64
+) -> list[float]:
+    """Return the probability that each segment has the right label, take by take.
+
+    Parameters
+    ----------
+    annotator : Annotator
+        The annotator that found the segments.
+    confidence : Confidence
+        The confidence, calibrated for it.
+    segments : sequence of sequence of Segment, length T
+        The segments of each take, in the order of their starts.
+    offsets : int64 array (T + 1,)
+        The first frame of each take where all are laid end to end, and the end.
+    """
+    classes = np.array([one.class_index for own in segments for one in own], np.int64)
+    evidence = evidence_of(confidence.prior.evidence, segments, offsets, *annotator.shapes)
+    found: list[float] = confidence.of(evidence, classes).tolist()
+    return found
 
 
 def _nothing(words: TakeWords) -> list[TakeAnnotation]:

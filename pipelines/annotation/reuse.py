@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields, is_dataclass
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -12,8 +13,9 @@ import polars as pl
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from kinedex.ops.annotation.segments import Segment
 from kinedex.pipelines.annotation.annotators import Annotator
-from kinedex.pipelines.annotation.batches import split_takes
+from kinedex.pipelines.annotation.batches import confidences_of, split_takes
 from kinedex.pipelines.annotation.methods import METHODS
 from kinedex.pipelines.engine.code_digest import part_digest
 from kinedex.storage.snapshot.part_records import ResultPart
@@ -25,7 +27,9 @@ PIECE_BYTES = 16_000_000
 
 
 def setting_digest(annotator: Annotator, store_curves: bool, code: str) -> str:
-    """Return a hash of all that the annotation of a take depends on besides its words.
+    """Return a hash of all that the segments and curves of a take depend on besides its words.
+
+    The confidence is not among it, since `with_confidence` computes it anew for segments that are kept.
 
     Parameters
     ----------
@@ -38,7 +42,7 @@ def setting_digest(annotator: Annotator, store_curves: bool, code: str) -> str:
     """
     method = part_digest(METHODS, annotator.method.name)
     hasher = hashlib.sha256(f"{code}/{store_curves}/{method}".encode())
-    _feed(hasher, annotator)
+    _feed(hasher, replace(annotator, confidence=None))
     return hasher.hexdigest()[:16]
 
 
@@ -63,6 +67,39 @@ def _feed(hasher: hashlib._Hash, value: object) -> None:
         hasher.update(f"{len(text)}:".encode() + text)
     else:
         raise TypeError(f"a {type(value).__name__} has no hash here")
+
+
+def with_confidence(rows: pa.Table, annotator: Annotator, frames: Mapping[int, int]) -> pa.Table:
+    """Return rows of annotations with the confidence that an annotator gives them.
+
+    Parameters
+    ----------
+    rows : pyarrow.Table
+        Results of the kind `annotations`, of takes that were annotated by the same templates; in each take by start.
+    annotator : Annotator
+        The annotator, with its confidence.
+    frames : mapping of int to int
+        The length of each take by its id.
+    """
+    confidence = annotator.confidence
+    classes = {name: index for index, name in enumerate(annotator.classes)}
+    subclasses = {name: index for index, name in enumerate(annotator.subclasses)}
+    places: dict[int, list[int]] = defaultdict(list)
+    segments = []
+    for place, row in enumerate(rows.to_pylist()):
+        places[row["take_id"]].append(place)
+        cost, value = (np.nan if row[name] is None else row[name] for name in ("cost", "value"))
+        label, template = classes[row["class"]], subclasses[row["subclass"]]
+        segments.append(Segment(row["start"], row["stop"], label, cost, template, row["margin"], value))
+    sure = np.full(len(segments), np.nan)
+    if confidence is not None and segments:
+        found = [[segments[place] for place in own] for own in places.values()]
+        offsets = np.cumsum([0, *(frames[take] for take in places)]).astype(np.int64)
+        sure[[place for own in places.values() for place in own]] = confidences_of(
+            annotator, confidence, found, offsets
+        )
+    column = rows.schema.get_field_index("confidence")
+    return rows.set_column(column, rows.schema.field("confidence"), pa.array(sure, from_pandas=True))
 
 
 def fingerprints(store: Store, takes: pl.DataFrame, setting: str) -> dict[int, str]:

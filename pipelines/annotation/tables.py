@@ -90,6 +90,7 @@ def annotations_table(
             "confidence": confidence,
             "method": annotator.label,
             "margin": segment.margin,
+            "value": None if np.isnan(segment.value) else segment.value,
         }
         for one in sorted(found, key=lambda one: names[one.take_id])
         for segment, confidence in zip(one.segments, one.confidences or repeat(None), strict=False)

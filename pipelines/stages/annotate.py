@@ -31,7 +31,7 @@ from kinedex.pipelines.annotation.preparation import (
     takes_to_annotate,
     template_words,
 )
-from kinedex.pipelines.annotation.reuse import earlier_annotations, fingerprints, setting_digest
+from kinedex.pipelines.annotation.reuse import earlier_annotations, fingerprints, setting_digest, with_confidence
 from kinedex.pipelines.annotation.tables import annotations_table, curves_table, takes_table
 from kinedex.pipelines.annotation.threshold_calibration import Calibration
 from kinedex.pipelines.console.wording import counted, few
@@ -180,7 +180,9 @@ def _annotate(
     kept = earlier_annotations(writer.store, context.key(), {} if context.anew else prints)
     new = takes.filter(~pl.col("take_id").is_in(list(kept.searched)))
     names = dict(takes.select("take_id", "name").iter_rows())
-    segments, searched = [kept.annotations(context.run)], dict(kept.searched)
+    lengths = dict(takes.select("take_id", "frames").iter_rows())
+    segments = [with_confidence(kept.annotations(context.run), annotator, lengths)]
+    searched = dict(kept.searched)
     known = kept.curve_parts()
 
     def curves() -> Iterator[pa.Table]:
