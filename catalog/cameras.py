@@ -21,6 +21,8 @@ from kinedex.ops.tracking.observations import Rays
 F64 = npt.NDArray[np.float64]
 
 _LARGEST_SIZE = 100_000
+_LARGEST_VALUE = 1e9
+_SHORTEST_FOCAL_PX = 1.0
 _ORTHONORMAL = 1e-6
 
 
@@ -61,12 +63,13 @@ class Camera:
             values = np.ascontiguousarray(getattr(self, key), np.float64)
             if shape is not None and values.shape != shape:
                 raise ParameterError(key, f"of shape {shape}", values.shape)
-            if not np.isfinite(values).all():
-                raise ParameterError(key, "finite", values.tolist())
+            if not (np.abs(values) <= _LARGEST_VALUE).all():
+                raise ParameterError(key, f"finite, within {_LARGEST_VALUE:g}", values.tolist())
             object.__setattr__(self, key, values)
         (fx, _, _), (zero, fy, _), last = self.matrix
-        if fx <= 0 or fy <= 0:
-            raise ParameterError("matrix", "one with focal lengths above 0 on its diagonal", [float(fx), float(fy)])
+        if min(fx, fy) < _SHORTEST_FOCAL_PX:
+            must_be = f"one with focal lengths of at least {_SHORTEST_FOCAL_PX:g} pixel on its diagonal"
+            raise ParameterError("matrix", must_be, [float(fx), float(fy)])
         if zero != 0 or last.tolist() != [0, 0, 1]:
             raise ParameterError("matrix", "[[fx, skew, cx], [0, fy, cy], [0, 0, 1]]", self.matrix.tolist())
         if self.distortion.ndim != 1 or len(self.distortion) not in projection.DISTORTION_COUNTS:

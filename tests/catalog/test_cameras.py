@@ -25,11 +25,11 @@ def test_a_camera_before_the_world_looks_along_negative_z_with_y_up() -> None:
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"matrix": np.eye(3) * [[1], [0], [1]]}, "focal lengths above 0"),
+        ({"matrix": np.eye(3) * [[1], [0], [1]]}, "focal lengths of at least 1 pixel"),
         ({"matrix": np.array(MATRIX).T}, r"\[\[fx, skew, cx\]"),
         ({"rotation": np.diag([1.0, 1, -1])}, "a rotation, without mirroring"),
         ({"rotation": 2 * np.eye(3)}, "a rotation, without mirroring"),
-        ({"translation": np.array([0, np.nan, 1])}, "translation must be finite"),
+        ({"translation": np.array([0, np.nan, 1])}, "translation must be finite, within"),
         ({"translation": np.zeros(4)}, r"translation must be of shape \(3,\)"),
         ({"distortion": np.zeros(6)}, "0, 4, 5 or 8 numbers"),
         ({"size": (0, 960)}, "size must be width and height"),

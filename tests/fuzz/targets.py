@@ -35,7 +35,7 @@ from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, Body, 
 from kinedex.storage.formats.motion.reader_table import read_body, reader_of
 from kinedex.storage.snapshot.schemas import COLUMN_TYPES
 from tests.bodies import STANDING
-from tests.fuzz import seeds
+from tests.fuzz import camera_files, seeds
 from tests.fuzz.binary import C3D, FBX, GLB, NPY, NPZ
 from tests.fuzz.mutations import ANY, TEXT, Mutation, insert_word, nest
 from tests.fuzz.words import (
@@ -346,6 +346,28 @@ def _text(words: tuple[bytes, ...] = (), pairs: tuple[tuple[bytes, bytes], ...] 
 
 _YAML = _text(YAML_WORDS, DEEP_YAML)
 
+_WORDS = _text(camera_files.CALIBRATION_WORDS, DEEP_YAML)
+_CAMERAS = (
+    Target("calibration-yaml", ".yaml", camera_files.yaml_calibrations, _WORDS, camera_files.check_calibration,
+           (KinedexError,), 60_000),
+    Target("calibration-json", ".json", camera_files.json_calibrations, _WORDS, camera_files.check_calibration,
+           (KinedexError,)),
+    Target("calibration-toml", ".toml", camera_files.toml_calibrations, _WORDS, camera_files.check_calibration,
+           (KinedexError,)),
+    Target("openpose", ".json", camera_files.openpose_frames, _text(KEYPOINT_WORDS, DEEP_YAML),
+           camera_files.check_openpose),
+    Target("coco-results", ".json", camera_files.coco_results, _text(KEYPOINT_WORDS, DEEP_YAML),
+           camera_files.check_coco_results),
+    Target("keypoint-csv", ".csv", camera_files.csv_tables, _text(camera_files.TABLE_WORDS),
+           camera_files.check_keypoint_table),
+    Target("keypoint-parquet", ".parquet", camera_files.parquet_tables, ANY, camera_files.check_keypoint_table),
+    Target("mask-png", ".png", camera_files.png_masks, ANY, camera_files.check_mask),
+    Target("mask-npz", ".npz", camera_files.packed_masks, (*ANY, *NPZ, *NPZ), camera_files.check_packed_masks),
+    Target("recordings", ".yaml", camera_files.recordings, _YAML, camera_files.check_recordings, (KinedexError,),
+           60_000),
+)  # fmt: skip
+"""The readers of camera recordings."""
+
 TARGETS: dict[str, Target] = {
     target.name: target
     for target in (
@@ -390,8 +412,10 @@ TARGETS: dict[str, Target] = {
             for kind, check in (
                 ("queries", check_queries), ("skeletons", check_skeleton), ("pipelines", check_pipeline),
                 ("features", check_features), ("classes", check_classes),
+                ("keypoints", camera_files.check_keypoint_set),
             )
         ),
+        *_CAMERAS,
     )
 }  # fmt: skip
 """All targets by name."""

@@ -34,7 +34,6 @@ KEYS = {
 
 _MOST_NUMBERS = 64
 _ROTATION_ERROR = 0.01
-_NEARLY_ONE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -101,8 +100,6 @@ def camera_of(
         translation = _read(located, at, values, "translation", (3,))
     else:
         translation = -rotation @ _read(located, at, values, "centre", (3,))
-    if abs(matrix[2, 2] - 1) > _NEARLY_ONE and matrix[2, 2] != 0 and np.isfinite(matrix).all():
-        matrix = matrix / matrix[2, 2]
     parts = (matrix, _distortion(located, at, values), rotation, translation, _size(located, at, values, size))
     try:
         return Camera(name, *parts)

@@ -14,7 +14,14 @@ import pyarrow.parquet as pq
 
 from kinedex.catalog.keypoint_sets import MOST_KEYPOINTS
 from kinedex.ops.errors import SourceError, did_you_mean
-from kinedex.storage.formats.cameras.persons import FARTHEST_PX, Person, SeenPersons, checked_points, refuse_crowds
+from kinedex.storage.formats.cameras.persons import (
+    FARTHEST_PX,
+    OUT_OF_BOUNDS,
+    Person,
+    SeenPersons,
+    checked_points,
+    refuse_crowds,
+)
 from kinedex.storage.formats.csv_tables import CsvTable, decoded
 from kinedex.storage.formats.motion.reader import file_size, source_bytes
 
@@ -69,9 +76,9 @@ def read_keypoint_table(path: Path, recording: str = "") -> dict[str, SeenPerson
     _refuse_missing(path, table)
     names, places = _keypoints(path, table)
     rows = np.stack([table[key].to_numpy() for key in ("x", "y", "confidence")], axis=1)
-    far = np.flatnonzero((np.abs(rows[:, :2]) > FARTHEST_PX).any(axis=1) | np.isinf(rows).any(axis=1))
+    far = np.flatnonzero((np.abs(rows) > FARTHEST_PX).any(axis=1))
     if len(far):
-        raise _error(path, table, int(far[0]), f"expected pixels within {FARTHEST_PX:g}, got one beyond")
+        raise _error(path, table, int(far[0]), OUT_OF_BOUNDS)
     rows = checked_points(path, "a row", rows)
     count = len(names) or int(places.max()) + 1
     return {
@@ -172,13 +179,28 @@ def _parquet(path: Path) -> pl.DataFrame:
             if file.metadata.num_rows > MOST_ROWS:
                 raise SourceError(path, f"has {file.metadata.num_rows:,} rows, and {MOST_ROWS:,} are read at most")
             wanted = [name for name in file.schema_arrow.names if _column(name) in _COLUMNS]
-            found: Any = pl.from_arrow(file.read(columns=wanted))
+            found: Any = pl.from_arrow(_plain(file.read(columns=wanted)))
     except SourceError:
         raise
     except (OSError, pa.ArrowException, pl.exceptions.PolarsError, ValueError, TypeError, KeyError) as fault:
         raise SourceError(path, f"cannot be read as Parquet: {str(fault)[:200]}") from None
     table: pl.DataFrame = found
     return _typed(path, table.with_columns(pl.int_range(_FIRST_LINE, pl.len() + _FIRST_LINE).alias("line")))
+
+
+def _plain(table: pa.Table) -> pa.Table:
+    """Return columns of numbers and valid texts, without metadata, which polars believes unseen."""
+    columns = {}
+    for name in dict.fromkeys(table.column_names):
+        column = table.column(table.column_names.index(name))
+        if pa.types.is_dictionary(column.type):
+            column = pa.chunked_array([chunk.dictionary_decode() for chunk in column.chunks], column.type.value_type)
+        if not (pa.types.is_integer(column.type) or pa.types.is_floating(column.type)):
+            column = column.cast(pa.large_string())
+        columns[name] = column
+    plain = pa.table(columns)
+    plain.validate(full=True)
+    return plain
 
 
 def _column(name: str) -> str:

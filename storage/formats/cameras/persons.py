@@ -19,6 +19,8 @@ MOST_PERSONS = 1000
 FARTHEST_PX = 1e6
 """The largest coordinate of a keypoint."""
 
+OUT_OF_BOUNDS = f"expected pixels within {FARTHEST_PX:g} and a confidence, got a number beyond"
+
 LARGEST, MOST_CONFIDENT = "largest", "most_confident"
 
 
@@ -85,8 +87,8 @@ def checked_points(path: Path, where: str, rows: F64, line: int | None = None) -
     SourceError
         A coordinate is none of an image.
     """
-    if (np.abs(rows[:, :2]) > FARTHEST_PX).any() or np.isinf(rows).any():
-        raise SourceError(path, f"{where}: expected pixels within {FARTHEST_PX:g}, got one beyond", line=line)
+    if (np.abs(rows) > FARTHEST_PX).any():
+        raise SourceError(path, f"{where}: {OUT_OF_BOUNDS}", line=line)
     missing = np.isnan(rows[:, :2]).any(axis=1) | (rows[:, 2] <= 0)
     missing |= (rows[:, :2] == 0).all(axis=1) & ~(rows[:, 2] > 0)
     found = rows.copy()

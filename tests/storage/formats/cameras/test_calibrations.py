@@ -107,7 +107,7 @@ BAD = {
         GOOD.replace("cols: 3", "cols: 2", 1),
         "camera_matrix: must be 9 finite numbers, got some",
     ),
-    "focal.yaml": (GOOD.replace("500.0", "0.0", 1), "focal lengths above 0"),
+    "focal.yaml": (GOOD.replace("500.0", "0.0", 1), "focal lengths of at least 1 pixel"),
     "nan.yaml": (GOOD.replace("500.0", ".nan", 1), "camera_matrix: must be 9 finite numbers"),
     "rotation.yaml": (GOOD.replace("rvec", "other"), "camera without `rotation` or `R` or `rvec`"),
     "size.yaml": (GOOD.replace("image_height", "height_"), "camera without the size of its images; write `size:"),

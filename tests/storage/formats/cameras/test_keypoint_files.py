@@ -186,7 +186,7 @@ BAD_TABLES = {
     "frame,keypoint,x,y\n": "has no rows",
     "frame,keypoint,x,y\n0,nose,1,1\n1.5,nose,1,1\n": "3: `frame` must be a whole number, got '1.5'",
     "frame,keypoint,x,y\n0,nose,1,1\n1,nose,one,1\n": "3: `x` must be a number, got 'one'",
-    "frame,keypoint,x,y\n0,nose,1,1e9\n": "2: expected pixels within 1e\\+06",
+    "frame,keypoint,x,y\n0,nose,1,1e9\n": "2: expected pixels within 1e.06",
     "frame,keypoint,x,y\n0,,1,1\n": "2: `keypoint` must not be empty",
     "frame,keypoint,x,y\n0,-3,1,1\n": "2: `keypoint` must be 0 to 999, or a name",
     "frame,keypoint,x,y\n0,nose,1,1\n0,nose,2,2\n": "3: this keypoint stands twice in its frame; persons of one frame",
