@@ -1,0 +1,58 @@
+"""The trackers of whole takes and of frames with the rays of a recording, as `ops.priors.stabilise` needs them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.body.kinematic_chain import ChainBody, Poses
+from kinedex.ops.priors.stabilise import Track
+from kinedex.ops.tracking.first_track import FirstTrack, first_track
+from kinedex.ops.tracking.observations import BodyPoints, Rays
+from kinedex.ops.tracking.prior_terms import PriorTerms
+from kinedex.ops.tracking.take_tracker import SCHEDULE, track_take
+from kinedex.ops.tracking.trust import restart, trust
+
+Bool = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class RayTracker:
+    """The tracker of whole takes with the rays of a recording.
+
+    Attributes
+    ----------
+    body : ChainBody
+        The body.
+    points : BodyPoints
+        The keypoints on it.
+    rays : Rays
+        The observations.
+    rate_hz : float
+        Frames a second.
+    """
+
+    body: ChainBody
+    points: BodyPoints
+    rays: Rays
+    rate_hz: float
+
+    @cached_property
+    def without(self) -> FirstTrack:
+        """The track without priors, with that before its restart."""
+        return first_track(self.body, self.rays, self.points, self.rate_hz)
+
+    def track(self, start: Poses, priors: PriorTerms | None) -> Track:
+        """Track the recording again from a start, with the terms of priors."""
+        return track_take(self.body, self.rays, self.points, self.rate_hz, start, priors, schedule=SCHEDULE[-1:])
+
+    def nodes_seen(self, track: Track) -> Bool:
+        """Return the nodes whose keypoints the cameras agree on, bool (T, K)."""
+        return trust(self.body, self.rays, self.points, track.poses).nodes_seen
+
+    def restart(self, poses: Poses, nodes_seen: Bool) -> Poses:
+        """Return poses to start again from, interpolated where nodes are not seen."""
+        return restart(self.body, poses, nodes_seen)
