@@ -16,10 +16,11 @@ from kinedex.catalog.queries.query_files import parse_queries, read_queries
 from kinedex.ops.annotation.segments import Segment
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.pipelines.engine.config import load_pipeline
-from studies import corrections, cuts, few_clips, learned_queries, manual_queries, stiffness
+from studies import corrections, cuts, few_clips, learned_queries, manual_queries, silhouettes, stiffness
 from studies.bandai import NONE, confusions, draw, summary, winner
 from studies.cross_studio import begin_of, contributions
 from studies.long_archive import METHODS, stages
+from tests.bodies import index, standing
 from tests.oracles.paths import best_paths
 
 
@@ -161,3 +162,22 @@ def test_words_that_differ_are_counted_by_their_distance_from_the_cut() -> None:
     assert "| 2 | 50.0 % | 0.0 % |" in text
     assert "| 0 s | 1 of 2 | 3 of 120 |" in text
     assert "| 0.5 s | 1 of 1 | 0 of 60 |" in text
+
+
+def test_two_cameras_are_dark_for_a_while_in_every_second_and_a_half() -> None:
+    dark = silhouettes.dark_cameras(450, 4, np.random.default_rng(3))
+    for first in range(0, 450, 45):
+        part = dark[first : first + 45]
+        assert sorted(part.sum(axis=0) > 0) == [False, False, True, True]
+        assert 11 <= part.any(axis=1).sum() <= 31
+
+
+def test_joined_clips_go_on_where_the_one_before_ended() -> None:
+    figure = np.stack([standing(30)[index(joint)] for joint in silhouettes.CHAIN.joints]).transpose(2, 0, 1)
+    figure = figure + np.linspace(0, 0.3, 30)[:, None, None] * np.array([0, 0, 1])  # walks to the front
+    away = figure @ np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]) + np.array([3.0, 0, 1])
+    whole = silhouettes.join([figure, away], fade=5)
+    assert whole.shape == (55, 24, 3)
+    np.testing.assert_allclose(whole[:25], figure[:25])
+    expected = figure + np.array([0, 0, 0.3 * 25 / 29])
+    np.testing.assert_allclose(whole[25:], expected, atol=0.02)

@@ -97,7 +97,8 @@ class FrameTrack:
     positions : float64 array (T, J, 3)
         The joints in metres.
     costs : float64 array (T,)
-        Squares of the residuals of the observations.
+        What the guard of priors compares: with silhouettes alone their mean distance from the contour in pixels, else
+        the squares of the residuals of the observations.
     lost : bool array (T,)
         True where a frame observes too little, or would jump: its pose is the last one.
     contours : int64 array (T,)
@@ -156,22 +157,57 @@ def track_frames(
         There is nothing to track, or no first pose of silhouettes alone; a number of frames differs, or a mask is not
         of its camera's size.
     """
-    tracker = _Tracker(body, observations, points, rate_hz, priors, silhouettes, sigma_px)
+    frames = _Frames(body, observations, points, rate_hz, priors, silhouettes, sigma_px)
     if first is None:
         first = _first_pose(body, observations, points)
     if first.places.shape != (1, 3) or first.turns.shape != (1, len(body.chain.nodes), 3, 3):
         raise ParameterError("first", f"one pose of {len(body.chain.nodes)} nodes", first.turns.shape)
-    frames = tracker.frames
-    poses = Poses(np.empty((frames, 3)), np.empty((frames, *first.turns.shape[1:])))
-    costs, lost = np.zeros(frames), np.zeros(frames, np.bool_)
-    contours, shifts = np.zeros(frames, np.int64), np.full(frames, np.nan)
+    count = frames.count
+    poses = Poses(np.empty((count, 3)), np.empty((count, *first.turns.shape[1:])))
+    costs, lost = np.zeros(count), np.zeros(count, np.bool_)
+    contours, shifts = np.zeros(count, np.int64), np.full(count, np.nan)
     state = _State(first.places[0].copy(), first.turns[0].copy(), np.zeros(3), np.zeros((len(first.turns[0]), 3)))
-    for t in range(frames):
-        state = tracker.track(t, state)
+    for t in range(count):
+        state = frames.track(t, state)
         poses.places[t], poses.turns[t] = state.place, state.turns
         costs[t], lost[t], contours[t], shifts[t] = state.cost, state.frames_lost > 0, state.contours, state.shift_px
     positions, _ = forward(body, poses)
+    if observations is None:
+        costs = np.nan_to_num(shifts)
     return FrameTrack(poses, np.ascontiguousarray(positions.transpose(2, 0, 1)), costs, lost, contours, shifts)
+
+
+@dataclass(frozen=True, eq=False)
+class FrameTracker:
+    """The tracker of frames with its observations, for rounds of priors; see `kinedex.ops.priors.stabilise.Tracker`.
+
+    Attributes
+    ----------
+    body, observations, points, rate_hz, first, silhouettes, sigma_px
+        Those of `track_frames`.
+    """
+
+    body: ChainBody
+    observations: Rays | Places | None
+    points: BodyPoints | None
+    rate_hz: float
+    first: Poses | None = None
+    silhouettes: Silhouettes | None = None
+    sigma_px: float = SIGMA_PX
+
+    def track(self, start: Poses | None = None, priors: PriorTerms | None = None) -> FrameTrack:
+        """Track the recording with the terms of priors; every frame starts from the one before, not from `start`."""
+        return track_frames(
+            self.body, self.observations, self.points, self.rate_hz, self.first, priors, self.silhouettes, self.sigma_px
+        )
+
+    def nodes_seen(self, track: FrameTrack) -> Bool:
+        """Return True for all nodes of the frames that are not lost, bool (T, K)."""
+        return np.repeat(~track.lost[:, None], len(self.body.chain.nodes), axis=1)
+
+    def restart(self, poses: Poses, nodes_seen: Bool) -> Poses:
+        """Return the poses: the tracker has no start but that of the first frame."""
+        return poses
 
 
 def _first_pose(body: ChainBody, observations: Rays | Places | None, points: BodyPoints | None) -> Poses:
@@ -200,7 +236,7 @@ class _State:
     shift_px: float = np.nan
 
 
-class _Tracker:
+class _Frames:
     """The observations, the priors and the room that all frames of a track share."""
 
     def __init__(
@@ -222,12 +258,12 @@ class _Tracker:
             frames = len(silhouettes.masks)
             observations = Places(np.full((frames, joints, 3), np.nan), np.ones((frames, joints)))
         counts = observations.confidence if isinstance(observations, Rays) else observations.sigma_m
-        self.frames = len(counts)
-        if silhouettes is not None and len(silhouettes.masks) != self.frames:
-            raise ParameterError("masks", f"those of {self.frames} frames", len(silhouettes.masks))
+        self.count = len(counts)
+        if silhouettes is not None and len(silhouettes.masks) != self.count:
+            raise ParameterError("masks", f"those of {self.count} frames", len(silhouettes.masks))
         self.body, self.silhouettes = body, silhouettes
         self.evidence = make_evidence(body, observations, points, sigma_px)
-        arrays = prior_arrays(body, priors, self.frames)
+        arrays = prior_arrays(body, priors, self.count)
         # frames on silhouettes write their start into these
         targets, weights = arrays.turn_targets.copy(), arrays.turn_weights.copy()
         self.priors = arrays._replace(turn_targets=targets, turn_weights=weights)
