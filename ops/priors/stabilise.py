@@ -71,7 +71,7 @@ class Tracker(Protocol):
         """Return the nodes whose keypoints the cameras agree on, bool (T, K)."""
 
     def restart(self, poses: Poses, nodes_seen: Bool) -> Poses:
-        """Return poses whose first node is interpolated where it is not seen."""
+        """Return poses to start again from, interpolated where nodes are not seen."""
 
 
 @dataclass(frozen=True)
@@ -251,7 +251,7 @@ def round_start(tracker: Tracker, state: TrackState, terms: PriorTerms) -> Poses
     """Return the start of a round: the track before it, and the priors where it is not to be trusted.
 
     A node with an archive or pose prior starts from it where it is not seen, where it is farther than `FAR_RAD` from
-    it, or where neither hip is seen; the first node is interpolated where neither hip is seen.
+    it, or where neither hip is seen; other nodes are interpolated where they are not seen, as in a restart.
 
     Parameters
     ----------
@@ -270,8 +270,8 @@ def round_start(tracker: Tracker, state: TrackState, terms: PriorTerms) -> Poses
     moved = ~state.nodes_seen | (apart > FAR_RAD)
     moved[lost] = True
     moved &= given
-    turns = np.where(moved[:, :, None, None], terms.turn_targets, state.poses.turns)
-    return tracker.restart(Poses(state.poses.places.copy(), turns), state.nodes_seen)
+    again = tracker.restart(state.poses, state.nodes_seen)
+    return Poses(again.places, np.where(moved[:, :, None, None], terms.turn_targets, again.turns))
 
 
 def _moved_mm(before: Track, after: Track) -> F64:
