@@ -83,13 +83,8 @@ def search(
     from kinedex.pipelines.search.explanation import explain_search
     from kinedex.pipelines.search.search import load_query_file, save_hits, search_remarks, search_store
 
-    if explain and save is not None:
-        raise KinedexError("--explain shows no hits that --save could store: give only one of them")
     pages = Pages(html, output, figures)
-    if explain and (html or pages.picture):
-        raise KinedexError("--explain shows no hits: give it without --html and without a picture")
-    if at is not None and save is not None:
-        raise KinedexError("--save stores the hits in the newest version: give no --at with it")
+    _refuse_contradictions(explain, save, at, bool(html or pages.picture))
     opened = open_for_reading(store, at if save is None else "newest")
     loaded = load_query_file(queries, opened.feature_set, name, opened.rate_hz)
     plain = form == "table" and output is None
@@ -108,8 +103,7 @@ def search(
         opened.close()
         hits = save_hits(opened, hits, save, run)
     if as_json:
-        takes = len(set(hits.column("take_id").to_pylist()))
-        document = {"store": store, "query_file": queries, "takes": takes, "saved_as": save, "run": run}
+        document = {"store": store, "query_file": queries, "takes": _takes(hits), "saved_as": save, "run": run}
         document |= {"remarks": remarks} if remarks else {}
         print_json({**document, "hits": hits.drop_columns(["run", "saved_as"])})
         return
@@ -129,16 +123,29 @@ def search(
     pages.report()
 
 
+def _refuse_contradictions(explain: bool, save: str | None, at: int | str | None, pictures: bool) -> None:
+    """Raise a KinedexError if options of a search exclude each other."""
+    if explain and save is not None:
+        raise KinedexError("--explain shows no hits that --save could store: give only one of them")
+    if explain and pictures:
+        raise KinedexError("--explain shows no hits: give it without --html and without a picture")
+    if at is not None and save is not None:
+        raise KinedexError("--save stores the hits in the newest version: give no --at with it")
+
+
 def _show_hits(hits: pa.Table, shown: pa.Table, save: str | None, run: str | None) -> None:
     """Show the first hits as a table with a line on all below it, or the line alone where they were saved."""
     if save is not None:
         print_message(f"{counted(hits.num_rows, 'hit')} saved as '{save}' (run {run})")
         return
     show_table(shown.drop_columns(["run", "saved_as", "take_id"]), "table", None)
-    takes = len(set(hits.column("take_id").to_pylist()))
     hint = _part(shown.num_rows) if shown.num_rows < hits.num_rows else ""
     hint = hint if hits.num_rows else "; --explain shows at which keyframe the search ends"
-    print_message(f"{counted(hits.num_rows, 'interval')} in {counted(takes, 'take')}{hint}")
+    print_message(f"{counted(hits.num_rows, 'interval')} in {counted(_takes(hits), 'take')}{hint}")
+
+
+def _takes(hits: pa.Table) -> int:
+    return len(set(hits.column("take_id").to_pylist()))
 
 
 def _part(shown: int) -> str:
