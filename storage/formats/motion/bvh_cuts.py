@@ -13,7 +13,8 @@ from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
 from kinedex.catalog.skeletons.mappings import Mappings, load_mappings
 from kinedex.ops.body.kinematics import Step
 from kinedex.storage.formats.motion.bvh import FittedPerson, fitted_person, persons_of
-from kinedex.storage.formats.motion.bvh_parser import BvhFile, frame_time
+from kinedex.storage.formats.motion.bvh_parser import BvhFile
+from kinedex.storage.formats.motion.bvh_rate import frame_time
 from kinedex.storage.formats.motion.channel_cuts import Stamp, check_interval, check_source, stamp_of, write_bytes
 from kinedex.storage.formats.motion.channel_edits import Figure, MirrorPlane, Tokens, edited, mirror_plane, negated
 from kinedex.storage.formats.motion.figures import chosen_person

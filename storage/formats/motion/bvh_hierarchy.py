@@ -1,0 +1,166 @@
+"""The hierarchy of a BVH file: its joints with offsets and channels, and the chain that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.body import kinematics as k
+from kinedex.ops.errors import did_you_mean
+from kinedex.storage.formats.motion.bvh_text import BvhText, shown
+
+MOST_JOINTS = 10_000
+"""A body has some hundred joints with every finger; a file that claims more than this is refused."""
+
+_CHANNELS = {
+    "xrotation": k.ROTATE_X, "yrotation": k.ROTATE_Y, "zrotation": k.ROTATE_Z,
+    "xposition": k.MOVE_X, "yposition": k.MOVE_Y, "zposition": k.MOVE_Z,
+}  # fmt: skip
+
+
+@dataclass
+class BvhJoint:
+    """One ROOT, JOINT or End Site of the hierarchy as it is read."""
+
+    name: str
+    at: int
+    parent: int
+    end: bool = False
+    offset: tuple[float, ...] | None = None
+    channels: list[str] | None = None
+    numbers: tuple[int, int] = (0, 0)  # the bytes of its OFFSET's numbers
+    stop: int = 0  # the byte after its closing brace
+
+
+def read_hierarchy(text: BvhText) -> list[BvhJoint]:
+    """Read up to MOTION and return the joints in the order of the file, parents first."""
+    word = text.word()
+    if word is None or word.upper() != "HIERARCHY":
+        raise text.error(f"expected HIERARCHY, got {shown(word)}: this is no BVH file")
+    joints: list[BvhJoint] = []
+    inside: list[int] = []
+    while (word := text.word()) is not None:
+        key = word.upper()
+        if key == "MOTION" and joints and not inside:
+            return joints
+        if key in ("ROOT", "JOINT", "END"):
+            _open_joint(text, key, joints, inside)
+        elif not inside:
+            expected = "MOTION" if joints else "ROOT"
+            raise text.error(f"expected {expected}, got {shown(word)}{did_you_mean(word.upper(), [expected])}")
+        elif key == "}":
+            joint = joints[inside.pop()]
+            joint.stop = text.pos
+            if joint.offset is None:
+                raise text.error(f"{_called(joint)} has no OFFSET", joint.at)
+        elif key == "OFFSET":
+            _read_offset(text, joints[inside[-1]])
+        elif key == "CHANNELS":
+            _read_channels(text, joints[inside[-1]])
+        else:
+            opened = joints[inside[-1]]
+            if key == "MOTION":
+                raise text.error(f"MOTION before {_called(opened)} (line {text.line(opened.at)}) is closed with '}}'")
+            raise text.error(f"expected OFFSET, CHANNELS, JOINT, End Site or '}}', got {shown(word)}")
+    raise text.error("the file ends in its hierarchy, before MOTION (is it cut off?)")
+
+
+def _called(joint: BvhJoint) -> str:
+    return "an End Site" if joint.end else f"joint '{joint.name}'"
+
+
+def _open_joint(text: BvhText, key: str, joints: list[BvhJoint], inside: list[int]) -> None:
+    at = text.at
+    name = text.rest()
+    if key == "ROOT" and inside:
+        raise text.error(f"ROOT '{name}' inside another joint; expected JOINT, or a '}}' before it", at)
+    if key != "ROOT" and not inside:
+        raise text.error(f"{key} '{name}' outside the ROOT" + ("; is a '}' too many above?" if joints else ""), at)
+    parent = inside[-1] if inside else -1
+    if parent >= 0 and joints[parent].end:
+        raise text.error("an End Site has no joints below it", at)
+    if key != "END" and not name:
+        raise text.error(f"{key} has no name", at)
+    if text.word() != "{":
+        raise text.error(f"expected '{{' after {key} {name}")
+    if len(joints) == MOST_JOINTS:
+        raise text.error(f"more than {MOST_JOINTS} joints: this is no body", at)
+    inside.append(len(joints))
+    joints.append(BvhJoint(name, at, parent, end=key == "END"))
+
+
+def _read_offset(text: BvhText, joint: BvhJoint) -> None:
+    if joint.offset is not None:
+        raise text.error(f"a second OFFSET of {_called(joint)}")
+    values = [text.number(f"OFFSET of {_called(joint)}")]
+    first = text.at
+    values += [text.number(f"OFFSET of {_called(joint)}") for _ in range(2)]
+    joint.offset, joint.numbers = tuple(values), (first, text.pos)
+
+
+def _read_channels(text: BvhText, joint: BvhJoint) -> None:
+    at = text.at
+    if joint.channels is not None:
+        raise text.error(f"a second CHANNELS of {_called(joint)}")
+    if joint.end:
+        raise text.error("an End Site has no CHANNELS")
+    count = text.number(f"the number of CHANNELS of {_called(joint)}")
+    if count not in range(7):
+        raise text.error(f"the number of CHANNELS of {_called(joint)} must be 0 to 6, got {count:g}")
+    joint.channels = []
+    for _ in range(int(count)):
+        word = text.word()
+        if word is None or word.lower() not in _CHANNELS:
+            known = ("Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation")
+            near = did_you_mean(word, known) if word else ""
+            raise text.error(f"{_called(joint)} has {count:g} channels; expected one, got {shown(word)}{near}")
+        if word.lower() in joint.channels:
+            raise text.error(f"{_called(joint)} has channel {word} twice", at)
+        joint.channels.append(word.lower())
+
+
+def name_joints(joints: list[BvhJoint]) -> list[str]:
+    """Give End Sites their names and every joint a name of its own; return warnings."""
+    used: dict[str, int] = {}
+    twice: list[str] = []
+    for joint in joints:
+        if not joint.end:
+            twice += [joint.name] if joint.name in used else []
+            joint.name = _free(joint.name, "#", used)
+    for joint in joints:
+        if joint.end:
+            joint.name = _free(f"{joints[joint.parent].name}_end", "", used)
+    names = list(dict.fromkeys(twice))
+    if not names:
+        return []
+    shown = ", ".join(f"'{name}'" for name in names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+    return [f"several joints have one name ({shown}); the second of them is read as '<name>#2', and so on"]
+
+
+def _free(name: str, mark: str, used: dict[str, int]) -> str:
+    """Return the name itself, or with the next number behind it if it is used already."""
+    free = name
+    while free in used:
+        used[name] += 1
+        free = f"{name}{mark}{used[name]}"
+    used[free] = 1
+    return free
+
+
+def chain_of(joints: Iterable[BvhJoint]) -> tuple[tuple[k.Node, ...], npt.NDArray[np.bool_]]:
+    """Return the joints as nodes, and a mask of the channels that are rotations."""
+    nodes = []
+    rotations: list[bool] = []
+    for joint in joints:
+        offset = np.array(joint.offset, dtype=np.float64)
+        kinds = [_CHANNELS[channel] for channel in joint.channels or ()]
+        for kind in kinds:
+            if kind >= k.MOVE_X:
+                offset[kind - k.MOVE_X] = 0.0
+        steps = tuple(k.Step(kind, column) for column, kind in enumerate(kinds, len(rotations)))
+        rotations += [kind <= k.ROTATE_Z for kind in kinds]
+        nodes.append(k.Node(joint.name, joint.parent, np.eye(3), offset, np.zeros(3), np.zeros(3), steps))
+    return tuple(nodes), np.array(rotations)
