@@ -1,0 +1,136 @@
+"""Joints of a body among points by regressions of landmarks, and by points that are centres of joints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.skeletons.recognition.landmarks import Landmarks, Reading
+from kinedex.catalog.skeletons.recognition.point_draft import SIDES, BodyDraft, mean_of, median_length, one_point
+from kinedex.catalog.skeletons.recognition.point_trunk import add_head
+from kinedex.catalog.skeletons.recognition.stand_ins import stand_ins
+from kinedex.catalog.skeletons.skeleton_fit import Mix
+
+F64 = npt.NDArray[np.float64]
+
+
+_ENOUGH = 3  # mixes of a joint that is never hidden
+_APART = 0.04  # sizes of the body; an alternative farther off than this stands for another place
+_OFF = 0.012  # sizes of the body; a stand-in for hidden markers is nearer than this
+_PELVIS = ("lasis", "rasis", "lpsis", "rpsis", "sacrum", "ltrochanter", "rtrochanter", "lcrest", "rcrest")
+_THORAX = ("c7", "t10", "clav", "strn", "lacromion", "racromion")
+
+_SEGMENTS: dict[str, tuple[str, ...]] = {
+    "root": _PELVIS, "lhip": _PELVIS, "rhip": _PELVIS, "neck": _THORAX, "chest": _THORAX, "lshoulder": _THORAX,
+    "rshoulder": _THORAX,
+    "lknee": ("lkneelat", "lkneemed", "lthigh"), "lankle": ("lanklelat", "lanklemed", "lkneelat", "lshank"),
+    "rknee": ("rkneelat", "rkneemed", "rthigh"), "rankle": ("ranklelat", "ranklemed", "rkneelat", "rshank"),
+}  # fmt: skip
+"""Joint → landmarks that move with it."""
+
+_AMID = 0.1  # hip widths; a point of the pelvis that is nearer to the middle of the hips is computed from them
+_ROOT_UP = 0.12  # of the way from the middle of the hips to that of the shoulders; 0.06 to 0.20 in Acclaim bodies
+_ROOT_BACK = 0.4  # hip widths; 0.59 to 0.87 for HDM05's actors bd, bk and dg, 0.24 for CMU's 02
+
+
+def add_regressions(draft: BodyDraft, landmarks: Landmarks, reading: Reading, joints: Sequence[str]) -> None:
+    """Make the joints that have regressions or centres of their own; alternatives must agree where both are seen."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        size = _size(draft.places)
+        for joint, (mixes, how) in landmarks.all_mixes(reading, joints).items():
+            draft.set(joint, *_agreeing(draft, mixes, size), how=how)
+    for joint, landmarks_of in _SEGMENTS.items():
+        if joint in draft.joints and reading.skin:
+            labels = [label for landmark in landmarks_of for label in reading.labels.get(landmark, ())]
+            best, *others = draft.joints[joint]
+            place = draft.place(joint)
+            like = [] if place is None else stand_ins(draft.places, place, labels, _OFF * size)
+            draft.joints[joint] = [best, *like, *others]
+
+
+def _agreeing(draft: BodyDraft, mixes: Sequence[Mix], size: float) -> list[Mix]:
+    """Return the mixes that are seen in some frame and lie where the first of them does.
+
+    Of a joint that is seen in all sampled frames two alternatives are enough.
+    """
+    kept: list[Mix] = []
+    first: F64 | None = None
+    for mix in mixes:
+        place = draft.at(mix)
+        seen = np.isfinite(place[0] + place[1] + place[2])
+        if not seen.any():
+            continue
+        if first is None:
+            first, always = place, bool(seen.all())
+        elif median_length(place - first) > _APART * size:
+            continue
+        kept.append(mix)
+        if always and len(kept) == _ENOUGH:
+            break
+    return kept
+
+
+def _size(places: Mapping[str, F64]) -> float:
+    """Return the extent of all points in a frame, the median over frames."""
+    if not places:
+        return float("nan")
+    stacked = np.stack(list(places.values()))
+    stacked = stacked[:, :, np.isfinite(stacked).any(axis=(0, 1))]
+    if not stacked.size:
+        return float("nan")
+    return median_length(np.nanmax(stacked, axis=0) - np.nanmin(stacked, axis=0))
+
+
+def add_centres(draft: BodyDraft, reading: Reading) -> None:
+    """Make root, neck, head, fingers and collar bones of a set of joint centres."""
+    of = {name: labels[0] for name, labels in reading.labels.items() if name != "spine"}
+    shoulders = [of[f"{side}shoulderjoint"] for side in SIDES if f"{side}shoulderjoint" in of]
+    hips = [of[f"{side}hipjoint"] for side in SIDES if f"{side}hipjoint" in of]
+    if "pelvis" in of and not _amid(draft, of["pelvis"], hips):
+        draft.joints["root"] = [one_point(of["pelvis"])]
+    elif len(hips) == 2:
+        _root_of_hips(draft, hips, shoulders)
+    between = mean_of(shoulders) if len(shoulders) == 2 else None
+    neck = one_point(of["neckjoint"]) if "neckjoint" in of else None
+    thorax = one_point(of["thorax"]) if "thorax" in of and is_near(draft, of["thorax"], between) else None
+    chosen = thorax or neck or between
+    if chosen is not None:
+        draft.joints["neck"] = [chosen]
+        if chosen is between:
+            draft.estimated["neck"] = "amid the shoulders"
+    add_head(draft, of)
+    for side in SIDES:
+        if f"{side}collar" in of:
+            draft.set(f"{side}clavicle", one_point(of[f"{side}collar"]))
+        knuckles = [of[f"{side}{finger}"] for finger in ("index", "pinky") if f"{side}{finger}" in of]
+        draft.set(f"{side}fingers", mean_of(knuckles))
+
+
+def _amid(draft: BodyDraft, label: str, hips: Sequence[str]) -> bool:
+    """Return whether a point of the pelvis is nothing but the middle of the hips."""
+    if len(hips) != 2:
+        return False
+    left, right = (draft.places[hip] for hip in hips)
+    return median_length(draft.places[label] - (left + right) / 2) < _AMID * median_length(left - right)
+
+
+def _root_of_hips(draft: BodyDraft, hips: Sequence[str], shoulders: Sequence[str]) -> None:
+    """Place the root above and behind the middle of the hips, where the skeletons of Acclaim files have it."""
+    middle = Mix(tuple((hip, 0.5) for hip in hips))
+    if len(shoulders) != 2:
+        draft.joints["root"] = [middle]
+        return
+    up = tuple((hip, 0.5 - _ROOT_UP / 2) for hip in hips) + tuple((label, _ROOT_UP / 2) for label in shoulders)
+    draft.joints["root"] = [Mix(up, plane=(hips[1], hips[0], shoulders[0]), out=-_ROOT_BACK), middle]
+    draft.estimated["root"] = "above and behind the middle of the hips"
+
+
+def is_near(draft: BodyDraft, label: str, between: Mix | None) -> bool:
+    """Return whether a point is nearer to the middle of the shoulders than to the root."""
+    root = draft.place("root")
+    if between is None or root is None:
+        return True
+    place = draft.places[label]
+    return median_length(place - between.apply(draft.places, 1.0)) < 0.35 * median_length(place - root)

@@ -1,0 +1,178 @@
+"""Head, trunk, feet and hands of a body among points, from the joints and landmarks that are known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.skeletons.recognition.landmarks import Reading
+from kinedex.catalog.skeletons.recognition.point_draft import (
+    SIDES,
+    BodyDraft,
+    blend,
+    mean_of,
+    median_length,
+    median_of,
+    one_point,
+)
+from kinedex.catalog.skeletons.skeleton_fit import Mix
+
+F64 = npt.NDArray[np.float64]
+
+
+def add_head(draft: BodyDraft, of: Mapping[str, str]) -> None:
+    """Make head and head top of whatever points the head has; a point `head` is its top, its middle or its joint."""
+    neck, root = draft.joints.get("neck"), draft.place("root")
+    ears = [of[f"{side}ear"] for side in SIDES if f"{side}ear" in of]
+    eyes = [of[f"{side}eye"] for side in SIDES if f"{side}eye" in of]
+    middle = mean_of(ears) if len(ears) == 2 else None
+    top = one_point(of["top"]) if "top" in of else None
+    head = one_point(of["headjoint"]) if "headjoint" in of else None
+    if neck is None or root is None or neck[0].plane:
+        draft.set("head", head or middle)
+        draft.set("headtop", top)
+        return
+    base = neck[0]
+    up = base.apply(draft.places, 1.0) - root
+    trunk = median_length(up)
+    reach = 0.0
+    if head is not None:
+        rise = head.apply(draft.places, 1.0) - base.apply(draft.places, 1.0)
+        reach = median_length(rise) / trunk
+        if reach > 1.0 or not median_of((rise * up).sum(axis=0)) > 0.0:
+            head = None  # such as the origin of a program's head segment, which is anywhere
+    if head is not None and top is None and reach > 0.4:
+        head, top = None, head
+    face = middle or mean_of(eyes) or (one_point(of["nose"]) if "nose" in of else None)
+    if head is None and middle is None and top is not None:
+        head = blend(base, top, 0.6)
+        draft.estimated["head"] = "on the way from neck to the top"
+    elif head is None and middle is None and face is not None:
+        head = face
+        draft.estimated["head"] = "at the face"
+    head = middle or head
+    if head is not None:
+        draft.joints["head"] = [head]
+        if top is None:
+            length = median_length(head.apply(draft.places, 1.0) - base.apply(draft.places, 1.0))
+            if length > 0:
+                top = blend(base, head, float(np.clip(0.5 * trunk / length, 1.3, 3.0)))
+                draft.estimated["headtop"] = "past the head, by the length of the trunk"
+    if top is not None:
+        draft.joints["headtop"] = [top]
+
+
+def add_trunk(draft: BodyDraft, reading: Reading) -> None:
+    """Fill in the trunk: points of the spine by arc length, or the straight line; knees from clusters of markers."""
+    for side in SIDES:
+        _knee_between_clusters(draft, reading, side)
+    if "root" not in draft.joints or "neck" not in draft.joints:
+        return
+    spine = () if reading.skin else reading.labels.get("spine", ())
+    for joint, share in (("belly", 1 / 3), ("chest", 2 / 3)):
+        draft.set(joint, _along_spine(draft, spine, share))
+    if "chest" in draft.joints:
+        how = "" if reading.skin else "amid root and chest"
+        draft.set("belly", Mix((("root", 0.5), ("chest", 0.5)), of_joints=True), how=how)
+    for joint, share in (("chest", 2 / 3), ("belly", 1 / 3)):
+        line = Mix((("root", round(1 - share, 6)), ("neck", round(share, 6))), of_joints=True)
+        if joint not in draft.joints:
+            draft.set(joint, line, how="on the line from root to neck")
+        elif not draft.joints[joint][0].of_joints:
+            draft.joints[joint].append(line)
+    for joint, past in (("head", 0.25), ("headtop", 0.5)):
+        mix = Mix((("root", -past), ("neck", 1 + past)), of_joints=True)
+        draft.set(joint, mix, how="past the neck, in line with the trunk")
+    for side in SIDES:
+        draft.set(f"{side}clavicle", *draft.joints["neck"])
+
+
+def _along_spine(draft: BodyDraft, labels: Sequence[str], share: float) -> Mix | None:
+    """Return the place at a share of the arc from root over the points of the spine to the neck."""
+    root, neck = draft.place("root"), draft.place("neck")
+    if not labels or root is None or neck is None:
+        return None
+    up = neck - root
+    length = median_length(up)
+    heights = {label: median_of(((draft.places[label] - root) * up).sum(axis=0)) / length**2 for label in labels}
+    inner = [label for label in sorted(labels, key=lambda label: heights[label]) if 0.05 < heights[label] < 0.97]
+    mixes = [draft.joints["root"][0], *map(one_point, inner), draft.joints["neck"][0]]
+    if not inner or any(mix.plane or mix.of_joints for mix in mixes):
+        return None
+    places = [mix.apply(draft.places, 1.0) for mix in mixes]
+    steps = np.array([median_length(b - a) for a, b in pairwise(places)])
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    at = share * along[-1]
+    i = int(np.clip(np.searchsorted(along, at) - 1, 0, len(steps) - 1))
+    part = float((at - along[i]) / steps[i]) if steps[i] else 0.0
+    if min(part, 1 - part) < 0.1:
+        return mixes[i + round(part)]
+    return blend(mixes[i], mixes[i + 1], round(part, 3))
+
+
+def _knee_between_clusters(draft: BodyDraft, reading: Reading, side: str) -> None:
+    """Estimate a knee without markers from those of thigh and shank, as far along the leg as knees are."""
+    thigh, shank = (reading.labels.get(f"{side}{part}", ()) for part in ("thigh", "shank"))
+    hip, ankle = draft.place(f"{side}hip"), draft.place(f"{side}ankle")
+    if f"{side}knee" in draft.joints or not thigh or not shank or hip is None or ankle is None:
+        return
+    upper, lower = (np.mean([draft.places[label] for label in labels], axis=0) for labels in (thigh, shank))
+    leg = median_length(hip - ankle)
+    down = median_length(upper - hip) / leg
+    up = median_length(lower - ankle) / leg
+    gap = max(1.0 - down - up, 0.05)
+    share = float(np.clip((0.51 - down) / gap, 0.0, 1.0))
+    mix = blend(mean_of(thigh) or one_point(thigh[0]), mean_of(shank) or one_point(shank[0]), round(share, 3))
+    draft.set(f"{side}knee", mix, how="between the markers of thigh and shank")
+
+
+def add_ends(draft: BodyDraft, reading: Reading) -> None:
+    """Estimate the ends of limbs: fingers past the wrist, toes in front of the ankle."""
+    for side in SIDES:
+        wrist, elbow = f"{side}wrist", f"{side}elbow"
+        if wrist in draft.joints and elbow in draft.joints:
+            mix = Mix(((elbow, -0.25), (wrist, 1.25)), of_joints=True)
+            draft.set(f"{side}fingers", mix, how="past the wrist, in line with the forearm")
+        if reading.skin:
+            _toes_of_markers(draft, reading, side)
+        _toes(draft, side)
+
+
+def _toes_of_markers(draft: BodyDraft, reading: Reading, side: str) -> None:
+    """Estimate toes in front of a marker on the ankle, as the pelvis faces."""
+    parts = ("rasis", "lasis", "c7", "lacromion", f"{side}kneelat", f"{side}anklelat")
+    of = {name: reading.labels[name][0] for name in parts if name in reading.labels}
+    above = of.get("c7", of.get("lacromion"))
+    if above is None or not {"rasis", "lasis", f"{side}kneelat", f"{side}anklelat"} <= of.keys():
+        return
+    knee, ankle = of[f"{side}kneelat"], of[f"{side}anklelat"]
+    shank = median_length(draft.places[ankle] - draft.places[knee])
+    width = median_length(draft.places[of["lasis"]] - draft.places[of["rasis"]])
+    below = blend(one_point(knee), one_point(ankle), 1.14)
+    mix = replace(below, plane=(of["rasis"], of["lasis"], above), out=round(0.36 * shank / width, 4))
+    draft.set(f"{side}toes", mix, how="in front of the ankle, as the pelvis faces")
+
+
+def _toes(draft: BodyDraft, side: str) -> None:
+    """Estimate toes in front of the ankle and below it, as the pelvis faces."""
+    legs = [draft.joints.get(f"{side}{part}", [None])[0] for part in ("ankle", "knee")]
+    ahead = [draft.joints.get(joint, [None])[0] for joint in ("rhip", "lhip", "neck")]
+    if f"{side}toes" in draft.joints or any(mix is None or mix.of_joints or mix.plane for mix in (*legs, *ahead)):
+        return
+    ankle, knee = draft.place(f"{side}ankle"), draft.place(f"{side}knee")
+    right, left, neck = (draft.place(joint) for joint in ("rhip", "lhip", "neck"))
+    nodes = [mix.node for mix in ahead if mix is not None]
+    if ankle is None or knee is None or right is None or left is None or neck is None or None in nodes:
+        return
+    shank, width = median_length(ankle - knee), median_length(left - right)
+    below = blend(legs[1], legs[0], 1.14)  # type: ignore[arg-type]
+    plane = tuple(node for node in nodes if node is not None)
+    draft.set(
+        f"{side}toes",
+        replace(below, plane=plane, out=round(0.36 * shank / width, 4)),
+        how="in front of the ankle, as the pelvis faces",
+    )
