@@ -61,8 +61,8 @@ PARTS = {
         ("`skin` and `centres`", "kinedex.catalog.skeletons.recognition.landmarks", "_Part"),
     ),
     "features": (
-        ("", "kinedex.catalog.features", "_FeatureFile"),
-        ("a feature, by its number", "kinedex.catalog.features", "_FeatureEntry"),
+        ("", "kinedex.catalog.feature_files", "FeatureFile"),
+        ("a feature, by its number", "kinedex.catalog.feature_files", "_FeatureEntry"),
     ),
     "classes": (("a class", "kinedex.catalog.classes", "_ClassEntry"),),
     "queries": (

@@ -7,7 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.features import Feature, FeatureSet
+from kinedex.catalog.feature_definitions import Feature
+from kinedex.catalog.features import FeatureSet
 from kinedex.ops.body import features
 from kinedex.ops.body.resample import feature_rate, resample
 from kinedex.ops.words import NO_WORD
