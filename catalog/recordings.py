@@ -98,6 +98,13 @@ class RecordingsFile:
             raise self.located.error(f"no recording is called '{name}'{did_you_mean(name, self.recordings)}", _KEY)
         return self.recordings[name]
 
+    def keypoint_set(self, name: str) -> str | Path | None:
+        """Return the keypoint set of a recording: a shipped name, or the path of a file from this one's folder."""
+        given = self.recording(name).keypoint_set
+        if given is None or not ("/" in given or given.endswith((".yaml", ".yml", ".json"))):
+            return given
+        return self.folder / Path(given).expanduser()
+
     def error(self, name: str, key: str, message: str) -> ConfigError:
         """Return an error that names a recording's key and its line."""
         return self.located.error(message, _KEY, name, key)

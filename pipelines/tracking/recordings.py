@@ -50,8 +50,9 @@ def named_files(file: RecordingsFile, name: str) -> list[tuple[str, Path]]:
         except KinedexError as fault:
             raise file.error(name, kind, str(fault)) from None
         found += [(kind, path) for paths in files.values() for path in paths]
-    if given.keypoint_set is not None and given.keypoint_set.endswith((".yaml", ".yml")):
-        found.append(("keypoint set", config_path("keypoints", given.keypoint_set)))
+    keypoint_set = file.keypoint_set(name)
+    if isinstance(keypoint_set, Path):
+        found.append(("keypoint set", config_path("keypoints", keypoint_set)))
     return found
 
 

@@ -19,7 +19,10 @@ from random import Random
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import yaml
+from PIL import Image
 
 from tests.c3d_files import LABELS, standing_markers, write_c3d
 
@@ -306,9 +309,54 @@ def c3d_markers(data: bytes, random: Random) -> bytes:
         return path.read_bytes()
 
 
+def parquet_columns(data: bytes, random: Random) -> bytes:
+    """Change a column of a Parquet file: its type, its values, its name, or whether it is there."""
+    try:
+        rows = pq.read_table(io.BytesIO(data))
+    except (pa.ArrowException, OSError):
+        return data
+    names, columns = list(rows.column_names), list(rows.columns)
+    place = random.randrange(len(names))
+    values = columns[place].to_pylist()
+    try:
+        match random.randrange(5):
+            case 0:
+                columns[place] = pa.array([None if random.random() < 0.5 else value for value in values])
+            case 1:
+                columns[place] = columns[place].cast(random.choice((pa.string(), pa.float32(), pa.int8(), pa.bool_())))
+            case 2:
+                extreme = random.choice(
+                    (*(one for one in EXTREMES if isinstance(one, float)), 2**62, -1, "a", "", b"\xff", [1])
+                )
+                columns[place] = pa.array(
+                    [extreme if i == 3 or random.random() < 0.1 else None for i in range(len(values))]
+                )
+            case 3:
+                names[place] = random.choice((*names, names[place].upper(), "person", "recording", "line", "row", ""))
+            case _:
+                del names[place], columns[place]
+    except (pa.ArrowException, OverflowError):
+        return data
+    if not names:
+        return data
+    file = io.BytesIO()
+    pq.write_table(pa.Table.from_arrays(columns, names), file)
+    return file.getvalue()
+
+
+def png_pixels(data: bytes, random: Random) -> bytes:
+    """Write an image of another size, kind or content."""
+    size = random.choice(((64, 48), (64, 48), (64, 48), (1, 1), (48, 64), (700, 500)))
+    values = np.random.default_rng(random.randrange(100)).integers(0, random.choice((1, 2, 256)), size[::-1], np.uint8)
+    image = Image.fromarray(values).convert(random.choice(("L", "1", "LA", "RGB", "RGBA", "P", "I;16")))
+    file = io.BytesIO()
+    image.save(file, "PNG", compress_level=random.choice((0, 1)))
+    return file.getvalue()
+
+
 _OF_ENDING: dict[str, Callable[[bytes, Random], bytes]] = {
     ".json": json_tree, ".yaml": yaml_tree, ".eaf": xml_tree, ".osim": xml_tree, ".npy": npy_array, ".npz": npz_arrays,
-    ".c3d": c3d_markers,
+    ".c3d": c3d_markers, ".parquet": parquet_columns, ".png": png_pixels,
 }  # fmt: skip
 
 

@@ -84,7 +84,13 @@ def read_frame(path: Path) -> list[Person]:
         raise SourceError(path, f'expected a JSON object of OpenPose, {{"{PEOPLE}": [{{"{POINTS}": [x, y, c, …]}}]}}')
     refuse_crowds(path, "the frame", people)
     persons = [_person(path, f"person {number}", one) for number, one in enumerate(people)]
-    return [person for person in persons if person is not None]
+    found = [person for person in persons if person is not None]
+    counts = sorted({len(person.points) for person in found})
+    if len(counts) > 1:
+        raise SourceError(
+            path, f"has persons of {' and '.join(map(str, counts))} keypoints; expected one number of them"
+        )
+    return found
 
 
 def _person(path: Path, where: str, content: Any) -> Person | None:

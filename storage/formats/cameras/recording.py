@@ -147,7 +147,7 @@ def read_recording(file: RecordingsFile, name: str) -> Recording:
     keypoints, counts = None, RecordingCounts()
     shift = [offsets.get(camera.name, 0) for camera in used]
     if seen:
-        chosen = _keypoint_set(file, name, given)
+        chosen = _keypoint_set(file, name)
         keypoints = keypoint_arrays([seen.get(camera.name) for camera in used], chosen, given.person, shift)
         counts, more = _checked(file, name, used, keypoints, given.unit or calibration.unit)
         notes += more
@@ -218,19 +218,16 @@ def _keypoints(
     return {camera: found[value] for camera, value in pairs.items()}, {value: camera for camera, value in pairs.items()}
 
 
-def _keypoint_set(file: RecordingsFile, name: str, given: CameraRecording) -> KeypointSet | None:
-    """Return the keypoint set of the recording, if it names one; a path starts from the folder of the file."""
-    if given.keypoint_set is None:
-        return None
-    path = Path(given.keypoint_set)
+def _keypoint_set(file: RecordingsFile, name: str) -> KeypointSet | None:
+    """Return the keypoint set of the recording, if it names one."""
+    chosen = file.keypoint_set(name)
     try:
-        return load_keypoint_set(file.folder / path if path.suffix or len(path.parts) > 1 else given.keypoint_set)
+        return None if chosen is None else load_keypoint_set(chosen)
     except ConfigError as fault:
         if fault.line is not None:
             raise
-        raise file.error(
-            name, "keypoint_set", f"{fault.path}: {fault.reason}" if path.suffix else fault.reason
-        ) from None
+        reason = f"{fault.path}: {fault.reason}" if isinstance(chosen, Path) else fault.reason
+        raise file.error(name, "keypoint_set", reason) from None
 
 
 def _masks(
