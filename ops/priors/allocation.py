@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -115,7 +115,7 @@ class PriorRow:
     motion : str
         The name of the motion.
     hit : int
-        The place of the hit in its round.
+        The number of the hit in its round.
     start, stop : int
         The half-open range of frames.
     first_column, last_column : int
@@ -146,7 +146,11 @@ class PriorRow:
 
 
 def prior_rows(
-    allocation: Allocation, motions: Sequence[Motion], weights: dict[str, float], number: int
+    allocation: Allocation,
+    motions: Sequence[Motion],
+    weights: Mapping[str, float],
+    number: int,
+    hit_numbers: Sequence[int],
 ) -> list[PriorRow]:
     """Return what was allocated in a round, hit by hit.
 
@@ -156,10 +160,12 @@ def prior_rows(
         The hits of the frames.
     motions : sequence of Motion
         The motions of the archive.
-    weights : dict of str to float
+    weights : mapping of str to float
         The factor of each kind that is used: "archive", "pose" and constraints.
     number : int
         The round, from 1.
+    hit_numbers : sequence of int
+        The number of each hit in its round.
     """
     rows = []
     for place, hit in enumerate(allocation.hits):
@@ -177,13 +183,14 @@ def prior_rows(
         ]
         for kind, side, marked in regions:
             own, at = frames[marked], columns[marked]
+            weight = quality * weights[kind]
             for part in np.split(np.arange(len(own)), np.flatnonzero(np.diff(own) != 1) + 1):
                 if len(part):
-                    a, b = int(part[0]), int(part[-1])
+                    (first, last), (low, high) = own[part[[0, -1]]].tolist(), at[part[[0, -1]]].tolist()
                     rows.append(
                         PriorRow(
-                            number, kind, side, motion.name, place, int(own[a]), int(own[b]) + 1, int(at[a]),
-                            int(at[b]), hit.cost, quality * weights[kind],
+                            number, kind, side, motion.name, hit_numbers[place], first, last + 1, low, high, hit.cost,
+                            weight,
                         )
                     )  # fmt: skip
     return rows

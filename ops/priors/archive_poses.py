@@ -109,10 +109,13 @@ class OwnWay(NamedTuple):
     residuals : float64 array (K, 3)
         Root mean square of what is left of log(MᵀR) over the frames where the node is seen, in radians; NaN where it
         is hardly seen.
+    seen_s : float64 array (K,)
+        The time for which each node is seen, in seconds.
     """
 
     turns: F64
     residuals: F64
+    seen_s: F64
 
 
 def own_way(means: F64, turns: F64, seen: Bool, rate_hz: float) -> OwnWay:
@@ -144,4 +147,4 @@ def own_way(means: F64, turns: F64, seen: Bool, rate_hz: float) -> OwnWay:
     own = np.stack([rotation_of(vector) for vector in offsets]) if len(offsets) else np.zeros((0, 3, 3))
     left = relative_turns(means @ own, turns)
     squares = np.where(seen[:, :, None], left**2, 0.0).sum(axis=0) / np.maximum(counts, 1)[:, None]
-    return OwnWay(own, np.where(enough[:, None], np.sqrt(squares), np.nan))
+    return OwnWay(own, np.where(enough[:, None], np.sqrt(squares), np.nan), counts / rate_hz)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -125,4 +125,33 @@ def at_rate(hits: Sequence[Hit], words_rate_hz: float, rate_hz: float, frames: i
             first = last = min(first, frames - 1)
         columns = np.interp(np.arange(first, last + 1) * step, np.arange(hit.start, hit.stop), hit.columns)
         found.append(Hit(hit.motion, first, last + 1, hit.cost, columns))
+    return found
+
+
+def cut_to(hits: Sequence[Hit], frames: I64, least: float) -> list[Hit]:
+    """Return the parts of hits that lie in some frames.
+
+    Parameters
+    ----------
+    hits : sequence of Hit
+        Hits.
+    frames : int64 array (F,)
+        Ascending frames.
+    least : float
+        The least number of frames of a part.
+
+    Returns
+    -------
+    list of Hit
+        The parts in order of the hits, each with the columns of its frames.
+    """
+    runs = np.split(frames, np.flatnonzero(np.diff(frames) != 1) + 1) if len(frames) else []
+    found = []
+    for hit in hits:
+        for run in runs:
+            start, stop = max(hit.start, int(run[0])), min(hit.stop, int(run[-1]) + 1)
+            if stop - start >= max(least, 1):
+                found.append(
+                    replace(hit, start=start, stop=stop, columns=hit.columns[start - hit.start :][: stop - start])
+                )
     return found

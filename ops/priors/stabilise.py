@@ -14,8 +14,8 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.priors.allocation import ARCHIVE, POSE, PriorRow, allocate, prior_rows
 from kinedex.ops.priors.archive_poses import relative_turns
 from kinedex.ops.priors.constraints import CONSTRAINTS
-from kinedex.ops.priors.guard import cost_ratios
-from kinedex.ops.priors.hits import at_rate, find_hits
+from kinedex.ops.priors.guard import allowed_ratios, cost_ratios
+from kinedex.ops.priors.hits import at_rate, cut_to, find_hits
 from kinedex.ops.priors.motion import Motion
 from kinedex.ops.priors.terms import TrackState, make_terms
 from kinedex.ops.tracking.prior_terms import PriorTerms
@@ -32,6 +32,9 @@ KINDS = (LOGICAL, POSE, ARCHIVE)
 
 FAR_RAD = 0.7
 """A node that is farther than this from its prior starts from the prior, in radians."""
+
+LEAST_TRIED_S = 5 / 30
+"""Another hit is tried where it covers frames of a withdrawn one for so many seconds at least."""
 
 SETTLED_RAD, SETTLED_M = 0.01, 0.01
 """A round is the last one if no turn and no place has moved by more."""
@@ -88,19 +91,22 @@ class Settings:
         The most rounds.
     guard : float
         A hit is withdrawn where the track with its priors fits the observations worse than the track without by more
-        than this factor; infinite for no guard.
+        than this factor, less for a hit that costs more, see `ops.priors.guard.allowed_ratios`; infinite for no guard.
     factors : mapping of str to float
         Factors of the weights of kinds or constraints, 1 by default.
     words_rate_hz : float
         Frames per second of the words.
+    attempts : int
+        How often hits of a round are judged; from the second time on other hits take the place of those withdrawn.
     """
 
     kinds: tuple[str, ...] = (ARCHIVE,)
     threshold: float = 0.13
     rounds: int = 2
-    guard: float = 1.1
+    guard: float = 1.12
     factors: Mapping[str, float] = field(default_factory=dict)
     words_rate_hz: float = 30.0
+    attempts: int = 2
 
     def __post_init__(self) -> None:
         unknown = [kind for kind in self.kinds if kind not in KINDS]
@@ -114,6 +120,9 @@ class Settings:
             raise ParameterError("threshold", "above 0", self.threshold)
         if not self.guard >= 0:
             raise ParameterError("guard", "0 or above", self.guard)
+        for name, value in (("rounds", self.rounds), ("attempts", self.attempts)):
+            if value < 1:
+                raise ParameterError(name, "1 or more", value)
 
     @property
     def weights(self) -> dict[str, float]:
@@ -204,41 +213,45 @@ def _round(
     tracker: Tracker, before: Track, without: Track, words: Callable[[Track], U64], motions: Sequence[Motion],
     settings: Settings, number: int,
 ) -> tuple[Track, list[PriorRow]]:  # fmt: skip
-    """Run one round; return its track and what it allocated."""
+    """Run one round; return its track and what it allocated.
+
+    Hits that the observations refute are withdrawn, and other hits that explain their frames are tried in their place.
+    The last attempt has only hits that stood, and is not judged again.
+    """
     frames, weights = len(before.costs), settings.weights
     state = state_of(tracker, before)
-    hits, _ = find_hits([motion.template for motion in motions], words(before), settings.threshold)
-    hits = at_rate(hits, settings.words_rate_hz, tracker.rate_hz, frames)
-    allocation = allocate(hits, frames, settings.threshold)
-    rows = prior_rows(allocation, motions, weights, number)
-    if not rows:
-        return without, rows
-    terms = make_terms(state, allocation, motions, weights)
-    after = tracker.track(round_start(tracker, state, terms), terms)
-    ratios = cost_ratios(allocation, after.costs, without.costs)
-    withdrawn: Bool = ratios > settings.guard
-    if not withdrawn.any():
-        return after, rows
-    kept = allocate([hit for hit, bad in zip(hits, withdrawn, strict=True) if not bad], frames, settings.threshold)
-    rows = _judged(rows, ratios, settings.guard)
-    if not prior_rows(kept, motions, weights, number):
-        return without, rows
-    bad_frames = np.flatnonzero(np.append(withdrawn, False)[allocation.owners])
-    places, turns = after.poses.places.copy(), after.poses.turns.copy()
-    places[bad_frames], turns[bad_frames] = without.poses.places[bad_frames], without.poses.turns[bad_frames]
-    return tracker.track(Poses(places, turns), make_terms(state, kept, motions, weights)), rows
+    found = find_hits([motion.template for motion in motions], words(before), settings.threshold)
+    hits, others = (at_rate(part, settings.words_rate_hz, tracker.rate_hz, frames) for part in found)
+    numbers, refuted = list(range(len(hits))), list[PriorRow]()
+    start: Poses | None = None
+    for attempt in range(settings.attempts + 1):
+        allocation = allocate(hits, frames, settings.threshold)
+        rows = prior_rows(allocation, motions, weights, number, numbers)
+        if not rows:
+            return without, refuted
+        terms = make_terms(state, allocation, motions, weights)
+        track = tracker.track(round_start(tracker, state, terms) if start is None else start, terms)
+        ratios = cost_ratios(allocation, track.costs, without.costs)
+        limits = allowed_ratios(allocation.qualities, settings.guard)
+        bad = np.flatnonzero(ratios > limits).tolist()
+        if not bad or attempt == settings.attempts:
+            return track, refuted + rows
+        reasons = {numbers[place]: _reason(ratios[place], limits[place]) for place in bad}
+        refuted += [replace(row, kept=False, reason=reasons[row.hit]) for row in rows if row.hit in reasons]
+        free = np.flatnonzero(np.isin(allocation.owners, bad))
+        start = Poses(*(part.copy() for part in track.poses))
+        start.places[free], start.turns[free] = without.poses.places[free], without.poses.turns[free]
+        used = max(numbers) + 1
+        stood = [place for place in range(len(hits)) if place not in bad]
+        hits, numbers = [hits[place] for place in stood], [numbers[place] for place in stood]
+        if attempt + 1 < settings.attempts:
+            tried = cut_to(others, free, LEAST_TRIED_S * tracker.rate_hz)
+            hits, numbers, others = hits + tried, numbers + list(range(used, used + len(tried))), []
+    raise AssertionError("the last attempt returns")
 
 
-def _judged(rows: Sequence[PriorRow], ratios: F64, guard: float) -> list[PriorRow]:
-    """Mark the rows of hits that the guard withdraws."""
-    return [
-        replace(
-            row, kept=False,
-            reason=f"the observations fit {ratios[row.hit]:.2f} times as badly as without priors (guard {guard:g})",
-        )
-        if ratios[row.hit] > guard else row
-        for row in rows
-    ]  # fmt: skip
+def _reason(ratio: float, limit: float) -> str:
+    return f"the observations fit {ratio:.2f} times as badly as without priors, more than {limit:.2f}"
 
 
 def state_of(tracker: Tracker, track: Track) -> TrackState:

@@ -31,6 +31,9 @@ Bool = npt.NDArray[np.bool_]
 POSE_RAD = 0.15
 """Standard deviation of a turn about the one that a prior gives, besides the spread of the archive, in radians."""
 
+SPREAD_S = 1 / 3
+"""The spread of the archive counts as much as what is left of a node that is seen for so many seconds of a hit."""
+
 
 @dataclass(frozen=True, eq=False)
 class TrackState:
@@ -100,9 +103,31 @@ def _add_archive(
     means, quality = table.means[columns], weight * allocation.qualities[place]
     way = own_way(means, state.poses.turns[frames], state.nodes_seen[frames], state.rate_hz)
     terms.turn_targets[frames, 1:] = (means @ way.turns)[:, 1:]
-    terms.turn_weights[frames, 1:] = quality / (table.spreads[columns, 1:] ** 2 + POSE_RAD**2)
+    variance = actual_variance(table.spreads[columns], way.residuals, way.seen_s)
+    terms.turn_weights[frames, 1:] = (quality / (variance + POSE_RAD**2))[:, 1:]
     terms.tilt_targets[frames] = table.tilts[columns]
     terms.tilt_weights[frames] = quality / POSE_RAD**2
+
+
+def actual_variance(spreads: F64, residuals: F64, seen_s: F64) -> F64:
+    """Return the variance of turns about those of the archive, from the archive and from the hit itself.
+
+    Where the cameras agree on a node, they show how well the hit fits it: the variances of the archive and of what is
+    left there are averaged, with the weights `SPREAD_S` and the time for which the node is seen. So a hit of another
+    class pulls less, and so does a limb that everybody moves in another way.
+
+    Parameters
+    ----------
+    spreads : float64 array (E, K, 3)
+        The spread in the archive in each frame, in radians.
+    residuals : float64 array (K, 3)
+        Root mean square of what is left, in radians; NaN where a node is hardly seen.
+    seen_s : float64 array (K,)
+        The time for which each node is seen, in seconds.
+    """
+    share = np.where(np.isnan(residuals), 0.0, (seen_s / (SPREAD_S + seen_s))[:, None])
+    variance: F64 = (1.0 - share) * spreads**2 + share * np.nan_to_num(residuals) ** 2
+    return variance
 
 
 def _add_lent(terms: PriorTerms, state: TrackState, allocation: Allocation, frames: I64, weight: float) -> None:

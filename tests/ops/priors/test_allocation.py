@@ -76,7 +76,7 @@ def test_hits_of_words_at_30_hz_cover_the_frames_of_a_recording_at_60_hz():
 
 def test_rows_are_runs_of_frames_with_priors_of_one_kind():
     motion = Motion("step", patterned([1] * 6), None, (Mark("elbow_bent", "left", 2, 4),))
-    rows = prior_rows(allocate(FIGURE, 14, 0.13), [motion], {"pose": 2.0, "elbow_bent": 1.0}, 1)
+    rows = prior_rows(allocate(FIGURE, 14, 0.13), [motion], {"pose": 2.0, "elbow_bent": 1.0}, 1, [0, 1])
     found = [(r.kind, r.side, r.hit, r.start, r.stop, r.first_column, r.last_column) for r in rows]
     assert found == [
         ("elbow_bent", "left", 0, 10, 11, 2, 2), ("pose", "", 1, 3, 8, 1, 5), ("elbow_bent", "left", 1, 4, 6, 2, 3),
