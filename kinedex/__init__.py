@@ -27,12 +27,13 @@ if TYPE_CHECKING:
     from kinedex.ops.errors import ConfigError, KinedexError, ParameterError, SourceError, StoreError
     from kinedex.pipelines.api.annotation import Evaluation, annotate, evaluate
     from kinedex.pipelines.api.labels import Labels
+    from kinedex.pipelines.api.new_takes import features, read
     from kinedex.pipelines.api.pages import write_page
     from kinedex.pipelines.api.picture import Picture
     from kinedex.pipelines.api.pipeline import ingest, run_pipeline
     from kinedex.pipelines.api.query import Query
     from kinedex.pipelines.api.store import Store, open_store
-    from kinedex.pipelines.api.take import Take, features, read
+    from kinedex.pipelines.api.take import Take
     from kinedex.pipelines.api.template import Difference, Template
     from kinedex.pipelines.engine.runner import Outcome
 
@@ -84,11 +85,11 @@ _HOMES = {
     "Template": "pipelines.api.template",
     "annotate": "pipelines.api.annotation",
     "evaluate": "pipelines.api.annotation",
-    "features": "pipelines.api.take",
+    "features": "pipelines.api.new_takes",
     "ingest": "pipelines.api.pipeline",
     "load_feature_set": "catalog.features",
     "open_store": "pipelines.api.store",
-    "read": "pipelines.api.take",
+    "read": "pipelines.api.new_takes",
     "run_pipeline": "pipelines.api.pipeline",
     "write_page": "pipelines.api.pages",
 }

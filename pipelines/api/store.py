@@ -14,7 +14,8 @@ import numpy as np
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import ParameterError, StoreError, did_you_mean
 from kinedex.pipelines.api.arguments import checked, checked_methods
-from kinedex.pipelines.api.take import F32, U64, Frames, Take
+from kinedex.pipelines.api.take import Take
+from kinedex.pipelines.api.take_frames import F32, U64, Frames
 from kinedex.pipelines.console.wording import counted
 from kinedex.storage.store.store import Store as StoredTakes
 from kinedex.storage.store.store import data_frame

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +13,9 @@ import numpy.typing as npt
 from kinedex.catalog.features import FeatureSet, load_feature_set
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.words import ALL_KNOWN, NO_WORD, bits
-from kinedex.pipelines.api.arguments import checked, checked_methods
+from kinedex.pipelines.api.arguments import checked_methods
+from kinedex.pipelines.api.array_body import body_of_array
+from kinedex.pipelines.api.take_frames import F32, U64, Frames, FrameSource, LoadedFrames
 
 if TYPE_CHECKING:
     import polars as pl
@@ -30,54 +31,8 @@ PLAYED_SECONDS = 120.0
 FEATURES = "body40"
 """The feature set that is used where none is named."""
 
-F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
-U64 = npt.NDArray[np.uint64]
 Bool = npt.NDArray[np.bool_]
-
-
-class Frames(NamedTuple):
-    """The frames of a take: positions (T, J, 3), orientation (T, 4) and words (T,)."""
-
-    positions: F32
-    orientation: F32
-    words: U64
-
-
-class FrameSource(Protocol):
-    """The place that the frames of a take come from."""
-
-    def frames(self) -> Frames:
-        """Return all frames."""
-        ...
-
-    def words(self) -> U64:
-        """Return the words alone, which can be quicker."""
-        ...
-
-    def part(self, start: int, stop: int) -> FrameSource:
-        """Return the source of the frames from start up to, but not including, stop."""
-        ...
-
-
-class LoadedFrames:
-    """Frames that are in memory."""
-
-    def __init__(self, frames: Frames) -> None:
-        self._frames = frames
-
-    def frames(self) -> Frames:
-        """Return all frames."""
-        return self._frames
-
-    def words(self) -> U64:
-        """Return the words alone."""
-        return self._frames.words
-
-    def part(self, start: int, stop: int) -> LoadedFrames:
-        """Return the frames from start up to, but not including, stop, without a copy."""
-        positions, orientation, words = self._frames
-        return LoadedFrames(Frames(positions[start:stop], orientation[start:stop], words[start:stop]))
 
 
 @checked_methods
@@ -179,7 +134,7 @@ class Take:
         60
         """
         features = load_feature_set(feature_set)
-        body = _body_of_array(positions, rate, features, joints, orientation)
+        body = body_of_array(positions, rate, features, joints, orientation)
         return take_of_body(name, body, features)
 
     def __len__(self) -> int:
@@ -382,114 +337,6 @@ class Take:
         return shown.with_columns(pl.lit(None, pl.Boolean).alias(name) for name in self.unknown_features)
 
 
-@checked
-def read(
-    path: str | Path,
-    mapping: str | Path | None = None,
-    rate: float | None = None,
-    *,
-    person: str = "",
-    feature_set: str | Path = FEATURES,
-) -> Take:
-    """Read one motion file of any supported format.
-
-    Parameters
-    ----------
-    path : str or Path
-        A motion file: AMC (its ASF skeleton is found beside it or in a folder above), BVH, C3D, TRC, CSV, NPZ or NPY.
-    mapping : str or Path, optional
-        The skeleton mapping: a shipped name, or the path of a YAML file. By default the skeleton is recognised by the
-        names of its joints.
-    rate : float, optional
-        Frames per second of the file, where it does not state them or states them wrongly.
-    person : str, optional
-        The person of a file that holds several; `kinedex inspect` lists them.
-    feature_set : str or Path, optional
-        A shipped feature set, or the path of a YAML file.
-
-    Returns
-    -------
-    Take
-        The motion at the analysis rate of 30 frames per second, with the same words as in a store.
-
-    Raises
-    ------
-    SourceError
-        The file cannot be read, or holds several persons and none is given; the message names file, line and reason.
-    KinedexError
-        There is no such file or mapping.
-    ParameterError
-        The rate is out of range.
-
-    Examples
-    --------
-    >>> take = kinedex.read(motion_file)
-    >>> take.joints[:3]
-    ('root', 'lhip', 'lknee')
-    >>> take.info["source_rate_hz"]
-    120.0
-    """
-    from kinedex.catalog.skeletons.mappings import load_mappings
-    from kinedex.pipelines.ingestion.single_file import chosen_person, motion_ending, skeleton_beside
-    from kinedex.pipelines.ingestion.take_names import person_name
-    from kinedex.storage.formats.motion.reader import ReadSettings
-    from kinedex.storage.formats.motion.reader_table import read_body
-
-    file = Path(path).expanduser()
-    if rate is not None:
-        _check_rate(rate)
-    asf = skeleton_beside(file) if motion_ending(file) == ".amc" else None
-    features = load_feature_set(feature_set)
-    mappings = load_mappings("auto" if mapping is None else str(mapping), features.joints)
-    person = chosen_person(file, asf, mappings, person)
-    body = read_body(file, asf, mappings, features.joints, ReadSettings(override_rate_hz=rate), person=person)
-    about = {"source": str(file), "format": file.suffix[1:].lower(), "skeleton_source": asf and str(asf)}
-    return take_of_body(person_name(file.stem, person), body, features, about)
-
-
-@checked
-def features(
-    positions: npt.ArrayLike,
-    rate: float,
-    *,
-    joints: Sequence[str] | None = None,
-    orientation: npt.ArrayLike | None = None,
-    feature_set: str | Path = FEATURES,
-) -> pl.DataFrame:
-    """Compute the features of joint positions from anywhere.
-
-    Parameters
-    ----------
-    positions : array_like of float, shape (T, J, 3)
-        Joint positions in metres, Y up, as for `Take.from_positions`.
-    rate : float
-        Frames per second of the array.
-    joints : sequence of str, optional
-        The names of the J joints; by default the 24 joints of the feature set in their order.
-    orientation : array_like of float, shape (T, 4), optional
-        The root's orientation as unit quaternions w, x, y, z. By default it is estimated from hips and spine.
-    feature_set : str or Path, optional
-        A shipped feature set, or the path of a YAML file.
-
-    Returns
-    -------
-    polars.DataFrame
-        One row per frame at 30 frames per second and one Boolean column per feature; null in invalid frames.
-
-    Raises
-    ------
-    ParameterError
-        An array has another shape, the rate is out of range, or a joint has no known name.
-
-    Examples
-    --------
-    >>> kinedex.features(take.positions, rate=take.rate_hz).shape == (len(take), 40)
-    True
-    """
-    take = Take.from_positions(positions, rate, joints=joints, orientation=orientation, feature_set=feature_set)
-    return take.features()
-
-
 def take_of_body(name: str, body: Body, feature_set: FeatureSet, about: Mapping[str, Any] | None = None) -> Take:
     """Analyse a body as ingest does, and return it as a take."""
     from kinedex.pipelines.ingestion.analysis import analyse, blind, known_features
@@ -519,55 +366,3 @@ def take_of_body(name: str, body: Body, feature_set: FeatureSet, about: Mapping[
         **figures,
     }
     return Take(name, LoadedFrames(frames), len(words), feature_set, ANALYSIS_RATE_HZ, info)
-
-
-def _body_of_array(
-    positions: npt.ArrayLike,
-    rate: float,
-    feature_set: FeatureSet,
-    joints: Sequence[str] | None,
-    orientation: npt.ArrayLike | None,
-) -> Body:
-    """Return a body whose joints are placed by an array."""
-    from kinedex.storage.formats.motion.points import root_orientation
-    from kinedex.storage.formats.motion.reader import Body
-
-    _check_rate(rate)
-    names = feature_set.joints if joints is None else tuple(joints)
-    given = np.asarray(positions, np.float64)
-    if given.ndim != 3 or given.shape[1:] != (len(names), 3) or not len(given):
-        raise ParameterError("positions", f"of shape (frames, {len(names)}, 3) with at least 1 frame", given.shape)
-    odd = sorted(set(names) - set(feature_set.joints))
-    if odd or len(set(names)) < len(names):
-        raise ParameterError("joints", f"different names among {', '.join(feature_set.joints)}", odd or list(names))
-    placed = np.full((len(feature_set.joints), 3, len(given)), np.nan)
-    placed[[feature_set.joints.index(name) for name in names]] = given.transpose(1, 2, 0)
-    lost = np.isnan(placed).any(axis=1)
-    unknown = lost.all(axis=1)
-    valid: Bool = ~lost[~unknown].any(axis=0)
-    if unknown.all() or not valid.any():
-        raise ParameterError("positions", "finite for every joint in at least one frame", "NaN in every frame")
-    warnings: list[str] = []
-    if orientation is None:
-        turned = root_orientation(placed, feature_set.joints, valid, warnings)
-    else:
-        turned = np.asarray(orientation, np.float64).T
-        if turned.shape != (4, len(given)):
-            raise ParameterError("orientation", f"of shape ({len(given)}, 4)", turned.T.shape)
-    return Body(
-        positions=placed,
-        orientation=np.ascontiguousarray(turned),
-        rate_hz=float(rate),
-        unit="1 m",
-        skeleton="array",
-        unknown=tuple(name for name, gone in zip(feature_set.joints, unknown, strict=True) if gone),
-        warnings=tuple(warnings),
-        valid=None if valid.all() else valid,
-    )
-
-
-def _check_rate(rate: float) -> None:
-    from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ
-
-    if not (math.isfinite(rate) and SLOWEST_HZ <= rate <= FASTEST_HZ):
-        raise ParameterError("rate", f"from {SLOWEST_HZ:g} to {FASTEST_HZ:g} frames per second", rate)

@@ -15,7 +15,8 @@ from kinedex.catalog.configs import load_yaml
 from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.words import NO_WORD
-from kinedex.pipelines.api.take import Take, read
+from kinedex.pipelines.api.new_takes import read
+from kinedex.pipelines.api.take import Take
 from kinedex.storage.formats.motion.c3d_markers import parse_c3d
 from kinedex.storage.formats.motion.c3d_writer import write_c3d
 from kinedex.storage.formats.motion.gltf_writer import write_gltf

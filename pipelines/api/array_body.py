@@ -1,0 +1,71 @@
+"""Bodies of arrays: joints that a caller places, checked, as a reader of files gives them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.errors import ParameterError
+
+if TYPE_CHECKING:
+    from kinedex.storage.formats.motion.reader import Body
+
+Bool = npt.NDArray[np.bool_]
+
+
+def body_of_array(
+    positions: npt.ArrayLike,
+    rate: float,
+    feature_set: FeatureSet,
+    joints: Sequence[str] | None,
+    orientation: npt.ArrayLike | None,
+) -> Body:
+    """Return a body whose joints are placed by an array."""
+    from kinedex.storage.formats.motion.points import root_orientation
+    from kinedex.storage.formats.motion.reader import Body
+
+    check_rate(rate)
+    names = feature_set.joints if joints is None else tuple(joints)
+    given = np.asarray(positions, np.float64)
+    if given.ndim != 3 or given.shape[1:] != (len(names), 3) or not len(given):
+        raise ParameterError("positions", f"of shape (frames, {len(names)}, 3) with at least 1 frame", given.shape)
+    odd = sorted(set(names) - set(feature_set.joints))
+    if odd or len(set(names)) < len(names):
+        raise ParameterError("joints", f"different names among {', '.join(feature_set.joints)}", odd or list(names))
+    placed = np.full((len(feature_set.joints), 3, len(given)), np.nan)
+    placed[[feature_set.joints.index(name) for name in names]] = given.transpose(1, 2, 0)
+    lost = np.isnan(placed).any(axis=1)
+    unknown = lost.all(axis=1)
+    valid: Bool = ~lost[~unknown].any(axis=0)
+    if unknown.all() or not valid.any():
+        raise ParameterError("positions", "finite for every joint in at least one frame", "NaN in every frame")
+    warnings: list[str] = []
+    if orientation is None:
+        turned = root_orientation(placed, feature_set.joints, valid, warnings)
+    else:
+        turned = np.asarray(orientation, np.float64).T
+        if turned.shape != (4, len(given)):
+            raise ParameterError("orientation", f"of shape ({len(given)}, 4)", turned.T.shape)
+    return Body(
+        positions=placed,
+        orientation=np.ascontiguousarray(turned),
+        rate_hz=float(rate),
+        unit="1 m",
+        skeleton="array",
+        unknown=tuple(name for name, gone in zip(feature_set.joints, unknown, strict=True) if gone),
+        warnings=tuple(warnings),
+        valid=None if valid.all() else valid,
+    )
+
+
+def check_rate(rate: float) -> None:
+    """Raise a ParameterError if a rate is none that motion files can have."""
+    from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ
+
+    if not (math.isfinite(rate) and SLOWEST_HZ <= rate <= FASTEST_HZ):
+        raise ParameterError("rate", f"from {SLOWEST_HZ:g} to {FASTEST_HZ:g} frames per second", rate)
