@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -129,48 +129,114 @@ def read_recording(file: RecordingsFile, name: str) -> Recording:
     SourceError
         A file of keypoints or masks is wrong.
     """
-    given = file.recording(name)
-    if given.cameras is None or given.rate_hz is None:
-        raise file.error(name, "track", "is a 3D track of the store, which has no cameras to be read")
-    calibration = _calibration(file, name, given)
-    labels = dict(calibration.labels or {})
-    try:
-        cameras = in_metres(calibration, given.unit, given.up)
-    except ConfigError as fault:
-        raise file.error(name, "cameras", fault.reason) from None
+    entry = _Entry.of(file, name)
     notes: list[str] = []
-    seen, shifts = _keypoints(file, name, given, cameras, labels, notes)
-    masks = _masks(file, name, given, cameras, labels, notes)
-    used = [camera for camera in cameras if camera.name in seen or camera.name in masks]
-    offsets = _offsets(file, name, given, cameras, labels, shifts)
+    seen = entry.keypoints(notes)
+    masks = entry.masks(notes)
+    used = [camera for camera in entry.cameras if camera.name in seen or camera.name in masks]
     check_cameras(file, name, used)
+    shift = entry.offsets([camera.name for camera in used])
     keypoints, counts = None, RecordingCounts()
-    shift = [offsets.get(camera.name, 0) for camera in used]
     if seen:
         chosen = _keypoint_set(file, name)
-        keypoints = keypoint_arrays([seen.get(camera.name) for camera in used], chosen, given.person, shift)
-        counts, more = _checked(file, name, used, keypoints, given.unit or calibration.unit)
-        notes += more
-    first, frames = _extent(file, name, keypoints, [masks.get(camera.name) for camera in used], shift)
-    mask_frames = None
-    if masks:
-        starts = tuple(first + offset for offset in shift)
-        mask_frames = MaskFrames(tuple(masks.get(camera.name) for camera in used), starts, frames)
+        keypoints = keypoint_arrays([seen.get(camera.name) for camera in used], chosen, entry.given.person, shift)
+        outside, more = check_keypoints(file, name, used, keypoints, entry.unit)
+        counts = RecordingCounts(
+            keypoints.several, keypoints.empty, keypoints.without_confidence, keypoints.above_one, outside
+        )
+        notes += [*_set_notes(keypoints), *more]
+    own = tuple(masks.get(camera.name) for camera in used)
+    first, frames = _extent(file, name, keypoints, own, shift)
     pixels, confidence = _over(keypoints, len(used), first, frames)
     return Recording(
-        name,
-        tuple(used),
-        given.rate_hz,
-        first,
-        None if keypoints is None else keypoints.keypoint_set,
-        () if keypoints is None else keypoints.names,
-        pixels,
-        confidence,
-        mask_frames,
-        _cuts(file, name, given, first, frames),
-        counts,
-        tuple(notes),
+        name=name,
+        cameras=tuple(used),
+        rate_hz=entry.rate_hz,
+        first_frame=first,
+        keypoint_set=None if keypoints is None else keypoints.keypoint_set,
+        keypoints=() if keypoints is None else keypoints.names,
+        pixels=pixels,
+        confidence=confidence,
+        masks=MaskFrames(own, tuple(first + offset for offset in shift), frames) if masks else None,
+        cuts=_cuts(file, name, entry.given, first, frames),
+        counts=counts,
+        notes=tuple(notes),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Entry:
+    """A recording's entry in its file, with its cameras; further names of cameras are added as files are found."""
+
+    file: RecordingsFile
+    name: str
+    given: CameraRecording
+    cameras: tuple[Camera, ...]
+    rate_hz: float
+    unit: str
+    labels: dict[str, str]
+
+    @classmethod
+    def of(cls, file: RecordingsFile, name: str) -> _Entry:
+        """Return an entry with its calibration read."""
+        given = file.recording(name)
+        if given.cameras is None or given.rate_hz is None:
+            raise file.error(name, "track", "is a 3D track of the store, which has no cameras to be read")
+        calibration = _calibration(file, name, given)
+        try:
+            cameras = in_metres(calibration, given.unit, given.up)
+        except ConfigError as fault:
+            raise file.error(name, "cameras", fault.reason) from None
+        unit = given.unit or calibration.unit
+        return cls(file, name, given, cameras, given.rate_hz, unit, dict(calibration.labels or {}))
+
+    def keypoints(self, notes: list[str]) -> dict[str, SeenPersons]:
+        """Return the persons of each camera by its name; none where the entry has no keypoints."""
+        if self.given.keypoints is None:
+            return {}
+        files = _files(self.file, self.name, "keypoints", self.given.keypoints, ".json")
+        found = read_keypoint_files(files, self.name)
+        if list(found) == [""]:
+            raise self._error("keypoints", f"the table has no column `camera`, and the path no {CAMERA}")
+        return {camera: found[value] for camera, value in self._matched("keypoints", found, notes).items()}
+
+    def masks(self, notes: list[str]) -> dict[str, CameraMasks]:
+        """Return the masks of each camera by its name; none where the entry has no silhouettes."""
+        if self.given.silhouettes is None:
+            return {}
+        files = _files(self.file, self.name, "silhouettes", self.given.silhouettes, ".png")
+        by_name = {camera.name: camera for camera in self.cameras}
+        if next(iter(files.files.values()))[0].suffix.lower() == ".npz":
+            arrays = _mask_arrays(files)
+            pairs = self._matched("silhouettes", arrays, notes)
+            return {camera: open_bits(*arrays[value], by_name[camera]) for camera, value in pairs.items()}
+        if not files.each_camera:
+            raise self._error("silhouettes", f"masks in PNG need {CAMERA} in their path, as masks/{CAMERA}/*.png")
+        pairs = self._matched("silhouettes", files.files, notes)
+        return {camera: open_images(files.files[value], by_name[camera]) for camera, value in pairs.items()}
+
+    def offsets(self, cameras: Sequence[str]) -> list[int]:
+        """Return the offsets of cameras; `offsets` may name a camera, its label, or its files."""
+        known = self.labels | {camera.name: camera.name for camera in self.cameras}
+        for key in self.given.offsets:
+            if key not in known:
+                raise self._error("offsets", f"no camera is called '{key}'{did_you_mean(key, known)}")
+        found = {known[key]: offset for key, offset in self.given.offsets.items()}
+        return [found.get(camera, 0) for camera in cameras]
+
+    def _matched(self, key: str, values: Mapping[str, object], notes: list[str]) -> dict[str, str]:
+        """Return camera → the name of its files; the way it was found is noted."""
+        names = [camera.name for camera in self.cameras]
+        try:
+            pairs, note = match_cameras(self.file.folder, key, names, self.labels, values)
+        except SourceError as fault:
+            raise self._error(key, fault.reason) from None
+        notes += [note] if note else []
+        self.labels.update({value: camera for camera, value in pairs.items() if value not in names})
+        return pairs
+
+    def _error(self, key: str, message: str) -> ConfigError:
+        return self.file.error(self.name, key, message)
 
 
 def _files(file: RecordingsFile, name: str, key: str, pattern: str, ending: str = "") -> CameraFiles:
@@ -193,29 +259,8 @@ def _calibration(file: RecordingsFile, name: str, given: CameraRecording) -> Cal
     if several is not None:
         raise file.error(name, "cameras", f"{several.path} has {len(several.cameras)} cameras, and must have one")
     first = next(iter(read.values()))
-    cameras = tuple(
-        Camera(camera, one.matrix, one.distortion, one.rotation, one.translation, one.size)
-        for camera, one in ((camera, found.cameras[0]) for camera, found in read.items())
-    )
+    cameras = tuple(replace(found.cameras[0], name=camera) for camera, found in read.items())
     return Calibration(first.path, first.kind, cameras, first.unit, first.up)
-
-
-def _keypoints(
-    file: RecordingsFile,
-    name: str,
-    given: CameraRecording,
-    cameras: Sequence[Camera],
-    labels: Mapping[str, str],
-    notes: list[str],
-) -> tuple[dict[str, SeenPersons], dict[str, str]]:
-    """Return the persons of each camera by its name, and the name of each camera by that of its files."""
-    if given.keypoints is None:
-        return {}, {}
-    found = read_keypoint_files(_files(file, name, "keypoints", given.keypoints, ".json"), name)
-    if list(found) == [""]:
-        raise file.error(name, "keypoints", f"the table has no column `camera`, and the path no {CAMERA}")
-    pairs = _matched(file, name, "keypoints", cameras, labels, found, notes)
-    return {camera: found[value] for camera, value in pairs.items()}, {value: camera for camera, value in pairs.items()}
 
 
 def _keypoint_set(file: RecordingsFile, name: str) -> KeypointSet | None:
@@ -230,80 +275,21 @@ def _keypoint_set(file: RecordingsFile, name: str) -> KeypointSet | None:
         raise file.error(name, "keypoint_set", reason) from None
 
 
-def _masks(
-    file: RecordingsFile,
-    name: str,
-    given: CameraRecording,
-    cameras: Sequence[Camera],
-    labels: Mapping[str, str],
-    notes: list[str],
-) -> dict[str, CameraMasks]:
-    """Return the masks of each camera by its name."""
-    if given.silhouettes is None:
-        return {}
-    files = _files(file, name, "silhouettes", given.silhouettes, ".png")
-    by_name = {camera.name: camera for camera in cameras}
-    first = next(iter(files.files.values()))[0]
-    if first.suffix.lower() == ".npz":
-        arrays: dict[str, tuple[Path, str]] = {}
-        for value, paths in files.files.items():
-            names = mask_arrays(paths[0])
-            if files.each_camera and len(names) != 1:
-                raise SourceError(paths[0], f"expected one array, the masks of one camera, got {len(names)}")
-            arrays |= {value: (paths[0], names[0])} if files.each_camera else {one: (paths[0], one) for one in names}
-        pairs = _matched(file, name, "silhouettes", cameras, labels, arrays, notes)
-        return {camera: open_bits(*arrays[value], by_name[camera]) for camera, value in pairs.items()}
-    if not files.each_camera:
-        raise file.error(name, "silhouettes", f"masks in PNG need {CAMERA} in their path, as masks/{CAMERA}/*.png")
-    pairs = _matched(file, name, "silhouettes", cameras, labels, files.files, notes)
-    return {camera: open_images(files.files[value], by_name[camera]) for camera, value in pairs.items()}
+def _mask_arrays(files: CameraFiles) -> dict[str, tuple[Path, str]]:
+    """Return the name of a camera's masks → file and array, of one NPZ file or of one for each camera."""
+    arrays: dict[str, tuple[Path, str]] = {}
+    for value, paths in files.files.items():
+        names = mask_arrays(paths[0])
+        if files.each_camera and len(names) != 1:
+            raise SourceError(paths[0], f"expected one array, the masks of one camera, got {len(names)}")
+        arrays |= {value: (paths[0], names[0])} if files.each_camera else {one: (paths[0], one) for one in names}
+    return arrays
 
 
-def _matched(
-    file: RecordingsFile,
-    name: str,
-    key: str,
-    cameras: Sequence[Camera],
-    labels: Mapping[str, str],
-    values: Mapping[str, object],
-    notes: list[str],
-) -> dict[str, str]:
-    """Return camera → the name of its files; the way it was found is noted."""
-    try:
-        pairs, note = match_cameras(file.folder, key, [camera.name for camera in cameras], labels, values)
-    except SourceError as fault:
-        raise file.error(name, key, fault.reason) from None
-    notes += [note] if note else []
-    return pairs
-
-
-def _offsets(
-    file: RecordingsFile,
-    name: str,
-    given: CameraRecording,
-    cameras: Sequence[Camera],
-    labels: Mapping[str, str],
-    files: Mapping[str, str],
-) -> dict[str, int]:
-    """Return camera → offset; `offsets` may name a camera, its label, or its files."""
-    known = {**files, **labels, **{camera.name: camera.name for camera in cameras}}
-    for key in given.offsets:
-        if key not in known:
-            raise file.error(name, "offsets", f"no camera is called '{key}'{did_you_mean(key, known)}")
-    return {known[key]: offset for key, offset in given.offsets.items()}
-
-
-def _checked(
-    file: RecordingsFile, name: str, cameras: Sequence[Camera], keypoints: KeypointArrays, unit: str
-) -> tuple[RecordingCounts, list[str]]:
-    """Return the counts of keypoints, and notes on them; refuse those that no tracker can use."""
-    outside, notes = check_keypoints(file, name, cameras, keypoints, unit)
-    found = keypoints.keypoint_set
-    counts = RecordingCounts(
-        keypoints.several, keypoints.empty, keypoints.without_confidence, keypoints.above_one, outside
-    )
+def _set_notes(keypoints: KeypointArrays) -> list[str]:
+    """Return notes on the keypoint set, and on the keypoints that are not used."""
     unused = [f"not used, for want of a place on the body or of any image: {', '.join(keypoints.unused)}"]
-    return counts, [f"keypoints are those of {found.name}", *(unused if keypoints.unused else []), *notes]
+    return [f"keypoints are those of {keypoints.keypoint_set.name}", *(unused if keypoints.unused else [])]
 
 
 def _extent(

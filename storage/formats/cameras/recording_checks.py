@@ -22,6 +22,15 @@ LEAST_CONFIDENCE = 0.1
 TRUNK_M = (0.2, 0.9)
 """Least and greatest distance from the middle of the hips to that of the shoulders."""
 
+LIMBS = {
+    "thigh": ("hip", "knee"), "shank": ("knee", "ankle"), "foot": ("ankle", "toes"),
+    "upper arm": ("shoulder", "elbow"), "forearm": ("elbow", "wrist"),
+}  # fmt: skip
+"""Limbs, from joint to joint."""
+
+LONGEST_LIMB_M, MOST_UNLIKE = 0.75, 1.5
+"""The longest limb of a body, and the ratio of left to right at which a keypoint is another one than its name says."""
+
 BAD_CAMERA = 3.0
 """A camera whose residual is so many times that of the others is reported."""
 
@@ -94,6 +103,7 @@ def check_keypoints(
     joints = _joint_places(keypoints, points)
     _refuse_size(file, name, joints, unit)
     notes = _residual_notes(cameras, pixels, np.where(seen[frames], confidence, 0.0), points)
+    notes += _limb_notes(keypoints, joints)
     up = up_axis(joints)
     if up.axis not in ("", "y") and count.any():
         notes.append(
@@ -171,6 +181,24 @@ def _refuse_size(file: RecordingsFile, name: str, joints: dict[str, F64], used: 
         name, "unit", f"hips and shoulders are {length:.3g} m apart, and those of a body {low} to {high} m; "
         f"the calibration was read in {used}{guess}",
     )  # fmt: skip
+
+
+def _limb_notes(keypoints: KeypointArrays, joints: dict[str, F64]) -> list[str]:
+    """Return a note on limbs that no body has, as keypoints in a wrong order make them."""
+    wrong = []
+    for limb, (start, end) in LIMBS.items():
+        ends = [(f"{side}{start}", f"{side}{end}") for side in "lr"]
+        if any(joint not in joints for pair in ends for joint in pair):
+            continue
+        lengths = [np.linalg.norm(joints[a] - joints[b], axis=0) for a, b in ends]
+        seen = [one[np.isfinite(one)] for one in lengths]
+        if min(len(one) for one in seen) == 0:
+            continue
+        left, right = (float(np.median(one)) for one in seen)
+        if max(left, right) > MOST_UNLIKE * min(left, right) or max(left, right) > LONGEST_LIMB_M:
+            wrong.append(f"{limb} {left:.2f} m on the left, {right:.2f} m on the right")
+    name = keypoints.keypoint_set.name
+    return [f"limbs have lengths of no body ({'; '.join(wrong)}); are the keypoints those of {name}?"] if wrong else []
 
 
 def _residual_notes(cameras: Sequence[Camera], pixels: F64, weights: F64, points: F64) -> list[str]:

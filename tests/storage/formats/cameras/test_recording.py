@@ -12,6 +12,7 @@ import yaml
 
 from kinedex.catalog.cameras import Camera
 from kinedex.catalog.configs import parse_yaml
+from kinedex.catalog.keypoint_sets import load_keypoint_set
 from kinedex.catalog.recordings import load_recordings, parse_recordings
 from kinedex.ops.errors import ConfigError
 from kinedex.ops.tracking.triangulation import triangulate
@@ -116,6 +117,16 @@ def test_another_axis_and_a_bad_camera_are_noted(tmp_path: Path) -> None:
     moved = replace(step.cameras[2], translation=step.cameras[2].translation + 0.8)
     calibrated(step, [*step.cameras[:2], moved, step.cameras[3]])
     assert any(note.startswith("camera 'cam_3' disagrees with the others") for note in read(step).notes)
+
+
+def test_keypoints_in_a_wrong_order_are_noted(step: Filmed) -> None:
+    order = list(load_keypoint_set("coco-17").order)
+    left, right = order.index("left_ankle"), order.index("right_wrist")
+    order[left], order[right] = order[right], order[left]
+    (step.folder / "own.yaml").write_text(yaml.safe_dump({"name": "own", "order": order}), encoding="utf-8")
+    (note,) = [note for note in read(step, keypoint_set="own.yaml").notes if note.startswith("limbs have lengths")]
+    assert "forearm 0.25 m on the left" in note
+    assert note.endswith("are the keypoints those of own?")
 
 
 def test_frames_without_people_and_cuts_are_normal(tmp_path: Path) -> None:
