@@ -25,6 +25,7 @@ from kinedex.pipelines.commands import (  # noqa: F401
     simulate,
     tables,
     templates,
+    tracking,
 )
 from kinedex.pipelines.commands.app import app
 from kinedex.pipelines.console.escapes import escape_streams

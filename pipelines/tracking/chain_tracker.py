@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -12,12 +11,12 @@ import numpy.typing as npt
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses, forward
 from kinedex.ops.priors.stabilise import Track
 from kinedex.ops.tracking.contours import Silhouettes
+from kinedex.ops.tracking.first_track import first_track
 from kinedex.ops.tracking.frame_tracker import track_frames
 from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
 from kinedex.ops.tracking.prior_terms import PriorTerms
 from kinedex.ops.tracking.rays import LEAST_CONFIDENCE, LEAST_DEPTH_M, SIGMA_PX
 from kinedex.ops.tracking.take_tracker import SCHEDULE, Loss, track_take
-from kinedex.ops.tracking.triangulation import start_from_places, start_from_triangulation, triangulate
 from kinedex.ops.tracking.trust import SEEN, TRUST_WIDTH, Trust, restart, trust
 
 F64 = npt.NDArray[np.float64]
@@ -92,14 +91,11 @@ class TrackSettings:
         `geman_mcclure` or `squares`, of the tracker `take`.
     sigma_px : float
         Standard deviation of a keypoint in pixels.
-    schedule : tuple of float
-        The values of c of the first solve.
     """
 
     tracker: Literal["take", "frames"] = "take"
     loss: Loss = "geman_mcclure"
     sigma_px: float = SIGMA_PX
-    schedule: tuple[float, ...] = field(default=SCHEDULE)
 
 
 class ChainTracker:
@@ -137,22 +133,23 @@ class ChainTracker:
         """
         if self.settings.tracker == "frames":
             return self._frame_by_frame(None, None)
-        observed = self.observed
-        if isinstance(observed.observations, Rays):
-            assert observed.points is not None
-            points, _ = triangulate(observed.observations)
-            start = start_from_triangulation(observed.body, points, observed.points)
-        else:
-            assert observed.observations is not None
-            start = start_from_places(observed.body, observed.observations)
-        track = self._take(start, None, self.settings.schedule)
-        return self.track(self.restart(track.poses, self.nodes_seen(track)), None)
+        observed, settings = self.observed, self.settings
+        assert observed.observations is not None
+        return first_track(
+            observed.body, observed.observations, observed.points, observed.rate_hz, settings.loss, settings.sigma_px,
+            observed.cuts,
+        ).track  # fmt: skip
 
     def track(self, start: Poses, priors: PriorTerms | None) -> Track:
         """Track the recording again from a start, with the terms of priors."""
         if self.settings.tracker == "frames":
             return self._frame_by_frame(Poses(start.places[:1], start.turns[:1]), priors)
-        return self._take(start, priors, (self.settings.schedule[-1],))
+        observed, settings = self.observed, self.settings
+        assert observed.observations is not None
+        return track_take(
+            observed.body, observed.observations, observed.points, observed.rate_hz, start, priors, settings.loss,
+            settings.sigma_px, SCHEDULE[-1:], observed.cuts,
+        )  # fmt: skip
 
     def trust(self, poses: Poses) -> Trust | None:
         """Return how far the observations agree with poses; None for silhouettes alone."""
@@ -171,14 +168,6 @@ class ChainTracker:
     def restart(self, poses: Poses, nodes_seen: Bool) -> Poses:
         """Return poses whose first node is interpolated where neither hip is seen."""
         return restart(self.body, poses, nodes_seen)
-
-    def _take(self, start: Poses, priors: PriorTerms | None, schedule: Sequence[float]) -> Track:
-        observed, settings = self.observed, self.settings
-        assert observed.observations is not None
-        return track_take(
-            observed.body, observed.observations, observed.points, observed.rate_hz, start, priors, settings.loss,
-            settings.sigma_px, schedule, observed.cuts,
-        )  # fmt: skip
 
     def _frame_by_frame(self, first: Poses | None, priors: PriorTerms | None) -> Track:
         observed = self.observed

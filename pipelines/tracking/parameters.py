@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from kinedex.ops.errors import KinedexError
 from kinedex.ops.priors.stabilise import Settings
 from kinedex.ops.templates.templates import Kind
 from kinedex.ops.tracking.take_tracker import Loss
@@ -99,3 +101,19 @@ class StabiliseParameters(PriorParameters):
         "estimate", description="of 3D tracks: a take of the actor whose bone lengths count, or estimate: its own"
     )
     sigma_m: float = Field(0.02, gt=0, le=10, description="standard deviation of a joint of a 3D track in metres")
+
+
+def stabilise_parameters(given: Mapping[str, object]) -> StabiliseParameters:
+    """Return parameters of values that a user gave.
+
+    Raises
+    ------
+    KinedexError
+        A value is wrong; the message names it and what was expected.
+    """
+    try:
+        return StabiliseParameters.model_validate(dict(given))
+    except ValidationError as fault:
+        first = fault.errors()[0]
+        name = ".".join(map(str, first["loc"]))
+        raise KinedexError(f"{name}: {first['msg']}, got {first['input']!r}") from None

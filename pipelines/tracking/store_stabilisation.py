@@ -1,0 +1,141 @@
+"""Takes of a store stabilised at a command: templates and examples are those that the store has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.engine.code_digest import code_digest
+from kinedex.pipelines.engine.context import Display
+from kinedex.pipelines.engine.executors import Executor
+from kinedex.pipelines.engine.runner import new_run_id
+from kinedex.pipelines.templates.learning import learn_templates
+from kinedex.pipelines.templates.stored_templates import stored_templates
+from kinedex.pipelines.templates.training import TemplateParameters, training_material
+from kinedex.pipelines.tracking.parameters import StabiliseParameters, TrackParameters
+from kinedex.pipelines.tracking.runs import Archive, Outcome, Place, renew_index, stabilise
+from kinedex.pipelines.tracking.tracked_takes import stabilised_name
+from kinedex.pipelines.tracking.work import stabilise_take
+from kinedex.storage.lock import NO_WAIT, Wait
+from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.writer import StoreWriter
+
+STAGE = "stabilise/stabilise"
+"""The stage that results belong to: that of the shipped pipeline, so that the pipeline and the command agree."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """The priors of one stabilised take.
+
+    Attributes
+    ----------
+    take : str
+        The take that was stabilised.
+    stabilised : str
+        The take that it became.
+    priors : pyarrow.Table
+        Its rows of `priors`.
+    row : dict
+        Its row of `tracks`.
+    moved_mm : float
+        Mean distance that joints were moved.
+    """
+
+    take: str
+    stabilised: str
+    priors: pa.Table
+    row: dict[str, Any]
+    moved_mm: float
+
+
+def stabilise_stored(
+    path: Path,
+    takes: Sequence[str],
+    params: StabiliseParameters,
+    tracker: TrackParameters,
+    executor: Executor,
+    terminal: Display,
+    wait: Wait = NO_WAIT,
+    anew: bool = False,
+) -> Outcome:
+    """Stabilise takes of a store, and commit each.
+
+    Parameters
+    ----------
+    path : Path
+        The store.
+    takes : sequence of str
+        The takes.
+    params : StabiliseParameters
+        The priors.
+    tracker : TrackParameters
+        The tracker.
+    executor : Executor
+        Spreads takes over workers.
+    terminal : Display
+        Shows what is done.
+    wait : Wait, optional
+        The time to wait for another writer.
+    anew : bool, optional
+        True stabilises takes that are up to date, too.
+
+    Raises
+    ------
+    KinedexError
+        A take is not in the store, or the store has no templates and nothing to learn them from.
+    """
+    opened = open_store(path, at="newest")
+    code = code_digest(stabilise_take)
+    place = Place(STAGE, new_run_id(), executor, terminal.say, code, anew)
+    with StoreWriter.open(path, opened.feature_set, opened.rate_hz, wait) as writer:
+        archive = store_archive(writer.store, params, executor)
+        done = stabilise(writer, params, tracker, list(dict.fromkeys(takes)), archive, place)
+    renew_index(path, wait)
+    return done
+
+
+def store_archive(store: Store, params: StabiliseParameters, executor: Executor) -> Archive:
+    """Return the templates that a store has, or those that its takes with a class give, with their examples."""
+    found = [one.one for one in stored_templates(store) if one.one.kind == params.templates]
+    try:
+        clips = training_material(store, TemplateParameters.model_validate({})).clips
+    except KinedexError:
+        if not found:
+            raise KinedexError(
+                f"{store.path} has neither templates nor takes whose class is known, so that nothing can lend priors; "
+                "ingest example clips with a pattern that names their class, or learn templates: kinedex run annotate"
+            ) from None
+        clips = []
+    if not found:
+        features = len(store.feature_set.features)
+        learned = learn_templates(clips, [params.templates], features, executor)
+        found = sorted((one for group in learned for one in group), key=lambda one: one.subclass)
+    return Archive(found, clips)
+
+
+def explanations(store: Store, takes: Sequence[str]) -> list[Explanation]:
+    """Return the priors of stabilised takes, by the names that they had before."""
+    found = []
+    for take in takes:
+        name = stabilised_name(take)
+        rows = {kind: _rows(store, kind, name) for kind in ("tracks", "priors", "track_frames")}
+        moved = [sum(one) / len(one) for one in rows["track_frames"].column("moved_mm").to_pylist() if one]
+        priors = rows["priors"].drop_columns(["run", "take_id", "take"])
+        row = rows["tracks"].to_pylist()[0]
+        found.append(Explanation(take, name, priors, row, sum(moved) / len(moved) if moved else 0.0))
+    return found
+
+
+def _rows(store: Store, kind: str, take: str) -> pa.Table:
+    """Return the rows of a take in the results that the command and the shipped pipeline share."""
+    parts = [part for part in store.manifest.results.get(kind, ()) if part.stage == STAGE]
+    tables = [one.filter(pc.equal(one.column("take"), take)) for one in store.result_pieces(kind, parts)]
+    return pa.concat_tables([result_schema(kind).empty_table(), *tables])
