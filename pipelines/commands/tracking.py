@@ -133,13 +133,16 @@ def _document(one: Explanation) -> dict[str, object]:
 
 def _show(one: Explanation, unchanged: bool, explain: bool) -> None:
     """Show what became of a take."""
+    from kinedex.pipelines.console.wording import counted
+
     if explain:
         rows = one.priors.select(list(_SHOWN))
         if rows.num_rows:
             show_table(rows, "table", None)
         print_message(
-            f"{one.take}: {one.row['hits']} hits lent priors in round {one.row['rounds']}, {one.row['withdrawn']} were "
-            f"withdrawn; joints moved by {one.moved_mm:.1f} mm on average; as {one.stabilised}"
+            f"{one.take}: {counted(one.row['hits'], 'hit')} lent priors in round {one.row['rounds']}, "
+            f"{one.row['withdrawn']} withdrawn in all; joints moved by {one.moved_mm:.1f} mm on average; as "
+            f"{one.stabilised}"
         )
     elif unchanged:
         print_message(f"{one.take}: up to date as {one.stabilised}")

@@ -1,0 +1,97 @@
+"""Stage evaluate_track: tracked and stabilised takes compared with the truth, where there is one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar
+
+from pydantic import BaseModel, ConfigDict, Field
+from rich import box
+from rich.table import Table
+
+from kinedex.pipelines.console.tables import plain_text
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.digests import Reading, files_digest
+from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.tracking.recordings import stored_rows
+from kinedex.pipelines.tracking.stored_results import earlier_rows
+from kinedex.pipelines.tracking.track_evaluation import compared, metrics_table, poses_of, truth_reference
+from kinedex.pipelines.tracking.work import hash_of
+from kinedex.storage.store.store import Store
+
+
+class Params(BaseModel):
+    """The parameters of the stage `evaluate_track`."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    truth: str | None = Field(
+        None,
+        description="a take, or a motion file, that all takes are compared with; that of the recording unless given",
+    )
+
+
+class EvaluateTrack(Stage[Params]):
+    """Tracked and stabilised takes compared with the truth, where there is one."""
+
+    name = "evaluate_track"
+    parameters = Params
+    inputs: ClassVar = {"tracks": Input("track"), "stabilised": Input("stabilise", optional=True)}
+
+    def external_digest(self, params: Params, store: Store | None) -> str:
+        """Return a hash of the files of truth."""
+        rows = stored_rows(store).values() if store is not None else ()
+        names = [(params.truth or row["truth"], Path(row["file"]).parent) for row in rows]
+        files = sorted({folder / Path(name).expanduser() for name, folder in names if name})
+        return files_digest(file for file in files if file.is_file())
+
+    def reading(self, params: Params, store: Store) -> Reading:
+        """Return a digest of all takes, any of which can be the truth."""
+        rows = store.take_rows.to_pylist()
+        return Reading(hash_of(sorted((row["name"], row["checksum"], row["recipe"]) for row in rows)), "")
+
+    def run(self, context: StageContext, params: Params) -> dict[str, object]:
+        """Compare every take whose truth is known, and store the figures."""
+        store = context.open()
+        recordings = stored_rows(store)
+        rows: list[dict[str, Any]] = []
+        without = []
+        for role in ("tracks", "stabilised"):
+            if role not in context.inputs:
+                continue
+            stage = context.key(context.inputs[role])
+            for row in earlier_rows(store, "tracks", stage):
+                known = recordings.get(str(row["recording"]), {})
+                truth = params.truth or known.get("truth")
+                if truth is None:
+                    without.append(row["take"])
+                    continue
+                folder = Path(known["file"]).parent if known and params.truth is None else Path()
+                reference = truth_reference(store, truth, folder, known.get("recording"))
+                rows += compared(row, poses_of(store, stage, int(str(row["take_id"]))), reference)
+        context.put_results(track_metrics=metrics_table(rows, context.run))
+        takes = [row for row in rows if row["scope"] == "take"]
+        if takes:
+            context.terminal.show(_table(rows))
+        else:
+            context.say("no truth is known: set `truth` of the recording, or of this stage, to a take or a motion file")
+        return {
+            "takes": {row["take"]: round(row["mean_mm"], 3) for row in takes},
+            "without_truth": without,
+        }
+
+
+def _table(rows: list[dict[str, Any]]) -> Table:
+    """Return a row for each take: the distances of its limbs from the truth."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    columns = ["take", "mean mm", "sd", "max", "in failures", "elsewhere"]
+    for column in columns:
+        table.add_column(column, justify="left" if column == "take" else "right")
+    parts = {(row["take"], row["name"]): row["mean_mm"] for row in rows if row["scope"] == "part"}
+    for row in rows:
+        if row["scope"] == "take":
+            figures = [row["mean_mm"], row["sd_mm"], row["max_mm"]]
+            figures += [parts.get((row["take"], name)) for name in ("in failures", "elsewhere")]
+            texts = ["–" if one is None else f"{one:.1f}" for one in figures]
+            table.add_row(plain_text(row["take"]), *texts)
+    return table

@@ -1,0 +1,177 @@
+"""Tracked and stabilised takes judged by the truth: a take, or a file of positions.
+
+A reference gives the places of joints over time. Truth is one kind of reference; anything else that knows where joints
+are, such as sensors, becomes another one, and is judged by the same figures.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from kinedex.catalog.kinematics import load_kinematic_chain
+from kinedex.catalog.skeletons.mappings import load_mappings
+from kinedex.ops.body.kinematic_chain import ChainBody, forward
+from kinedex.ops.body.resample import resample
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.tracking.bodies import take_joints
+from kinedex.pipelines.tracking.result_tables import stored_poses
+from kinedex.storage.formats.motion.reader_table import motion_endings, read_body
+from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.store.store import Store
+
+F64 = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+
+LIMBS = tuple(side + name for name in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist") for side in "lr")
+"""The joints that are compared."""
+
+FAILURES = "failures.csv"
+"""A table of intervals beside a file of truth, recording,start,stop: those in which a simulated detector fails."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """The places of joints over time, as somebody else knows them.
+
+    Attributes
+    ----------
+    name : str
+        Its name: a take, or a file.
+    joints : float64 array (J, 3, T)
+        Joints of the kinematic chain in metres, NaN where one is not known.
+    rate_hz : float
+        Frames per second.
+    failures : tuple of (int, int)
+        Half-open ranges of its frames in which the observations are known to fail.
+    """
+
+    name: str
+    joints: F64
+    rate_hz: float
+    failures: tuple[tuple[int, int], ...] = ()
+
+
+def truth_reference(store: Store, truth: str, folder: Path, recording: str | None) -> Reference:
+    """Return the truth of a recording.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    truth : str
+        A take of the store, or a motion file of any format, with joints as positions or angles.
+    folder : Path
+        The folder that relative paths start from.
+    recording : str, optional
+        The name of the recording, by which failures are looked up.
+
+    Raises
+    ------
+    KinedexError
+        It is neither.
+    """
+    if truth in store.take_ids:
+        return Reference(truth, take_joints(store, truth), store.rate_hz)
+    file = folder / Path(truth).expanduser()
+    if not file.is_file() or file.suffix.lower() not in motion_endings():
+        raise KinedexError(
+            f"truth '{truth}' is neither a take of the store nor a motion file ({file}); give one of them, or null"
+        )
+    joints = load_kinematic_chain().joints
+    body = read_body(file, None, load_mappings("auto", joints), joints)
+    known = np.array([joint not in body.estimated for joint in joints])
+    places = np.where(known[:, None, None], body.positions, np.nan)
+    return Reference(str(truth), places, body.rate_hz, _failures(file.parent / FAILURES, recording))
+
+
+def _failures(file: Path, recording: str | None) -> tuple[tuple[int, int], ...]:
+    if recording is None or not file.is_file():
+        return ()
+    try:
+        with file.open(encoding="utf-8", newline="") as text:
+            rows = [row for row in csv.DictReader(text) if row["recording"] == recording]
+            return tuple((int(row["start"]), int(row["stop"])) for row in rows)
+    except (KeyError, TypeError, ValueError, UnicodeDecodeError) as fault:
+        expected = "expected columns recording, start and stop with whole numbers"
+        raise KinedexError(f"{file}: {expected}: {fault!r}") from None
+
+
+def compared(row: dict[str, Any], poses: pa.Table, reference: Reference) -> list[dict[str, Any]]:
+    """Return the figures of a track against a reference.
+
+    Parameters
+    ----------
+    row : dict
+        The row of the track in the results `tracks`.
+    poses : pyarrow.Table
+        Its rows of `chain_poses`.
+    reference : Reference
+        What it is compared with; frames beyond the shorter one do not count.
+
+    Raises
+    ------
+    KinedexError
+        No joint is known to both in any frame.
+    """
+    chain = load_kinematic_chain()
+    body = ChainBody(chain, np.array(row["body"], np.float64).reshape(-1, 3))
+    own, _ = forward(body, stored_poses(poses, len(chain.nodes)))
+    known = reference.joints
+    if reference.rate_hz != row["rate_hz"]:
+        turns = np.tile(np.array([[1.0], [0.0], [0.0], [0.0]]), known.shape[2])
+        known = resample(known, turns, reference.rate_hz, row["rate_hz"]).positions
+    frames = min(own.shape[2], known.shape[2])
+    order = [chain.joint(name) for name in LIMBS]
+    gaps = 1000.0 * np.linalg.norm(own[order, :, :frames] - known[order, :, :frames], axis=1)
+    if not np.isfinite(gaps).any():
+        raise KinedexError(f"{row['take']}: no joint of the limbs is known to '{reference.name}' in any common frame")
+    rows = [_figures("take", "all", gaps)]
+    rows += [_figures("joint", name, gaps[j : j + 1]) for j, name in enumerate(LIMBS)]
+    if reference.failures:
+        failing = np.zeros(frames, np.bool_)
+        for start, stop in reference.failures:
+            share = row["rate_hz"] / reference.rate_hz
+            failing[round(start * share) : round(stop * share)] = True
+        rows += [_figures("part", "in failures", gaps[:, failing]), _figures("part", "elsewhere", gaps[:, ~failing])]
+    named = {"take_id": row["take_id"], "take": row["take"], "reference": reference.name}
+    return [named | one for one in rows if one["frames"]]
+
+
+def _figures(scope: str, name: str, gaps: F64) -> dict[str, Any]:
+    """Return the figures of distances (J, T) in millimetres; those of joints that are not known do not count."""
+    seen = np.isfinite(gaps)
+    count = seen.sum(axis=0)
+    frames = np.where(seen, gaps, 0.0).sum(axis=0)[count > 0] / count[count > 0]
+    own = gaps[seen]
+    return {
+        "scope": scope,
+        "name": name,
+        "frames": len(frames),
+        "mean_mm": float(frames.mean()) if len(frames) else None,
+        "sd_mm": float(frames.std()) if len(frames) else None,
+        "median_mm": float(np.median(own)) if len(own) else None,
+        "max_mm": float(frames.max()) if len(frames) else None,
+    }
+
+
+def metrics_table(rows: Sequence[dict[str, Any]], run: str) -> pa.Table:
+    """Return the results `track_metrics`."""
+    return pa.Table.from_pylist([{"run": run, **row} for row in rows], schema=result_schema("track_metrics"))
+
+
+def poses_of(store: Store, stage: str, take_id: int) -> pa.Table:
+    """Return the rows of `chain_poses` that a stage has of a take."""
+    parts = [part for part in store.manifest.results.get("chain_poses", ()) if part.stage == stage]
+    pieces = store.result_pieces("chain_poses", parts)
+    own = (rows.filter(pc.equal(rows.column("take_id"), take_id)) for rows in pieces)
+    found = pa.concat_tables([result_schema("chain_poses").empty_table(), *own])
+    return found.take(pc.sort_indices(found, [("source_frame", "ascending")]))
