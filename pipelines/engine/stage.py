@@ -121,6 +121,7 @@ BUILT_IN = {
     "observe": "kinedex.pipelines.stages.observe:Observe",
     "track": "kinedex.pipelines.stages.track:Track",
     "stabilise": "kinedex.pipelines.stages.stabilise:Stabilise",
+    "report_stabilised": "kinedex.pipelines.stages.report_stabilised:ReportStabilised",
     "evaluate_track": "kinedex.pipelines.stages.evaluate_track:EvaluateTrack",
 }
 """The built-in stages, in the form of entry points."""

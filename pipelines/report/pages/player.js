@@ -5,15 +5,17 @@
 // data-near its place in the list of nearest examples. A click plays it. A canvas with these attributes is a small
 // figure that moves by itself.
 // Every svg.plot of a [data-take] shows a playhead; data-left and data-width, in percent, place a take within a plot.
+// data-one and data-other are the captions of an interval and of what stands beside it. Where #motions has rays, a box
+// draws them: lines from the cameras to the places that they saw.
 // The document gets the event "playhead" (detail: take, frame, seconds) at every picture, and "playend" on close.
 (() => {
   const source = document.getElementById("motions"), player = document.getElementById("player");
   if (!source || !player || !window.DecompressionStream) return;
-  const { joints, parents, motions, near = [] } = JSON.parse(source.textContent);
+  const { joints, parents, motions, near = [], rays = [] } = JSON.parse(source.textContent);
   for (const one of near) { let sum = 0; one[1] = one[1].map(step => sum += step); }
-  const canvas = player.querySelector("canvas"), pen = canvas.getContext("2d");
-  const [what, now, play, time, speed, loop, close] =
-    [".title", ".now", ".play", "input[type=range]", "select", ".loop", ".close"].map(name => player.querySelector(name));
+  const canvas = player.querySelector("canvas"), pen = canvas.getContext("2d"), playerPen = pen;
+  const [what, now, play, time, speed, loop, close, wide] =
+    [".title", ".now", ".play", "input[type=range]", "select", ".loop", ".close", ".rays"].map(name => player.querySelector(name));
   const calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
   const sides = joints.map(name => name === "root" ? "middle" : { l: "left", r: "right" }[name[0]] ?? "middle");
   const [lhip, rhip] = ["lhip", "rhip"].map(name => joints.indexOf(name));
@@ -30,12 +32,13 @@
   }
 
   async function unpack(motion) {
-    if (motion.rows) return motion;
+    if (!motion || motion.rows) return motion;
+    const count = motion.points ? motion.points.length * motion.cameras.length : joints.length;
     const bytes = Uint8Array.from(atob(motion.data), letter => letter.charCodeAt(0));
     const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
     const steps = new Int16Array(await new Response(stream).arrayBuffer());
-    const length = steps.length / (3 * joints.length);
-    motion.rows = Array.from({ length: 3 * joints.length }, (_, row) => {
+    const length = steps.length / (3 * count);
+    motion.rows = Array.from({ length: 3 * count }, (_, row) => {
       const values = new Int16Array(length);
       let sum = 0;
       for (let i = 0; i < length; i++) values[i] = sum = (sum + steps[row * length + i]) << 16 >> 16;
@@ -70,7 +73,8 @@
     const colour = name => style.getPropertyValue(`--${name}`) || getComputedStyle(document.body).color;
     const points = joints.map((_, joint) => place(motion, joint, position));
     const root = points.find(point => point) ?? [0, 1, 0];
-    const size = Math.min(height / 2.5, width / 1.9), cos = Math.cos(view), sin = Math.sin(view);
+    const seen = pen === playerPen && wide?.checked ? raysOf(motion) : null;
+    const size = Math.min(height / 2.5, width / 1.9) * (seen ? 0.3 : 1), cos = Math.cos(view), sin = Math.sin(view);
     const onto = ([px, y, pz]) => {
       const dx = px - root[0], dz = pz - root[2];
       const depth = dz * cos - dx * sin;
@@ -90,6 +94,7 @@
         pen.stroke();
       }
     }
+    if (seen) drawRays(pen, seen, motion, position, onto, colour);
     pen.lineWidth = size / 42;
     pen.lineCap = "round";
     for (const side of ["middle", "left", "right"]) {
@@ -104,6 +109,31 @@
     }
     pen.restore();
     return points.some(point => point);
+  }
+
+  const raysOf = motion => rays.find(one => one.rows && (one.take === motion.take || one.take === playing?.take));
+
+  // A ray that passes by its joint at more than 10 cm is drawn in the colour of faults.
+  function drawRays(pen, seen, motion, position, onto, colour) {
+    seen.cameras.forEach(({ name, centre }, camera) => {
+      const [x, y] = onto(centre);
+      pen.fillStyle = pen.strokeStyle = colour("soft");
+      pen.fillRect(x - 4, y - 4, 8, 8);
+      pen.font = "14px sans-serif";
+      pen.fillText(name, x + 7, y + 5);
+      seen.points.forEach((point, p) => {
+        const end = place(seen, camera * seen.points.length + p, position), joint = place(motion, joints.indexOf(point), position);
+        if (!end || !joint) return;
+        const away = Math.hypot(...end.map((value, axis) => value - joint[axis]));
+        pen.globalAlpha = away > 0.1 ? 0.8 : 0.25;
+        pen.strokeStyle = colour(away > 0.1 ? "bad" : "accent");
+        pen.beginPath();
+        pen.moveTo(x, y);
+        pen.lineTo(...onto(end));
+        pen.stroke();
+      });
+      pen.globalAlpha = 1;
+    });
   }
 
   // The frame of the nearest example that belongs to a frame of the hit, along the warping path.
@@ -122,8 +152,8 @@
     if (example) {
       const other = index(example, partner(playing.block, frame, shown));
       figure(pen, example, other, turn + playing.facing, half, half);
-      write("found", 12);
-      write("nearest example", half + 12);
+      write(attribute(playing.block, "one") ?? "found", 12);
+      write(attribute(playing.block, "other") ?? "nearest example", half + 12);
     }
     time.value = at;
     now.textContent = `${at.toFixed(2)} s`;
@@ -155,7 +185,9 @@
     if (shown && shown.take !== chosen.take) document.dispatchEvent(new CustomEvent("playend"));
     shown = chosen;
     [from, to] = [block.dataset.start / rate(shown), block.dataset.stop / rate(shown)];
-    playing = { block, example, facing: 0 };
+    playing = { block, example, facing: 0, take: chosen.take };
+    const seen = await unpack(rays.find(one => one.take === chosen.take));
+    if (wide) wide.parentElement.hidden = !seen;
     if (example) {
       const [one, other] = [heading(example, index(example, partner(block, +block.dataset.start, shown))), heading(shown, index(shown, +block.dataset.start))];
       if (one !== null && other !== null) playing.facing = one - other;
@@ -225,6 +257,7 @@
   });
   play.addEventListener("click", () => run(!running));
   time.addEventListener("input", () => { loop.checked = false; at = +time.value; draw(); });
+  wide?.addEventListener("change", draw);
   close.addEventListener("click", () => {
     run(false);
     player.hidden = true;
