@@ -99,15 +99,15 @@ class ShownTake:
         return [one for one in self.priors if not one.kept]
 
 
-def stabilised_page(store: Store, stage: str, tracks: str, title: str, most: int) -> str:
+def stabilised_page(store: Store, stage: str, title: str, most: int) -> str:
     """Return the HTML of the page.
 
     Parameters
     ----------
     store : Store
         The store.
-    stage, tracks : str
-        The stages that stabilised and that tracked, "<pipeline>/<stage>".
+    stage : str
+        The stage that stabilised, "<pipeline>/<stage>".
     title : str
         The title.
     most : int
@@ -123,7 +123,7 @@ def stabilised_page(store: Store, stage: str, tracks: str, title: str, most: int
         store, [(str(rows[take]["track_of"]), 0, lengths[take], np.arange(lengths[take])) for take in pairs]
     )
     shown = [
-        _shown(store, rows[take], moved[take], stage, tracks, lengths[take], pairs.index(take) if take in pairs else -1)
+        _shown(store, rows[take], moved[take], stage, lengths[take], pairs.index(take) if take in pairs else -1)
         for take in order
     ]
     rays = [found for take in order if (found := _rays(store, rows[take], stage, lengths[take])) is not None]
@@ -154,13 +154,12 @@ def _moved(store: Store, stage: str, take: str) -> F64:
     return np.array([one if one is not None else [0.0] for one in rows], np.float64)
 
 
-def _shown(
-    store: Store, row: Mapping[str, Any], moved: F64, stage: str, tracks: str, frames: int, near: int
-) -> ShownTake:
+def _shown(store: Store, row: Mapping[str, Any], moved: F64, stage: str, frames: int, near: int) -> ShownTake:
     take, before = str(row["take"]), str(row["track_of"])
     trusted = _of_take(store, "track_frames", stage, take).column("trusted").to_numpy()
     joints = row["joints"]
-    order = np.argsort(-moved.mean(axis=0), kind="stable")[:MOVED] if moved.shape[1] == len(joints) else []
+    whole = moved.shape[1] == len(joints)
+    order = np.argsort(-moved.mean(axis=0), kind="stable")[: MOVED if whole else 0]
     figures = {name: _metrics(store, name) for name in (before, take)}
     return ShownTake(
         take, before, row["recording"] or "", frames, near, row,
@@ -216,9 +215,8 @@ def _rays(store: Store, row: Mapping[str, Any], stage: str, frames: int) -> dict
     positions, _ = forward(body, stored_poses(poses_of(store, stage, row["take_id"]), len(chain.nodes)))
     points, rays = recording.body_points(body), recording.rays()
     limbs = [p for p, joint in enumerate(points.joints) if joint >= 0 and chain.joints[joint] in LIMBS]
-    at = np.minimum(
-        np.round(np.arange(frames) * row["rate_hz"] / store.rate_hz).astype(np.int64), len(positions[0, 0]) - 1
-    )
+    moments = np.round(np.arange(frames) * row["rate_hz"] / store.rate_hz).astype(np.int64)
+    at = np.minimum(moments, positions.shape[2] - 1)
     places = positions[points.joints[limbs]].transpose(2, 0, 1)[at]
     directions, confidence = rays.directions[at][:, :, limbs], rays.confidence[at][:, :, limbs]
     gaps = places[:, None] - rays.centres[None, :, None]

@@ -30,7 +30,6 @@ class ReportStabilised(Stage[Params]):
     name = "report_stabilised"
     parameters = Params
     inputs: ClassVar = {
-        "tracks": Input("track"),
         "stabilised": Input("stabilise"),
         "evaluation": Input("evaluate_track", optional=True),
     }
@@ -45,8 +44,7 @@ class ReportStabilised(Stage[Params]):
     def run(self, context: StageContext, params: Params) -> dict[str, object]:
         """Write `stabilised.html` into the pipeline's report folder."""
         store = context.open()
-        stages = (context.key(context.inputs[role]) for role in ("stabilised", "tracks"))
-        page = stabilised_page(store, *stages, params.title, params.takes)
+        page = stabilised_page(store, context.key(context.inputs["stabilised"]), params.title, params.takes)
         path = context.report_file("stabilised.html")
         size = write_page(page, path)
         context.say(f"report: {path.resolve()} ({size / 1e3:.0f} kB)")
