@@ -186,7 +186,7 @@ def _named(store: Store, row: dict[str, object]) -> list[object]:
 
 @dataclass(frozen=True, eq=False)
 class Archive:
-    """What an archive lends.
+    """The content of an archive that lends priors.
 
     Attributes
     ----------
