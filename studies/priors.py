@@ -1,7 +1,7 @@
 """`python -m studies.priors DATA`: print the errors of tracks with and without priors, beside filters of points.
 
 DATA is a folder with cameras/simulated (recordings with their truth) and hdm05/clips (the archive: bd, bk, dg). The
-study takes one core.
+study takes one core. Silhouettes, beside the thesis's Table 6.1, are the subject of `studies.silhouettes`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from kinedex.ops.tracking.body_estimate import mean_body
 from kinedex.pipelines.evaluation.markdown import grid
 from studies.camera_set import CHAIN, LONG_TAKES, OTHERS, Filmed, filmed, read_set, read_truth
 from studies.prior_archive import Clip, motions_of, read_clips
-from studies.silhouette_rounds import silhouette_table
 from studies.tracked_rows import (
     FILTERS,
     POINT_FIT,
@@ -186,7 +185,6 @@ def main() -> None:
     compared(f"Long failures, seed {LONG_SEED}", long, motions, {})
     unseen = [filmed(take, joints, 30.0, options.unseen) for take, joints in truth.items()]
     compared(f"Seed {options.unseen}, which no choice was made on", unseen, motions, {})
-    section("Silhouettes, frame by frame", silhouette_table(truth, motions))
     print(f"{(time.perf_counter() - begin) / 60:.1f} minutes")
 
 

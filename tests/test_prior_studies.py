@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from kinedex.ops.tracking.observations import Rays
-from studies.camera_set import LIMBS, MEASURED, filmed
+from studies.camera_set import CHAIN, LIMBS, MEASURED, filmed
 from studies.filters import butterworth, kalman_smoother, one_euro, savitzky_golay, without_gaps
 from studies.point_fit import fitted_points
+from studies.prior_archive import Clip
+from studies.prior_choice import joined, line
 from studies.priors import WITH, aims, mean, per_take, table
-from studies.silhouette_rounds import dark_cameras
 from studies.tracked_rows import CHAIN_ROW, POINT_FIT, WITHOUT, Tracked, point_rows
 from tests.bodies import STANDING
 
@@ -69,10 +70,8 @@ def test_the_fit_of_points_finds_points_from_exact_rays() -> None:
 
 
 def test_filmed_takes_have_errors_in_and_outside_failures_in_every_table() -> None:
-    from kinedex.catalog.kinematics import load_kinematic_chain
 
-    chain = load_kinematic_chain()
-    truth = np.repeat(np.array([STANDING[joint] for joint in chain.joints], float)[None], 60, axis=0)
+    truth = np.repeat(np.array([STANDING[joint] for joint in CHAIN.joints], float)[None], 60, axis=0)
     one = filmed("squat1Reps", truth, RATE_HZ, 4)
     assert one.errors_mm(truth) == pytest.approx(0.0)
     assert one.failing.any()
@@ -91,7 +90,17 @@ def test_limbs_and_measured_joints_are_those_of_the_design() -> None:
     assert [len(part) for part in (*LIMBS.arms, *LIMBS.legs)] == [2, 2, 4, 4]
 
 
-def test_two_cameras_are_dark_at_a_time_and_none_at_the_start() -> None:
-    dark = dark_cameras(300, 4, RATE_HZ, np.random.default_rng(0))
-    assert set(dark.sum(axis=1).tolist()) == {0, 2}
-    assert not dark[0].any()
+def test_clips_are_joined_onto_the_one_before_and_faded() -> None:
+
+    standing = np.array([STANDING[joint] for joint in CHAIN.joints], float)
+    still = np.repeat(standing[None], 30, axis=0)
+    turned = still @ np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]).T + [3.0, 0.0, 2.0]
+    words = np.zeros(30, np.uint64)
+    take = joined([Clip("a", "bd", "walk", words, still), Clip("b", "bd", "walk", words, turned)])
+    assert take == pytest.approx(np.repeat(standing[None], 50, axis=0), abs=1e-9)
+
+
+def test_a_choice_reports_takes_that_got_worse() -> None:
+    one = filmed("bd_walk", np.repeat(np.array([[STANDING[j] for j in CHAIN.joints]], float), 60, axis=0), RATE_HZ, 4)
+    row = line("guard", {one.name: np.full(60, 3.0)}, {one.name: np.full(60, 1.0)}, [one])
+    assert row == ["guard", "3.00", "3", "3.00", "3.00", "1", "+2.0 (bd_walk)"]
