@@ -9,6 +9,10 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.priors.allocation import Allocation
 
 F64 = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+
+LOCAL_GUARD, LOCAL_S = 1.05, 0.5
+"""Archive poses are withdrawn where a track fits this many times as badly over half a second (docs/studies.md)."""
 
 
 def cost_ratios(allocation: Allocation, costs: F64, without: F64) -> F64:
@@ -63,3 +67,30 @@ def allowed_ratios(qualities: F64, guard: float) -> F64:
         return np.full(len(qualities), np.inf)
     limits: F64 = 1.0 + (guard - 1.0) * qualities
     return limits
+
+
+def refuted_frames(allocation: Allocation, costs: F64, without: F64, rate_hz: float) -> Bool:
+    """Return the frames around which a track fits the observations worse than the track without priors.
+
+    A hit may be right as a whole and wrong where a limb fails. Means over `LOCAL_S` are compared, and where ours is
+    more than `LOCAL_GUARD` times the other, as many frames around have no prior.
+
+    Parameters
+    ----------
+    allocation : Allocation
+        The hits of T frames.
+    costs, without : float64 array (T,)
+        The cost of the observations in each frame of the track with priors, and of the one without.
+    rate_hz : float
+        Frames per second.
+
+    Returns
+    -------
+    bool array (T,)
+        True in the frames whose priors are withdrawn.
+    """
+    half = max(1, round(0.5 * LOCAL_S * rate_hz))
+    window = np.ones(2 * half + 1)
+    ours, theirs = (np.convolve(one, window)[half:-half] for one in (costs, without))
+    worse = (allocation.owners >= 0) & (ours > LOCAL_GUARD * theirs)
+    return np.convolve(worse, window)[half:-half] > 0.5

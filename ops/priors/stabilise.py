@@ -14,14 +14,15 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.priors.allocation import ARCHIVE, POSE, PriorRow, allocate, prior_rows
 from kinedex.ops.priors.archive_poses import relative_turns
 from kinedex.ops.priors.constraints import CONSTRAINTS
-from kinedex.ops.priors.guard import allowed_ratios, cost_ratios
-from kinedex.ops.priors.hits import at_rate, cut_to, find_hits
+from kinedex.ops.priors.guard import LOCAL_GUARD, LOCAL_S, allowed_ratios, cost_ratios, refuted_frames
+from kinedex.ops.priors.hits import Hit, at_rate, cut_to, find_hits
 from kinedex.ops.priors.motion import Motion
 from kinedex.ops.priors.terms import TrackState, make_terms
 from kinedex.ops.tracking.prior_terms import PriorTerms
 from kinedex.ops.words import U64
 
 F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
 
 LOGICAL = "logical"
@@ -35,6 +36,8 @@ FAR_RAD = 0.7
 
 LEAST_TRIED_S = 5 / 30
 """Another hit is tried where it covers frames of a withdrawn one for so many seconds at least."""
+
+_LOCAL_REASON = f"over {LOCAL_S:g} s the observations fit {LOCAL_GUARD:g} times as badly as without priors, or worse"
 
 SETTLED_RAD, SETTLED_M = 0.01, 0.01
 """A round is the last one if no turn and no place has moved by more."""
@@ -216,7 +219,8 @@ def _round(
     """Run one round; return its track and what it allocated.
 
     Hits that the observations refute are withdrawn, and other hits that explain their frames are tried in their place.
-    The last attempt has only hits that stood, and is not judged again.
+    Where all hits stand, archive poses are withdrawn from the frames that refute them. The last attempt has only what
+    stood, and is not judged again.
     """
     frames, weights = len(before.costs), settings.weights
     state = state_of(tracker, before)
@@ -231,23 +235,39 @@ def _round(
             return without, refuted
         terms = make_terms(state, allocation, motions, weights)
         track = tracker.track(round_start(tracker, state, terms) if start is None else start, terms)
+        if attempt == settings.attempts:
+            return track, refuted + rows
         ratios = cost_ratios(allocation, track.costs, without.costs)
         limits = allowed_ratios(allocation.qualities, settings.guard)
         bad = np.flatnonzero(ratios > limits).tolist()
-        if not bad or attempt == settings.attempts:
-            return track, refuted + rows
         reasons = {numbers[place]: _reason(ratios[place], limits[place]) for place in bad}
         refuted += [replace(row, kept=False, reason=reasons[row.hit]) for row in rows if row.hit in reasons]
         free = np.flatnonzero(np.isin(allocation.owners, bad))
+        if bad:
+            used = max(numbers) + 1
+            stood = [place for place in range(len(hits)) if place not in bad]
+            hits, numbers = [hits[place] for place in stood], [numbers[place] for place in stood]
+            if attempt + 1 < settings.attempts:
+                tried = cut_to(others, free, LEAST_TRIED_S * tracker.rate_hz)
+                hits, numbers, others = hits + tried, numbers + list(range(used, used + len(tried))), []
+        elif ARCHIVE in weights and np.isfinite(settings.guard):
+            wrong = refuted_frames(allocation, track.costs, without.costs, tracker.rate_hz)
+            free = np.flatnonzero(wrong)
+            gone = _cut(hits, numbers, free, 1)
+            withdrawn = prior_rows(allocate(gone[0], frames, settings.threshold), motions, weights, number, gone[1])
+            refuted += [replace(row, kept=False, reason=_LOCAL_REASON) for row in withdrawn]
+            hits, numbers = _cut(hits, numbers, np.flatnonzero(~wrong), LEAST_TRIED_S * tracker.rate_hz)
+        if not len(free):
+            return track, refuted + rows
         start = Poses(*(part.copy() for part in track.poses))
         start.places[free], start.turns[free] = without.poses.places[free], without.poses.turns[free]
-        used = max(numbers) + 1
-        stood = [place for place in range(len(hits)) if place not in bad]
-        hits, numbers = [hits[place] for place in stood], [numbers[place] for place in stood]
-        if attempt + 1 < settings.attempts:
-            tried = cut_to(others, free, LEAST_TRIED_S * tracker.rate_hz)
-            hits, numbers, others = hits + tried, numbers + list(range(used, used + len(tried))), []
     raise AssertionError("the last attempt returns")
+
+
+def _cut(hits: Sequence[Hit], numbers: Sequence[int], frames: I64, least: float) -> tuple[list[Hit], list[int]]:
+    """Return the parts of hits that lie in some frames, and the number of each hit."""
+    found = [(part, number) for hit, number in zip(hits, numbers, strict=True) for part in cut_to([hit], frames, least)]
+    return [part for part, _ in found], [number for _, number in found]
 
 
 def _reason(ratio: float, limit: float) -> str:

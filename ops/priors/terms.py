@@ -31,6 +31,9 @@ Bool = npt.NDArray[np.bool_]
 POSE_RAD = 0.15
 """Standard deviation of a turn about the one that a prior gives, besides the spread of the archive, in radians."""
 
+SEEN_SHARE = 0.3
+"""The share of its weight with which the archive pulls a node that the cameras agree on."""
+
 SPREAD_S = 1 / 3
 """The spread of the archive counts as much as what is left of a node that is seen for so many seconds of a hit."""
 
@@ -104,7 +107,8 @@ def _add_archive(
     way = own_way(means, state.poses.turns[frames], state.nodes_seen[frames], state.rate_hz)
     terms.turn_targets[frames, 1:] = (means @ way.turns)[:, 1:]
     variance = actual_variance(table.spreads[columns], way.residuals, way.seen_s)
-    terms.turn_weights[frames, 1:] = (quality / (variance + POSE_RAD**2))[:, 1:]
+    need = np.where(state.nodes_seen[frames], SEEN_SHARE, 1.0)[:, :, None]
+    terms.turn_weights[frames, 1:] = (need * quality / (variance + POSE_RAD**2))[:, 1:]
     terms.tilt_targets[frames] = table.tilts[columns]
     terms.tilt_weights[frames] = quality / POSE_RAD**2
 

@@ -11,6 +11,7 @@ from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.priors.allocation import allocate, prior_rows
 from kinedex.ops.priors.constraints import Mark
+from kinedex.ops.priors.guard import refuted_frames
 from kinedex.ops.priors.hits import Hit, at_rate, find_hits
 from kinedex.ops.priors.motion import Motion
 from kinedex.ops.templates.templates import QuantisedTemplate
@@ -82,3 +83,17 @@ def test_rows_are_runs_of_frames_with_priors_of_one_kind():
         ("elbow_bent", "left", 0, 10, 11, 2, 2), ("pose", "", 1, 3, 8, 1, 5), ("elbow_bent", "left", 1, 4, 6, 2, 3),
     ]  # fmt: skip
     assert rows[1].weight == pytest.approx(2 * (1 - 0.06 / 0.13))
+
+
+def test_archive_poses_are_withdrawn_around_the_frames_that_refute_them() -> None:
+    allocation = allocate([Hit(0, 20, 80, 0.01, np.linspace(0, 9, 60))], 100, 0.13)
+    without = np.full(100, 10.0)
+    assert not refuted_frames(allocation, without * 1.04, without, 30.0).any()
+    costs = without.copy()
+    costs[50:60] *= 1.5
+    found = np.flatnonzero(refuted_frames(allocation, costs, without, 30.0))
+    assert found.tolist() == list(range(found[0], found[-1] + 1))
+    assert found[0] < 50
+    assert found[-1] >= 60
+    costs[50:60], costs[5:15] = 10.0, 15.0  # no hit is there
+    assert not refuted_frames(allocation, costs, without, 30.0).any()
