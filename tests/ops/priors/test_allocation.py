@@ -95,5 +95,5 @@ def test_archive_poses_are_withdrawn_around_the_frames_that_refute_them() -> Non
     assert found.tolist() == list(range(found[0], found[-1] + 1))
     assert found[0] < 50
     assert found[-1] >= 60
-    costs[50:60], costs[5:15] = 10.0, 15.0  # no hit is there
+    costs[50:60], costs[:10] = 10.0, 15.0  # no hit is there
     assert not refuted_frames(allocation, costs, without, 30.0).any()
