@@ -92,7 +92,7 @@ def read_run(text: str) -> ReadEvaluations:
         known = {one.method for one in found if one.method}
         if method not in known:
             both = known | set(others) if others and not chosen else known
-            what = "method" if chosen or not others else "method or pipeline"
+            what = "method" if chosen or "" in files else "method or pipeline"
             raise KinedexError(f"{where} has no {what} '{method}'{did_you_mean(method, both)}")
         found = [one for one in found if one.method == method]
     remark = None

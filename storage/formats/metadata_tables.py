@@ -174,6 +174,8 @@ def _refuse_long(path: str | Path, text: str, line: int | None, column: str) -> 
 def read_sidecar(path: str | Path, key: str) -> MetadataRow:
     """Read a YAML file that describes the motion file beside it: a mapping from columns to values.
 
+    Columns with the name of a key, such as `take` or `file`, repeat what the name of the file tells, and are ignored.
+
     Parameters
     ----------
     path : str or Path
@@ -193,7 +195,8 @@ def read_sidecar(path: str | Path, key: str) -> MetadataRow:
     if not isinstance(located.data, dict):
         raise located.error("expected a mapping from columns to values")
     _checked(path, map(str, located.data), None)
-    return _yaml_row(located, (), key, located.data, "")
+    values = {name: value for name, value in located.data.items() if str(name).lower() not in KEYS}
+    return _yaml_row(located, (), key, values, "")
 
 
 # ---- CSV -------------------------------------------------------------------------------------------------

@@ -198,7 +198,7 @@ def test_metrics_of_the_stage_evaluate_are_read(tmp_path: Path) -> None:
     [
         ("one", "none", None, "there is no such store, folder or file"),
         ("one", "empty", None, "holds no evaluation"),
-        ("one::bets", "one", None, "no method 'bets'; did you mean 'best'"),
+        ("one::bets", "one", None, "no method or pipeline 'bets'; did you mean 'best'"),
         ("one", "one", "spilt", "no evaluation 'spilt'; did you mean 'split'"),
         ("one", "two", None, r"nothing to compare: .*'split: best', 'split: thesis'.* --split|nothing to compare"),
         ("broken.json", "one", None, "is no JSON file"),

@@ -135,7 +135,7 @@ def test_a_column_that_every_store_has_is_reported(ingested: tuple[Path, Path], 
 
 def test_a_yaml_file_beside_a_motion_file_describes_its_takes(tmp_path: Path) -> None:
     source = write_archive(tmp_path / "archive", dict.fromkeys(FILES, 30))
-    (source / "a" / "x_al_walk.yaml").write_text("licence: CC0\ntags: [slow, calm]\nage: 30\n")
+    (source / "a" / "x_al_walk.yaml").write_text("file: x_al_walk.amc\nlicence: CC0\ntags: [slow, calm]\nage: 30\n")
     (source / "a" / "x_al_run.yml").write_text("capture: {volume: 3}\n")
     (source / "a" / "other.yaml").write_text("licence: none\n")
     (source / "a" / "x_al_run.yaml").symlink_to(tmp_path / "outside.yaml")
@@ -149,6 +149,7 @@ def test_a_yaml_file_beside_a_motion_file_describes_its_takes(tmp_path: Path) ->
     assert open_store(store).takes().sort("name").select(columns).rows() == [
         ("x_al_run", None, None, None), ("x_al_walk", "CC0", ["slow", "calm"], 30), ("x_bo_run", None, None, None),
     ]  # fmt: skip
+    assert "file" not in open_store(store).takes().columns
     assert ingest(store, source)[0].ran == ()
     files = {row["source"]: row["outcome"] for row in open_store(store).result("source_files").to_pylist()}
     assert [files[f"a/{name}"] for name in ("x_al_walk.yaml", "other.yaml", "x_al_run.yaml")] == [
