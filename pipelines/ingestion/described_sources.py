@@ -10,7 +10,7 @@ from pathlib import Path
 from kinedex.ops.errors import AcceptError
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.ingestion.described_takes import Descriptions, Loss, losses, rows_below
-from kinedex.pipelines.ingestion.metadata import Joined, load_metadata
+from kinedex.pipelines.ingestion.metadata import Joined, load_metadata, unused_lines
 from kinedex.pipelines.ingestion.parameters import IngestParameters
 from kinedex.storage.formats.motion.sources import Scan, path_groups
 from kinedex.storage.store.store import Store
@@ -48,7 +48,7 @@ def refuse_losses(params: IngestParameters, store: Store, found: Scan) -> None:
     if lost:
         takes = len({name for one in lost for name in one.takes})
         which = f"{takes:,} of {counted(len(rows), 'take')} below {params.source} would lose values"
-        lines = "".join(f"\n    {_loss_line(one)}" for one in lost)
+        lines = "".join(f"\n    {line}" for line in [*map(_loss_line, lost), *unused_lines(metadata)])
         raise AcceptError(
             f"{which}:{lines}\nnothing was changed. The store remembers the settings of this source: an ingest without "
             "`patterns` and `metadata` of its own uses them"

@@ -77,7 +77,7 @@ def load_metadata(paths: Iterable[str], found: Scan | None = None) -> Metadata:
         try:
             sidecars.append(read_sidecar(file.absolute, os.path.splitext(file.path)[0]))
         except (SourceError, ConfigError) as fault:
-            remarks.append(f"not used as metadata of the motion file beside it: {fault}")
+            remarks.append(str(fault))
     return Metadata(tables, tuple(sidecars), tuple(remarks))
 
 
@@ -92,7 +92,7 @@ class Metadata:
     sidecars : tuple of MetadataRow
         The content of files beside motion files; the key is the path of both without the ending.
     remarks : tuple of str
-        Files beside motion files that are not used.
+        Files beside motion files that are not used, with the reason.
     """
 
     tables: tuple[MetadataTable, ...] = ()
@@ -276,9 +276,19 @@ def lies_in_source(root: str, given: Sequence[str]) -> str | None:
     return next((path for path in tables if os.path.isfile(path) and os.path.realpath(path) not in known), None)
 
 
+def unused_lines(metadata: Metadata) -> list[str]:
+    """Return a message about YAML files beside motion files that are not used; none where all are."""
+    if not metadata.remarks:
+        return []
+    count = len(metadata.remarks)
+    shown = "; ".join(metadata.remarks[:2])
+    begin = f"{counted(count, 'YAML file')} beside motion files not used as metadata"
+    return [f"{begin}{', such as' if count > 2 else ':'} {shown}"]
+
+
 def join_lines(metadata: Metadata, joined: Joined) -> list[str]:
     """Return messages about a join: the takes described, the rows without a take, and the takes without a row."""
-    lines = [*metadata.remarks]
+    lines = unused_lines(metadata)
     if not metadata.tables and not metadata.sidecars:
         return lines
     sources = dict.fromkeys(f"'{table.key}' of {table.path}" for table in metadata.tables)

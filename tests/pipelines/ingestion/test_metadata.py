@@ -144,6 +144,7 @@ def test_a_yaml_file_beside_a_motion_file_describes_its_takes(tmp_path: Path) ->
     store = tmp_path / "store"
     _, shown = ingest(store, source)
     assert "metadata by 1 YAML file beside motion files: 1 take described" in shown
+    assert "1 YAML file beside motion files not used as metadata: " in shown
     assert "x_al_run.yml:1: capture: expected a text, a number" in shown
     columns = ("name", "licence", "tags", "age")
     assert open_store(store).takes().sort("name").select(columns).rows() == [
@@ -160,6 +161,8 @@ def test_a_yaml_file_beside_a_motion_file_describes_its_takes(tmp_path: Path) ->
     _, shown = ingest(store, source, metadata=[tmp_path / "table.csv"])
     assert "its first, 'tke', names the takes; if 'tke' means 'take', rename it" in shown
     assert open_store(store).takes("name = 'x_al_walk'")["age"].to_list() == [31]
-    (source / "a" / "x_al_walk.yaml").unlink()
-    with pytest.raises(KinedexError, match=r"licence: 1 take, such as 'CC0' of x_al_walk"):
+    (source / "a" / "x_al_walk.yaml").write_text("licence: [")
+    with pytest.raises(
+        KinedexError, match=r"(?s)licence: 1 take, such as 'CC0' of x_al_walk.*x_al_walk.yaml:1: is not"
+    ):
         ingest(store, source)
