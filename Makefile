@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STORE  ?= build/demo-store
+TRACKING_STORE ?= build/tracking-store
 DATA   ?=
 METHOD ?= thesis
 FUZZ_SECONDS ?= 20
@@ -14,13 +15,14 @@ ATTACK  ?=
 WORKERS ?= $(shell $(PYTHON) -c 'import os; print(len(os.sched_getaffinity(0)) + 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) + 1)')
 NIGHTLY ?=
 
-.PHONY: setup demo test lint types check-kernels fuzz attack bench docs links wheel sbom audit lock clean help
+.PHONY: setup demo demo-tracking test lint types check-kernels fuzz attack bench docs links wheel sbom audit lock clean help
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo                  set up .venv, make a synthetic archive, run the main job, print where the report is"
 	@echo "make demo DATA=dir         the same job on your own archive (STORE=dir says where the store goes)"
 	@echo "make demo METHOD=best      the same job with all frames of a take labelled together"
+	@echo "make demo-tracking         film takes of a synthetic archive, track, stabilise, evaluate, print where the page is"
 	@echo "make test                  lint, types and all tests"
 	@echo "make fuzz                  broken files against every reader (FUZZ_SECONDS=20 for each, FUZZ_SEED=0)"
 	@echo "make attack                attacks on a store, counted (ATTACK=kills for one, NIGHTLY=1 for all of each)"
@@ -46,6 +48,9 @@ setup: $(VENV)/run.stamp
 # ---- the main job ----------------------------------------------------------------------------------------
 demo: setup
 	@$(BIN)/kinedex demo "$(STORE)" $(if $(DATA),--data "$(DATA)") --method $(METHOD)
+
+demo-tracking: setup
+	@$(BIN)/kinedex demo "$(TRACKING_STORE)" --tracking --minutes 3
 
 # ---- checks ----------------------------------------------------------------------------------------------
 lint: setup

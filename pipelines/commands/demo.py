@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.console.terminal import Terminal
+from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.executors import cores
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
 from kinedex.pipelines.synth.archive import write_archive
+from kinedex.storage.store.store import open_store
 
 ACTORS, SEED = 5, 2026
+
+FILMED, LEAST_FRAMES = "al", 45
+"""The actor who is filmed in the demo of tracking, in clips of so many frames at least."""
 
 
 def run_demo(
@@ -66,6 +72,54 @@ def run_demo(
     return run_pipeline(
         "annotate", store, assignments=settings, executor=executor, workers=workers, terminal=Terminal(console)
     )
+
+
+def run_tracking_demo(store: Path, minutes: float, executor: str, workers: int | None, console: Console) -> Outcome:
+    """Film takes of one actor of a synthetic archive, and run the pipeline `stabilise` with the archive of the others.
+
+    Parameters
+    ----------
+    store : Path
+        Directory of the store.
+    minutes : float
+        Minutes of motion in the synthetic archive.
+    executor : str
+        Executor, as for `run_pipeline`.
+    workers : int or None
+        Number of workers, as for `run_pipeline`.
+    console : Console
+        Where messages are printed.
+
+    Raises
+    ------
+    KinedexError
+        A stage fails.
+    """
+    from kinedex.catalog.configs import config_path, load_yaml
+    from kinedex.pipelines.simulation.camera_recordings import Request, simulate_cameras
+
+    terminal = Terminal(console)
+    data = store.parent / f"{store.name}-archive-{minutes:g}min"
+    make_archive(data, minutes, ACTORS, SEED, workers, console)
+    patterns = load_yaml(config_path("pipelines", "stabilise")).mapping()["settings"]["patterns"]
+    common: dict[str, Any] = {"executor": executor, "workers": workers, "terminal": terminal}
+    run_pipeline("ingest", store, settings={"source": str(data), "ingest.patterns": patterns}, **common)
+    recordings = store.parent / f"{store.name}-recordings"
+    if not (recordings / "recordings.yaml").is_file():
+        console.print(f"recordings of the actor '{FILMED}' in {recordings}", style="bold", markup=False)
+        where = f"actor = '{FILMED}' AND class IS NOT NULL AND frames >= {LEAST_FRAMES}"
+        with open_store(store) as opened:
+            made = simulate_cameras(opened, Request(where=where, seed=SEED), recordings, terminal.progress)
+        filmed = f"{counted(len(made.recordings), 'recording')}, {counted(made.failures, 'failure')}"
+        console.print(f"    {filmed} in {made.frames:,} frames", markup=False)
+    console.print(f"store: {store}", markup=False)
+    settings = {
+        "source": str(data),
+        "recordings": str(recordings / "recordings.yaml"),
+        "train": f"class IS NOT NULL AND actor <> '{FILMED}'",
+        "classes": "synthetic",
+    }
+    return run_pipeline("stabilise", store, assignments=settings, **common)
 
 
 def make_archive(

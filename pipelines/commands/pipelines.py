@@ -39,6 +39,9 @@ def demo(
     ] = None,
     minutes: Annotated[float, typer.Option(min=1, help="Minutes of motion in the synthetic archive.")] = 30.0,
     method: Annotated[str, typer.Option(help="Method of annotation: thesis or best.")] = "thesis",
+    tracking: Annotated[
+        bool, typer.Option("--tracking", help="Film takes by simulated cameras, track and stabilise them.")
+    ] = False,
     executor: ExecutorOption = "processes",
     workers: WorkersOption = None,
 ) -> None:
@@ -46,9 +49,14 @@ def demo(
 
     The archive is synthetic, and made where it is missing; --data runs the same on an archive of your own.
     """
-    from kinedex.pipelines.commands.demo import run_demo
+    from kinedex.pipelines.commands.demo import run_demo, run_tracking_demo
     from kinedex.pipelines.console.terminal import message_console
 
+    if tracking and data is not None:
+        raise typer.BadParameter("--tracking films takes of the synthetic archive; leave out --data")
+    if tracking:
+        show_outcome(run_tracking_demo(store, minutes, executor, workers, message_console()), store)
+        return
     show_outcome(run_demo(store, data, minutes, executor, workers, message_console(), method), store)
 
 

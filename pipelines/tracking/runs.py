@@ -231,9 +231,7 @@ def stabilise(
         A take is not in the store, or was stabilised already.
     """
     store = writer.store
-    for take in takes:
-        if take not in store.take_ids:
-            raise KinedexError(f"{store.path}: no take '{take}'{did_you_mean(take, store.take_ids)}")
+    require_takes(store, takes)
     motions, remarks = _motions(writer, params, archive, place)
     mean, ids = archive_body(store), _take_ids(writer, map(stabilised_name, takes))
     lent = hash_of(*(part for motion in motions for part in _motion_parts(motion)))
@@ -254,6 +252,13 @@ def stabilise(
     done = _run(writer, place, stabilise_take, tasks)
     done.remarks += remarks
     return done
+
+
+def require_takes(store: Store, takes: Iterable[str]) -> None:
+    """Raise a KinedexError if the store lacks one of the takes; it names the nearest one."""
+    for take in takes:
+        if take not in store.take_ids:
+            raise KinedexError(f"{store.path}: no take '{take}'{did_you_mean(take, store.take_ids)}")
 
 
 def _silhouettes_only(store: Store, recording: str) -> bool:

@@ -19,7 +19,7 @@ from kinedex.pipelines.templates.learning import learn_templates
 from kinedex.pipelines.templates.stored_templates import stored_templates
 from kinedex.pipelines.templates.training import TemplateParameters, training_material
 from kinedex.pipelines.tracking.parameters import StabiliseParameters, TrackParameters
-from kinedex.pipelines.tracking.runs import Archive, Outcome, Place, renew_index, stabilise
+from kinedex.pipelines.tracking.runs import Archive, Outcome, Place, renew_index, require_takes, stabilise
 from kinedex.pipelines.tracking.tracked_takes import stabilised_name
 from kinedex.pipelines.tracking.work import stabilise_take
 from kinedex.storage.lock import NO_WAIT, Wait
@@ -93,6 +93,7 @@ def stabilise_stored(
         A take is not in the store, or the store has no templates and nothing to learn them from.
     """
     opened = open_store(path, at="newest")
+    require_takes(opened, takes)
     code = code_digest(stabilise_take)
     place = Place(STAGE, new_run_id(), executor, terminal.say, code, anew)
     with StoreWriter.open(path, opened.feature_set, opened.rate_hz, wait) as writer:

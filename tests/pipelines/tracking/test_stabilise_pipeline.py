@@ -1,0 +1,137 @@
+"""The pipeline stabilise on a small archive that is filmed by simulated cameras: takes, results, reuse, the page."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.simulation.recording import Setup
+from kinedex.pipelines.commands.cli import app
+from kinedex.pipelines.console.terminal import Terminal
+from kinedex.pipelines.engine.runner import Outcome, run_pipeline
+from kinedex.pipelines.simulation.camera_recordings import Request, simulate_cameras
+from kinedex.pipelines.stages.ingest import Ingest
+from kinedex.pipelines.tracking.recordings import stored_recording
+from kinedex.storage.store.store import open_store
+from kinedex.storage.store.take_removal import planned_removal, remove_takes
+from kinedex.storage.store.verification import verify
+from kinedex.storage.store.writer import StoreWriter
+from tests.pipelines.archives import context, write_archive
+
+PATTERNS = [r"x_(?P<actor>[a-z]+)_(?P<class>hop|sway)_(?P<clip>\d)"]
+FILMED = "x_al_hop_1"
+
+
+def kinedex(*arguments: object, code: int = 0) -> str:
+    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert done.exit_code == code, done.output
+    return done.stdout if code == 0 else done.output
+
+
+def run(folder: Path, **settings: object) -> Outcome:
+    given = {
+        "source": str(folder / "source"),
+        "recordings": str(folder / "sim" / "recordings.yaml"),
+        "patterns": PATTERNS,
+        "train": "class IS NOT NULL",
+        "stabilise.rounds": 1,
+        **settings,
+    }
+    return run_pipeline("stabilise", folder / "store", settings=given, executor="serial")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An archive of four clips, one of which is filmed."""
+    folder = tmp_path_factory.mktemp("stabilise")
+    clips = {f"x_{actor}_{name}_1.amc": 160 for actor in ("al", "bo") for name in ("hop", "sway")}
+    write_archive(folder / "source", clips)
+    Ingest().run(context(folder / "store"), Ingest.parameters(source=str(folder / "source"), patterns=PATTERNS))
+    with open_store(folder / "store", at="newest") as store:
+        simulate_cameras(store, Request((FILMED,), None, 3, Setup()), folder / "sim", Terminal().progress)
+    run(folder)
+    return folder
+
+
+def test_the_takes_are_tracked_stabilised_and_near_the_truth(folder: Path) -> None:
+    store = open_store(folder / "store")
+    assert {f"{FILMED}_tracked", f"{FILMED}_stabilised"} <= set(store.take_ids)
+    metrics = {row["take"]: row for row in store.result("track_metrics").to_pylist() if row["scope"] == "take"}
+    assert set(metrics) == {f"{FILMED}_tracked", f"{FILMED}_stabilised"}
+    # the body of the archive is a doll with feet of 0.7 m: how accurate tracks are is measured elsewhere
+    assert max(row["mean_mm"] for row in metrics.values()) < 150
+    assert [one.problem for one in verify(store)] == []
+    count = store.sql("SELECT count(*) AS n FROM feature_runs JOIN takes USING (take_id) WHERE format = 'track'")
+    assert count.to_pylist()[0]["n"] > 0
+
+
+def test_results_describe_recordings_cameras_frames_and_priors(folder: Path) -> None:
+    store = open_store(folder / "store")
+    row = store.sql("SELECT source_frames, len(cameras) AS cameras FROM recordings").to_pylist()[0]
+    frames, cameras = row["source_frames"], row["cameras"]
+    assert cameras == 4
+    for take in (f"{FILMED}_tracked", f"{FILMED}_stabilised"):
+        for kind, expected in (("chain_poses", frames), ("track_frames", frames), ("track_cameras", cameras)):
+            found = store.sql(f"SELECT count(*) AS n FROM {kind} WHERE take = '{take}'").to_pylist()[0]["n"]
+            assert found == expected, (take, kind)
+    poses = store.sql("SELECT len(place) AS p, len(turns) AS t FROM chain_poses LIMIT 1").to_pylist()[0]
+    assert poses == {"p": 3, "t": 60}
+    assert set(store.result("priors").column("class").to_pylist()) <= {"hop", "sway"}
+    stored = stored_recording(store, FILMED)
+    assert stored.recording is not None
+    assert stored.recording.pixels.shape[:2] == (frames, cameras)
+    assert np.nanmax(stored.recording.confidence) <= 1
+
+
+def test_what_is_unchanged_is_not_done_again(folder: Path) -> None:
+    first, second = run(folder), run(folder)
+    assert set(first.ran) <= {"ingest", "index"}
+    assert second.ran == ()
+    before = open_store(folder / "store").result("chain_poses").drop_columns(["run"])
+    run_pipeline(
+        "stabilise", folder / "store", executor="serial", force=("track", "stabilise"),
+        settings={"source": str(folder / "source"), "recordings": str(folder / "sim" / "recordings.yaml"),
+                  "patterns": PATTERNS, "stabilise.rounds": 1},
+    )  # fmt: skip
+    assert open_store(folder / "store").result("chain_poses").drop_columns(["run"]).equals(before)
+
+
+def test_a_removed_track_is_made_again(folder: Path) -> None:
+    path = folder / "store"
+    with StoreWriter.open(path, open_store(path).feature_set) as writer:
+        remove_takes(writer, planned_removal(writer.store, [f"{FILMED}_tracked"]))
+    assert "track" in run(folder).ran
+    assert f"{FILMED}_tracked" in open_store(path, at="newest").take_ids
+
+
+def test_the_page_shows_takes_before_and_after_with_rays(folder: Path) -> None:
+    page = (folder / "store" / "results" / "reports" / "stabilise" / "stabilised.html").read_text()
+    data = json.loads(re.search(r'id="motions">(.*?)</script>', page, re.DOTALL)[1])  # type: ignore[index]
+    assert {one["take"] for one in data["motions"]} == {f"{FILMED}_tracked", f"{FILMED}_stabilised"}
+    assert [one["name"] for one in data["rays"][0]["cameras"]] == ["cam1", "cam2", "cam3", "cam4"]
+    assert "Residuals of rays" in page
+    assert "Distance from the truth" in page
+
+
+def test_a_take_without_cameras_is_stabilised_by_a_command(folder: Path) -> None:
+    shown = json.loads(kinedex("stabilise", folder / "store", "x_bo_sway_1", "--rounds", 1, "--json"))
+    (one,) = shown["takes"]
+    assert (one["take"], one["stabilised"], one["recording"]) == ("x_bo_sway_1", "x_bo_sway_1_stabilised", None)
+    assert {"class", "cost", "kept"} <= set(one["priors"][0])
+    again = kinedex("stabilise", folder / "store", "x_bo_sway_1", "--rounds", 1, "--explain")
+    assert "as x_bo_sway_1_stabilised" in again
+    assert "no take 'x_bo_swya_1'" in kinedex("stabilise", folder / "store", "x_bo_swya_1", code=1)
+    assert "priors.0" in kinedex("stabilise", folder / "store", "x_bo_sway_1", "--priors", "pse", code=1)
+
+
+def test_a_recordings_file_that_is_wrong_is_refused_with_its_line(folder: Path, tmp_path: Path) -> None:
+    file = tmp_path / "wrong.yaml"
+    file.write_text("recordings:\n  one: {cameras: calib.toml, rate_hz: 60}\n")
+    with pytest.raises(KinedexError, match=r"wrong\.yaml:2"):
+        run_pipeline("track", folder / "store", settings={"recordings": str(file)}, executor="serial")
