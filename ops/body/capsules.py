@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.ops.body.kinematic_chain import ChainBody, KinematicChain, Poses, forward
+from kinedex.ops.body.kinematic_chain import ChainBody, Poses, forward
 from kinedex.ops.errors import ParameterError
 
 F64 = npt.NDArray[np.float64]
@@ -116,11 +116,11 @@ def body_capsules(body: ChainBody, surface: Surface, thickness: float = 1.0) -> 
 
 def body_height(body: ChainBody, low: tuple[int, ...], high: int) -> float:
     """Return the height of a body at rest in metres, from the mean of the joints `low` to the joint `high`."""
-    positions, _ = forward(body, rest_poses(body.chain))
-    return float(positions[high, 1, 0] - positions[list(low), 1, 0].mean())
+    joints = rest_joints(body)
+    return float(joints[high, 1] - joints[list(low), 1].mean())
 
 
-def rest_poses(chain: KinematicChain, frames: int = 1) -> Poses:
-    """Return poses of a chain at rest, with the first node in the origin."""
-    turns = np.broadcast_to(np.eye(3), (frames, len(chain.nodes), 3, 3)).copy()
-    return Poses(np.zeros((frames, 3)), turns)
+def rest_joints(body: ChainBody) -> F64:
+    """Return the joints (J, 3) of a body at rest in metres, with the first node in the origin."""
+    turns = np.broadcast_to(np.eye(3), (1, len(body.chain.nodes), 3, 3)).copy()
+    return np.ascontiguousarray(forward(body, Poses(np.zeros((1, 3)), turns))[0][:, :, 0])

@@ -11,6 +11,7 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.views import View, capsule_box, mask_pixel, ray_distance, seen_joints
 
 F64 = npt.NDArray[np.float64]
+U8 = npt.NDArray[np.uint8]
 Bool = npt.NDArray[np.bool_]
 
 _EDGE = 5  # places along each side of a box that are projected where the lens distorts
@@ -39,6 +40,20 @@ def render_mask(capsules: Capsules, joints: F64, view: View) -> Bool:
     if np.isfinite(joints).all():
         _render(capsules, np.ascontiguousarray(joints, np.float64), view, mask)
     return mask
+
+
+@njit(cache=True, nogil=True)
+def count_overlap(capsules: Capsules, joints: F64, view: View, mask: U8) -> tuple[int, int]:
+    """Return the number of pixels that show a body (J, 3), and that of those which are foreground in a mask."""
+    drawn = np.zeros(mask.shape, np.bool_)
+    _render(capsules, joints, view, drawn)
+    own, common = 0, 0
+    for row in range(mask.shape[0]):
+        for column in range(mask.shape[1]):
+            if drawn[row, column]:
+                own += 1
+                common += mask[row, column] > 127
+    return own, common
 
 
 @njit(cache=True, nogil=True)

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from numba import njit
 
 from kinedex.ops.body.capsules import Capsules
+from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.views import View, capsule_box, mask_pixel, ray_distance, seen_joints
 
 F64 = npt.NDArray[np.float64]
@@ -66,6 +67,25 @@ class Silhouettes(NamedTuple):
     views: tuple[View, ...]
     masks: Masks
     capsules: Capsules
+
+    def seen(self, t: int) -> list[tuple[View, U8]]:
+        """Return the cameras that show foreground in frame t, with their masks.
+
+        Raises
+        ------
+        ParameterError
+            The masks are not one for each camera, or one is not of the camera's size.
+        """
+        masks = self.masks[t]
+        if len(masks) != len(self.views):
+            raise ParameterError(f"masks of frame {t}", f"those of {len(self.views)} cameras", len(masks))
+        found = []
+        for v, (view, mask) in enumerate(zip(self.views, masks, strict=True)):
+            if mask is not None and mask.shape != view.plane.shape[:2]:
+                raise ParameterError(f"mask of camera {v} in frame {t}", f"of shape {view.plane.shape[:2]}", mask.shape)
+            if mask is not None and mask.any():
+                found.append((view, mask))
+        return found
 
 
 class Contours(NamedTuple):

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from kinedex.ops.body.capsules import Capsules, rest_poses
+from kinedex.ops.body.capsules import Capsules, rest_joints
 from kinedex.ops.body.kinematic_chain import (
     PLACES,
     ChainArrays,
@@ -39,6 +39,7 @@ from kinedex.ops.tracking.blocks import (
     place_points,
     prior_arrays,
 )
+from kinedex.ops.tracking.body_mask import count_overlap
 from kinedex.ops.tracking.contours import (
     HALF,
     ContourSums,
@@ -97,14 +98,16 @@ class FrameTrack:
     positions : float64 array (T, J, 3)
         The joints in metres.
     costs : float64 array (T,)
-        What the guard of priors compares: with silhouettes alone their mean distance from the contour in pixels, else
-        the squares of the residuals of the observations.
+        What the guard of priors compares: with silhouettes alone the differences below, else the squares of the
+        residuals of the observations.
     lost : bool array (T,)
         True where a frame observes too little, or would jump: its pose is the last one.
     contours : int64 array (T,)
         Correspondences with silhouettes.
     shifts_px : float64 array (T,)
         Mean distance of the contour from the silhouettes' boundary in pixels of the cameras, NaN without any.
+    differences : float64 array (T,)
+        Pixels that are either body or foreground but not both, as a share of the foreground; NaN without any.
     """
 
     poses: Poses
@@ -113,6 +116,7 @@ class FrameTrack:
     lost: Bool
     contours: I64
     shifts_px: F64
+    differences: F64
 
 
 def track_frames(
@@ -166,15 +170,21 @@ def track_frames(
     poses = Poses(np.empty((count, 3)), np.empty((count, *first.turns.shape[1:])))
     costs, lost = np.zeros(count), np.zeros(count, np.bool_)
     contours, shifts = np.zeros(count, np.int64), np.full(count, np.nan)
-    state = _State(first.places[0].copy(), first.turns[0].copy(), np.zeros(3), np.zeros((len(first.turns[0]), 3)))
+    differences = np.full(count, np.nan)
+    place, turns = first.places[0].copy(), first.turns[0].copy()
+    state = _State(place, turns, np.zeros(3), np.zeros((len(turns), 3)), _Fit(place, turns))
     for t in range(count):
         state = frames.track(t, state)
         poses.places[t], poses.turns[t] = state.place, state.turns
-        costs[t], lost[t], contours[t], shifts[t] = state.cost, state.frames_lost > 0, state.contours, state.shift_px
+        fit = state.fit
+        costs[t], lost[t], contours[t] = fit.cost, state.frames_lost > 0, fit.contours
+        shifts[t], differences[t] = fit.shift_px, fit.difference
     positions, _ = forward(body, poses)
     if observations is None:
-        costs = np.nan_to_num(shifts)
-    return FrameTrack(poses, np.ascontiguousarray(positions.transpose(2, 0, 1)), costs, lost, contours, shifts)
+        costs = np.nan_to_num(differences)
+    return FrameTrack(
+        poses, np.ascontiguousarray(positions.transpose(2, 0, 1)), costs, lost, contours, shifts, differences
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,18 +232,29 @@ def _first_pose(body: ChainBody, observations: Rays | Places | None, points: Bod
     return Poses(start.places[:1], start.turns[:1])
 
 
+@dataclass(eq=False)
+class _Fit:
+    """The pose that a frame was solved for, and how it fits."""
+
+    place: F64
+    turns: F64
+    cost: float = 0.0
+    contours: int = 0
+    share: float = 0.0
+    shift_px: float = np.nan
+    difference: float = np.nan
+
+
 @dataclass(frozen=True, eq=False)
 class _State:
-    """The pose of a frame, its velocity per frame, and what was observed."""
+    """The pose of a frame and its velocity per frame."""
 
     place: F64
     turns: F64
     moved: F64  # (3,) metres
     turned: F64  # (K, 3) rotation vectors
-    cost: float = 0.0
+    fit: _Fit
     frames_lost: int = 0
-    contours: int = 0
-    shift_px: float = np.nan
 
 
 class _Frames:
@@ -275,54 +296,66 @@ class _Frames:
         self.sums = contour_sums(self.capsules, joints)
         if silhouettes is not None:
             # at rest no line between joints is shorter than in another pose
-            rest = forward(body, rest_poses(body.chain))[0]
-            self.contours = contour_room(self.capsules, rest[:, :, 0])
+            self.contours = contour_room(self.capsules, rest_joints(body))
 
     def track(self, t: int, last: _State) -> _State:
         """Return the state of frame t from that of the frame before."""
-        place, turns, count, share, shift = last.place.copy(), last.turns.copy(), 0, 0.0, np.nan
         if self.silhouettes is None:
-            cost = self._solve(t, place, turns, STEPS)
+            fit, masks = _Fit(last.place.copy(), last.turns.copy()), []
+            fit.cost = self._solve(t, fit.place, fit.turns, STEPS)
         else:
-            place += last.moved
-            turns = turns @ np.stack([rotation_of(_CARRIED * vector) for vector in last.turned])
-            _pull_to_start(self.priors, t, turns)
-            masks = self._masks(t)
-            for _ in range(PASSES):
-                count, share, shift, contour_cost = self._find(masks, place, turns)
-                cost = self._solve(t, place, turns, PASS_STEPS)
-            cost += contour_cost
-        step = place - last.place
-        seen = (count >= LEAST_CONTOURS and share >= LEAST_FOUND) or self._sees(t)
+            masks = self.silhouettes.seen(t)
+            fit = self._best_fit(t, masks, last)
+        step = fit.place - last.place
+        seen = (fit.contours >= LEAST_CONTOURS and fit.share >= LEAST_FOUND) or self._sees(t)
         # the way that was possible since the last frame that was not lost
         longest = self.longest_step_m * (1 + last.frames_lost)
         if not seen or not np.sqrt(step @ step) <= longest:
-            still = last.place if self.silhouettes is None else self._centred(masks, last.place, last.turns)
+            still = self._centred(masks, last.place, last.turns)
             none = np.zeros_like(last.moved), np.zeros_like(last.turned)
-            return _State(still, last.turns, *none, cost, last.frames_lost + 1, count, shift)
-        turned = np.stack([vector_of(turn) for turn in last.turns.transpose(0, 2, 1) @ turns])
+            return _State(still, last.turns, *none, fit, last.frames_lost + 1)
+        turned = np.stack([vector_of(turn) for turn in last.turns.transpose(0, 2, 1) @ fit.turns])
         if last.frames_lost:
             step, turned = np.zeros_like(step), np.zeros_like(turned)
-        return _State(place, turns, step, turned, cost, 0, count, shift)
+        return _State(fit.place, fit.turns, step, turned, fit, 0)
 
-    def _masks(self, t: int) -> list[tuple[View, U8]]:
-        """Return the cameras that show something in frame t, with their masks."""
-        assert self.silhouettes is not None
-        masks = self.silhouettes.masks[t]
-        if len(masks) != len(self.silhouettes.views):
-            raise ParameterError(f"masks of frame {t}", f"those of {len(self.silhouettes.views)} cameras", len(masks))
-        found = []
-        for v, (view, mask) in enumerate(zip(self.silhouettes.views, masks, strict=True)):
-            if mask is not None and mask.shape != view.plane.shape[:2]:
-                shape = view.plane.shape[:2]
-                raise ParameterError(f"mask of camera {v} in frame {t}", f"of shape {shape}", mask.shape)
-            if mask is not None and mask.any():
-                found.append((view, mask))
-        return found
+    def _best_fit(self, t: int, masks: list[tuple[View, U8]], last: _State) -> _Fit:
+        """Return the fit on silhouettes, of several starts, that covers the masks best."""
+        free = self.priors.turn_weights[t].max(axis=1) <= 0.0
+        moved = last.turns @ np.stack([rotation_of(_CARRIED * vector) for vector in last.turned])
+        starts = [(last.place + last.moved, moved)]
+        lent = (self.priors.turn_weights[t] > 0.0).all(axis=1)  # a constraint weighs one axis of an elbow alone
+        if lent.any():
+            pulled = np.where(lent[:, None, None], self.priors.turn_targets[t], moved)
+            starts.append((last.place + last.moved, pulled))
+        given = self.priors.turn_targets[t].copy()
+        best = None
+        for place, turns in starts:
+            self.priors.turn_targets[t] = np.where(free[:, None, None], turns, given)
+            self.priors.turn_weights[t, free] = START_RAD**-2.0
+            fit = _Fit(place, turns)
+            for _ in range(PASSES):
+                fit.contours, fit.share, fit.shift_px, contour_cost = self._find(masks, fit.place, fit.turns)
+                fit.cost = self._solve(t, fit.place, fit.turns, PASS_STEPS) + contour_cost
+            fit.difference = self._difference(masks, fit.place, fit.turns)
+            if best is None or fit.difference < best.difference:
+                best = fit
+        assert best is not None
+        return best
+
+    def _difference(self, masks: list[tuple[View, U8]], place: F64, turns: F64) -> float:
+        """Return the pixels that are either body or foreground, as a share of the foreground; NaN without masks."""
+        pose_nodes(self.body.arrays, place, turns, self.room.turned, self.room.centres)
+        pose_joints(self.body.arrays, self.room.turned, self.room.centres, self.sums.joints)
+        apart, foreground = 0, 0
+        for view, mask in masks:
+            own, common = count_overlap(self.capsules, self.sums.joints, view, mask)
+            pixels = int(np.count_nonzero(mask > HALF))
+            apart, foreground = apart + pixels + own - 2 * common, foreground + pixels
+        return apart / foreground if foreground else np.nan
 
     def _find(self, masks: list[tuple[View, U8]], place: F64, turns: F64) -> tuple[int, float, float, float]:
         """Find the correspondences of a pose, and return their number, share of the contour, mean shift and cost."""
-        assert self.silhouettes is not None
         capsules, sums = self.capsules, self.sums
         pose_nodes(self.body.arrays, place, turns, self.room.turned, self.room.centres)
         pose_joints(self.body.arrays, self.room.turned, self.room.centres, sums.joints)
@@ -351,7 +384,6 @@ class _Frames:
 
     def _centred(self, masks: list[tuple[View, U8]], place: F64, turns: F64) -> F64:
         """Return a place at which the middle of the body is where the rays of the masks' centroids meet."""
-        assert self.silhouettes is not None
         if len(masks) < 2:
             return place
         capsules = self.capsules
@@ -370,13 +402,6 @@ class _Frames:
             matrix, vector = matrix + square, vector + square @ view.centre
         found: F64 = place + np.linalg.lstsq(matrix, vector, rcond=None)[0] - middle
         return found if np.isfinite(found).all() and np.linalg.cond(matrix) < 1e3 else place
-
-
-def _pull_to_start(priors: PriorArrays, t: int, turns: F64) -> None:
-    """Pull the nodes that no prior pulls to the start of a frame, in the arrays of the priors."""
-    free = priors.turn_weights[t].max(axis=1) <= 0.0
-    priors.turn_targets[t, free] = turns[free]
-    priors.turn_weights[t, free] = START_RAD**-2.0
 
 
 @njit(cache=True, nogil=True)

@@ -131,7 +131,7 @@ def test_priors_pull_and_priors_without_weight_do_nothing() -> None:
 def test_steps_on_silhouettes_end_where_the_squares_of_the_twin_are_least() -> None:
     tracker = module._Frames(BODY, None, None, 30.0, None, Silhouettes(VIEWS, MASKS, CAPSULES), 5.0)
     place, turns = motion().places[1].copy(), START.turns[0].copy()
-    tracker._find(tracker._masks(1), place, turns)
+    tracker._find(tracker.silhouettes.seen(1), place, turns)
     sums = ContourSums(*(part.copy() for part in tracker.sums))
     tracker._solve(1, place, turns, 60)
 

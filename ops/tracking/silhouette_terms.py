@@ -1,0 +1,167 @@
+"""Silhouettes as terms of the tracker of whole takes.
+
+The correspondences of a frame pull every joint by A and b of Eq. 6.4. A quadratic of one joint is a sum of three
+squares along the eigenvectors of A, which are place terms: the tracker of takes needs to know of no others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.body.capsules import rest_joints
+from kinedex.ops.body.kinematic_chain import ChainBody, Poses, forward
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.tracking.contours import (
+    Silhouettes,
+    add_contours,
+    contour_room,
+    contour_sums,
+    find_contours,
+)
+from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
+from kinedex.ops.tracking.prior_terms import PriorTerms, no_priors
+from kinedex.ops.tracking.rays import SIGMA_PX
+from kinedex.ops.tracking.take_tracker import SCHEDULE, TakeTrack, track_take
+
+F64 = npt.NDArray[np.float64]
+
+PASSES = 6
+"""Times that a take finds its correspondences with silhouettes."""
+
+_LEAST = 1e-6  # share of the largest eigenvalue below which a joint is not pulled along an eigenvector
+
+
+def silhouette_terms(body: ChainBody, poses: Poses, silhouettes: Silhouettes) -> tuple[PriorTerms, F64]:
+    """Return the place terms of the correspondences of poses with silhouettes.
+
+    Parameters
+    ----------
+    body : ChainBody
+        The body.
+    poses : Poses
+        T poses, which find the correspondences.
+    silhouettes : Silhouettes
+        Masks of T frames.
+
+    Returns
+    -------
+    terms : PriorTerms
+        Three place terms at most of every joint in every frame, and no others.
+    shifts_px : float64 array (T,)
+        Mean distance of the contour from the silhouettes' boundary in pixels of the cameras, NaN without any.
+    """
+    positions = np.ascontiguousarray(np.moveaxis(forward(body, poses)[0], 2, 0))
+    frames, joints = positions.shape[:2]
+    capsules = silhouettes.capsules
+    room, shifts = contour_room(capsules, rest_joints(body)), np.full(frames, np.nan)
+    matrices, vectors = np.zeros((frames, joints, 3, 3)), np.zeros((frames, joints, 3))
+    for t in range(frames):
+        sums, found = contour_sums(capsules, joints), []
+        for view, mask in silhouettes.seen(t):
+            count, _ = find_contours(view, mask, positions[t], capsules, room)
+            add_contours(view, room, count, capsules, sums)
+            found.append(np.abs(room.shifts[:count]))
+        if sum(map(len, found)):
+            shifts[t] = np.concatenate(found).mean()
+        matrices[t], vectors[t] = sums.matrices, sums.vectors
+        # each end of a capsule moves its points by itself: a bound of the squares that has no term of two joints
+        np.add.at(matrices[t], capsules.starts, sums.mixed)
+        np.add.at(matrices[t], capsules.ends, sums.mixed)
+    return _place_terms(body, positions, matrices, vectors), shifts
+
+
+def _place_terms(body: ChainBody, positions: F64, matrices: F64, vectors: F64) -> PriorTerms:
+    """Return the place terms of quadratics moveᵀ A move + 2 bᵀ move of the joints (T, J, 3)."""
+    values, axes = np.linalg.eigh(matrices)
+    used = values > _LEAST * values[..., -1:].clip(min=1e-12)
+    frames, joints, columns = np.nonzero(used)
+    weights = values[used]
+    directions = axes[frames, joints, :, columns]
+    at, pulls = positions[frames, joints], vectors[frames, joints]
+    targets = (directions * at).sum(axis=1) - (directions * pulls).sum(axis=1) / weights
+    return replace(
+        no_priors(len(positions), len(body.chain.nodes)),
+        place_frames=frames,
+        place_joints=joints,
+        place_directions=directions,
+        place_targets=targets,
+        place_weights=weights,
+    )
+
+
+def with_places(terms: PriorTerms, others: PriorTerms) -> PriorTerms:
+    """Return terms with the place terms of others added, by ascending frames."""
+    frames = np.concatenate([terms.place_frames, others.place_frames])
+    order = np.argsort(frames, kind="stable")
+    return replace(
+        terms,
+        place_frames=frames[order],
+        place_joints=np.concatenate([terms.place_joints, others.place_joints])[order],
+        place_directions=np.concatenate([terms.place_directions, others.place_directions])[order],
+        place_targets=np.concatenate([terms.place_targets, others.place_targets])[order],
+        place_weights=np.concatenate([terms.place_weights, others.place_weights])[order],
+    )
+
+
+def track_take_on_silhouettes(
+    body: ChainBody,
+    observations: Rays | Places | None,
+    points: BodyPoints | None,
+    rate_hz: float,
+    start: Poses,
+    silhouettes: Silhouettes,
+    priors: PriorTerms | None = None,
+    sigma_px: float = SIGMA_PX,
+    cuts: Sequence[int] = (),
+    passes: int = PASSES,
+) -> TakeTrack:
+    """Track all frames of a take at once on silhouettes, with rays or places if there are any.
+
+    Parameters
+    ----------
+    body, observations, points, rate_hz, start, priors, sigma_px, cuts
+        Those of `kinedex.ops.tracking.take_tracker.track_take`. For silhouettes alone observations and points are None,
+        and the start is a track of frames: contours find the boundary within reach only.
+    silhouettes : Silhouettes
+        Masks of T frames.
+    passes : int, optional
+        Times that correspondences are found, with a solve each.
+
+    Returns
+    -------
+    TakeTrack
+        The track. With silhouettes alone its costs are the mean distances of the contour from the boundary in pixels.
+
+    Raises
+    ------
+    ParameterError
+        A number of frames differs, or there is no pass.
+    """
+    if passes < 1:
+        raise ParameterError("passes", "1 or more", passes)
+    frames, joints = len(start.places), len(body.chain.joints)
+    if len(silhouettes.masks) != frames:
+        raise ParameterError("masks", f"those of {frames} frames", len(silhouettes.masks))
+    seen = (
+        Places(np.full((frames, joints, 3), np.nan), np.ones((frames, joints)))
+        if observations is None
+        else observations
+    )
+    others = priors or no_priors(frames, len(body.chain.nodes))
+    poses, schedule = start, SCHEDULE
+    if observations is not None:  # contours are found near the boundary, where rays lead
+        poses = track_take(body, seen, points, rate_hz, start, priors, sigma_px=sigma_px, cuts=cuts).poses
+        schedule = SCHEDULE[-1:]
+    for _ in range(passes):
+        pulls = with_places(others, silhouette_terms(body, poses, silhouettes)[0])
+        track = track_take(
+            body, seen, points, rate_hz, poses, pulls, sigma_px=sigma_px, schedule=schedule, cuts=cuts
+        )  # fmt: skip
+        poses = track.poses
+    if observations is None:
+        track = replace(track, costs=np.nan_to_num(silhouette_terms(body, poses, silhouettes)[1]))
+    return track
