@@ -152,7 +152,8 @@ def track_take_on_silhouettes(
         else observations
     )
     others = priors or no_priors(frames, len(body.chain.nodes))
-    poses, schedule = start, SCHEDULE
+    poses = start
+    schedule: tuple[float, ...] = SCHEDULE
     if observations is not None:  # contours are found near the boundary, where rays lead
         poses = track_take(body, seen, points, rate_hz, start, priors, sigma_px=sigma_px, cuts=cuts).poses
         schedule = SCHEDULE[-1:]
