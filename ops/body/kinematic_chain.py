@@ -375,7 +375,13 @@ def rotation_of(vector: F64) -> F64:
 
 @njit(cache=True, nogil=True)
 def vector_of(rotation: F64) -> F64:
-    """Return the rotation vector, up to half a turn, of a rotation (3, 3): by its largest quaternion component."""
+    """Return the rotation vector, up to half a turn, of a rotation (3, 3)."""
+    return np.array(log_of(rotation))
+
+
+@njit(cache=True, nogil=True)
+def log_of(rotation: F64) -> tuple[float, float, float]:
+    """Return the components of `vector_of`, by the largest component of the quaternion."""
     m = rotation
     squares = (
         1 + m[0, 0] + m[1, 1] + m[2, 2], 1 + m[0, 0] - m[1, 1] - m[2, 2],
@@ -395,7 +401,7 @@ def vector_of(rotation: F64) -> F64:
     if w < 0.0:
         w, x, y, z = -w, -x, -y, -z
     ratio = 2.0 * np.arctan2(sine, w) / sine if sine > 0.0 else 0.0
-    return np.array([ratio * x, ratio * y, ratio * z])
+    return ratio * x, ratio * y, ratio * z
 
 
 @njit(cache=True, nogil=True)
@@ -413,6 +419,25 @@ def log_derivative(vector: F64) -> F64:
     ])  # fmt: skip
 
 
+@njit(cache=True, nogil=True)
+def log_gradients(
+    vector: tuple[float, float, float], pull: tuple[float, float, float]
+) -> tuple[float, float, float, float, float, float]:
+    """Return Jᵀq and J q for a pull q (a gradient by the logarithm) and J of `log_derivative`.
+
+    They are q ∓ ½ v × q + b v × (v × q). The first is the gradient by a turn on the right of the rotation, the second
+    minus that by a turn of the frame that the rotation is seen from.
+    """
+    x, y, z = vector
+    p, q, r = pull
+    square = x * x + y * y + z * z
+    angle = np.sqrt(square)
+    b = 1.0 / 12.0 + square / 720.0 if angle < 1e-3 else (1.0 - 0.5 * angle / np.tan(0.5 * angle)) / square
+    u, v, w = y * r - z * q, z * p - x * r, x * q - y * p
+    p, q, r = p + b * (y * w - z * v), q + b * (z * u - x * w), r + b * (x * v - y * u)
+    return p - 0.5 * u, q - 0.5 * v, r - 0.5 * w, p + 0.5 * u, q + 0.5 * v, r + 0.5 * w
+
+
 HINGE_RAD = 0.05
 """Standard deviation of a turn beyond the limits of a hinge, in radians."""
 
@@ -424,7 +449,7 @@ def rest_cost(chain: ChainArrays, turns: F64) -> float:
     for k in range(len(chain.parents)):
         if d >= len(chain.axis_nodes) or chain.axis_nodes[d] != k:
             continue
-        vector = vector_of(turns[k])
+        vector = log_of(turns[k])
         while d < len(chain.axis_nodes) and chain.axis_nodes[d] == k:
             turn = chain.axis_signs[d] * vector[chain.axis_directions[d]]
             excess = turn - min(max(turn, chain.hinges[d, 0]), chain.hinges[d, 1])
@@ -434,26 +459,28 @@ def rest_cost(chain: ChainArrays, turns: F64) -> float:
 
 
 @njit(cache=True, nogil=True)
-def add_rest_terms(chain: ChainArrays, turns: F64, hessian: F64, gradient: F64) -> None:
-    """Add the terms of `rest_cost` to H and g of one frame, with g half of the derivative of the cost.
+def add_rest_terms(chain: ChainArrays, turns: F64, hessian: F64, gradient: F64) -> float:
+    """Add the terms of `rest_cost` to H and g of one frame, with g half of the derivative of the cost; return the cost.
 
     g holds the exact derivative of the logarithm; H takes it as the identity, and stays diagonal.
     """
-    d = 0
+    total, d = 0.0, 0
+    slopes = np.empty(3)
     for k in range(len(chain.parents)):
         first = d
+        slopes[:] = 0.0
         while d < len(chain.axis_nodes) and chain.axis_nodes[d] == k:
+            if d == first:
+                vector = log_of(turns[k])
+            sign = chain.axis_signs[d]
+            turn = sign * vector[chain.axis_directions[d]]
+            excess = turn - min(max(turn, chain.hinges[d, 0]), chain.hinges[d, 1])
+            total += chain.pulls[d] * turn * turn + (excess / HINGE_RAD) ** 2
+            slopes[chain.axis_directions[d]] = sign * (chain.pulls[d] * turn + excess / HINGE_RAD**2)
+            hessian[PLACES + d, PLACES + d] += chain.pulls[d] + (HINGE_RAD**-2.0 if excess != 0.0 else 0.0)
             d += 1
-        if d == first:
-            continue
-        vector = vector_of(turns[k])
-        derivative = log_derivative(vector)
-        for a in range(first, d):
-            i, sign = chain.axis_directions[a], chain.axis_signs[a]
-            turn = sign * vector[i]
-            excess = turn - min(max(turn, chain.hinges[a, 0]), chain.hinges[a, 1])
-            slope = chain.pulls[a] * turn + excess / HINGE_RAD**2
-            hessian[PLACES + a, PLACES + a] += chain.pulls[a] + (HINGE_RAD**-2.0 if excess != 0.0 else 0.0)
+        if d > first:
+            found = log_gradients(vector, (slopes[0], slopes[1], slopes[2]))
             for b in range(first, d):
-                along = derivative[i, chain.axis_directions[b]]
-                gradient[PLACES + b] += slope * sign * chain.axis_signs[b] * along
+                gradient[PLACES + b] += chain.axis_signs[b] * found[chain.axis_directions[b]]
+    return total
