@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from kinedex.ops.body.kinematic_chain import PLACES, ChainArrays, log_derivative, take_step, vector_of
+from kinedex.ops.body.kinematic_chain import PLACES, ChainArrays, log_gradients, log_of, take_step
 from kinedex.ops.tracking.blocks import PriorArrays, frame_cost, frame_room, frame_terms
 from kinedex.ops.tracking.rays import Evidence
 
@@ -139,22 +139,21 @@ def assemble(
 
 
 @njit(cache=True, nogil=True)
-def _log_between(first: F64, second: F64) -> F64:
-    """Return log(RᵀS)."""
-    between = np.empty((3, 3))
+def _log_between(first: F64, second: F64, between: F64) -> tuple[float, float, float]:
+    """Return log(RᵀS), with room (3, 3) for the product."""
     for i in range(3):
         for j in range(3):
             between[i, j] = first[0, i] * second[0, j] + first[1, i] * second[1, j] + first[2, i] * second[2, j]
-    return vector_of(between)
+    return log_of(between)
 
 
 @njit(cache=True, nogil=True)
 def _differences(chain: ChainArrays, places: F64, turns: F64, band: Band) -> float:
     """Compute the velocities of all nodes, and return the cost of the second differences."""
-    total = 0.0
+    total, between, velocities = 0.0, np.empty((3, 3)), band.velocities
     for t in range(len(places) - 1):
         for k in range(len(chain.parents)):
-            band.velocities[t, k] = _log_between(turns[t, k], turns[t + 1, k])
+            velocities[t, k] = _log_between(turns[t, k], turns[t + 1, k], between)
         if t == 0 or band.triples[t] == 0.0:
             continue
         for i in range(PLACES):
@@ -194,12 +193,13 @@ def _add_differences(chain: ChainArrays, places: F64, turns: F64, exact: bool, b
                 two = v[t + 1, k, i] - v[t, k, i] if after > 0.0 else 0.0
                 pull[i] = smoothness[PLACES + d] * (one - two)
                 d += 1
-            jacobian = log_derivative(band.velocities[t, k]) if exact else np.eye(3)
+            velocity = band.velocities[t, k]
+            vector = (velocity[0], velocity[1], velocity[2]) if exact else (0.0, 0.0, 0.0)
+            found = log_gradients(vector, (pull[0], pull[1], pull[2]))
             for b in range(first, d):
                 i, sign = chain.axis_directions[b], chain.axis_signs[b]
-                for a in range(3):
-                    gradient[t + 1, PLACES + b] += sign * pull[a] * jacobian[a, i]
-                    gradient[t, PLACES + b] -= sign * pull[a] * jacobian[i, a]
+                gradient[t + 1, PLACES + b] += sign * found[i]
+                gradient[t, PLACES + b] -= sign * found[3 + i]
     return cost
 
 
@@ -283,7 +283,8 @@ def _solve_coupled(band: Band, damping: float, own: F64, near: F64, far: F64, fa
     """Solve for the parameters that observations couple, frame by frame."""
     frames, m = len(own), len(band.coupled)
     weights = band.smoothness[band.coupled]
-    front = np.zeros((3 * m, 3 * m))  # upper half; its rows are of this frame, the next one and the one after
+    width = _aligned(3 * m)
+    front = np.zeros((3 * m, width))  # upper half; its rows are of this frame, the next one and the one after
     right = np.zeros(3 * m)
     for t in range(frames):
         for a in range(m):
@@ -305,12 +306,19 @@ def _solve_coupled(band: Band, damping: float, own: F64, near: F64, far: F64, fa
     _substitute(band.coupled, factors, steps)
 
 
+@njit(cache=True, nogil=True)
+def _aligned(column: int) -> int:
+    """Return the next column that is a multiple of eight, where a vector register begins."""
+    return (column + 7) // 8 * 8
+
+
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _eliminate(front: F64, right: F64, m: int) -> None:
     """Factorise the first m rows of a front and of its right side, and subtract what they leave from the other rows.
 
-    Row k ends at column 2 m + k: beyond it the coupling with the frame after the next one is 0. Rows are worked on as
-    slices from 0, which the compiler turns into vector instructions.
+    Row k ends at column 2 m + k: beyond it the coupling with the frame after the next one is 0. Eight rows at once are
+    subtracted from two others, which are read and written once for them. Rows are worked on as slices from 0, which the
+    compiler turns into vector instructions; what it computes left of the diagonal is not used.
     """
     for low in range(0, m, _PANEL):
         high = min(low + _PANEL, m)
@@ -322,14 +330,14 @@ def _eliminate(front: F64, right: F64, m: int) -> None:
             right[k] *= pivot
             for i in range(k + 1, high):
                 _subtract(front[i, i:stop], front[k, i], front[k, i:stop])
-            for i in range(k + 1, stop):
-                right[i] -= front[k, i] * right[k]
-        for i in range(high, stop):
-            if high - low == _PANEL:
-                _subtract_panel(front, low, i, stop)
-                continue
+            _subtract(right[k + 1 : stop], right[k], front[k, k + 1 : stop])
+        i = high
+        while high - low == _PANEL and i + 1 < stop:
+            _subtract_panel(front, low, i, _aligned(stop))
+            i += 2
+        for rest in range(i, stop):
             for k in range(low, high):
-                _subtract(front[i, i:stop], front[k, i], front[k, i:stop])
+                _subtract(front[rest, rest:stop], front[k, rest], front[k, rest:stop])
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
@@ -340,25 +348,30 @@ def _subtract(row: F64, factor: float, other: F64) -> None:
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _subtract_panel(front: F64, k: int, i: int, stop: int) -> None:
-    """Subtract eight rows at once from row i of the front, which is read and written once."""
-    row = front[i, i:stop]
-    p, q, r, s = front[k, i:stop], front[k + 1, i:stop], front[k + 2, i:stop], front[k + 3, i:stop]
-    t, u, v, w = front[k + 4, i:stop], front[k + 5, i:stop], front[k + 6, i:stop], front[k + 7, i:stop]
-    a, b, c, d, e, f, g, h = p[0], q[0], r[0], s[0], t[0], u[0], v[0], w[0]
+    """Subtract eight rows of the front, from k on, from its rows i and i + 1."""
+    first = i // 8 * 8
+    row, next_row = front[i, first:stop], front[i + 1, first:stop]
+    p, q, r, s = front[k, first:stop], front[k + 1, first:stop], front[k + 2, first:stop], front[k + 3, first:stop]
+    t, u, v, w = front[k + 4, first:stop], front[k + 5, first:stop], front[k + 6, first:stop], front[k + 7, first:stop]
+    n, o = i - first, i + 1 - first
+    a, b, c, d, e, f, g, h = p[n], q[n], r[n], s[n], t[n], u[n], v[n], w[n]
+    aa, bb, cc, dd, ee, ff, gg, hh = p[o], q[o], r[o], s[o], t[o], u[o], v[o], w[o]
     for j in range(len(row)):
         row[j] -= a * p[j] + b * q[j] + c * r[j] + d * s[j] + e * t[j] + f * u[j] + g * v[j] + h * w[j]
+        next_row[j] -= aa * p[j] + bb * q[j] + cc * r[j] + dd * s[j] + ee * t[j] + ff * u[j] + gg * v[j] + hh * w[j]
 
 
 @njit(cache=True, nogil=True)
 def _shift(front: F64, right: F64, m: int) -> None:
     """Move the rows of the next two frames to the front."""
     for i in range(2 * m):
-        front[i, i : 2 * m] = front[m + i, m + i :]
+        row, source = front[i, i : 2 * m], front[m + i, m + i : 3 * m]
+        for j in range(len(row)):
+            row[j] = source[j]
         front[i, 2 * m :] = 0.0
         right[i] = right[m + i]
-    for i in range(2 * m, 3 * m):
-        front[i, i:] = 0.0
-        right[i] = 0.0
+    front[2 * m :] = 0.0
+    right[2 * m :] = 0.0
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)

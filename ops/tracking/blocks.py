@@ -27,6 +27,7 @@ from kinedex.ops.body.kinematic_chain import (
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.prior_terms import PriorTerms, no_priors
 from kinedex.ops.tracking.rays import Evidence, point_cost, point_terms
+from kinedex.ops.tracking.subtree_sums import add_points
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
@@ -155,17 +156,6 @@ def add_point(
 
 
 @njit(cache=True, nogil=True)
-def add_points(
-    chain: ChainArrays, turned: F64, centres: F64, nodes: I64, points: F64, matrices: F64, vectors: F64, columns: F64,
-    hessian: F64, gradient: F64,
-) -> None:  # fmt: skip
-    """Add JᵀAJ and Jᵀb of all points to H and g of a frame; see `add_point`, which takes one of them."""
-    for p in range(len(nodes)):
-        if matrices[p, 0, 0] + matrices[p, 1, 1] + matrices[p, 2, 2] > 0.0:
-            add_point(chain, turned, centres, nodes[p], points[p], matrices[p], vectors[p], columns, hessian, gradient)
-
-
-@njit(cache=True, nogil=True)
 def add_prior_terms(
     chain: ChainArrays, priors: PriorArrays, t: int, turns: F64, turned: F64, centres: F64, columns: F64,
     hessian: F64, gradient: F64,
@@ -238,13 +228,18 @@ def _turn_from(target: F64, turn: F64) -> F64:
 
 
 @njit(cache=True, nogil=True)
+def _weightless(weights: F64) -> bool:
+    return weights[0] <= 0.0 and weights[1] <= 0.0 and weights[2] <= 0.0
+
+
+@njit(cache=True, nogil=True)
 def _add_turn_terms(chain: ChainArrays, priors: PriorArrays, t: int, turns: F64, hessian: F64, gradient: F64) -> float:
     total, d = 0.0, 0
     for k in range(len(chain.parents)):
         first = d
         while d < len(chain.axis_nodes) and chain.axis_nodes[d] == k:
             d += 1
-        if d == first or priors.turn_weights[t, k].max() <= 0.0:
+        if d == first or _weightless(priors.turn_weights[t, k]):
             continue
         vector = _turn_from(priors.turn_targets[t, k], turns[k])
         derivative = log_derivative(vector)
@@ -288,7 +283,7 @@ def prior_cost(chain: ChainArrays, priors: PriorArrays, t: int, turns: F64, turn
         first = d
         while d < len(chain.axis_nodes) and chain.axis_nodes[d] == k:
             d += 1
-        if d == first or priors.turn_weights[t, k].max() <= 0.0:
+        if d == first or _weightless(priors.turn_weights[t, k]):
             continue
         vector = _turn_from(priors.turn_targets[t, k], turns[k])
         for a in range(first, d):
@@ -387,11 +382,10 @@ def frame_terms(
     room.hessian[:] = 0.0
     gradient[:] = 0.0
     add_points(
-        chain, room.turned, room.centres, evidence.nodes, room.points, room.matrices, room.vectors, room.columns,
+        chain, room.turned, room.centres, evidence.nodes, room.points, room.matrices, room.vectors,
         room.hessian, gradient,
     )  # fmt: skip
-    add_rest_terms(chain, turns, room.hessian, gradient)
-    cost += rest_cost(chain, turns)
+    cost += add_rest_terms(chain, turns, room.hessian, gradient)
     return cost + add_prior_terms(
         chain, priors, t, turns, room.turned, room.centres, room.columns, room.hessian, gradient
     )
