@@ -16,6 +16,7 @@ from benchmarks import (
     searching,
     sharing,
     startup,
+    tracking,
 )
 from benchmarks.archive import BUILD, store
 from benchmarks.harness import Figure, calibrate, show, write
@@ -34,6 +35,7 @@ PARTS: dict[str, Callable[[Store], Sequence[Figure]]] = {
     "keyframes": keyframes.figures,
     "ranking": ranking.figures,
     "annotating": annotating.figures,
+    "tracking": tracking.figures,
 }
 
 
