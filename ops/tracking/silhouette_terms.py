@@ -25,7 +25,7 @@ from kinedex.ops.tracking.contours import (
 from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
 from kinedex.ops.tracking.prior_terms import PriorTerms, no_priors
 from kinedex.ops.tracking.rays import SIGMA_PX
-from kinedex.ops.tracking.take_tracker import SCHEDULE, TakeTrack, track_take
+from kinedex.ops.tracking.take_tracker import SCHEDULE, Loss, TakeTrack, track_take
 
 F64 = npt.NDArray[np.float64]
 
@@ -115,6 +115,7 @@ def track_take_on_silhouettes(
     start: Poses,
     silhouettes: Silhouettes,
     priors: PriorTerms | None = None,
+    loss: Loss = "geman_mcclure",
     sigma_px: float = SIGMA_PX,
     cuts: Sequence[int] = (),
     passes: int = PASSES,
@@ -123,13 +124,15 @@ def track_take_on_silhouettes(
 
     Parameters
     ----------
-    body, observations, points, rate_hz, start, priors, sigma_px, cuts
-        Those of `kinedex.ops.tracking.take_tracker.track_take`. For silhouettes alone observations and points are None,
-        and the start is a track of frames: contours find the boundary within reach only.
+    body, observations, points, rate_hz, priors, loss, sigma_px, cuts
+        Those of `kinedex.ops.tracking.take_tracker.track_take`; observations and points are None for silhouettes alone.
+    start : Poses
+        A track on the rays or places, or a track of frames: contours find the boundary of the foreground within reach
+        only.
     silhouettes : Silhouettes
         Masks of T frames.
     passes : int, optional
-        Times that correspondences are found, with a solve each.
+        Times, 1 or more, that correspondences are found, with a solve each.
 
     Returns
     -------
@@ -153,14 +156,10 @@ def track_take_on_silhouettes(
     )
     others = priors or no_priors(frames, len(body.chain.nodes))
     poses = start
-    schedule: tuple[float, ...] = SCHEDULE
-    if observations is not None:  # contours are found near the boundary, where rays lead
-        poses = track_take(body, seen, points, rate_hz, start, priors, sigma_px=sigma_px, cuts=cuts).poses
-        schedule = SCHEDULE[-1:]
     for _ in range(passes):
         pulls = with_places(others, silhouette_terms(body, poses, silhouettes)[0])
         track = track_take(
-            body, seen, points, rate_hz, poses, pulls, sigma_px=sigma_px, schedule=schedule, cuts=cuts
+            body, seen, points, rate_hz, poses, pulls, loss, sigma_px, SCHEDULE[-1:], cuts
         )  # fmt: skip
         poses = track.poses
     if observations is None:

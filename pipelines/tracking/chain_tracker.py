@@ -16,7 +16,8 @@ from kinedex.ops.tracking.frame_tracker import track_frames
 from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
 from kinedex.ops.tracking.prior_terms import PriorTerms
 from kinedex.ops.tracking.rays import LEAST_CONFIDENCE, LEAST_DEPTH_M, SIGMA_PX
-from kinedex.ops.tracking.take_tracker import SCHEDULE, Loss, track_take
+from kinedex.ops.tracking.silhouette_terms import track_take_on_silhouettes
+from kinedex.ops.tracking.take_tracker import SCHEDULE, Loss, TakeTrack, track_take
 from kinedex.ops.tracking.trust import SEEN, TRUST_WIDTH, Trust, restart, trust
 
 F64 = npt.NDArray[np.float64]
@@ -135,10 +136,11 @@ class ChainTracker:
             return self._frame_by_frame(None, None)
         observed, settings = self.observed, self.settings
         assert observed.observations is not None
-        return first_track(
+        found = first_track(
             observed.body, observed.observations, observed.points, observed.rate_hz, settings.loss, settings.sigma_px,
             observed.cuts,
         ).track  # fmt: skip
+        return self._with_silhouettes(found, None)
 
     def track(self, start: Poses, priors: PriorTerms | None) -> Track:
         """Track the recording again from a start, with the terms of priors."""
@@ -146,9 +148,20 @@ class ChainTracker:
             return self._frame_by_frame(Poses(start.places[:1], start.turns[:1]), priors)
         observed, settings = self.observed, self.settings
         assert observed.observations is not None
-        return track_take(
+        found = track_take(
             observed.body, observed.observations, observed.points, observed.rate_hz, start, priors, settings.loss,
             settings.sigma_px, SCHEDULE[-1:], observed.cuts,
+        )  # fmt: skip
+        return self._with_silhouettes(found, priors)
+
+    def _with_silhouettes(self, found: TakeTrack, priors: PriorTerms | None) -> TakeTrack:
+        """Return a track on the masks too, where there are any."""
+        observed, settings = self.observed, self.settings
+        if observed.silhouettes is None:
+            return found
+        return track_take_on_silhouettes(
+            observed.body, observed.observations, observed.points, observed.rate_hz, found.poses, observed.silhouettes,
+            priors, settings.loss, settings.sigma_px, observed.cuts,
         )  # fmt: skip
 
     def trust(self, poses: Poses) -> Trust | None:

@@ -65,7 +65,7 @@ def test_silhouettes_show_what_keypoints_do_not() -> None:
     hidden = [CHAIN.joint(name) for name in ("lknee", "lankle", "ltoes")]
     seen.confidence[:, :, hidden] = 0.0
     alone = track_take(BODY, seen, POINTS, 30.0, STILL)
-    both = track_take_on_silhouettes(BODY, seen, POINTS, 30.0, STILL, SILHOUETTES)
+    both = track_take_on_silhouettes(BODY, seen, POINTS, 30.0, alone.poses, SILHOUETTES)
     assert apart(both)[-1] < 0.5 * apart(alone)[-1]
     assert apart(both).max() < 0.01
 
