@@ -108,8 +108,9 @@ def estimate_body(
     """Estimate the bone lengths of a person.
 
     A length is the median over frames where both of its ends are seen by three cameras, averaged over both sides.
-    Where the sides differ by more than a tenth, the one nearer to the mean body is taken. Bones that no keypoint shows
-    have the mean body's lengths in proportion to the arms, the legs, or the trunk.
+    Where the sides differ by more than a tenth, the one nearer to the mean body is taken. Hips and shoulders are half
+    their distance from the middle. Bones that no keypoint shows have the mean body's lengths in proportion to the arms,
+    the legs, or the trunk.
 
     Parameters
     ----------
@@ -151,10 +152,11 @@ def estimate_body(
     )
     share = trunk_m / rest
     offsets = share * archive_mean.offsets
-    hips, _ = _median_length(places, "lhip", "rhip")
-    for name in ("lhip", "rhip"):
-        offsets[chain.joint(name), 0] = np.sign(offsets[chain.joint(name), 0]) * 0.5 * hips
-    sides, scaled = [], [name for name in chain.joints if name[1:] not in {*_LIMBS[0], *_LIMBS[1], "hip"}]
+    for pair in (("lhip", "rhip"), ("lshoulder", "rshoulder")):
+        width, _ = _median_length(places, *pair)
+        for name in pair:
+            offsets[chain.joint(name), 0] = np.sign(offsets[chain.joint(name), 0]) * 0.5 * width
+    sides, scaled = [], [name for name in chain.joints if name[1:] not in {*_LIMBS[0], *_LIMBS[1], "hip", "shoulder"}]
     for limb in _LIMBS:
         bones = [_sides(chain, places, bone) for bone in limb]
         lengths = _limb_lengths(limb, bones, mean, share)

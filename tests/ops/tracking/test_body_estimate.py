@@ -41,7 +41,7 @@ def test_a_large_person_is_measured_where_seen_and_scaled_where_not() -> None:
     assert found.sides[2].frames == 150
     assert found.cameras == 3
     assert not found.uneven
-    assert {"belly", "neck", "headtop", "lshoulder", "lfingers"} <= set(found.scaled)
+    assert {"belly", "neck", "headtop", "lfingers"} <= set(found.scaled)
 
 
 def test_sides_that_differ_are_reported_and_the_likely_one_is_taken() -> None:
