@@ -67,8 +67,15 @@ def test_keypoints_lie_on_the_body(body: ChainBody) -> None:
     assert [CHAIN.nodes[k] for k in points.nodes] == ["neck", "neck", "lhip", "pelvis", "lankle", "lankle"]
     assert [CHAIN.joints[j] if j >= 0 else "" for j in points.joints] == ["", "", "lknee", "", "", "ltoes"]
     assert points.offsets == pytest.approx(np.array([
-        [0, 0.06, 0.12], [-0.075, 0.07, 0.02], [0, -0.42, 0], [0, -0.07, 0.01], [0, -0.044, -0.05], [0, -0.07, 0.1874],
+        [0, 0.17, 0.15], [-0.072, 0.165, 0.035], [0, -0.42, 0], [0, -0.07, 0.01], [0, -0.044, -0.05],
+        [0, -0.07, 0.1874],
     ]), abs=1e-3)  # fmt: skip
+
+
+def test_the_simulated_set_has_a_face_of_its_own(body: ChainBody) -> None:
+    points = load_keypoint_set("coco-17-toes").body_points(["nose", "right_ear", "left_hip"], body)
+    assert points.offsets[:2].tolist() == [[0, 0.06, 0.12], [-0.075, 0.07, 0.02]]
+    assert points.joints[2] == CHAIN.joint("lhip")
 
 
 def test_named_joints_are_keypoints_by_their_own_names(body: ChainBody) -> None:
