@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from kinedex.pipelines.api.store import Store, open_store
     from kinedex.pipelines.api.take import Take
     from kinedex.pipelines.api.template import Difference, Template
+    from kinedex.pipelines.api.tracking import stabilise, track
     from kinedex.pipelines.engine.runner import Outcome
 
     __version__: str
@@ -64,6 +65,8 @@ __all__ = [
     "open_store",
     "read",
     "run_pipeline",
+    "stabilise",
+    "track",
     "write_page",
 ]
 
@@ -91,6 +94,8 @@ _HOMES = {
     "open_store": "pipelines.api.store",
     "read": "pipelines.api.new_takes",
     "run_pipeline": "pipelines.api.pipeline",
+    "stabilise": "pipelines.api.tracking",
+    "track": "pipelines.api.tracking",
     "write_page": "pipelines.api.pages",
 }
 """The module of each public name; it is imported when the name is first used, so that `import kinedex` is quick."""

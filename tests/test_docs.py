@@ -32,6 +32,7 @@ PAGES = sorted(DOCS.rglob("*.md"))
 TEXTS = {str(page.relative_to(DOCS)): page.read_text(encoding="utf-8") for page in PAGES}
 GUIDES = (
     "tutorial.md",
+    "tracking.md",
     "accuracy.md",
     "keyframe-learning.md",
     "thesis.md",

@@ -36,6 +36,8 @@ WRONG: dict[str, tuple[str, Callable[[Store], object]]] = {
     "annotate": ("takes must be a Store or a Take or", lambda _: kinedex.annotate(3, "a")),  # type: ignore[arg-type]
     "evaluate": ("annotations must be a DataFrame", lambda _: kinedex.evaluate(1, "a")),  # type: ignore[arg-type]
     "run_pipeline": ("pipeline must be a text or a path", lambda s: kinedex.run_pipeline(3, s)),  # type: ignore[arg-type]
+    "track": ("recordings must be a text or a path", lambda s: kinedex.track(s, 3)),  # type: ignore[arg-type]
+    "stabilise": ("takes must be a text or a sequence", lambda s: kinedex.stabilise(s, 3)),  # type: ignore[arg-type]
     "ingest": ("folder must be a text or a path", lambda s: kinedex.ingest(s, 3)),  # type: ignore[arg-type]
 }
 
