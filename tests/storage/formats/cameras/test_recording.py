@@ -206,3 +206,18 @@ def test_it_agrees_with_the_triangulation_of_another_program(balancing: Recordin
     assert (
         max(distances[f"{side}_{toe}"] for side in ("left", "right") for toe in ("big_toe", "small_toe", "heel")) < 0.01
     )
+
+
+def test_faces_and_feet_are_where_the_keypoint_set_puts_them(balancing: Recording) -> None:
+    """The neck joint lies between the shoulders, and the distances from it and from the ankles do not turn."""
+    points, _ = triangulate(balancing.rays())
+    places = {name: points[:, p] for p, name in enumerate(balancing.keypoints)}
+    assert balancing.keypoint_set is not None
+    starts = {"neck": 0.5 * (places["left_shoulder"] + places["right_shoulder"])}
+    starts |= {f"{side[0]}ankle": places[f"{side}_ankle"] for side in ("left", "right")}
+    for name, place in balancing.keypoint_set.places.items():
+        if place.node in starts and not place.joint:
+            unit_m = 0.17 if place.bone else 1.0
+            expected = unit_m * float(np.linalg.norm(place.offset))
+            found = float(np.nanmedian(np.linalg.norm(places[name] - starts[place.node], axis=1)))
+            assert found == pytest.approx(expected, abs=0.045), name
