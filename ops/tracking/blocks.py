@@ -38,9 +38,22 @@ class PriorArrays(NamedTuple):
 
     Attributes
     ----------
-    turn_targets, turn_weights, tilt_targets, tilt_weights, place_joints, place_directions, place_targets, \
-    place_weights : arrays
-        Those of `PriorTerms`.
+    turn_targets : float64 array (T, K, 3, 3)
+        The rotation that each node is pulled to.
+    turn_weights : float64 array (T, K, 3)
+        Weight about X, Y and Z of the node.
+    tilt_targets : float64 array (T, 3)
+        The up axis that the pelvis is pulled to see.
+    tilt_weights : float64 array (T,)
+        Weight of each tilt.
+    place_joints : int64 array (N,)
+        Joint of each place term.
+    place_directions : float64 array (N, 3)
+        Its unit vector.
+    place_targets : float64 array (N,)
+        Its target along this vector.
+    place_weights : float64 array (N,)
+        Its weight.
     place_starts : int64 array (T + 1,)
         The first place term of each frame, and the number of all.
     """

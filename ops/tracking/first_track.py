@@ -115,6 +115,8 @@ def find_start(
     else:
         places, cameras = triangulate(observations)
         given = (observations.confidence >= LEAST_CONFIDENCE).sum(axis=1)
-        agreed = np.where((2 * cameras > given)[:, :, None], places, np.nan)
-        start = start_from_triangulation(body, agreed, points)
+        agreed = 2 * cameras > given
+        agreed |= ~agreed.any(axis=0)  # a keypoint that no majority ever agrees on keeps what points it has
+        places[~agreed] = np.nan
+        start = start_from_triangulation(body, places, points)
     return restart(body, start, trust(body, observations, points, start, sigma_px).nodes_seen)

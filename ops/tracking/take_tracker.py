@@ -91,7 +91,7 @@ def track_take(
     rate_hz : float
         Frames per second.
     start : Poses
-        T poses to start from, see `triangulation.start_from_triangulation`.
+        T poses to start from, see `first_track.find_start`.
     priors : PriorTerms, optional
         Pulls of priors.
     loss : str, optional
@@ -218,7 +218,7 @@ def _solve(
     """Solve one window, and return its poses and the number of steps tried.
 
     With the derivatives of logarithms as the identity, g fits H, and steps succeed from starts that jump from frame to
-    frame, where the exact g stays behind: 35 mm became 31 mm on the set of docs/studies.md. The exact g ends the solve.
+    frame, where most steps with the exact g fail. The exact g ends the solve.
     """
     chain, evidence, priors = system.body.arrays, system.evidence, system.priors
     joints = np.unique(priors.place_joints[priors.place_starts[0] : priors.place_starts[-1]])

@@ -212,8 +212,9 @@ def _fit_start(body: ChainBody, positions: F64) -> Poses:
         if not np.isfinite(positions[:, chain.joint(name)]).all():
             raise ParameterError(
                 f"points of {name}",
-                "seen by at least two cameras that agree, in a frame at least",
-                "none; check the calibration, the order of the cameras and `keypoints:`",
+                "seen by two cameras that agree, in one frame at least (check the calibration, the order of the "
+                "cameras, and the names of keypoints)",
+                "none",
             )
     lhip, rhip, lshoulder, rshoulder = (
         positions[:, chain.joint(name)] for name in ("lhip", "rhip", "lshoulder", "rshoulder")
