@@ -8,8 +8,10 @@ starts at the same moment.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+import numba as nb
 import numpy as np
 import numpy.typing as npt
 
@@ -37,6 +39,9 @@ NEIGHBOURS = 3
 KEPT = 3
 """Alignments of a pair of takes that are judged, the ones with most votes first."""
 
+MOST_VOTES = 4_000_000
+"""Votes that are held at once, some 400 MB while they are sorted."""
+
 _PRIME = np.uint64(0x9E37_79B9_7F4A_7C15)
 
 
@@ -53,6 +58,8 @@ class Alignments(NamedTuple):
         The second take is the mirror image of the first.
     votes : int64 array (A,)
         Sequences of runs that are equal there.
+    start, stop : int64 array (A,)
+        The frames of the second take in which the first and the last of them lie.
     """
 
     first: I64
@@ -60,9 +67,31 @@ class Alignments(NamedTuple):
     shift: I64
     mirrored: Bool
     votes: I64
+    start: I64
+    stop: I64
+
+    def rows(self, chosen: I64 | Bool) -> Alignments:
+        """Return some alignments, in the order in which they are chosen."""
+        one, two, three, image, *rest = self
+        votes, start, stop = (column[chosen] for column in rest)
+        return Alignments(one[chosen], two[chosen], three[chosen], image[chosen], votes, start, stop)
 
 
-def find_alignments(runs: WordRuns, mirrored: U64 | None = None) -> Alignments:
+class _Places(NamedTuple):
+    """The places of sequences, in order of sequence and take; one place of each pair that votes is before the other.
+
+    `ahead` is the number of places that follow and show the same sequence, of a frequent one at most `NEIGHBOURS`;
+    `image` is true where the mirror image is shown; a take of each pair must be `asked` for.
+    """
+
+    take: I64
+    frame: I64
+    image: Bool
+    ahead: I64
+    asked: Bool
+
+
+def find_alignments(runs: WordRuns, mirrored: U64 | None = None, most_votes: int = MOST_VOTES) -> Iterator[Alignments]:
     """Find the alignments of different takes in which several sequences of runs are equal.
 
     Parameters
@@ -71,21 +100,48 @@ def find_alignments(runs: WordRuns, mirrored: U64 | None = None) -> Alignments:
         The runs of whole words of all takes, in order of take and start.
     mirrored : uint64 array (R,), optional
         The word of each run with left and right exchanged; without it no mirrored copies are found.
+    most_votes : int, optional
+        So many votes are held at once, or those of one take if these are more.
 
-    Returns
-    -------
+    Yields
+    ------
     Alignments
-        At most `KEPT` alignments of each pair of takes and each side, those with most votes.
+        At most `KEPT` alignments of each pair of takes and each side, those with most votes; those of some first takes
+        at a time, in order.
     """
-    few = np.bincount(runs.take, minlength=1) < FEW_RUNS
-    chosen = []
-    for image in (None, mirrored) if mirrored is not None else (None,):
-        votes = [_votes(runs, image, LENGTH, np.ones_like(few)), _votes(runs, image, SHORT, few)]
-        columns = [np.concatenate(both) for both in zip(*votes, strict=True)]
-        chosen.append(_best(columns[0], columns[1], columns[2], image is not None))
-    first, second, shift, turned, found = (np.concatenate(columns) for columns in zip(*chosen, strict=True))
-    order = np.lexsort((shift, turned, second, first))
-    return Alignments(first[order], second[order], shift[order], turned[order], found[order])
+    count = int(runs.take[-1]) + 1 if len(runs.take) else 0
+    few = np.bincount(runs.take, minlength=count) < FEW_RUNS
+    tables = [
+        [_places(runs, image, LENGTH, np.ones_like(few)), _places(runs, image, SHORT, few)]
+        for image in ((None,) if mirrored is None else (None, mirrored))
+    ]
+    votes = np.array([[_count_votes(*table, count) for table in both] for both in tables], np.int64)
+    for low, high in _blocks(votes.sum(axis=(0, 1)), most_votes):
+        sizes = votes[:, :, low:high].sum(axis=2).tolist()
+        chosen = []
+        for number, both in enumerate(tables):
+            drawn = [_votes(*table, low, high, size) for table, size in zip(both, sizes[number], strict=True)]
+            first, second, shift, place = (np.concatenate(columns) for columns in zip(*drawn, strict=True))
+            chosen.append(_best(first, second, shift, place, number > 0))
+        found = _joined(chosen)
+        yield found.rows(np.lexsort((found.shift, found.mirrored, found.second, found.first)))
+
+
+def _joined(parts: Sequence[Alignments]) -> Alignments:
+    one, two, three, image, votes, start, stop = (np.concatenate(own) for own in zip(*parts, strict=True))
+    return Alignments(one, two, three, image, votes, start, stop)
+
+
+def _blocks(votes: I64, most: int) -> Iterator[tuple[int, int]]:
+    """Yield ranges of first takes that have votes, so many that there are at most some votes in each."""
+    low, held = 0, 0
+    for take, own in enumerate(votes.tolist()):
+        if held and held + own > most:
+            yield low, take
+            low, held = take, 0
+        held += own
+    if held:
+        yield low, len(votes)
 
 
 def _sequences(runs: WordRuns, words: U64, length: int) -> tuple[U64, I64, I64]:
@@ -103,11 +159,8 @@ def _sequences(runs: WordRuns, words: U64, length: int) -> tuple[U64, I64, I64]:
     return hashes[whole], runs.take[:count][whole], runs.start[1 : 1 + count][whole]
 
 
-def _votes(runs: WordRuns, mirrored: U64 | None, length: int, asked: Bool) -> tuple[I64, I64, I64]:
-    """Return the takes and the shift of each pair of places with equal sequences; one take of each pair is asked for.
-
-    With mirrored words, one place of each pair shows the sequence and the other one its mirror image.
-    """
+def _places(runs: WordRuns, mirrored: U64 | None, length: int, asked: Bool) -> _Places:
+    """Return the places of sequences of some length; with mirrored words, also those of their mirror images."""
     hashes, takes, frames = _sequences(runs, runs.word, length)
     image = np.zeros(len(hashes), np.bool_)
     if mirrored is not None:
@@ -121,38 +174,65 @@ def _votes(runs: WordRuns, mirrored: U64 | None, length: int, asked: Bool) -> tu
     size = np.repeat(sizes, sizes)
     rest = np.repeat(begins + sizes, sizes) - np.arange(len(hashes)) - 1  # places that follow in the group
     ahead = np.where(size <= FEW, rest, np.minimum(rest, NEIGHBOURS))
-    found: list[tuple[I64, I64, I64]] = [(np.empty(0, np.int64),) * 3]
-    for step in range(1, int(ahead.max(initial=0)) + 1):
-        left = np.flatnonzero(ahead >= step)
-        right = left + step
-        use = (takes[left] != takes[right]) & (asked[takes[left]] | asked[takes[right]])
-        if mirrored is not None:
-            use &= image[left] != image[right]
-        left, right = left[use], right[use]
-        swap = takes[left] > takes[right]
-        left, right = np.where(swap, right, left), np.where(swap, left, right)
-        found.append((takes[left], takes[right], frames[left] - frames[right]))
-    first, second, shift = (np.concatenate(columns) for columns in zip(*found, strict=True))
-    return first, second, shift
+    if mirrored is None:
+        image = np.zeros(0, np.bool_)
+    return _Places(takes, frames, image, ahead, asked)
 
 
-def _best(first: I64, second: I64, shift: I64, image: bool) -> tuple[I64, I64, I64, Bool, I64]:
+@nb.njit(cache=True, nogil=True)
+def _votes_with(take: I64, image: Bool, asked: Bool, i: int, j: int) -> bool:
+    """Return whether two places vote: of different takes, one asked for, one of them mirrored where images are."""
+    if take[i] == take[j] or not (asked[take[i]] or asked[take[j]]):
+        return False
+    return len(image) == 0 or image[i] != image[j]
+
+
+@nb.njit(cache=True, nogil=True)
+def _count_votes(take: I64, frame: I64, image: Bool, ahead: I64, asked: Bool, count: int) -> I64:
+    """Return the number of votes by first take."""
+    votes = np.zeros(count, np.int64)
+    for i in range(len(take)):
+        for j in range(i + 1, i + 1 + ahead[i]):
+            if _votes_with(take, image, asked, i, j):
+                votes[min(take[i], take[j])] += 1
+    return votes
+
+
+@nb.njit(cache=True, nogil=True)
+def _votes(
+    take: I64, frame: I64, image: Bool, ahead: I64, asked: Bool, low: int, high: int, size: int
+) -> tuple[I64, I64, I64, I64]:
+    """Return both takes, the shift and the frame of the second take of each vote whose first take is in [low, high)."""
+    first, second, shift = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.int64)
+    place = np.empty(size, np.int64)
+    n = 0
+    for i in range(len(take)):
+        for j in range(i + 1, i + 1 + ahead[i]):
+            if low <= min(take[i], take[j]) < high and _votes_with(take, image, asked, i, j):
+                a, b = (i, j) if take[i] < take[j] else (j, i)
+                first[n], second[n], shift[n], place[n] = take[a], take[b], frame[a] - frame[b], frame[b]
+                n += 1
+    return first, second, shift, place
+
+
+def _best(first: I64, second: I64, shift: I64, place: I64, image: bool) -> Alignments:
     """Return the alignments with most votes of each pair of takes; those one frame apart count together."""
-    order = np.lexsort((shift, second, first))
-    first, second, shift = first[order], second[order], shift[order]
+    order = np.lexsort((place, shift, second, first))
+    first, second, shift, place = first[order], second[order], shift[order], place[order]
     begins = np.flatnonzero(_changes(first, second, shift))
     votes = np.diff(begins, append=len(first))
+    start, stop = place[begins], place[begins + votes - 1] + 1
     first, second, shift = first[begins], second[begins], shift[begins]
     beside = ~_changes(first, second)[1:] & (np.diff(shift) == 1)
     near = votes.copy()
     near[1:] += np.where(beside, votes[:-1], 0)
     near[:-1] += np.where(beside, votes[1:], 0)
     order = np.lexsort((np.abs(shift), -near, second, first))
-    first, second, shift, near = first[order], second[order], shift[order], near[order]
-    place = np.arange(len(first))
-    number = place - np.maximum.accumulate(np.where(_changes(first, second), place, 0))
-    keep = number < KEPT
-    return first[keep], second[keep], shift[keep], np.full(int(keep.sum()), image), near[keep]
+    found = Alignments(first, second, shift, np.full(len(first), image), near, start, stop)
+    found = found.rows(order)
+    rows = np.arange(len(order))
+    number = rows - np.maximum.accumulate(np.where(_changes(found.first, found.second), rows, 0))
+    return found.rows(number < KEPT)
 
 
 def _changes(*columns: I64) -> Bool:

@@ -75,16 +75,23 @@ def local_poses(places: F32, root: int, left: int, right: int, *, mirrored: bool
     float32 array (T, J, 3)
         They are the same wherever the body is, and whichever way it faces; NaN where a joint has no place.
     """
-    around = places.astype(np.float64) - places[:, root : root + 1].astype(np.float64)
-    if mirrored:
-        around[..., 0] *= -1.0
-    across = around[:, left] - around[:, right]
-    length = np.hypot(across[:, 0], across[:, 2])
-    cosine, sine = (across[:, axis] / np.where(length > 0, length, 1.0) for axis in (0, 2))
-    turned = np.empty(around.shape, np.float32)
-    turned[..., 0] = cosine[:, None] * around[..., 0] + sine[:, None] * around[..., 2]
-    turned[..., 1] = around[..., 1]
-    turned[..., 2] = cosine[:, None] * around[..., 2] - sine[:, None] * around[..., 0]
+    return _local(places, root, left, right, -1.0 if mirrored else 1.0)
+
+
+@njit(cache=True, nogil=True)
+def _local(places: F32, root: int, left: int, right: int, side: float) -> F32:
+    turned = np.empty(places.shape, np.float32)
+    for t in range(len(places)):
+        x0, y0, z0 = np.float64(places[t, root, 0]), np.float64(places[t, root, 1]), np.float64(places[t, root, 2])
+        across = side * (np.float64(places[t, left, 0]) - places[t, right, 0])
+        along = np.float64(places[t, left, 2]) - places[t, right, 2]
+        length = math.hypot(across, along)
+        cosine, sine = (across / length, along / length) if length > 0 else (across, along)
+        for j in range(places.shape[1]):
+            x, z = side * (np.float64(places[t, j, 0]) - x0), np.float64(places[t, j, 2]) - z0
+            turned[t, j, 0] = cosine * x + sine * z
+            turned[t, j, 1] = np.float64(places[t, j, 1]) - y0
+            turned[t, j, 2] = cosine * z - sine * x
     return turned
 
 

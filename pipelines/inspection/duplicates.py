@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter, OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,9 @@ import xxhash
 
 from kinedex.ops.duplicates.alignments import find_alignments
 from kinedex.ops.duplicates.same_motion import local_poses, same_motion
+from kinedex.ops.duplicates.word_agreement import plausible
 from kinedex.ops.search.runs import word_runs
+from kinedex.ops.words import TakeWords
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.context import Display
 from kinedex.storage.snapshot.parts import joint_positions
@@ -25,13 +28,20 @@ from kinedex.storage.store.writer import StoreWriter
 STAGE = "duplicates/find"
 """The stage that the rows are stored under."""
 
-CACHED_BYTES = 512 * 2**20
-"""Poses that are kept at once; takes that are compared lie near each other."""
+HELD_BYTES = 512 * 2**20
+"""The places of takes are held two blocks at a time, of so many bytes each."""
+
+CACHED_BYTES = 256 * 2**20
+"""Poses that are kept at once."""
 
 _FRAMES = (("root", "lhip", "rhip"), ("neck", "lshoulder", "rshoulder"))
 """The joints that poses are placed and turned by: those of the pelvis, else those of the shoulders."""
 
 F32 = npt.NDArray[np.float32]
+I64 = npt.NDArray[np.int64]
+
+Candidate = tuple[int, int, int, bool]
+"""An alignment: both takes, the shift, and whether the second one is mirrored."""
 
 
 def find_duplicates(store: Snapshot, display: Display) -> pa.Table:
@@ -112,20 +122,47 @@ def _same_motions(store: Snapshot, names: list[str], display: Display) -> list[d
     words = store.words([store.take_id(name) for name in names])
     named = {take_id: name for name, take_id in store.take_ids.items()}
     ordered = [named[take_id] for take_id in words.take_ids.tolist()]
-    runs = word_runs(words.words, words.offsets)
-    mirrored = store.feature_set.mirrored(runs.word) if store.feature_set.mirror else None
-    found = find_alignments(runs, mirrored)
+    found = _candidates(store, words, display)
     poses = _Poses(store)
     best: dict[tuple[str, str, bool], dict[str, Any]] = {}
-    with display.progress("comparing takes", len(found.first)) as bar:
-        for one, two, shift, image in zip(*(column.tolist() for column in found[:4]), strict=True):
-            row = _common(store, poses, ordered[one], ordered[two], shift, image)
-            bar.advance()
-            if row is not None:
-                key = (row["take"], row["of_take"], image)
-                if key not in best or row["stop"] - row["start"] > best[key]["stop"] - best[key]["start"]:
-                    best[key] = row
+    with display.progress("comparing takes", len(found)) as bar:
+        for group in _blocks(found, words.frames * len(store.feature_set.joints) * 12):
+            poses.hold({ordered[take] for one, two, *_ in group for take in (one, two)})
+            for one, two, shift, image in group:
+                row = _common(store, poses, ordered[one], ordered[two], shift, image)
+                bar.advance()
+                if row is not None:
+                    key = (row["take"], row["of_take"], image)
+                    if key not in best or row["stop"] - row["start"] > best[key]["stop"] - best[key]["start"]:
+                        best[key] = row
     return list(best.values())
+
+
+def _candidates(store: Snapshot, words: TakeWords, display: Display) -> list[Candidate]:
+    """Return the alignments that can be of one motion, as far as words tell, in order of the takes."""
+    runs = word_runs(words.words, words.offsets)
+    mirrored = store.feature_set.mirrored if store.feature_set.mirror else lambda _: None
+    run_images, images = mirrored(runs.word), mirrored(words.words)
+    found: list[Candidate] = []
+    with display.progress("comparing words", len(words)) as bar:
+        done = 0
+        for block in find_alignments(runs, run_images):
+            kept = plausible(words.words, words.offsets, images, block, store.rate_hz)
+            found += zip(*(column[kept].tolist() for column in block[:4]), strict=True)
+            bar.advance(int(block.first[-1]) - done)
+            done = int(block.first[-1])
+    return found
+
+
+def _blocks(found: Sequence[Candidate], sizes: I64) -> Iterator[list[Candidate]]:
+    """Yield alignments in groups, each of takes of two blocks; the poses of a block have `HELD_BYTES` at most."""
+    number = ((np.cumsum(sizes) - sizes) // HELD_BYTES).tolist()
+
+    def blocks(one: Candidate) -> tuple[int, int]:
+        return number[one[0]], number[one[1]]
+
+    for _, group in groupby(sorted(found, key=blocks), key=blocks):
+        yield list(group)
 
 
 def _common(store: Snapshot, poses: _Poses, one: str, two: str, shift: int, image: bool) -> dict[str, Any] | None:
@@ -156,27 +193,34 @@ def _row(
 
 
 class _Poses:
-    """The poses of takes, of which the last ones are kept."""
+    """The poses of takes: the places of some takes are held, and of the takes that were used last the poses."""
 
     def __init__(self, store: Snapshot) -> None:
         self._store = store
-        self._kept: OrderedDict[tuple[str, bool], F32] = OrderedDict()
+        self._joints = list(store.feature_set.joints)
+        self._held: dict[str, F32] = {}
+        self._cached: OrderedDict[tuple[str, bool], F32] = OrderedDict()
         self._bytes = 0
 
-    def of(self, take: str, mirrored: bool) -> F32:
-        """Return the poses of a take, or of its mirror image; see `local_poses`."""
-        key = (take, mirrored)
-        if key not in self._kept:
-            self._kept[key] = self._read(take, mirrored)
-            self._bytes += self._kept[key].nbytes
-            while self._bytes > CACHED_BYTES and len(self._kept) > 2:
-                self._bytes -= self._kept.popitem(last=False)[1].nbytes
-        self._kept.move_to_end(key)
-        return self._kept[key]
+    def hold(self, takes: set[str]) -> None:
+        """Hold the places of some takes and no others; those that are not held are read, in the order of the store."""
+        self._held = {take: places for take, places in self._held.items() if take in takes}
+        for take, frames in self._store.frames_of(takes - self._held.keys()):
+            self._held[take] = np.ascontiguousarray(joint_positions(frames, self._joints).transpose(2, 0, 1))
 
-    def _read(self, take: str, mirrored: bool) -> F32:
-        joints = list(self._store.feature_set.joints)
-        places = joint_positions(self._store.frames(take), joints).transpose(2, 0, 1)
+    def of(self, take: str, mirrored: bool) -> F32:
+        """Return the poses of a take that is held, or of its mirror image; see `local_poses`."""
+        key = (take, mirrored)
+        if key not in self._cached:
+            self._cached[key] = self._local(take, mirrored)
+            self._bytes += self._cached[key].nbytes
+            while self._bytes > CACHED_BYTES and len(self._cached) > 2:
+                self._bytes -= self._cached.popitem(last=False)[1].nbytes
+        self._cached.move_to_end(key)
+        return self._cached[key]
+
+    def _local(self, take: str, mirrored: bool) -> F32:
+        joints, places = self._joints, self._held[take]
         frame = next(self._turned_by(joints, places), [0, 0, 0])
         if mirrored:
             places = places[:, [joints.index(_other_side(joint, joints)) for joint in joints]]

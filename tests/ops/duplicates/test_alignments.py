@@ -9,9 +9,20 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinedex.ops.duplicates.alignments import FEW, FEW_RUNS, KEPT, LENGTH, SHORT, find_alignments
-from kinedex.ops.search.runs import word_runs
-from kinedex.ops.words import NO_WORD
+from kinedex.ops.duplicates.alignments import FEW, FEW_RUNS, KEPT, LENGTH, SHORT, Alignments, find_alignments
+from kinedex.ops.search.runs import WordRuns, word_runs
+from kinedex.ops.words import NO_WORD, U64
+
+
+def alignments(runs: WordRuns, mirrored: U64 | None = None, most_votes: int = 1000) -> Alignments:
+    """Return the alignments of all blocks together."""
+    none = np.empty(0, np.int64)
+    parts = [
+        Alignments(none, none, none, none.astype(bool), none, none, none),
+        *find_alignments(runs, mirrored, most_votes),
+    ]
+    first, second, shift, image, *rest = (np.concatenate(own) for own in zip(*parts, strict=True))
+    return Alignments(first, second, shift, image, *rest)
 
 
 def naive_sequences(words: list[int], length: int) -> list[tuple[tuple[int, ...], int]]:
@@ -54,7 +65,7 @@ words_of_takes = st.lists(st.lists(st.sampled_from([1, 2, 3, int(NO_WORD)]), max
 def test_alignments_are_those_of_the_twin(takes: list[list[int]]) -> None:
     words = np.array([word for take in takes for word in take], np.uint64)
     offsets = np.cumsum([0, *map(len, takes)])
-    found = find_alignments(word_runs(words, offsets))
+    found = alignments(word_runs(words, offsets))
     votes = naive_votes(takes)
     frequent = Counter(s for take in takes for length in (SHORT, LENGTH) for s, _ in naive_sequences(take, length))
     if frequent and max(frequent.values()) > FEW:
@@ -69,6 +80,8 @@ def test_alignments_are_those_of_the_twin(takes: list[list[int]]) -> None:
     rows = zip(found.first.tolist(), found.second.tolist(), found.shift.tolist(), strict=True)
     assert dict(zip(rows, found.votes.tolist(), strict=True)) == expected
     assert not found.mirrored.any()
+    for one, other in zip(found, alignments(word_runs(words, offsets), most_votes=1), strict=True):
+        assert np.array_equal(one, other)
 
 
 def test_a_mirrored_take_is_found_by_mirrored_words() -> None:
@@ -76,17 +89,17 @@ def test_a_mirrored_take_is_found_by_mirrored_words() -> None:
     take = np.repeat(rng.integers(0, 1 << 20, 30).astype(np.uint64) << np.uint64(1), 3)
     mirrored = take + np.uint64(1)  # words of the other side
     runs = word_runs(np.concatenate((take, mirrored[12:])), np.array([0, 90, 168]))
-    found = find_alignments(runs, runs.word ^ np.uint64(1))
+    found = alignments(runs, runs.word ^ np.uint64(1))
     assert (found.first.tolist(), found.second.tolist(), found.shift.tolist()) == ([0], [1], [12])
     assert found.mirrored.tolist() == [True]
-    assert len(find_alignments(runs).first) == 0
+    assert len(alignments(runs).first) == 0
 
 
 def test_many_copies_form_a_chain_and_not_all_pairs() -> None:
     take = np.repeat(np.arange(40, dtype=np.uint64), 2)
     copies = 60
     runs = word_runs(np.tile(take, copies), np.arange(copies + 1) * 80)
-    found = find_alignments(runs)
+    found = alignments(runs)
     assert len(found.first) < 4 * copies
     groups = list(range(copies))
     for one, two in zip(found.first.tolist(), found.second.tolist(), strict=True):
