@@ -11,21 +11,14 @@ import pytest
 from typer.testing import CliRunner
 
 from kinedex.ops.errors import KinedexError
-from kinedex.ops.simulation.recording import Setup
 from kinedex.pipelines.commands.cli import app
-from kinedex.pipelines.console.terminal import Terminal
-from kinedex.pipelines.engine.runner import Outcome, run_pipeline
-from kinedex.pipelines.simulation.camera_recordings import Request, simulate_cameras
-from kinedex.pipelines.stages.ingest import Ingest
+from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.tracking.recordings import stored_recording
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.take_removal import planned_removal, remove_takes
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter
-from tests.pipelines.archives import context, write_archive
-
-PATTERNS = [r"x_(?P<actor>[a-z]+)_(?P<class>hop|sway)_(?P<clip>\d)"]
-FILMED = "x_al_hop_1"
+from tests.pipelines.tracking.tracks import FILMED, PATTERNS, filmed_archive, run
 
 
 def kinedex(*arguments: object, code: int = 0) -> str:
@@ -34,27 +27,11 @@ def kinedex(*arguments: object, code: int = 0) -> str:
     return done.stdout if code == 0 else done.output
 
 
-def run(folder: Path, **settings: object) -> Outcome:
-    given = {
-        "source": str(folder / "source"),
-        "recordings": str(folder / "sim" / "recordings.yaml"),
-        "patterns": PATTERNS,
-        "train": "class IS NOT NULL",
-        "stabilise.rounds": 1,
-        **settings,
-    }
-    return run_pipeline("stabilise", folder / "store", settings=given, executor="serial")
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An archive of four clips, one of which is filmed."""
     folder = tmp_path_factory.mktemp("stabilise")
-    clips = {f"x_{actor}_{name}_1.amc": 160 for actor in ("al", "bo") for name in ("hop", "sway")}
-    write_archive(folder / "source", clips)
-    Ingest().run(context(folder / "store"), Ingest.parameters(source=str(folder / "source"), patterns=PATTERNS))
-    with open_store(folder / "store", at="newest") as store:
-        simulate_cameras(store, Request((FILMED,), None, 3, Setup()), folder / "sim", Terminal().progress)
+    filmed_archive(folder)
     run(folder)
     return folder
 

@@ -1,4 +1,4 @@
-"""Tracks for tests: takes of a small archive whose joints a kinematic chain is fitted to."""
+"""Tracks for tests: takes of a small archive, fitted by a kinematic chain, or filmed by simulated cameras."""
 
 from __future__ import annotations
 
@@ -8,9 +8,18 @@ import numpy as np
 
 from kinedex.catalog.kinematics import load_kinematic_chain
 from kinedex.ops.body.pose_fit import fit_poses, measured_body
+from kinedex.ops.simulation.recording import Setup
+from kinedex.pipelines.console.terminal import Terminal
+from kinedex.pipelines.engine.runner import Outcome, run_pipeline
+from kinedex.pipelines.simulation.camera_recordings import Request, simulate_cameras
+from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.pipelines.tracking.tracked_takes import Provenance, Track
 from kinedex.storage.snapshot.parts import joint_positions
-from kinedex.storage.store.store import Store
+from kinedex.storage.store.store import Store, open_store
+from tests.pipelines.archives import context, write_archive
+
+PATTERNS = [r"x_(?P<actor>[a-z]+)_(?P<class>hop|sway)_(?P<clip>\d)"]
+FILMED = "x_al_hop_1"
 
 
 def joints_of(store: Store, take: str) -> np.ndarray:
@@ -30,3 +39,24 @@ def fitted_track(store: Store, take: str, name: str, root: Path, **changes: obje
     valid = np.ones(joints.shape[2], bool)
     given = {"name": name, "provenance": origin, "body": body, "poses": poses, "rate_hz": store.rate_hz}
     return Track(**{**given, "valid": valid, "recipe": "first", **changes})  # type: ignore[arg-type]
+
+
+def filmed_archive(folder: Path) -> None:
+    """Make an archive of four clips in a folder, and film one of them."""
+    clips = {f"x_{actor}_{name}_1.amc": 160 for actor in ("al", "bo") for name in ("hop", "sway")}
+    write_archive(folder / "source", clips)
+    Ingest().run(context(folder / "store"), Ingest.parameters(source=str(folder / "source"), patterns=PATTERNS))
+    with open_store(folder / "store", at="newest") as store:
+        simulate_cameras(store, Request((FILMED,), None, 3, Setup()), folder / "sim", Terminal().progress)
+
+
+def run(folder: Path, **settings: object) -> Outcome:
+    given = {
+        "source": str(folder / "source"),
+        "recordings": str(folder / "sim" / "recordings.yaml"),
+        "patterns": PATTERNS,
+        "train": "class IS NOT NULL",
+        "stabilise.rounds": 1,
+        **settings,
+    }
+    return run_pipeline("stabilise", folder / "store", settings=given, executor="serial")
