@@ -51,20 +51,14 @@ class Choice:
 CHOICES = (
     Choice("defaults"),
     Choice("1 round", Settings(rounds=1)),
-    Choice("3 rounds", Settings(rounds=3)),
-    Choice("τ = 0.07", Settings(threshold=0.07)),
     Choice("τ = 0.10", Settings(threshold=0.10)),
     Choice("τ = 0.16", Settings(threshold=0.16)),
-    Choice("δ = 0.02", delta=0.02),
     Choice("δ = 0.10", delta=0.10),
     Choice("no guard", Settings(guard=float("inf"))),
     Choice("guard 1.07", Settings(guard=1.07)),
-    Choice("guard 1.20", Settings(guard=1.20)),
     Choice("weight of archive poses halved", Settings(factors={"archive": 0.5})),
     Choice("weight of archive poses doubled", Settings(factors={"archive": 2.0})),
     Choice("no other hits tried", Settings(attempts=1)),
-    Choice("logical priors, too", Settings(kinds=("archive", "logical"))),
-    Choice("the thesis's pose and logical priors", Settings(kinds=("pose", "logical"))),
 )
 
 
