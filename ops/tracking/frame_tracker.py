@@ -81,6 +81,9 @@ LEAST_RAYS, LEAST_PLACES = 12, 4
 FASTEST_M_S = 9.0
 """Speed of the root above which a frame is lost: 0.3 m a frame at 30 Hz."""
 
+WORSE = 1.1
+"""A frame on silhouettes is fitted without priors where they make its difference from the masks larger by this."""
+
 _CARRIED = 0.7  # share of the last turns that a frame on silhouettes starts with
 _DAMPING, _EASED, _RAISED = 1e-4, 0.2, 10.0  # the first damping, and its factors after a success and a failure
 _STIFF = 1e-2  # added to the diagonal of H, per rad² and m²
@@ -288,6 +291,7 @@ class _Frames:
         # frames on silhouettes write their start into these
         targets, weights = arrays.turn_targets.copy(), arrays.turn_weights.copy()
         self.priors = arrays._replace(turn_targets=targets, turn_weights=weights)
+        self.no_priors = prior_arrays(body, None, self.count)
         self.longest_step_m = FASTEST_M_S / rate_hz
         self.room = frame_room(body.arrays, self.evidence)
         self.units = np.zeros((len(self.evidence.centres), len(self.evidence.nodes)))
@@ -302,7 +306,7 @@ class _Frames:
         """Return the state of frame t from that of the frame before."""
         if self.silhouettes is None:
             fit, masks = _Fit(last.place.copy(), last.turns.copy()), []
-            fit.cost = self._solve(t, fit.place, fit.turns, STEPS)
+            fit.cost = self._solve(t, fit.place, fit.turns, STEPS, self.priors)
         else:
             masks = self.silhouettes.seen(t)
             fit = self._best_fit(t, masks, last)
@@ -320,28 +324,34 @@ class _Frames:
         return _State(fit.place, fit.turns, step, turned, fit, 0)
 
     def _best_fit(self, t: int, masks: list[tuple[View, U8]], last: _State) -> _Fit:
-        """Return the fit on silhouettes, of several starts, that covers the masks best."""
-        free = self.priors.turn_weights[t].max(axis=1) <= 0.0
+        """Return the fit on silhouettes that covers the masks best: with priors, unless they fit much worse."""
+        priors = self.priors
+        place = last.place + last.moved
         moved = last.turns @ np.stack([rotation_of(_CARRIED * vector) for vector in last.turned])
-        starts = [(last.place + last.moved, moved)]
-        lent = (self.priors.turn_weights[t] > 0.0).all(axis=1)  # a constraint weighs one axis of an elbow alone
+        plain = self._fit(t, masks, place, moved, self.no_priors)
+        own = (priors.turn_weights[t] > 0.0).any(axis=1)
+        if not own.any() and priors.tilt_weights[t] <= 0.0 and priors.place_starts[t] == priors.place_starts[t + 1]:
+            return plain
+        fits = [self._fit(t, masks, place, moved, priors)]
+        lent = (priors.turn_weights[t] > 0.0).all(axis=1)  # a constraint weighs one axis of an elbow alone
         if lent.any():
-            pulled = np.where(lent[:, None, None], self.priors.turn_targets[t], moved)
-            starts.append((last.place + last.moved, pulled))
-        given = self.priors.turn_targets[t].copy()
-        best = None
-        for place, turns in starts:
-            self.priors.turn_targets[t] = np.where(free[:, None, None], turns, given)
-            self.priors.turn_weights[t, free] = START_RAD**-2.0
-            fit = _Fit(place, turns)
-            for _ in range(PASSES):
-                fit.contours, fit.share, fit.shift_px, contour_cost = self._find(masks, fit.place, fit.turns)
-                fit.cost = self._solve(t, fit.place, fit.turns, PASS_STEPS) + contour_cost
-            fit.difference = self._difference(masks, fit.place, fit.turns)
-            if best is None or fit.difference < best.difference:
-                best = fit
-        assert best is not None
-        return best
+            pulled = np.where(lent[:, None, None], priors.turn_targets[t], moved)
+            fits.append(self._fit(t, masks, place, pulled, priors))
+        best = min(fits, key=lambda fit: fit.difference)
+        return plain if best.difference > WORSE * plain.difference else best
+
+    def _fit(self, t: int, masks: list[tuple[View, U8]], place: F64, turns: F64, priors: PriorArrays) -> _Fit:
+        """Return the fit on silhouettes from a start, which nodes without a prior are pulled to."""
+        free = priors.turn_weights[t].max(axis=1) <= 0.0
+        targets, weights = priors.turn_targets[t].copy(), priors.turn_weights[t].copy()
+        priors.turn_targets[t, free], priors.turn_weights[t, free] = turns[free], START_RAD**-2.0
+        fit = _Fit(place.copy(), turns.copy())
+        for _ in range(PASSES):
+            fit.contours, fit.share, fit.shift_px, contour_cost = self._find(masks, fit.place, fit.turns)
+            fit.cost = self._solve(t, fit.place, fit.turns, PASS_STEPS, priors) + contour_cost
+        priors.turn_targets[t], priors.turn_weights[t] = targets, weights
+        fit.difference = self._difference(masks, fit.place, fit.turns)
+        return fit
 
     def _difference(self, masks: list[tuple[View, U8]], place: F64, turns: F64) -> float:
         """Return the pixels that are either body or foreground, as a share of the foreground; NaN without masks."""
@@ -368,10 +378,10 @@ class _Frames:
             shifts += float(np.abs(self.contours.shifts[:count]).sum())
         return (total, total / contour, shifts / total, cost) if total else (0, 0.0, np.nan, 0.0)
 
-    def _solve(self, t: int, place: F64, turns: F64, steps: int) -> float:
+    def _solve(self, t: int, place: F64, turns: F64, steps: int, priors: PriorArrays) -> float:
         """Move the pose of a frame to the minimum, in place, and return the squares of rays and places."""
         chain, evidence, room = self.body.arrays, self.evidence, self.room
-        _solve_frame(chain, evidence, self.priors, self.capsules, self.sums, t, place, turns, steps, self.units, room)
+        _solve_frame(chain, evidence, priors, self.capsules, self.sums, t, place, turns, steps, self.units, room)
         pose_nodes(chain, place, turns, room.turned, room.centres)
         place_points(evidence.nodes, evidence.offsets, room.turned, room.centres, room.points)
         return point_cost(evidence, t, room.points, np.inf, self.units, True)

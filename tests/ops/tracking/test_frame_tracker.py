@@ -13,7 +13,7 @@ from kinedex.ops.tracking.body_mask import render_mask
 from kinedex.ops.tracking.contours import ContourSums, Silhouettes
 from kinedex.ops.tracking.frame_tracker import FrameTrack, track_frames
 from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
-from kinedex.ops.tracking.prior_terms import no_priors
+from kinedex.ops.tracking.prior_terms import PriorTerms, no_priors
 from tests.ops.tracking.scene import BODY, CAPSULES, CHAIN, JOINTS, cameras
 
 FRAMES = 5
@@ -111,21 +111,28 @@ def test_a_jump_that_no_body_makes_is_lost_until_there_was_time_for_it() -> None
     assert track.lost.tolist() == [False, False, True, False, False]
 
 
-def test_priors_pull_and_priors_without_weight_do_nothing() -> None:
+def test_priors_pull_unless_silhouettes_contradict_them() -> None:
     priors = no_priors(FRAMES, len(CHAIN.nodes))
     elbow = CHAIN.nodes.index("lelbow")
     priors.turn_targets[:, elbow] = rotation_of(np.array([0.0, -1.0, 0.0]))
     masks = Silhouettes(VIEWS, MASKS, CAPSULES)
-    for observations in ({"observations": rays(), "points": POINTS}, {"observations": None, "points": None}):
-        settings = {"body": BODY, "rate_hz": 30.0, "first": START, **observations}
-        settings |= {"silhouettes": masks} if observations["points"] is None else {}
-        without, same = (track_frames(**settings, priors=one) for one in (None, priors))
-        np.testing.assert_array_equal(without.poses.turns, same.poses.turns)
+
+    def tracks(of: PriorTerms | None) -> list[Poses]:
+        on_rays = track_frames(BODY, rays(), POINTS, 30.0, START, of)
+        return [on_rays.poses, track_frames(BODY, None, None, 30.0, START, of, masks).poses]
+
+    without = tracks(None)
+    for one, other in zip(without, tracks(priors), strict=True):
+        np.testing.assert_array_equal(one.turns, other.turns)  # they have no weight
     priors.turn_weights[:, elbow] = 1e6
     before = priors.turn_weights.copy()
-    pulled = track_frames(**settings, priors=priors)
-    np.testing.assert_allclose(pulled.poses.turns[-1, elbow], priors.turn_targets[-1, elbow], atol=0.02)
+    pulled, refused = tracks(priors)
+    np.testing.assert_allclose(pulled.turns[-1, elbow], priors.turn_targets[-1, elbow], atol=0.02)
+    np.testing.assert_array_equal(refused.turns, without[1].turns)
     np.testing.assert_array_equal(priors.turn_weights, before)  # the caller's terms stay as they are
+    priors.turn_targets[:, elbow] = without[1].turns[:, elbow]
+    _, agreeing = tracks(priors)
+    np.testing.assert_allclose(agreeing.turns[:, elbow], without[1].turns[:, elbow], atol=1e-3)
 
 
 def test_steps_on_silhouettes_end_where_the_squares_of_the_twin_are_least() -> None:
@@ -133,7 +140,7 @@ def test_steps_on_silhouettes_end_where_the_squares_of_the_twin_are_least() -> N
     place, turns = motion().places[1].copy(), START.turns[0].copy()
     tracker._find(tracker.silhouettes.seen(1), place, turns)
     sums = ContourSums(*(part.copy() for part in tracker.sums))
-    tracker._solve(1, place, turns, 60)
+    tracker._solve(1, place, turns, 60, tracker.priors)
 
     def cost(vector: np.ndarray) -> float:
         """Return the squares of correspondences that move with both ends of their capsule, and the pulls to rest."""
