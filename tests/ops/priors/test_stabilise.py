@@ -1,0 +1,183 @@
+"""Rounds of priors on a squat whose legs are tracked wrongly for half a second."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from kinedex.catalog.features import load_feature_set
+from kinedex.ops.body.features import words as feature_words
+from kinedex.ops.body.kinematic_chain import ChainBody, Poses, forward
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.priors.archive_poses import pose_table
+from kinedex.ops.priors.motion import Motion
+from kinedex.ops.priors.stabilise import Settings, StabilisedTrack, Track, stabilise
+from kinedex.ops.templates.templates import QuantisedTemplate
+from kinedex.ops.tracking.observations import Places
+from kinedex.ops.tracking.prior_terms import PriorTerms
+from kinedex.ops.tracking.take_tracker import TakeTrack, track_take
+from kinedex.ops.tracking.trust import restart, trust
+from tests.ops.body.test_kinematic_chain import BODY, CHAIN
+from tests.oracles.kinematic_chain import exp
+
+FRAMES, FAILS = 40, slice(12, 26)
+FEATURES = load_feature_set("body40")
+SQUAT = slice(4, 36)
+"""The frames that the template knows."""
+
+
+def squat(depth: float) -> Poses:
+    """A body that bends hips and knees and stretches again."""
+    bend = depth * np.sin(np.linspace(0, np.pi, FRAMES)) ** 2
+    turns = np.tile(np.eye(3), (FRAMES, len(CHAIN.nodes), 1, 1))
+    places = np.tile([0.0, 1.0, 0.0], (FRAMES, 1))
+    for t, angle in enumerate(bend):
+        for side in "lr":
+            turns[t, CHAIN.nodes.index(f"{side}hip")] = exp(np.array([-angle, 0, 0]))
+            turns[t, CHAIN.nodes.index(f"{side}knee")] = exp(np.array([2 * angle, 0, 0]))
+        places[t, 1] = 0.1 + 0.84 * np.cos(angle)
+    return Poses(places, turns)
+
+
+TRUTH = squat(1.0)
+JOINTS = np.moveaxis(forward(BODY, TRUTH)[0], 2, 0)
+
+
+def words_of(poses: Poses) -> np.ndarray:
+    positions, _ = forward(BODY, poses)
+    upright = np.tile([[1.0], [0.0], [0.0], [0.0]], (1, len(poses.places)))
+    return feature_words(positions[[CHAIN.joint(j) for j in FEATURES.joints]], upright, 30.0, FEATURES.rules)
+
+
+def words(track: Track) -> np.ndarray:
+    return words_of(track.poses)
+
+
+def motion(name: str, depths: tuple[float, ...], template: np.ndarray) -> Motion:
+    frames = np.arange(SQUAT.start, SQUAT.stop)
+    table = pose_table([squat(depth) for depth in depths], [frames] * len(depths))
+    return Motion(name, QuantisedTemplate(np.full(len(frames), (1 << 40) - 1, np.uint64), template[SQUAT]), table)
+
+
+KNOWN = motion("squat", (0.9, 1.0, 1.1), words_of(TRUTH))
+
+
+@dataclass(frozen=True)
+class PlaceTracker:
+    """The tracker of whole takes, on places of joints."""
+
+    observations: Places
+    body: ChainBody = BODY
+    rate_hz: float = 30.0
+
+    def track(self, start: Poses, priors: PriorTerms | None) -> TakeTrack:
+        return track_take(self.body, self.observations, None, self.rate_hz, start, priors, schedule=(3.0,))
+
+    def nodes_seen(self, track: Track) -> np.ndarray:
+        return trust(self.body, self.observations, None, track.poses).nodes_seen
+
+    def restart(self, poses: Poses, nodes_seen: np.ndarray) -> Poses:
+        return restart(self.body, poses, nodes_seen)
+
+
+def failing() -> PlaceTracker:
+    """A track of which the legs are 40 cm off for half a second, each joint in its own way."""
+    random = np.random.default_rng(3)
+    places = JOINTS + random.normal(0, 0.003, JOINTS.shape)
+    legs = [CHAIN.joint(side + name) for side in "lr" for name in ("knee", "ankle", "toes")]
+    places[FAILS, legs] += random.normal(0, 0.4, (len(legs), 3))
+    return PlaceTracker(Places(places, np.full(places.shape[:2], 0.02)))
+
+
+TRACKER = failing()
+
+
+@pytest.fixture(scope="module")
+def without() -> TakeTrack:
+    return TRACKER.track(squat(0.6), None)
+
+
+def error_mm(track: Track) -> float:
+    return float(1000 * np.linalg.norm(track.positions[FAILS] - JOINTS[FAILS], axis=2).mean())
+
+
+def run(without: TakeTrack, motions: list[Motion], **settings: object) -> StabilisedTrack:
+    return stabilise(TRACKER, without, words, motions, Settings(**{"threshold": 0.3, **settings}))  # type: ignore[arg-type]
+
+
+def test_the_archive_repairs_the_legs_and_two_runs_give_the_same_bytes(without: TakeTrack):
+    first, second = run(without, [KNOWN]), run(without, [KNOWN])
+    assert error_mm(first.track) < 0.5 * error_mm(without)
+    assert first.track.positions.tobytes() == second.track.positions.tobytes()
+    assert ("archive", "squat", True) in {(row.kind, row.motion, row.kept) for row in first.rounds[0].rows}
+    assert first.moved_mm.shape == (FRAMES, 24)
+    np.testing.assert_array_equal(first.rounds[-1].costs, first.track.costs)
+
+
+def test_without_a_hit_nothing_changes(without: TakeTrack):
+    other = motion("other", (1.0,), words_of(TRUTH) ^ np.uint64((1 << 40) - 1))
+    for motions in ([], [other]):
+        done = run(without, motions)
+        assert done.track is without
+        assert [one.rows for one in done.rounds] == [()]
+        assert not done.moved_mm.any()
+
+
+def test_without_weight_the_track_is_the_one_without_priors(without: TakeTrack):
+    done = run(without, [KNOWN], factors={"archive": 0.0}, guard=np.inf)
+    same = TRACKER.track(TRACKER.restart(without.poses, TRACKER.nodes_seen(without)), None)
+    assert done.rounds[0].rows
+    np.testing.assert_allclose(done.track.positions, same.positions, atol=2e-3)
+
+
+def test_a_prior_that_is_the_track_changes_nothing():
+    tracker = PlaceTracker(Places(JOINTS, np.full(JOINTS.shape[:2], 0.02)))
+    track = tracker.track(TRUTH, None)
+    frames = np.arange(SQUAT.start, SQUAT.stop)
+    own = Motion("own", KNOWN.template, pose_table([track.poses], [frames]))
+    done = stabilise(tracker, track, words, [own], Settings(threshold=0.3))
+    assert done.rounds[0].rows
+    assert done.moved_mm.max() < 1.0
+
+
+def test_when_every_hit_is_withdrawn_the_track_is_the_one_without_priors(without: TakeTrack):
+    done = run(without, [KNOWN], guard=0.0, rounds=1)
+    assert done.track is without
+    rows = done.rounds[0].rows
+    assert rows
+    assert not any(row.kept for row in rows)
+    assert all("times as badly as without priors" in row.reason for row in rows)
+
+
+def test_another_motion_takes_the_place_of_one_that_the_observations_refute(without: TakeTrack):
+    table = KNOWN.poses
+    assert table is not None
+    random = np.random.default_rng(5)
+    shaken = np.array([[exp(v) for v in row] for row in random.normal(0, 0.5, (*table.means.shape[:2], 3))])
+    wrong = Motion("wrong", KNOWN.template, table._replace(means=shaken))
+    done = run(without, [wrong, KNOWN], rounds=1, factors={"archive": 3.0})
+    found = {(row.motion, row.kept) for row in done.rounds[0].rows}
+    assert {("wrong", False), ("squat", True)} <= found
+    assert error_mm(done.track) < 0.5 * error_mm(without)
+
+
+def test_the_priors_of_the_thesis_alone_run_through(without: TakeTrack):
+    done = run(without, [KNOWN], kinds=("logical", "pose"), rounds=1)
+    assert np.isfinite(done.track.positions).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"kinds": ("poses",)}, "kinds must be of logical, pose, archive"),
+        ({"factors": {"arch": 1.0}}, "factors must be not negative"),
+        ({"threshold": 0.0}, "threshold must be above 0"),
+        ({"guard": -1.0}, "guard must be 0 or above"),
+        ({"rounds": 0}, "rounds must be 1 or more"),
+    ],
+)
+def test_settings_out_of_range_are_refused(settings: dict[str, object], message: str):
+    with pytest.raises(ParameterError, match=message):
+        Settings(**settings)  # type: ignore[arg-type]
