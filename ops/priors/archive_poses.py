@@ -100,7 +100,7 @@ def _relative(means: F64, turns: F64, vectors: F64) -> None:
 
 
 class OwnWay(NamedTuple):
-    """How an actor turns each node in a hit, measured where the cameras agree on it.
+    """The way in which an actor turns each node in a hit, measured where the cameras agree on it.
 
     Attributes
     ----------

@@ -44,7 +44,7 @@ SETTLED_RAD, SETTLED_M = 0.01, 0.01
 
 
 class Track(Protocol):
-    """What a tracker returns, see `ops.tracking.take_tracker.TakeTrack`."""
+    """The result of a tracker, see `ops.tracking.take_tracker.TakeTrack`."""
 
     @property
     def poses(self) -> Poses:
@@ -139,7 +139,7 @@ class Settings:
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """What a round did.
+    """The priors and the result of one round.
 
     Attributes
     ----------

@@ -107,3 +107,35 @@ def test_wrong_entries_and_missing_files_are_explained(tmp_path: Path):
         load_classes(written(tmp_path, "legs:\n  description: nothing in it\n"), ["kick"])
     with pytest.raises(ConfigError, match=r"did you mean 'thesis-15'.*or use 'own'"):
         load_classes("thesis15", ["kick"])
+
+
+def test_classes_name_locomotion_and_change_marks(tmp_path: Path):
+    text = """\
+walk:
+  subclasses: [walk]
+  locomotion: true
+  marks:
+    - {constraint: elbow_bent, side: left, columns: [2, 5], name: swing}
+    - {constraint: foot_on_ground, remove: true}
+"""
+    (walk,) = load_classes(written(tmp_path, text), ["walk"]).classes
+    assert walk.locomotion
+    assert [(one.constraint, one.side, one.columns, one.remove, one.name) for one in walk.marks] == [
+        ("elbow_bent", "left", (2, 5), False, "swing"), ("foot_on_ground", None, None, True, ""),
+    ]  # fmt: skip
+    assert walk.marks[1].where.endswith("mine.yaml:6: walk")
+
+
+@pytest.mark.parametrize(
+    ("mark", "message"),
+    [
+        ("{constraint: elbow_bend}", r"mine\.yaml:4: .*elbow_bent"),
+        ("{constraint: elbow_bent, side: middle}", r"mine\.yaml:4: .*side"),
+        ("{constraint: elbow_bent, columns: [5, 2]}", r"mine\.yaml:4: .*first and the last one"),
+        ("{constraint: elbow_bent, remove: true, name: swing}", r"mine\.yaml:4: .*take out `name` or `remove`"),
+    ],
+)
+def test_wrong_marks_are_named_with_their_line(tmp_path: Path, mark: str, message: str):
+    path = written(tmp_path, f"walk:\n  subclasses: [walk]\n  marks:\n    - {mark}\n")
+    with pytest.raises(ConfigError, match=message):
+        load_classes(path, ["walk"])

@@ -1,4 +1,4 @@
-"""Rounds of priors on a squat whose legs are tracked wrongly for half a second."""
+"""Rounds of priors on a squat whose legs are not tracked for half a second."""
 
 from __future__ import annotations
 
@@ -83,11 +83,12 @@ class PlaceTracker:
 
 
 def failing() -> PlaceTracker:
-    """A track of which the legs are 40 cm off for half a second, each joint in its own way."""
+    """A track without legs for half a second, but for an ankle that is far off."""
     random = np.random.default_rng(3)
     places = JOINTS + random.normal(0, 0.003, JOINTS.shape)
     legs = [CHAIN.joint(side + name) for side in "lr" for name in ("knee", "ankle", "toes")]
-    places[FAILS, legs] += random.normal(0, 0.4, (len(legs), 3))
+    places[FAILS, legs] = np.nan
+    places[FAILS, legs[1]] = JOINTS[FAILS, legs[1]] + [0.5, 0.2, 0.3]
     return PlaceTracker(Places(places, np.full(places.shape[:2], 0.02)))
 
 
