@@ -106,7 +106,7 @@ class Settings:
     kinds: tuple[str, ...] = (ARCHIVE,)
     threshold: float = 0.13
     rounds: int = 2
-    guard: float = 1.15
+    guard: float = 1.12
     factors: Mapping[str, float] = field(default_factory=dict)
     words_rate_hz: float = 30.0
     attempts: int = 2
