@@ -100,8 +100,7 @@ app = typer.Typer(
     name="kinedex",
     cls=HelpPage,
     help="A motion archive that can be queried: motion in, SQL and reports out.",
-    epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done, but some source files were excluded, "
-    "124 a time limit ended it, 130 Ctrl-C did.",
+    epilog="Exit codes: 0 done, 1 failed, 2 usage, 3 some files excluded, 124 too long, 130 by Ctrl-C.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # rich takes longer to import than all of kinedex that the help needs

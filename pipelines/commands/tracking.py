@@ -43,9 +43,10 @@ def track(
     wait: WaitOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Track recordings of calibrated cameras: each becomes a take NAME_tracked.
+    """Make takes of recordings by calibrated cameras.
 
-    This is the pipeline `track`. Recordings that are unchanged stay as they are.
+    A recording becomes the take NAME_tracked. This is the pipeline `track`. Recordings that are unchanged stay as they
+    are.
     """
     import json
 
@@ -80,10 +81,11 @@ def stabilise(
     wait: WaitOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Stabilise takes by what the archive knows: each becomes a take NAME_stabilised.
+    """Stabilise tracked takes by what the archive knows.
 
-    A take that was tracked is stabilised from the observations of its recording, any other one as a 3D track without
-    cameras. Templates are those of the store; without any, they are learned from the takes whose class is known.
+    Each becomes a take NAME_stabilised. A take that was tracked is stabilised from the observations of its
+    recording, any other one as a 3D track without cameras. Templates are those of the store; without any, they are
+    learned from the takes whose class is known.
     """
     from kinedex.pipelines.console.terminal import Terminal, message_console
     from kinedex.pipelines.engine.executors import make_executor
