@@ -13,6 +13,7 @@ from kinedex.ops.priors.stabilise import Track
 from kinedex.ops.tracking.first_track import FirstTrack, first_track
 from kinedex.ops.tracking.observations import BodyPoints, Rays
 from kinedex.ops.tracking.prior_terms import PriorTerms
+from kinedex.ops.tracking.side_exchange import exchanged_sides
 from kinedex.ops.tracking.take_tracker import SCHEDULE, track_take
 from kinedex.ops.tracking.trust import restart, trust
 
@@ -47,11 +48,13 @@ class RayTracker:
 
     def track(self, start: Poses, priors: PriorTerms | None) -> Track:
         """Track the recording again from a start, with the terms of priors."""
-        return track_take(self.body, self.rays, self.points, self.rate_hz, start, priors, schedule=SCHEDULE[-1:])
+        rays = exchanged_sides(self.body, self.rays, self.points, start)
+        return track_take(self.body, rays, self.points, self.rate_hz, start, priors, schedule=SCHEDULE[-1:])
 
     def nodes_seen(self, track: Track) -> Bool:
         """Return the nodes whose keypoints the cameras agree on, bool (T, K)."""
-        return trust(self.body, self.rays, self.points, track.poses).nodes_seen
+        rays = exchanged_sides(self.body, self.rays, self.points, track.poses)
+        return trust(self.body, rays, self.points, track.poses).nodes_seen
 
     def restart(self, poses: Poses, nodes_seen: Bool) -> Poses:
         """Return poses to start again from, interpolated where nodes are not seen."""

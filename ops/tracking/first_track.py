@@ -11,6 +11,7 @@ from kinedex.ops.body.kinematic_chain import ChainBody, Poses
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
 from kinedex.ops.tracking.rays import SIGMA_PX
+from kinedex.ops.tracking.side_exchange import exchanged_sides
 from kinedex.ops.tracking.take_tracker import SCHEDULE, Loss, TakeTrack, track_take
 from kinedex.ops.tracking.triangulation import (
     LEAST_CONFIDENCE,
@@ -34,7 +35,7 @@ class FirstTrack:
     track : TakeTrack
         The track.
     trust : Trust
-        Trust in the observations, by the track.
+        Trust in the observations as they are reported, by the track.
     """
 
     start: Poses
@@ -80,7 +81,8 @@ def first_track(
     before = track_take(body, observations, points, rate_hz, start, None, loss, sigma_px, SCHEDULE, cuts)
     seen = trust(body, observations, points, before.poses, sigma_px).nodes_seen
     again = restart(body, before.poses, seen)
-    track = track_take(body, observations, points, rate_hz, again, None, loss, sigma_px, SCHEDULE[-1:], cuts)
+    fitting = exchanged_sides(body, observations, points, again, sigma_px)
+    track = track_take(body, fitting, points, rate_hz, again, None, loss, sigma_px, SCHEDULE[-1:], cuts)
     return FirstTrack(start, before, track, trust(body, observations, points, track.poses, sigma_px))
 
 

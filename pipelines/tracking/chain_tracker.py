@@ -16,6 +16,7 @@ from kinedex.ops.tracking.frame_tracker import track_frames
 from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
 from kinedex.ops.tracking.prior_terms import PriorTerms
 from kinedex.ops.tracking.rays import LEAST_CONFIDENCE, LEAST_DEPTH_M, SIGMA_PX
+from kinedex.ops.tracking.side_exchange import exchanged_sides
 from kinedex.ops.tracking.silhouette_terms import track_take_on_silhouettes
 from kinedex.ops.tracking.take_tracker import SCHEDULE, Loss, TakeTrack, track_take
 from kinedex.ops.tracking.trust import SEEN, TRUST_WIDTH, Trust, restart, trust
@@ -148,9 +149,11 @@ class ChainTracker:
             return self._frame_by_frame(Poses(start.places[:1], start.turns[:1]), priors)
         observed, settings = self.observed, self.settings
         assert observed.observations is not None
+        fitting = self._exchanged(start)
+        assert fitting is not None
         found = track_take(
-            observed.body, observed.observations, observed.points, observed.rate_hz, start, priors, settings.loss,
-            settings.sigma_px, SCHEDULE[-1:], observed.cuts,
+            observed.body, fitting, observed.points, observed.rate_hz, start, priors, settings.loss, settings.sigma_px,
+            SCHEDULE[-1:], observed.cuts,
         )  # fmt: skip
         return self._with_silhouettes(found, priors)
 
@@ -160,23 +163,30 @@ class ChainTracker:
         if observed.silhouettes is None:
             return found
         return track_take_on_silhouettes(
-            observed.body, observed.observations, observed.points, observed.rate_hz, found.poses, observed.silhouettes,
-            priors, settings.loss, settings.sigma_px, observed.cuts,
+            observed.body, self._exchanged(found.poses), observed.points, observed.rate_hz, found.poses,
+            observed.silhouettes, priors, settings.loss, settings.sigma_px, observed.cuts,
         )  # fmt: skip
 
     def trust(self, poses: Poses) -> Trust | None:
-        """Return how far the observations agree with poses; None for silhouettes alone."""
+        """Return how far the observations as they are reported agree with poses; None for silhouettes alone."""
         observed = self.observed
         if observed.observations is None:
             return None
         return trust(observed.body, observed.observations, observed.points, poses, self.settings.sigma_px)
 
+    def _exchanged(self, poses: Poses) -> Rays | Places | None:
+        """Return what is observed, with legs exchanged where that fits poses; as it is for the tracker `frames`."""
+        observed, settings = self.observed, self.settings
+        if observed.observations is None or settings.tracker == "frames":
+            return observed.observations
+        return exchanged_sides(observed.body, observed.observations, observed.points, poses, settings.sigma_px)
+
     def nodes_seen(self, track: Track) -> Bool:
         """Return the nodes whose keypoints the cameras agree on, bool (T, K); all of them for silhouettes alone."""
-        found = self.trust(track.poses)
-        if found is None:
+        observed, fitting = self.observed, self._exchanged(track.poses)
+        if fitting is None:
             return np.ones(track.poses.turns.shape[:2], np.bool_)
-        return found.nodes_seen
+        return trust(observed.body, fitting, observed.points, track.poses, self.settings.sigma_px).nodes_seen
 
     def restart(self, poses: Poses, nodes_seen: Bool) -> Poses:
         """Return poses whose first node is interpolated where neither hip is seen."""
