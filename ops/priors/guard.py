@@ -11,6 +11,9 @@ from kinedex.ops.priors.allocation import Allocation
 F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
+GUARD = 1.12
+"""Priors of a hit are withdrawn where a track with them fits this many times as badly (docs/studies.md)."""
+
 LOCAL_GUARD, LOCAL_S = 1.05, 0.5
 """Archive poses are withdrawn where a track fits this many times as badly over half a second (docs/studies.md)."""
 

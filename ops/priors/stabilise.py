@@ -14,7 +14,7 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.priors.allocation import ARCHIVE, POSE, PriorRow, allocate, prior_rows
 from kinedex.ops.priors.archive_poses import relative_turns
 from kinedex.ops.priors.constraints import CONSTRAINTS
-from kinedex.ops.priors.guard import LOCAL_GUARD, LOCAL_S, allowed_ratios, cost_ratios, refuted_frames
+from kinedex.ops.priors.guard import GUARD, LOCAL_GUARD, LOCAL_S, allowed_ratios, cost_ratios, refuted_frames
 from kinedex.ops.priors.hits import Hit, at_rate, cut_to, find_hits
 from kinedex.ops.priors.motion import Motion
 from kinedex.ops.priors.terms import TrackState, make_terms
@@ -106,7 +106,7 @@ class Settings:
     kinds: tuple[str, ...] = (ARCHIVE,)
     threshold: float = 0.13
     rounds: int = 2
-    guard: float = 1.12
+    guard: float = GUARD
     factors: Mapping[str, float] = field(default_factory=dict)
     words_rate_hz: float = 30.0
     attempts: int = 2

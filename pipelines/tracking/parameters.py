@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.priors.guard import GUARD
 from kinedex.ops.priors.stabilise import Settings
 from kinedex.ops.templates.templates import Kind
 from kinedex.ops.tracking.take_tracker import Loss
@@ -67,7 +68,7 @@ class PriorParameters(BaseModel):
     )
     rounds: int = Field(2, ge=1, le=20, description="the most rounds")
     guard: float | None = Field(
-        1.1, gt=0, description="priors that raise the cost of the observations by more are withdrawn; null: never"
+        GUARD, gt=0, description="priors that raise the cost of the observations by more are withdrawn; null: never"
     )
     weights: dict[str, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = Field(
         {}, description="factors of the weights of kinds of priors, 1 unless given"
