@@ -63,8 +63,9 @@ def checked(function: T) -> T:
 
 
 def checked_methods(made: type[C]) -> type[C]:
-    """Check the arguments of all public methods of a class, as `checked` does."""
-    for name, member in list(vars(made).items()):
+    """Check the arguments of all public methods of a class, inherited ones included, as `checked` does."""
+    members = {name: member for one in reversed(made.__mro__) for name, member in vars(one).items()}
+    for name, member in members.items():
         if name.startswith("_"):
             continue
         if isinstance(member, classmethod):
