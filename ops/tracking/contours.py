@@ -29,13 +29,9 @@ SPACING_M = 0.03
 INSIDE = 0.97
 """A contour point nearer to the axis of another capsule than this share of its radius is hidden by it, or inside it."""
 
-WEIGHT, SIGMA_PX = 0.15, 3.0
-"""Weight of a correspondence, and standard deviation of the boundary in pixels of the camera."""
-
 HALF = 127.5
 """The boundary: half of a probability of foreground from 0 to 255."""
 
-_NEAREST_M = 0.3  # the least depth that a pixel's size is taken at, as for rays of keypoints
 _NORMAL_M = 0.01  # how far a point is moved along its normal to see where the normal points in the image
 
 
@@ -316,80 +312,3 @@ def _ray(view: View, column: float, row: float, direction: F64) -> bool:
         for a in range(3):
             direction[i] += view.rotation[a, i] * seen[a] / norm
     return bool(np.isfinite(norm))
-
-
-class ContourSums(NamedTuple):
-    """Correspondences as squares of the moves of joints from the pose that found them.
-
-    A point at the place s of a capsule's axis moves as (1 − s) of the joint at its start and s of that at its end.
-
-    Attributes
-    ----------
-    joints : float64 array (J, 3)
-        The joints of the pose that found the correspondences.
-    matrices : float64 array (J, 3, 3)
-        Sums of (1 − s)² A or s² A with A = w (I − n nᵀ).
-    vectors : float64 array (J, 3)
-        Sums of (1 − s) b or s b with b = w (I − n nᵀ)(y − C).
-    mixed : float64 array (N, 3, 3)
-        Sums of s (1 − s) A of each capsule.
-    """
-
-    joints: F64
-    matrices: F64
-    vectors: F64
-    mixed: F64
-
-
-def contour_sums(capsules: Capsules, joints: int) -> ContourSums:
-    """Return sums of no correspondence, for J joints."""
-    shapes = (joints, 3), (joints, 3, 3), (joints, 3), (len(capsules.radii), 3, 3)
-    return ContourSums(*(np.zeros(shape) for shape in shapes))
-
-
-@njit(cache=True, nogil=True)
-def add_contours(view: View, found: Contours, count: int, capsules: Capsules, sums: ContourSums) -> float:
-    """Add correspondences of one camera to the sums of a frame (thesis, Eq. 6.4).
-
-    Parameters
-    ----------
-    view : View
-        The camera.
-    found : Contours
-        The correspondences.
-    count : int
-        Their number.
-    capsules : Capsules
-        The surface of the body.
-    sums : ContourSums
-        The sums, which are added to.
-
-    Returns
-    -------
-    float
-        The sum of the squares, w ‖(I − n nᵀ)(y − C)‖².
-    """
-    cost = 0.0
-    focal = 0.5 * (view.matrix[0, 0] + view.matrix[1, 1])
-    apart = np.empty(3)
-    for c in range(count):
-        n = found.directions[c]
-        depth = 0.0
-        for i in range(3):
-            apart[i] = found.points[c, i] - view.centre[i]
-            depth += apart[i] * n[i]
-        weight = WEIGHT * (focal / (max(depth, _NEAREST_M) * SIGMA_PX)) ** 2
-        capsule, share = found.capsules[c], found.shares[c]
-        start, end = capsules.starts[capsule], capsules.ends[capsule]
-        for i in range(3):
-            apart[i] -= depth * n[i]
-            cost += weight * apart[i] * apart[i]
-        for i in range(3):
-            sums.vectors[start, i] += weight * (1.0 - share) * apart[i]
-            sums.vectors[end, i] += weight * share * apart[i]
-            for j in range(3):
-                part = weight * ((1.0 if i == j else 0.0) - n[i] * n[j])
-                sums.matrices[start, i, j] += (1.0 - share) ** 2 * part
-                sums.matrices[end, i, j] += share**2 * part
-                sums.mixed[capsule, i, j] += share * (1.0 - share) * part
-    return cost

@@ -20,7 +20,6 @@ from kinedex.ops.body.kinematic_chain import (
     ChainBody,
     Poses,
     forward,
-    point_jacobian,
     pose_joints,
     pose_nodes,
     rotation_of,
@@ -32,7 +31,6 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.blocks import (
     FrameRoom,
     PriorArrays,
-    add_point,
     frame_cost,
     frame_room,
     frame_terms,
@@ -40,15 +38,8 @@ from kinedex.ops.tracking.blocks import (
     prior_arrays,
 )
 from kinedex.ops.tracking.body_mask import count_overlap
-from kinedex.ops.tracking.contours import (
-    HALF,
-    ContourSums,
-    Silhouettes,
-    add_contours,
-    contour_room,
-    contour_sums,
-    find_contours,
-)
+from kinedex.ops.tracking.contour_sums import ContourSums, add_contours, add_sums, contour_sums, sums_cost
+from kinedex.ops.tracking.contours import HALF, Silhouettes, contour_room, find_contours
 from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
 from kinedex.ops.tracking.prior_terms import PriorTerms
 from kinedex.ops.tracking.rays import SIGMA_PX, Evidence, make_evidence, point_cost
@@ -428,7 +419,7 @@ def _solve_frame(
         if fresh:
             cost = frame_terms(chain, evidence, priors, t, place, turns, np.inf, units, room, gradient)
             pose_joints(chain, room.turned, room.centres, joints)
-            cost += _add_sums(chain, capsules, sums, joints, room, gradient)
+            cost += add_sums(chain, capsules, sums, joints, room, gradient)
         damped[:] = room.hessian
         for i in range(size):
             damped[i, i] += damping * room.hessian[i, i] + _STIFF
@@ -436,7 +427,7 @@ def _solve_frame(
         take_step(chain, place, turns, step, new_place, new_turns)
         new = frame_cost(chain, evidence, priors, t, new_place, new_turns, np.inf, units, room)
         pose_joints(chain, room.turned, room.centres, joints)
-        new += _sums_cost(capsules, sums, joints)
+        new += sums_cost(capsules, sums, joints)
         fresh = new < cost
         if not fresh:
             damping *= _RAISED
@@ -445,67 +436,3 @@ def _solve_frame(
         place[:], turns[:] = new_place, new_turns
         if cost - new <= _TOLERANCE * abs(cost):
             break
-
-
-@njit(cache=True, nogil=True)
-def _sums_cost(capsules: Capsules, sums: ContourSums, joints: F64) -> float:
-    """Return the cost of correspondences beyond that of the pose that found them."""
-    cost = 0.0
-    moves = joints - sums.joints
-    for j in range(len(joints)):
-        for i in range(3):
-            along = 2.0 * sums.vectors[j, i]
-            for a in range(3):
-                along += sums.matrices[j, i, a] * moves[j, a]
-            cost += along * moves[j, i]
-    for n in range(len(capsules.radii)):
-        start, end = capsules.starts[n], capsules.ends[n]
-        for i in range(3):
-            for a in range(3):
-                cost += 2.0 * moves[start, i] * sums.mixed[n, i, a] * moves[end, a]
-    return cost
-
-
-@njit(cache=True, nogil=True)
-def _add_sums(
-    chain: ChainArrays, capsules: Capsules, sums: ContourSums, joints: F64, room: FrameRoom, gradient: F64
-) -> float:
-    """Add the correspondences to H and g of a frame, and return their cost."""
-    moves, vectors = joints - sums.joints, sums.vectors.copy()
-    others = np.empty_like(room.columns)
-    for n in range(len(capsules.radii)):
-        start, end = capsules.starts[n], capsules.ends[n]
-        if sums.mixed[n, 0, 0] + sums.mixed[n, 1, 1] + sums.mixed[n, 2, 2] <= 0.0:
-            continue
-        for i in range(3):
-            for a in range(3):
-                vectors[start, i] += sums.mixed[n, i, a] * moves[end, a]
-                vectors[end, i] += sums.mixed[n, i, a] * moves[start, a]
-        one = point_jacobian(chain, room.turned, room.centres, chain.joint_nodes[start], joints[start], room.columns)
-        other = point_jacobian(chain, room.turned, room.centres, chain.joint_nodes[end], joints[end], others)
-        _add_mixed(room.columns, one, others, other, sums.mixed[n], room.hessian)
-    for j in range(len(joints)):
-        if sums.matrices[j, 0, 0] + sums.matrices[j, 1, 1] + sums.matrices[j, 2, 2] <= 0.0:
-            continue
-        for i in range(3):
-            for a in range(3):
-                vectors[j, i] += sums.matrices[j, i, a] * moves[j, a]
-        add_point(
-            chain, room.turned, room.centres, chain.joint_nodes[j], joints[j], sums.matrices[j], vectors[j],
-            room.columns, room.hessian, gradient,
-        )  # fmt: skip
-    return _sums_cost(capsules, sums, joints)
-
-
-@njit(cache=True, nogil=True)
-def _add_mixed(columns: F64, one: int, others: F64, other: int, matrix: F64, hessian: F64) -> None:
-    """Add JᵀAK + KᵀAJ of the derivatives of two points to the lower half of H."""
-    for a in range(one):
-        p, u, v, w = int(columns[a, 0]), columns[a, 1], columns[a, 2], columns[a, 3]
-        x = matrix[0, 0] * u + matrix[0, 1] * v + matrix[0, 2] * w
-        y = matrix[1, 0] * u + matrix[1, 1] * v + matrix[1, 2] * w
-        z = matrix[2, 0] * u + matrix[2, 1] * v + matrix[2, 2] * w
-        for b in range(other):
-            q = int(others[b, 0])
-            product = x * others[b, 1] + y * others[b, 2] + z * others[b, 3]
-            hessian[max(p, q), min(p, q)] += 2.0 * product if p == q else product

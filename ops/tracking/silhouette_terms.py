@@ -15,13 +15,8 @@ import numpy.typing as npt
 from kinedex.ops.body.capsules import rest_joints
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses, forward
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.tracking.contours import (
-    Silhouettes,
-    add_contours,
-    contour_room,
-    contour_sums,
-    find_contours,
-)
+from kinedex.ops.tracking.contour_sums import add_contours, contour_sums
+from kinedex.ops.tracking.contours import Silhouettes, contour_room, find_contours
 from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
 from kinedex.ops.tracking.prior_terms import PriorTerms, no_priors
 from kinedex.ops.tracking.rays import SIGMA_PX

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from kinedex.ops.body.capsules import Capsules
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.body_mask import render_mask
-from kinedex.ops.tracking.contours import add_contours, contour_points, contour_room, contour_sums, find_contours
+from kinedex.ops.tracking.contour_sums import add_contours, contour_sums
+from kinedex.ops.tracking.contours import contour_points, contour_room, find_contours
 from kinedex.ops.tracking.views import View, camera_view, mask_pixel
 from tests.ops.tracking.scene import CAPSULES, JOINTS, cameras, looking_at
 from tests.oracles import contours as oracle

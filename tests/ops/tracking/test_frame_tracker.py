@@ -10,7 +10,8 @@ from kinedex.ops.body.pose_fit import fit_poses
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking import frame_tracker as module
 from kinedex.ops.tracking.body_mask import render_mask
-from kinedex.ops.tracking.contours import ContourSums, Silhouettes
+from kinedex.ops.tracking.contour_sums import ContourSums
+from kinedex.ops.tracking.contours import Silhouettes
 from kinedex.ops.tracking.frame_tracker import FrameTrack, track_frames
 from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
 from kinedex.ops.tracking.prior_terms import PriorTerms, no_priors

@@ -7,7 +7,8 @@ import pytest
 
 from kinedex.ops.body.kinematic_chain import Poses, forward
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.tracking.contours import Silhouettes, add_contours, contour_room, contour_sums, find_contours
+from kinedex.ops.tracking.contour_sums import add_contours, contour_sums
+from kinedex.ops.tracking.contours import Silhouettes, contour_room, find_contours
 from kinedex.ops.tracking.frame_tracker import track_frames
 from kinedex.ops.tracking.silhouette_terms import silhouette_terms, track_take_on_silhouettes, with_places
 from kinedex.ops.tracking.take_tracker import TakeTrack, track_take
