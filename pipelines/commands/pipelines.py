@@ -32,12 +32,20 @@ from kinedex.pipelines.commands.output import print_json, show_outcome
 @command(RUN)
 def demo(
     store: Annotated[
-        Path, typer.Argument(metavar="STORE", help="Directory of the store; created where it is missing.")
-    ] = Path("build/demo-store"),
+        Path | None,
+        typer.Argument(
+            metavar="STORE",
+            help="Directory of the store; created where it is missing.",
+            show_default="build/demo-store; build/tracking-store with --tracking",
+        ),
+    ] = None,
     data: Annotated[
         Path | None, typer.Option(help="Archive of motion files; a synthetic one is made unless given.")
     ] = None,
-    minutes: Annotated[float, typer.Option(min=1, help="Minutes of motion in the synthetic archive.")] = 30.0,
+    minutes: Annotated[
+        float | None,
+        typer.Option(min=1, help="Minutes of motion in the synthetic archive.", show_default="30; 3 with --tracking"),
+    ] = None,
     method: Annotated[str, typer.Option(help="Method of annotation: thesis or best.")] = "thesis",
     tracking: Annotated[
         bool, typer.Option("--tracking", help="Film takes by simulated cameras, track and stabilise them.")
@@ -55,9 +63,11 @@ def demo(
     if tracking and data is not None:
         raise typer.BadParameter("--tracking films takes of the synthetic archive; leave out --data")
     if tracking:
-        show_outcome(run_tracking_demo(store, minutes, executor, workers, message_console()), store)
+        store = store or Path("build/tracking-store")
+        show_outcome(run_tracking_demo(store, minutes or 3.0, executor, workers, message_console()), store)
         return
-    show_outcome(run_demo(store, data, minutes, executor, workers, message_console(), method), store)
+    store = store or Path("build/demo-store")
+    show_outcome(run_demo(store, data, minutes or 30.0, executor, workers, message_console(), method), store)
 
 
 @command(RUN)
