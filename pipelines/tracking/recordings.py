@@ -18,7 +18,7 @@ from kinedex.catalog.cameras import Camera
 from kinedex.catalog.configs import config_path
 from kinedex.catalog.keypoint_sets import load_keypoint_set
 from kinedex.catalog.recordings import CameraRecording, RecordingsFile, load_recordings
-from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
 from kinedex.pipelines.tracking.tracked_takes import Provenance
 from kinedex.storage.formats.cameras.file_patterns import find_files
 from kinedex.storage.formats.cameras.recording import Recording, RecordingCounts, read_recording
@@ -47,8 +47,8 @@ def named_files(file: RecordingsFile, name: str) -> list[tuple[str, Path]]:
             continue
         try:
             files = find_files(file.folder, pattern, _ENDINGS.get(kind, "")).files
-        except KinedexError as fault:
-            raise file.error(name, kind, str(fault)) from None
+        except SourceError as fault:
+            raise file.error(name, kind, fault.reason) from None
         found += [(kind, path) for paths in files.values() for path in paths]
     keypoint_set = file.keypoint_set(name)
     if isinstance(keypoint_set, Path):

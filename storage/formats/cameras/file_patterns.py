@@ -89,7 +89,10 @@ def find_files(folder: Path, pattern: str, ending: str = "", excluded: Path | No
         if place.is_file() and place != excluded:
             files.setdefault(camera or "", []).append(place)
     if not files:
-        raise SourceError(folder, f"no file matches '{pattern}'; {{camera}} stands for a part of a name, * for letters")
+        below = "" if path.is_absolute() else f" below {folder.absolute()}"
+        raise SourceError(
+            folder, f"no file matches '{pattern}'{below}; {{camera}} stands for a part of a name, * for letters"
+        )
     order = sorted(files, key=natural_key)
     return CameraFiles(pattern, {key: tuple(sorted(files[key], key=_path_key)) for key in order})
 
@@ -133,8 +136,9 @@ def match_cameras(
     if len(cameras) != len(found):
         raise SourceError(
             path,
-            f"{what}: {{camera}} stands for {_some(found)} in the files, and the calibration has {_some(cameras)}: "
-            "no name agrees, and their numbers differ; name the files' parts as the cameras",
+            f"{{camera}} stands for {_some(found)} in the files of the {what}, and the calibration has "
+            f"{_some(cameras)}: no name is in both, and {len(found)} cannot be put beside {len(cameras)}; rename the "
+            "cameras of the calibration as the files have them",
         )
     pairs = dict(zip(sorted(cameras, key=natural_key), sorted(found, key=natural_key), strict=True))
     listed = ", ".join(f"{camera} = {value}" for camera, value in pairs.items())

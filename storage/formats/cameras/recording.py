@@ -244,7 +244,7 @@ def _files(file: RecordingsFile, name: str, key: str, pattern: str, ending: str 
     try:
         return find_files(file.folder, pattern, ending, file.located.path)
     except SourceError as fault:
-        raise file.error(name, key, f"{fault.reason} ({fault.path})") from None
+        raise file.error(name, key, fault.reason) from None
 
 
 def _calibration(file: RecordingsFile, name: str, given: CameraRecording) -> Calibration:

@@ -156,7 +156,9 @@ def test_names_are_matched_or_else_the_natural_order(tmp_path: Path) -> None:
     assert pairs == {"b": "front"}
     assert "no keypoints of camera a" in note
     assert "of x, which the calibration does not have" in note
-    with pytest.raises(SourceError, match="stands for x, y, z in the files, and the calibration has a, b"):
+    with pytest.raises(
+        SourceError, match="stands for x, y, z in the files of the keypoints, and the calibration has a, b"
+    ):
         match_cameras(tmp_path, "keypoints", ["a", "b"], {}, ["x", "y", "z"])
 
 
