@@ -14,12 +14,14 @@ import pyarrow.compute as pc
 from kinedex.catalog.kinematics import load_kinematic_chain
 from kinedex.ops.body.kinematic_chain import ChainBody, forward
 from kinedex.ops.tracking.rays import LEAST_CONFIDENCE
+from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.report.motions import embed, pack, script_json
 from kinedex.pipelines.report.page_environment import page_environment
 from kinedex.pipelines.tracking.recordings import StoredRecording, stored_recording
 from kinedex.pipelines.tracking.result_tables import stored_poses
 from kinedex.pipelines.tracking.stored_results import earlier_rows
 from kinedex.pipelines.tracking.track_evaluation import LIMBS, poses_of
+from kinedex.pipelines.tracking.work import ESTIMATE
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
@@ -73,13 +75,19 @@ class ShownPrior:
 
 @dataclass(frozen=True)
 class ShownTake:
-    """A stabilised take on the page; `bins` are shares of trusted keypoints, `figures` the metrics by take and part."""
+    """A stabilised take on the page.
+
+    `bins` are shares of trusted keypoints, `figures` the metrics by part, before and after, and `moved_mm` is the mean
+    way of all joints.
+    """
 
     take: str
     before: str
     recording: str
     frames: int
+    seconds: float
     near: int
+    moved_mm: float
     row: Mapping[str, Any]
     bins: tuple[float, ...]
     priors: tuple[ShownPrior, ...]
@@ -89,9 +97,28 @@ class ShownTake:
     remarks: tuple[str, ...] = field(default=())
 
     @property
-    def last(self) -> list[ShownPrior]:
-        """The priors of the last round, and those that were withdrawn."""
-        return [one for one in self.priors if one.round == self.row["rounds"] or not one.kept]
+    def lanes(self) -> dict[str, list[ShownPrior]]:
+        """The priors of the last round, and those that were withdrawn, by class."""
+        last = [one for one in self.priors if one.round == self.row["rounds"] or not one.kept]
+        return {label: [one for one in last if one.label == label] for label in sorted({one.label for one in last})}
+
+    @property
+    def withdrawn_seconds(self) -> float:
+        """The time in which priors were withdrawn."""
+        return (
+            len({frame for one in self.withdrawn for frame in range(one.start, one.stop)}) * self.seconds / self.frames
+        )
+
+    @property
+    def distances(self) -> tuple[float | None, float | None]:
+        """Mean distances from the truth before and after, over all frames."""
+        return next(((before, after) for name, before, after in self.figures if name == "all"), (None, None))
+
+    @property
+    def lengths(self) -> str:
+        """The origin of the bone lengths."""
+        origin = str(self.row["body_from"])
+        return "bone lengths measured in the recording" if origin == ESTIMATE else f"bone lengths of {origin}"
 
     @property
     def withdrawn(self) -> list[ShownPrior]:
@@ -128,7 +155,7 @@ def stabilised_page(store: Store, stage: str, title: str, most: int) -> str:
     ]
     rays = [found for take in order if (found := _rays(store, rows[take], stage, lengths[take])) is not None]
     return (
-        page_environment()
+        page_environment({"counted": counted})
         .get_template("stabilised.html.j2")
         .render(
             title=title, takes=shown, total=len(rows), motions=motions, scripts=True,
@@ -162,7 +189,7 @@ def _shown(store: Store, row: Mapping[str, Any], moved: F64, stage: str, frames:
     order = np.argsort(-moved.mean(axis=0), kind="stable")[: MOVED if whole else 0]
     figures = {name: _metrics(store, name) for name in (before, take)}
     return ShownTake(
-        take, before, row["recording"] or "", frames, near, row,
+        take, before, row["recording"] or "", frames, frames / store.rate_hz, near, float(moved.mean()), row,
         tuple(float(part.mean()) for part in np.array_split(trusted, min(BINS, len(trusted)))),
         tuple(_prior(one, frames, store.rate_hz) for one in _of_take(store, "priors", stage, take).to_pylist()),
         tuple((joints[j], float(moved[:, j].mean()), float(moved[:, j].max())) for j in order),
