@@ -285,7 +285,7 @@ rate_hz    DOUBLE    frames per second of its poses
 source_frames    BIGINT    its number of poses
 rounds    INTEGER    rounds with priors; 0 for a take that was tracked
 hits    INTEGER    hits that lent priors in the last round
-withdrawn    INTEGER    hits whose priors were withdrawn
+withdrawn    INTEGER    hits whose priors were withdrawn, wholly or in part, in all rounds
 remarks    VARCHAR[]    remarks about it
 fingerprint    VARCHAR    hash of all that it follows from""",
         "SELECT take, tracker, source_frames / rate_hz AS seconds, hits, withdrawn FROM tracks ORDER BY take",

@@ -141,10 +141,10 @@ def _show(one: Explanation, unchanged: bool, explain: bool) -> None:
         rows = one.priors.select(list(_SHOWN))
         if rows.num_rows:
             show_table(rows, "table", None)
+        else:
+            print_message(f"{one.take}: no motion of the archive was found within tau")
+    if unchanged:
         print_message(
-            f"{one.take}: {counted(one.row['hits'], 'hit')} lent priors in round {one.row['rounds']}, "
-            f"{one.row['withdrawn']} withdrawn in all; joints moved by {one.moved_mm:.1f} mm on average; as "
-            f"{one.stabilised}"
+            f"{one.take}: up to date as {one.stabilised}; {counted(one.row['hits'], 'hit')} lent priors, joints "
+            f"moved by {one.moved_mm:.1f} mm on average"
         )
-    elif unchanged:
-        print_message(f"{one.take}: up to date as {one.stabilised}")

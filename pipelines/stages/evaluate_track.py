@@ -16,6 +16,7 @@ from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.tracking.recordings import stored_rows
 from kinedex.pipelines.tracking.stored_results import earlier_rows
 from kinedex.pipelines.tracking.track_evaluation import compared, metrics_table, poses_of, truth_reference
+from kinedex.pipelines.tracking.tracked_takes import STABILISED, TRACKED
 from kinedex.pipelines.tracking.work import hash_of
 from kinedex.storage.store.store import Store
 
@@ -88,10 +89,15 @@ def _table(rows: list[dict[str, Any]]) -> Table:
     for column in columns:
         table.add_column(column, justify="left" if column == "take" else "right")
     parts = {(row["take"], row["name"]): row["mean_mm"] for row in rows if row["scope"] == "part"}
-    for row in rows:
+    for row in sorted(rows, key=lambda row: (_subject(row["take"]), -row["take"].endswith(TRACKED))):
         if row["scope"] == "take":
             figures = [row["mean_mm"], row["sd_mm"], row["max_mm"]]
             figures += [parts.get((row["take"], name)) for name in ("in failures", "elsewhere")]
             texts = ["–" if one is None else f"{one:.1f}" for one in figures]
             table.add_row(plain_text(row["take"]), *texts)
     return table
+
+
+def _subject(take: str) -> str:
+    """Return the name of a take without its end, which the tracked and the stabilised one have in common."""
+    return take.removesuffix(TRACKED).removesuffix(STABILISED)

@@ -116,5 +116,5 @@ def stabilise_parameters(given: Mapping[str, object]) -> StabiliseParameters:
         return StabiliseParameters.model_validate(dict(given))
     except ValidationError as fault:
         first = fault.errors()[0]
-        name = ".".join(map(str, first["loc"]))
-        raise KinedexError(f"{name}: {first['msg']}, got {first['input']!r}") from None
+        wrong = f"{first['msg'][0].lower()}{first['msg'][1:]}".removeprefix("input ")
+        raise KinedexError(f"{first['loc'][0]}: {wrong}, got {first['input']!r}") from None

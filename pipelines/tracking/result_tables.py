@@ -97,7 +97,6 @@ class TrackResult:
 
     def _track(self) -> list[dict[str, Any]]:
         chain, last = self.tracker.body.chain, self.last_rows
-        withdrawn = {row.hit for row in last if not row.kept}
         return [
             {
                 "recording": self.recording,
@@ -112,7 +111,7 @@ class TrackResult:
                 "rate_hz": self.tracker.rate_hz,
                 "source_frames": len(self.poses.places),
                 "rounds": self.rounds,
-                "hits": len({row.hit for row in last} - withdrawn),
+                "hits": len({row.hit for row in last if row.kept}),
                 "withdrawn": len({(row.round, row.hit) for row in self.rows if not row.kept}),
                 "remarks": list(self.remarks),
                 "fingerprint": self.fingerprint,

@@ -228,10 +228,11 @@ def stabilise(
     Raises
     ------
     KinedexError
-        A take is not in the store, or was stabilised already.
+        A take is not in the store, is a stabilised one, or would replace a stabilised one of another take.
     """
     store = writer.store
     require_takes(store, takes)
+    _refuse_stabilised(store, takes)
     motions, remarks = _motions(writer, params, archive, place)
     mean, ids = archive_body(store), _take_ids(writer, map(stabilised_name, takes))
     lent = hash_of(*(part for motion in motions for part in _motion_parts(motion)))
@@ -259,6 +260,27 @@ def require_takes(store: Store, takes: Iterable[str]) -> None:
     for take in takes:
         if take not in store.take_ids:
             raise KinedexError(f"{store.path}: no take '{take}'{did_you_mean(take, store.take_ids)}")
+
+
+def _refuse_stabilised(store: Store, takes: Iterable[str]) -> None:
+    """Raise a KinedexError if a take is stabilised already, or its new name is that of another one's result."""
+    origins: dict[str, str] = {}
+    for rows in store.result_pieces("tracks", store.manifest.results.get("tracks", ())):
+        for row in rows.to_pylist():
+            if row["track_of"] is not None and store.take_ids.get(row["take"]) == row["take_id"]:
+                origins[row["take"]] = row["track_of"]
+    for take in takes:
+        if take in origins:
+            raise KinedexError(
+                f"take '{take}' is stabilised already; stabilise '{origins[take]}' again, with other settings"
+            )
+        name = stabilised_name(take)
+        other = origins.setdefault(name, take)
+        if other != take:
+            raise KinedexError(
+                f"take '{take}' would become '{name}', and so does '{other}'; stabilise one of them, or remove the "
+                f"result of the other first: kinedex takes remove {store.path} {name}"
+            )
 
 
 def _silhouettes_only(store: Store, recording: str) -> bool:

@@ -105,7 +105,8 @@ def stabilise_stored(
 
 def store_archive(store: Store, params: StabiliseParameters, executor: Executor) -> Archive:
     """Return the templates that a store has, or those that its takes with a class give, with their examples."""
-    found = [one.one for one in stored_templates(store) if one.one.kind == params.templates]
+    stored = stored_templates(store) if store.manifest.results.get("templates") else []
+    found = [one.one for one in stored if one.one.kind == params.templates]
     try:
         clips = training_material(store, TemplateParameters.model_validate({})).clips
     except KinedexError:

@@ -212,8 +212,8 @@ def recording_subject(store: Store, found: StoredRecording, mean: ChainBody, sig
         estimate = estimate_body(mean.chain, points, cameras, recording.body_points(mean).joints, mean)
         given, body = estimate.body, ESTIMATE
         remarks += [
-            f"{one.joint}: {one.left_m:.3f} m on the left, {one.right_m:.3f} m on the right; keypoints under a wrong "
-            "name, or a bad calibration?"
+            f"the bone that ends in the {one.joint} is {one.left_m:.3f} m on the left and {one.right_m:.3f} m on the "
+            "right; keypoints under a wrong name, or a bad calibration?"
             for one in estimate.uneven
         ]
     observed = Observed(
@@ -325,13 +325,14 @@ def _doubts(result: TrackResult, subject: Subject) -> str:
 
 def _stabilised_line(task: StabiliseTask, result: TrackResult) -> str:
     kept = {(row.round, row.hit) for row in result.rows if row.kept}
-    gone = {(row.round, row.hit) for row in result.rows if not row.kept}
+    gone = [row for row in result.rows if not row.kept]
     last = {hit for number, hit in kept if number == result.rounds}
     moved = 0.0 if result.moved_mm is None else float(result.moved_mm.mean())
     if not kept:
-        why = f"{counted(len(gone), 'hit')} withdrawn" if gone else "no motion of the archive was found"
+        why = "all priors were withdrawn" if gone else "no motion of the archive was found"
         return f"{task.of}: nothing changed, {why}; as {task.take}"
-    withdrawn = f", {counted(len(gone), 'hit')} withdrawn" if gone else ""
+    frames = {frame for row in gone for frame in range(row.start, row.stop)}
+    withdrawn = f", withdrawn over {len(frames) / result.tracker.rate_hz:.1f} s" if gone else ""
     return (
         f"{task.of}: priors of {counted(len(last), 'hit')} in {counted(result.rounds, 'round')}{withdrawn}; joints "
         f"moved by {moved:.1f} mm on average; as {task.take}"

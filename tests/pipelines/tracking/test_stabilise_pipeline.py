@@ -94,6 +94,9 @@ def test_the_page_shows_takes_before_and_after_with_rays(folder: Path) -> None:
     assert [one["name"] for one in data["rays"][0]["cameras"]] == ["cam1", "cam2", "cam3", "cam4"]
     assert "Residuals of rays" in page
     assert "Distance from the truth" in page
+    assert "1 stabilised take. " in page
+    for row in open_store(folder / "store").result("priors").to_pylist():
+        assert f"<span>{row['class']}</span>" in page
 
 
 def test_a_take_without_cameras_is_stabilised_by_a_command(folder: Path) -> None:
@@ -104,7 +107,15 @@ def test_a_take_without_cameras_is_stabilised_by_a_command(folder: Path) -> None
     again = kinedex("stabilise", folder / "store", "x_bo_sway_1", "--rounds", 1, "--explain")
     assert "as x_bo_sway_1_stabilised" in again
     assert "no take 'x_bo_swya_1'" in kinedex("stabilise", folder / "store", "x_bo_swya_1", code=1)
-    assert "priors.0" in kinedex("stabilise", folder / "store", "x_bo_sway_1", "--priors", "pse", code=1)
+    wrong = kinedex("stabilise", folder / "store", "x_bo_sway_1", "--priors", "pse", code=1)
+    assert "priors: should be 'archive', 'pose' or 'logical', got 'pse'" in wrong
+
+
+def test_a_stabilised_take_is_neither_stabilised_again_nor_replaced_by_that_of_another(folder: Path) -> None:
+    again = kinedex("stabilise", folder / "store", f"{FILMED}_stabilised", code=1)
+    assert f"is stabilised already; stabilise '{FILMED}_tracked' again" in " ".join(again.split())
+    other = kinedex("stabilise", folder / "store", FILMED, code=1)
+    assert f"would become '{FILMED}_stabilised', and so does '{FILMED}_tracked'" in " ".join(other.split())
 
 
 def test_a_recordings_file_that_is_wrong_is_refused_with_its_line(folder: Path, tmp_path: Path) -> None:
