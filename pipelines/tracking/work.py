@@ -328,15 +328,25 @@ def _stabilised_line(task: StabiliseTask, result: TrackResult) -> str:
     gone = [row for row in result.rows if not row.kept]
     last = {hit for number, hit in kept if number == result.rounds}
     moved = 0.0 if result.moved_mm is None else float(result.moved_mm.mean())
+    filled = _filled(result.tracker.observed)
     if not kept:
-        why = "all priors were withdrawn" if gone else "no motion of the archive was found"
-        return f"{task.of}: nothing changed, {why}; as {task.take}"
+        why = "all were withdrawn" if gone else "no motion of the archive was found"
+        return f"{task.of}: no priors, {why}{filled}; as {task.take}"
     frames = {frame for row in gone for frame in range(row.start, row.stop)}
     withdrawn = f", withdrawn over {len(frames) / result.tracker.rate_hz:.1f} s" if gone else ""
     return (
         f"{task.of}: priors of {counted(len(last), 'hit')} in {counted(result.rounds, 'round')}{withdrawn}; joints "
-        f"moved by {moved:.1f} mm on average; as {task.take}"
+        f"moved by {moved:.1f} mm on average{filled}; as {task.take}"
     )
+
+
+def _filled(observed: Observed) -> str:
+    """Return a phrase that reports the gaps of a 3D track; joints that it never has are none."""
+    if not isinstance(observed.observations, Places):
+        return ""
+    known: npt.NDArray[np.bool_] = np.all(np.isfinite(observed.observations.places), axis=2)
+    gaps = int((~known[:, known.any(axis=0)]).any(axis=1).sum())
+    return f"; gaps in {counted(gaps, 'frame')} filled" if gaps else ""
 
 
 def hash_of(*parts: object) -> str:

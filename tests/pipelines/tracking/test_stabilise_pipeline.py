@@ -60,6 +60,9 @@ def test_results_describe_recordings_cameras_frames_and_priors(folder: Path) -> 
     poses = store.sql("SELECT len(place) AS p, len(turns) AS t FROM chain_poses LIMIT 1").to_pylist()[0]
     assert poses == {"p": 3, "t": 60}
     assert set(store.result("priors").column("class").to_pylist()) <= {"hop", "sway"}
+    lent = "SELECT count(DISTINCT hit) FILTER (kept) AS n FROM priors p WHERE p.take = t.take AND round = t.rounds"
+    for row in store.sql(f"SELECT hits, ({lent}) AS n FROM tracks t WHERE track_of IS NOT NULL").to_pylist():
+        assert row["hits"] == row["n"]
     stored = stored_recording(store, FILMED)
     assert stored.recording is not None
     assert stored.recording.pixels.shape[:2] == (frames, cameras)
