@@ -14,7 +14,7 @@ from tests.attacks.flips import attack
 from tests.attacks.outcome import Options
 from tests.storage.made_up import BODY, add, make_store
 
-EACH = 2
+EACH = 1
 
 
 def test_a_flipped_bit_is_the_same_answer_or_an_error_that_names_the_file(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from tests.attacks.power_loss import attack
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("strace") is None, reason="no strace on this machine")
 def test_unflushed_writes_tear_no_version(tmp_path: Path) -> None:
-    outcome = attack(tmp_path, every=67)
+    outcome = attack(tmp_path, every=151)
     assert outcome.failures == []
     assert outcome.counts["crash points"] >= 12
     assert min(outcome.counts["before"], outcome.counts["after"]) > 0

@@ -161,7 +161,7 @@ def test_parameters_fill_a_query(store: Store) -> None:
 
 
 def test_a_misspelt_view_is_answered_with_the_nearest_and_all(store: Store) -> None:
-    with pytest.raises(KinedexError, match=r"did you mean 'word_runs'\?\n.*annotations, classes, cooccurrence"):
+    with pytest.raises(KinedexError, match=r"did you mean 'word_runs'\?\n.*annotations, archive_poses, cameras"):
         store.sql("FROM word_run")
     with pytest.raises(KinedexError, match="did you mean 'runs_where'"):
         store.sql("FROM runs_were(1)")
