@@ -18,7 +18,7 @@ GRACE = 1.2
 """Seconds that a statement has to stop before it is abandoned: DuckDB interrupts no call of a single function."""
 
 _abandoned: dict[duckdb.DuckDBPyConnection, threading.Event] = {}
-_stopped: list[threading.Thread] = []
+_THREAD = "kinedex-sql"
 
 
 class TimeLimitError(KinedexError):
@@ -55,6 +55,8 @@ def run_bounded(connection: duckdb.DuckDBPyConnection, work: Callable[[], T], ti
         return work()
     run = _Run(work)
     try:
+        # Ctrl-C may come while the thread starts
+        run.thread.start()
         if run.wait(timeout):
             return run.result()
         run.stop(connection)
@@ -64,9 +66,8 @@ def run_bounded(connection: duckdb.DuckDBPyConnection, work: Callable[[], T], ti
             run.stop(connection)
         raise KeyboardInterrupt("the statement was stopped") from None
     finally:
-        if not run.done.is_set():
+        if run.thread.is_alive() and not run.done.is_set():
             _abandoned[connection] = run.done
-        _stopped[:] = [thread for thread in (*_stopped, run.thread) if thread.is_alive()]
     raise TimeLimitError(
         f"the statement did not end within {timeout:g} s; give it more time, or fewer rows with WHERE or LIMIT"
     )
@@ -80,8 +81,7 @@ class _Run(Generic[T]):
         self._work = work
         self._results: list[T] = []
         self._fault: BaseException | None = None
-        self.thread = threading.Thread(target=self._run, name="kinedex-sql", daemon=True)
-        self.thread.start()
+        self.thread = threading.Thread(target=self._run, name=_THREAD, daemon=True)
 
     def _run(self) -> None:
         try:
@@ -125,5 +125,5 @@ def abandoned_statements() -> int:
 
 
 def is_running() -> bool:
-    """Return whether the thread of a statement that was stopped is alive, if only to free what the statement held."""
-    return any(thread.is_alive() for thread in _stopped)
+    """Return whether the thread of a statement is alive, if only to free what the statement held."""
+    return any(thread.name == _THREAD for thread in threading.enumerate())

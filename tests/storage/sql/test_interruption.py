@@ -79,7 +79,6 @@ def command(path: Path, *arguments: str, **streams: int) -> Iterator[subprocess.
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows sends no SIGINT to one process")
 @pytest.mark.parametrize(("statement", "times"), [(MANY_ROWS, 1), (ONE_FUNCTION, 1), (ONE_FUNCTION, 2)])
-@pytest.mark.xfail(reason="about one process in ten dies when its stopped statement is freed", strict=False)
 def test_ctrl_c_ends_the_command_without_a_traceback(path: Path, statement: str, times: int) -> None:
     with command(path, statement) as process:
         assert process.stderr is not None
@@ -90,8 +89,25 @@ def test_ctrl_c_ends_the_command_without_a_traceback(path: Path, statement: str,
     assert (process.returncode, out, err) == (130, "", "kinedex: the statement was stopped\n")
 
 
+def test_ctrl_c_while_the_thread_of_a_statement_starts(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    start = threading.Thread.start
+    started = []
+
+    def interrupted(thread: threading.Thread) -> None:
+        start(thread)
+        started.append(thread)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as changed:
+        changed.setattr(threading.Thread, "start", interrupted)
+        with pytest.raises(KeyboardInterrupt, match="the statement was stopped"):
+            store.sql(MANY_ROWS, timeout=SECONDS)
+    started[0].join(SECONDS)
+    assert not interruption.is_running()
+    assert store.sql("SELECT 1 AS x", timeout=SECONDS).num_rows == 1
+
+
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no pseudo-terminals")
-@pytest.mark.xfail(reason="about one process in ten dies when its stopped statement is freed", strict=False)
 def test_ctrl_c_in_the_prompt_ends_the_statement_and_not_the_prompt(path: Path) -> None:
     import pty
 
