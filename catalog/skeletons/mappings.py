@@ -18,12 +18,12 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from kinedex.catalog.configs import Located, config_names, config_path, load_yaml
 from kinedex.catalog.skeletons.evidence import Evidence
-from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
 from kinedex.catalog.skeletons.recognition.landmarks import Landmarks
 from kinedex.catalog.skeletons.recognition.names import LONGEST_PREFIX, Vocabulary
 from kinedex.catalog.skeletons.recognition.points import recognise_points
 from kinedex.catalog.skeletons.recognition.recognised_tree import recognise_tree
 from kinedex.catalog.skeletons.skeleton_fit import Axis, Fit, Format, Mix, SkeletonMapping
+from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import SourceError, did_you_mean
 
 __all__ = ["Fit", "Format", "Mappings", "Mix", "SkeletonMapping", "load_mappings", "load_skeleton", "stripping"]

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import Gap, KeyframeQuery, features_of
 from kinedex.catalog.queries.query_writer import pose_groups
-from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
+from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.search.gaps import UNBOUNDED
 from kinedex.pipelines.report.motions import pack
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
-from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
+from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT
 from kinedex.storage.formats.motion.joint_motion import JointMotion

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
-from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
+from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT
 from kinedex.storage.disk import whole_file
 

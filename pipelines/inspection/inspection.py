@@ -14,11 +14,11 @@ from rich.console import Console
 from kinedex.catalog.features import FeatureSet, load_feature_set
 from kinedex.catalog.quality import quality_warnings
 from kinedex.catalog.quality_figures import FIGURES
-from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
 from kinedex.catalog.skeletons.mappings import Format, Mappings, load_mappings
 from kinedex.catalog.skeletons.units import body_height
 from kinedex.ops.body import kinematics
 from kinedex.ops.body.gaps import find_gaps
+from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.body.plausibility import Plausibility, reasons
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.pipelines.console.tables import Shown, pairs

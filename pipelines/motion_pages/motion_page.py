@@ -9,7 +9,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
+from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.motion_pages.examples import Examples
 from kinedex.pipelines.report.motions import Motions, motions_json

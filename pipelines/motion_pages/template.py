@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
-from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
+from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.templates.derived_templates import consistency
 from kinedex.ops.templates.templates import Template, quantise
 from kinedex.ops.templates.warping import align

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
-from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
+from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.console.wording import few
 from kinedex.storage.snapshot.parts import joint_positions

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
 from kinedex.catalog.skeletons.mappings import load_mappings
+from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.amc import AmcFile
 from kinedex.storage.formats.motion.asf import Skeleton, read_asf

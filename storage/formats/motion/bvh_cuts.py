@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
 from kinedex.catalog.skeletons.mappings import Mappings, load_mappings
+from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.body.kinematics import Step
 from kinedex.storage.formats.motion.bvh import FittedPerson, fitted_person, persons_of
 from kinedex.storage.formats.motion.bvh_parser import BvhFile

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
+from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.body.kinematics import frames_along, quaternions
 from kinedex.ops.body.transforms import rotations
 from kinedex.ops.errors import KinedexError

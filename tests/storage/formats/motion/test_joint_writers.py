@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from kinedex.catalog.configs import load_yaml
-from kinedex.catalog.skeletons.joint_tree import JOINT_PARENTS
+from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.api.new_takes import read

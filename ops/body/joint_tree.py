@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 JOINT_PARENTS = {
     "root": None, "lhip": "root", "lknee": "lhip", "lankle": "lknee", "ltoes": "lankle",
     "rhip": "root", "rknee": "rhip", "rankle": "rknee", "rtoes": "rankle",
@@ -10,3 +12,9 @@ JOINT_PARENTS = {
     "rclavicle": "neck", "rshoulder": "rclavicle", "relbow": "rshoulder", "rwrist": "relbow", "rfingers": "rwrist",
 }  # fmt: skip
 """Named joint → the joint that it hangs from; None for the root. Parents come before their children."""
+
+JOINTS = tuple(JOINT_PARENTS)
+"""The 24 named joints in their order, parents before children."""
+
+PARENTS = np.array([-1 if parent is None else JOINTS.index(parent) for parent in JOINT_PARENTS.values()], np.int64)
+"""The number of the joint that each of `JOINTS` hangs from; −1 for the root."""
