@@ -1,0 +1,1 @@
+"""Full-body motion from one depth camera (thesis, Chapter 8)."""

@@ -1,0 +1,276 @@
+"""Lookup of poses by geodesic extrema, whose labels are not known (thesis, Section 8.4.3)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.body.joint_tree import JOINTS
+from kinedex.ops.depth.pose_database import COMPARED, ENDS, turn_poses
+from kinedex.ops.depth.pose_index import PoseIndex, pose_centres, search
+from kinedex.ops.errors import ParameterError
+
+Bool = npt.NDArray[np.bool_]
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+NEAR_M = 0.5
+"""An end is looked for among extrema that are so near to where it was (μ of Eq. 8.4)."""
+
+JUMP_M = 0.25
+"""Feet are looked for among the lowest extrema where one lies so far from all of the frame before."""
+
+MOST_MAPS = 12
+"""The maps of least sum of distances are tried."""
+
+NEIGHBOURS = 10
+"""Poses that are retrieved for each map (K)."""
+
+APART_M = 0.1
+"""Candidates differ by more than this root mean square over the compared joints."""
+
+_LAMBDA = 0.5  # of the ends' distance in Eq. 8.6; the rest is the distance from the previous pose
+_FEET = 12  # maps in which the two lowest extrema are the feet
+
+
+class Proposals(NamedTuple):
+    """Candidates from the database, cheapest first, and the maps that were tried.
+
+    Attributes
+    ----------
+    poses : float64 array (C, 24, 3)
+        The poses, placed in the frame, in metres.
+    rows : int64 array (C,)
+        Their rows in the database.
+    costs : float64 array (C,)
+        Their costs (thesis, Eq. 8.6, with root mean squares).
+    origins : int64 array (C,)
+        The map that each was found by.
+    maps : int64 array (M, 5)
+        For each map the extremum that is taken for each of the five ends.
+    sums : float64 array (M,)
+        For each map the sum of distances from the previous ends in metres; NaN for one of the lowest as feet.
+    """
+
+    poses: F64
+    rows: I64
+    costs: F64
+    origins: I64
+    maps: I64
+    sums: F64
+
+
+class Lookup:
+    """Proposes poses of a database for the extrema of frames.
+
+    Parameters
+    ----------
+    index : PoseIndex
+        The poses on the bones of the person.
+    candidates : int, optional
+        The most candidates of a frame.
+    among : int, optional
+        Ends are sought among so many first extrema: 6, or 5 as printed.
+
+    Raises
+    ------
+    ParameterError
+        There is no candidate, or fewer than five extrema.
+    """
+
+    def __init__(self, index: PoseIndex, candidates: int = 3, among: int = 6) -> None:
+        if candidates < 1:
+            raise ParameterError("candidates", "at least 1", candidates)
+        if not 5 <= among <= 20:
+            raise ParameterError("among", "from 5 to 20", among)
+        self.index = index
+        self.among = among
+        count = min(NEIGHBOURS, len(index.poses))
+        most = MOST_MAPS + _FEET
+        self._centres = pose_centres(index.poses)
+        self._maps, self._sums = np.empty((most, 5), np.int64), np.empty(most)
+        self._queries = np.empty((most, 15), np.float32)
+        self._rows, self._squares = np.empty((most, count), np.int64), np.empty((most, count), np.float32)
+        self._costs = np.empty((most, count))
+        self._poses = np.empty((candidates, len(JOINTS), 3))
+        self._found = np.empty((candidates, 2), np.int64)
+
+    def propose(
+        self,
+        extrema: F64,
+        centre: F64,
+        facing: F64,
+        previous: F64 | None,
+        *,
+        compare: bool = True,
+        jumped: bool = False,
+    ) -> Proposals:
+        """Propose poses for a frame.
+
+        Parameters
+        ----------
+        extrema : float64 array (N, 3)
+            The geodesic extrema in their order, in metres; with fewer than five there is no proposal.
+        centre : float64 array (3,)
+            The centre of the points.
+        facing : float64 array (2,)
+            The unit direction (x, z) that the person faces.
+        previous : float64 array (24, 3) or None
+            The pose of the frame before; None at a start.
+        compare : bool, optional
+            False for costs without the distance from the previous pose.
+        jumped : bool, optional
+            Try the two lowest extrema as feet, as at a start.
+
+        Returns
+        -------
+        Proposals
+            The candidates and the maps that were tried.
+        """
+        maps = 0
+        if len(extrema) >= 5 and previous is not None:
+            ends = np.ascontiguousarray(previous[ENDS])
+            maps = near_maps(extrema[: self.among], ends, self._maps, self._sums)
+        if len(extrema) >= 5 and (previous is None or jumped or not maps):
+            maps = feet_maps(extrema[:5], self._maps, self._sums, maps)
+        found = _propose(
+            extrema, centre, facing, np.zeros((len(JOINTS), 3)) if previous is None else previous,
+            previous is not None and compare, maps, self._maps, self.index.poses, self._centres, self._queries,
+            self.index.ordered, self.index.order, self.index.edges, self.index.boxes, self._rows, self._squares,
+            self._costs, self._poses, self._found,
+        )  # fmt: skip
+        chosen, places = self._found[:found, 0].copy(), self._found[:found, 1]
+        return Proposals(
+            self._poses[:found].copy(),
+            self._rows[chosen, places],
+            self._costs[chosen, places],
+            chosen,
+            self._maps[:maps].copy(),
+            self._sums[:maps].copy(),
+        )
+
+
+@nb.njit(cache=True, nogil=True)
+def near_maps(extrema: F64, ends: F64, maps: I64, sums: F64) -> int:
+    """Write the `MOST_MAPS` injective maps of five ends to extrema of least sum, all distances below `NEAR_M`.
+
+    Parameters
+    ----------
+    extrema : float64 array (N, 3)
+        The extrema to choose from.
+    ends : float64 array (5, 3)
+        The previous ends.
+    maps : int64 array (M, 5)
+        The maps by their sums; at equal sums by the numbers of their extrema.
+    sums : float64 array (M,)
+        Their sums of distances.
+
+    Returns
+    -------
+    int
+        The number of maps.
+    """
+    count = len(extrema)
+    distances = np.empty((5, count))
+    for e in range(5):
+        for n in range(count):
+            distances[e, n] = np.sqrt(((ends[e] - extrema[n]) ** 2).sum())
+    used, choice, partial = np.zeros(count, np.bool_), np.full(5, -1, np.int64), np.zeros(6)
+    found, e = 0, 0
+    while e >= 0:  # depth first, in the order of numbers
+        if choice[e] >= 0:
+            used[choice[e]] = False
+        choice[e] += 1
+        while choice[e] < count and (used[choice[e]] or not distances[e, choice[e]] < NEAR_M):
+            choice[e] += 1
+        if choice[e] == count:
+            choice[e] = -1
+            e -= 1
+            continue
+        partial[e + 1] = partial[e] + distances[e, choice[e]]
+        if e < 4:
+            used[choice[e]] = True
+            e += 1
+            continue
+        if found == MOST_MAPS and not partial[5] < sums[found - 1]:
+            continue
+        found = min(found + 1, MOST_MAPS)
+        place = found - 1
+        while place > 0 and sums[place - 1] > partial[5]:
+            sums[place], maps[place] = sums[place - 1], maps[place - 1]
+            place -= 1
+        sums[place], maps[place] = partial[5], choice
+    return found
+
+
+@nb.njit(cache=True, nogil=True)
+def feet_maps(extrema: F64, maps: I64, sums: F64, count: int) -> int:
+    """Append the 12 maps of five ends to five extrema in which the two lowest are the feet; return the new number."""
+    lowest = np.argsort(extrema[:, 1], kind="mergesort")
+    feet, others = np.sort(lowest[:2]), np.sort(lowest[2:])
+    for swap in range(2):
+        for first in range(3):
+            for second in range(3):
+                if first != second:
+                    maps[count, 0], maps[count, 1] = others[first], others[second]
+                    maps[count, 2], maps[count, 3] = feet[swap], feet[1 - swap]
+                    maps[count, 4] = others[3 - first - second]
+                    sums[count] = np.nan
+                    count += 1
+    return count
+
+
+@nb.njit(cache=True, nogil=True)
+def pose_distance(pose: F64, other: F64) -> float:
+    """Return the root mean square distance of two poses (24, 3) over the compared joints (thesis, Eq. 8.1, as RMS)."""
+    total = 0.0
+    for j in COMPARED:
+        for axis in range(3):
+            total += (pose[j, axis] - other[j, axis]) ** 2
+    return np.sqrt(total / len(COMPARED))
+
+
+@nb.njit(cache=True, nogil=True)
+def _propose(
+    extrema: F64, centre: F64, facing: F64, previous: F64, compare: bool, count: int, maps: I64, poses: F64,
+    centres: F64, queries: F32, ordered: F32, order: I64, edges: I64, boxes: F32, rows: I64, squares: F32, costs: F64,
+    placed: F64, found: I64,
+) -> int:  # fmt: skip
+    """Retrieve poses for every map, and place the cheapest ones that are apart; return their number."""
+    turned = extrema - centre
+    turn_poses(turned, -facing[0], facing[1])
+    before = previous - centre
+    turn_poses(before, -facing[0], facing[1])
+    for m in range(count):
+        for e in range(5):
+            for axis in range(3):
+                queries[m, 3 * e + axis] = turned[maps[m, e], axis]
+    rows[:count], squares[:count] = -1, np.inf
+    search(queries[:count], ordered, order, edges, boxes, rows[:count], squares[:count])
+    for m in range(count):
+        for k in range(rows.shape[1]):
+            costs[m, k] = np.sqrt(float(squares[m, k]) / 5.0)
+            if compare:
+                pose = poses[rows[m, k]] - centres[rows[m, k]]
+                costs[m, k] = _LAMBDA * costs[m, k] + (1.0 - _LAMBDA) * pose_distance(pose, before)
+            else:
+                costs[m, k] *= _LAMBDA
+    taken = 0
+    for flat in np.argsort(costs[:count].copy().ravel(), kind="mergesort"):
+        if taken == len(placed):
+            break
+        m, k = flat // rows.shape[1], flat % rows.shape[1]
+        pose = poses[rows[m, k]] - centres[rows[m, k]]
+        turn_poses(pose, facing[0], facing[1])
+        pose += centre
+        apart = True
+        for other in range(taken):
+            apart &= pose_distance(pose, placed[other]) > APART_M
+        if apart:
+            placed[taken], found[taken, 0], found[taken, 1] = pose, m, k
+            taken += 1
+    return taken

@@ -1,0 +1,378 @@
+"""The pose database: unit bone directions of an archive, put on any body, thinned to poses that differ."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.body.joint_tree import JOINTS, PARENTS
+from kinedex.ops.errors import ParameterError
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+LEAST_BONE_M = 1e-4
+"""A bone that is shorter than this has no direction: in Acclaim skeletons the clavicles coincide with the neck."""
+
+DISTANCE_M = 0.05
+"""Least distance of two poses of a database, the root mean square over `COMPARED` joints in metres."""
+
+COMPARED = np.array(
+    [j for j, name in enumerate(JOINTS) if name not in ("lclavicle", "rclavicle", "belly", "head")], np.int64
+)
+"""The 20 joints that distances of poses and errors are taken over."""
+
+ENDS = np.array([JOINTS.index(name) for name in ("lfingers", "rfingers", "ltoes", "rtoes", "headtop")], np.int64)
+"""The five end effectors, in the order of features and labels."""
+
+_ROOT, _NECK = JOINTS.index("root"), JOINTS.index("neck")
+_LSHOULDER, _RSHOULDER = JOINTS.index("lshoulder"), JOINTS.index("rshoulder")
+_LHIP, _RHIP = JOINTS.index("lhip"), JOINTS.index("rhip")
+
+
+class Thinned(NamedTuple):
+    """Poses that were kept, and what stands for the others.
+
+    Attributes
+    ----------
+    rows : int64 array (K,)
+        Rows of the kept poses, ascending.
+    stands_for : int64 array (T,)
+        For each pose the row of a kept one that is near enough; its own where it was kept.
+    """
+
+    rows: I64
+    stands_for: I64
+
+
+def bone_lengths_of(poses: F64) -> F64:
+    """Return the median bone lengths (24,) of poses (T, 24, 3) in metres; 0 for the root."""
+    lengths: F64 = np.zeros(len(JOINTS))
+    child = np.flatnonzero(PARENTS >= 0)
+    bones = np.linalg.norm(poses[:, child] - poses[:, PARENTS[child]], axis=2)
+    lengths[child] = np.median(bones, axis=0)
+    return lengths
+
+
+def bone_directions(poses: F64) -> F32:
+    """Return the unit directions of bones from their parents, 0 for the root and for bones without length.
+
+    Parameters
+    ----------
+    poses : float64 array (T, 24, 3)
+        The named joints in metres.
+
+    Returns
+    -------
+    float32 array (T, 24, 3)
+        A direction for each bone, which is named by its lower end.
+    """
+    child = np.flatnonzero(PARENTS >= 0)
+    bones = poses[:, child] - poses[:, PARENTS[child]]
+    lengths = np.linalg.norm(bones, axis=2, keepdims=True)
+    directions: F32 = np.zeros(poses.shape, np.float32)
+    directions[:, child] = np.where(lengths < LEAST_BONE_M, 0.0, bones / np.maximum(lengths, LEAST_BONE_M))
+    return directions
+
+
+def place_directions(directions: F32 | F64, bone_lengths: F64) -> F64:
+    """Put directions on the bones of a body, with the root at 0 and the chest towards +Z.
+
+    Parameters
+    ----------
+    directions : float array (T, 24, 3)
+        Unit directions of bones, see `bone_directions`.
+    bone_lengths : float64 array (24,)
+        The lengths of a body's bones in metres; that of the root is not used.
+
+    Returns
+    -------
+    float64 array (T, 24, 3)
+        Poses in metres.
+
+    Raises
+    ------
+    ParameterError
+        The arrays have other shapes, or a length is negative or not finite.
+    """
+    directions = np.ascontiguousarray(directions)
+    if directions.ndim != 3 or directions.shape[1:] != (len(JOINTS), 3):
+        raise ParameterError("directions", f"an array (T, {len(JOINTS)}, 3)", directions.shape)
+    lengths = np.asarray(bone_lengths, np.float64)
+    if lengths.shape != (len(JOINTS),) or not (np.isfinite(lengths).all() and (lengths >= 0).all()):
+        raise ParameterError("bone_lengths", f"{len(JOINTS)} lengths of at least 0 m", bone_lengths)
+    poses: F64 = np.empty(directions.shape)
+    _place(directions, np.ascontiguousarray(lengths), PARENTS, poses)
+    return poses
+
+
+@nb.njit(cache=True, nogil=True)
+def _place(directions: F32 | F64, lengths: F64, parents: I64, poses: F64) -> None:
+    facing = np.empty(2)
+    for t in range(len(directions)):
+        pose = poses[t]
+        for j in range(len(parents)):
+            for axis in range(3):
+                start = pose[parents[j], axis] if parents[j] >= 0 else 0.0
+                pose[j, axis] = start + lengths[j] * directions[t, j, axis] if parents[j] >= 0 else 0.0
+        facing_of(pose, facing)
+        length = np.hypot(facing[0], facing[1])
+        if length > 0.0:
+            turn_poses(pose, -facing[0] / length, facing[1] / length)
+
+
+@nb.njit(cache=True, nogil=True)
+def facing_of(pose: F64, facing: F64) -> None:
+    """Write the horizontal direction (x, z) that the chest of a pose (24, 3) faces, not of unit length.
+
+    It is that of ((lshoulder − rshoulder) + (lhip − rhip)) × (neck − root).
+    """
+    ax = pose[_LSHOULDER, 0] - pose[_RSHOULDER, 0] + pose[_LHIP, 0] - pose[_RHIP, 0]
+    ay = pose[_LSHOULDER, 1] - pose[_RSHOULDER, 1] + pose[_LHIP, 1] - pose[_RHIP, 1]
+    az = pose[_LSHOULDER, 2] - pose[_RSHOULDER, 2] + pose[_LHIP, 2] - pose[_RHIP, 2]
+    ux, uy, uz = (
+        pose[_NECK, 0] - pose[_ROOT, 0],
+        pose[_NECK, 1] - pose[_ROOT, 1],
+        pose[_NECK, 2] - pose[_ROOT, 2],
+    )
+    facing[0] = ay * uz - az * uy
+    facing[1] = ax * uy - ay * ux
+
+
+@nb.njit(cache=True, nogil=True)
+def turn_poses(points: F64, sine: float, cosine: float) -> None:
+    """Turn points (N, 3) in place about the Y axis, by an angle that takes +Z to (sine, 0, cosine)."""
+    for j in range(len(points)):
+        x, z = points[j, 0], points[j, 2]
+        points[j, 0] = cosine * x + sine * z
+        points[j, 2] = cosine * z - sine * x
+
+
+class PoseThinning:
+    """Poses kept so far, to which further ones are added unless they are near one of them.
+
+    The kept poses lie in cells along `_cell_axes`, directions of unit length in the space of compared joints: near
+    poses lie in the same cell or in neighbouring ones.
+
+    Parameters
+    ----------
+    bone_lengths : float64 array (24,)
+        The bones in metres that all poses are put on.
+    distance : float
+        Poses are near up to this root mean square over the `COMPARED` joints, in metres.
+
+    Raises
+    ------
+    ParameterError
+        The distance is not positive and finite.
+    """
+
+    def __init__(self, bone_lengths: F64, distance: float = DISTANCE_M) -> None:
+        if not (np.isfinite(distance) and distance > 0):
+            raise ParameterError("distance", "a positive number of metres", distance)
+        self.bone_lengths = np.asarray(bone_lengths, np.float64)
+        self.reach = float(distance) * np.sqrt(len(COMPARED))
+        self._axes = _cell_axes()
+        self._steps = np.stack(
+            np.meshgrid(*[np.arange(-1, 2)] * len(self._axes), indexing="ij"), axis=-1
+        ).reshape(-1, len(self._axes))  # fmt: skip
+        self._kept: F32 = np.empty((1024, 3 * len(COMPARED)), np.float32)
+        self._cells: I64 = np.empty((1024, len(self._axes)), np.int64)
+        self._next: I64 = np.empty(1024, np.int64)
+        self._heads: I64 = np.full(4096, -1, np.int64)
+        self.count = 0
+
+    def add(self, directions: F32, *, always: bool = False) -> I64:
+        """Add poses in order, each unless a kept one is near it.
+
+        Parameters
+        ----------
+        directions : float32 array (T, 24, 3)
+            Unit directions of bones.
+        always : bool, optional
+            Keep all of them: they are known to be apart.
+
+        Returns
+        -------
+        int64 array (T,)
+            For each pose the number of the kept one that is near it; its own where it was kept now.
+        """
+        poses = self._compared(directions)
+        while self.count + len(poses) > len(self._kept):
+            self._grow()
+        near: I64 = np.empty(len(poses), np.int64)
+        self.count = _add(
+            poses, self._axes, self._steps, self.reach, always, self._kept, self._cells, self._next, self._heads,
+            self.count, near,
+        )  # fmt: skip
+        return near
+
+    def near(self, directions: F32) -> I64:
+        """Return for each pose (T, 24, 3) the number of a kept one that is near it, −1 where there is none."""
+        poses = self._compared(directions)
+        near: I64 = np.empty(len(poses), np.int64)
+        _find(
+            poses, self._axes, self._steps, self.reach, self._kept, self._cells, self._next, self._heads, self.count,
+            near,
+        )  # fmt: skip
+        return near
+
+    def _compared(self, directions: F32) -> F32:
+        poses = place_directions(directions, self.bone_lengths)[:, COMPARED]
+        return np.ascontiguousarray(poses.reshape(len(poses), -1), np.float32)
+
+    def _grow(self) -> None:
+        """Double the room for kept poses, and spread their cells over more lists."""
+        self._kept, self._cells, self._next = (
+            np.concatenate([array, np.empty_like(array)]) for array in (self._kept, self._cells, self._next)
+        )
+        self._heads = np.full(4 * len(self._kept), -1, np.int64)
+        _list_cells(self._cells, self._next, self._heads, self.count)
+
+
+def thin_poses(directions: F32, bone_lengths: F64, distance: float = DISTANCE_M) -> Thinned:
+    """Drop every pose that is near one that was kept before it (thesis, Section 8.3.3).
+
+    Two poses are near at a root mean square of at most `distance` over the `COMPARED` joints on the same bones; Eq. 8.1
+    prints 1/J instead of 1/√J. Every pose is then near a kept one.
+
+    Parameters
+    ----------
+    directions : float32 array (T, 24, 3)
+        Unit directions of bones in order of take name and frame.
+    bone_lengths : float64 array (24,)
+        The archive's mean bones in metres.
+    distance : float
+        Metres.
+
+    Returns
+    -------
+    Thinned
+        The kept rows, and a kept row for every pose.
+
+    Raises
+    ------
+    ParameterError
+        The distance is not positive, or see `place_directions`.
+    """
+    numbers = PoseThinning(bone_lengths, distance).add(directions)
+    _, rows = np.unique(numbers, return_index=True)
+    return Thinned(rows, rows[numbers])
+
+
+def _cell_axes() -> F32:
+    """Return orthonormal directions, each over the heights or depths of a limb, in which bodies differ much."""
+    compared = [JOINTS[j] for j in COMPARED]
+    arm, leg = ("elbow", "wrist", "fingers"), ("knee", "ankle", "toes")
+    groups: list[list[tuple[str, int, float]]] = [
+        *([(side + name, axis, 1.0) for name in arm] for side in "lr" for axis in (1, 2)),
+        [(side + name, 2, sign) for side, sign in (("l", 1.0), ("r", -1.0)) for name in leg],
+    ]
+    axes: F32 = np.zeros((len(groups), 3 * len(compared)), np.float32)
+    for row, group in zip(axes, groups, strict=True):
+        for name, axis, sign in group:
+            row[3 * compared.index(name) + axis] = sign / np.sqrt(len(group))
+    return axes
+
+
+@nb.njit(cache=True, nogil=True)
+def _slot(cell: I64, slots: int) -> int:
+    """Return the list of a cell: a hash of its numbers."""
+    value = np.uint64(14695981039346656037)
+    for number in cell:
+        value = (value ^ np.uint64(number)) * np.uint64(1099511628211)
+    return np.int64((value >> np.uint64(20)) & np.uint64(slots - 1))
+
+
+@nb.njit(cache=True, nogil=True)
+def _list_cells(cells: I64, following: I64, heads: I64, count: int) -> None:
+    for row in range(count):
+        slot = _slot(cells[row], len(heads))
+        following[row] = heads[slot]
+        heads[slot] = row
+
+
+@nb.njit(cache=True, nogil=True)
+def _project(pose: F32, axes: F32, width: float, place: F64, cell: I64) -> None:
+    """Write where a pose lies along the axes, in widths of a cell, and its cell."""
+    for a in range(len(axes)):
+        total = 0.0
+        for k in range(len(pose)):
+            total += float(axes[a, k]) * float(pose[k])
+        place[a] = total / width
+        cell[a] = np.int64(np.floor(place[a]))
+
+
+@nb.njit(cache=True, nogil=True)
+def _near(
+    pose: F32, place: F64, cell: I64, steps: I64, reach: float, kept: F32, cells: I64, following: I64, heads: I64,
+    other: I64,
+) -> int:  # fmt: skip
+    """Return the number of a kept pose that is near, −1 if none is; of each cell the newest is compared first."""
+    most = reach * reach
+    for step in steps:
+        gap = 0.0
+        for a in range(len(cell)):
+            other[a] = cell[a] + step[a]
+            if step[a] != 0:
+                off = other[a] - place[a] if step[a] > 0 else place[a] - other[a] - 1.0
+                gap += off * off
+        if gap > 1.0:
+            continue
+        row = heads[_slot(other, len(heads))]
+        while row >= 0:
+            same = True
+            for a in range(len(other)):
+                same &= cells[row, a] == other[a]
+            if same:
+                total = 0.0
+                k = 0
+                while k < len(pose) and total <= most:
+                    off = float(pose[k]) - float(kept[row, k])
+                    total += off * off
+                    k += 1
+                if total <= most:
+                    return row
+            row = following[row]
+    return -1
+
+
+@nb.njit(cache=True, nogil=True)
+def _find(
+    poses: F32, axes: F32, steps: I64, reach: float, kept: F32, cells: I64, following: I64, heads: I64, count: int,
+    near: I64,
+) -> None:  # fmt: skip
+    place, cell, other = np.empty(len(axes)), np.empty(len(axes), np.int64), np.empty(len(axes), np.int64)
+    width = reach * (1.0 + 1e-6)
+    for t in range(len(poses)):
+        _project(poses[t], axes, width, place, cell)
+        near[t] = _near(poses[t], place, cell, steps, reach, kept, cells, following, heads, other) if count else -1
+
+
+@nb.njit(cache=True, nogil=True)
+def _add(
+    poses: F32, axes: F32, steps: I64, reach: float, always: bool, kept: F32, cells: I64, following: I64, heads: I64,
+    count: int, near: I64,
+) -> int:  # fmt: skip
+    """Add poses to the kept ones, write what stands for each, and return the new number of kept ones."""
+    place, cell, other = np.empty(len(axes)), np.empty(len(axes), np.int64), np.empty(len(axes), np.int64)
+    width = reach * (1.0 + 1e-6)
+    for t in range(len(poses)):
+        _project(poses[t], axes, width, place, cell)
+        row = -1
+        if not always:
+            row = _near(poses[t], place, cell, steps, reach, kept, cells, following, heads, other)
+        if row < 0:
+            row = count
+            kept[row] = poses[t]
+            cells[row] = cell
+            slot = _slot(cell, len(heads))
+            following[row] = heads[slot]
+            heads[slot] = row
+            count += 1
+        near[t] = row
+    return count

@@ -1,0 +1,202 @@
+"""The nearest poses of a database by the places of their five ends: a tree of boxes, with the answers of a scan."""
+
+from __future__ import annotations
+
+import numba as nb
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.body.joint_tree import JOINTS
+from kinedex.ops.depth.pose_database import ENDS
+from kinedex.ops.errors import ParameterError
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+LEAF = 16
+"""Most poses of a leaf of the tree."""
+
+AHEAD_M = 0.1
+"""The middle of the surface lies so far before the middle of root and neck, seen from the front."""
+
+_ROOT, _NECK = JOINTS.index("root"), JOINTS.index("neck")
+_SLACK = np.float32(1.0 + 1e-5)  # of bounds, which are summed in another order than distances
+
+
+def pose_centres(poses: F64) -> F64:
+    """Return for poses (N, 24, 3) that face +Z the places (N, 3) that the middle of their points is compared with."""
+    centres: F64 = (poses[:, _ROOT] + poses[:, _NECK]) / 2
+    centres[:, 2] += AHEAD_M
+    return centres
+
+
+def pose_features(poses: F64) -> F32:
+    """Return the five ends of poses (N, 24, 3) that face +Z, less their centres, float32 (N, 15) in metres."""
+    ends = poses[:, ENDS] - pose_centres(poses)[:, None]
+    return np.ascontiguousarray(ends.reshape(len(poses), -1), np.float32)
+
+
+class PoseIndex:
+    """Poses that are found by their five ends.
+
+    The tree halves the poses at the median of the widest axis, and keeps the box around each half, so that most of
+    them are never compared. Its answers are those of a scan over all, to the bit: ties go to the lowest row.
+
+    Parameters
+    ----------
+    poses : float64 array (N, 24, 3)
+        Poses of one body that face +Z, with the root at 0, see `ops.depth.pose_database.place_directions`.
+
+    Attributes
+    ----------
+    poses : float64 array (N, 24, 3)
+        The poses.
+    features : float32 array (N, 15)
+        Their ends, see `pose_features`.
+    ordered, order, edges, boxes : arrays
+        The features in the order of the tree's leaves, their rows, and for each node of the tree its range of them and
+        the box around that; node n has the children 2n and 2n + 1.
+
+    Raises
+    ------
+    ParameterError
+        There is no pose, or one is not finite.
+    """
+
+    def __init__(self, poses: F64) -> None:
+        if poses.ndim != 3 or poses.shape[1:] != (len(JOINTS), 3) or not len(poses) or not np.isfinite(poses).all():
+            raise ParameterError("poses", f"at least one pose of {len(JOINTS)} places, all of them finite", poses.shape)
+        self.poses = np.ascontiguousarray(poses, np.float64)
+        self.features = pose_features(self.poses)
+        depth = max(0, int(np.ceil(np.log2(len(poses) / LEAF))))
+        self.order: I64 = np.arange(len(poses))
+        self.edges: I64 = np.zeros((2 << depth, 2), np.int64)
+        self.boxes: F32 = np.zeros((2 << depth, 2, self.features.shape[1]), np.float32)
+        _halve(self.features, self.order, self.edges, self.boxes, depth)
+        self.ordered = np.ascontiguousarray(self.features[self.order])
+
+    @property
+    def nbytes(self) -> int:
+        """The bytes of poses, features and tree."""
+        arrays = (self.poses, self.features, self.order, self.edges, self.boxes, self.ordered)
+        return sum(array.nbytes for array in arrays)
+
+    def nearest(self, features: F32, count: int) -> tuple[I64, F64]:
+        """Find the poses whose ends are nearest.
+
+        Parameters
+        ----------
+        features : float32 array (Q, 15)
+            Places of the five ends less a centre, in metres.
+        count : int
+            The number of poses for each.
+
+        Returns
+        -------
+        rows : int64 array (Q, K)
+            Rows of the poses, nearest first, K = min(count, N); the lowest row first at equal distances.
+        distances : float64 array (Q, K)
+            Euclidean distances of the features in metres.
+        """
+        if features.ndim != 2 or features.shape[1] != self.features.shape[1]:
+            raise ParameterError("features", f"an array (Q, {self.features.shape[1]})", features.shape)
+        if count < 1:
+            raise ParameterError("count", "at least 1", count)
+        shape = (len(features), min(count, len(self.poses)))
+        rows, squares = np.full(shape, -1, np.int64), np.full(shape, np.inf, np.float32)
+        queries = np.ascontiguousarray(features, np.float32)
+        search(queries, self.ordered, self.order, self.edges, self.boxes, rows, squares)
+        return rows, np.sqrt(squares.astype(np.float64))
+
+
+@nb.njit(cache=True, nogil=True)
+def _halve(features: F32, order: I64, edges: I64, boxes: F32, depth: int) -> None:
+    """Fill a whole binary tree of the depth, whose root is node 1."""
+    edges[1, 1] = len(order)
+    for node in range(1, 2 << depth):
+        start, stop = edges[node]
+        box = boxes[node]
+        box[0], box[1] = np.inf, -np.inf
+        for place in range(start, stop):
+            for k in range(features.shape[1]):
+                box[0, k] = min(box[0, k], features[order[place], k])
+                box[1, k] = max(box[1, k], features[order[place], k])
+        if node < 1 << depth:
+            axis, widest = 0, np.float32(-1.0)
+            for k in range(features.shape[1]):
+                if box[1, k] - box[0, k] > widest:
+                    axis, widest = k, box[1, k] - box[0, k]
+            values = np.empty(stop - start, np.float32)
+            for place in range(start, stop):
+                values[place - start] = features[order[place], axis]
+            order[start:stop] = order[start:stop][np.argsort(values, kind="mergesort")]
+            middle = (start + stop) // 2
+            edges[2 * node, 0], edges[2 * node, 1] = start, middle
+            edges[2 * node + 1, 0], edges[2 * node + 1, 1] = middle, stop
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _square(queries: F32, q: int, features: F32, row: int, most: np.float32) -> np.float32:
+    """Return the squared distance, or a partial sum above `most` where it exceeds that."""
+    total = np.float32(0.0)
+    for k in range(0, 15, 3):
+        a = queries[q, k] - features[row, k]
+        b = queries[q, k + 1] - features[row, k + 1]
+        c = queries[q, k + 2] - features[row, k + 2]
+        total += a * a + b * b + c * c
+        if total > most:
+            break
+    return total
+
+
+@nb.njit(cache=True, nogil=True)
+def _take(row: int, square: np.float32, q: int, rows: I64, squares: F32) -> np.float32:
+    """Insert a pose into the sorted answers, before those that are as far and have a higher row; return the last."""
+    last = rows.shape[1] - 1
+    place = last
+    if square == squares[q, last] and row > rows[q, last] >= 0:
+        return squares[q, last]
+    while place > 0 and (
+        squares[q, place - 1] > square or (squares[q, place - 1] == square and rows[q, place - 1] > row)
+    ):
+        squares[q, place], rows[q, place] = squares[q, place - 1], rows[q, place - 1]
+        place -= 1
+    squares[q, place], rows[q, place] = square, row
+    return squares[q, last]
+
+
+@nb.njit(cache=True, nogil=True)
+def _gap(queries: F32, q: int, boxes: F32, node: int) -> np.float32:
+    """Return the squared distance of a query from a box."""
+    total = np.float32(0.0)
+    for k in range(15):
+        off = max(boxes[node, 0, k] - queries[q, k], queries[q, k] - boxes[node, 1, k], np.float32(0.0))
+        total += off * off
+    return total
+
+
+@nb.njit(cache=True, nogil=True)
+def search(queries: F32, features: F32, order: I64, edges: I64, boxes: F32, rows: I64, squares: F32) -> None:
+    """Write the nearest rows and their squared distances; the arrays hold −1 and infinity before."""
+    leaves = len(edges) // 2
+    stack, gaps = np.empty(64, np.int64), np.empty(64, np.float32)
+    for q in range(len(queries)):
+        most = squares[q, rows.shape[1] - 1]
+        stack[0], gaps[0], height = 1, np.float32(0.0), 1
+        while height > 0:
+            height -= 1
+            node, gap = stack[height], gaps[height]
+            while gap <= most * _SLACK and node < leaves:
+                left, right = 2 * node, 2 * node + 1
+                near, beyond = _gap(queries, q, boxes, left), _gap(queries, q, boxes, right)
+                if beyond < near:
+                    left, right, near, beyond = right, left, beyond, near
+                stack[height], gaps[height] = right, beyond
+                height += 1
+                node, gap = left, near
+            if gap <= most * _SLACK:
+                for place in range(edges[node, 0], edges[node, 1]):
+                    square = _square(queries, q, features, place, most)
+                    if square <= most:
+                        most = _take(order[place], square, q, rows, squares)
