@@ -26,6 +26,7 @@ KINDS = {
     "queries": "query file",
     "kinematics": "kinematic chain",
     "keypoints": "keypoint set",
+    "bodies": "body for depth images",
     "pipelines": "pipeline",
 }
 """The kinds of configuration file, each a folder of the shipped `configs/`, with the noun used in messages."""

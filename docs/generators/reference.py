@@ -81,6 +81,11 @@ PARTS = {
         ("", "kinedex.catalog.keypoint_sets", "_SetFile"),
         ("a point of `points`", "kinedex.catalog.keypoint_sets", "_Point"),
     ),
+    "bodies": (
+        ("", "kinedex.catalog.bodies", "_BodyFile"),
+        ("`height`", "kinedex.catalog.bodies", "_Height"),
+        ("a cone", "kinedex.catalog.bodies", "_Cone"),
+    ),
     "pipelines": (
         ("", "kinedex.pipelines.engine.config", "_PipelineFile"),
         ("a `Stage`", "kinedex.pipelines.engine.config", "_StageEntry"),
@@ -100,6 +105,7 @@ WHERE = {
     "kinematics": "The body of BVH files that `kinedex export` writes from named joints; no command takes another one.",
     "keypoints": "The names of the keypoints of pose estimators, and where they lie on the body; `keypoint_set` of a "
     "recording names a shipped set, or a file of your own.",
+    "bodies": "The body that is fitted to depth images: round cones between the 24 named joints, and pivots.",
     "pipelines": "`kinedex run`. Every shipped pipeline is listed above.",
 }
 

@@ -1,0 +1,320 @@
+"""The surface of a body as round cones: signed distances of points, and samples that face the camera.
+
+A round cone is the union of balls along an axis from A to B whose radius changes evenly from r_A to r_B; A and B are
+joints, or mixtures of joints. Lengths are in metres; the camera is at the origin.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from kinedex.ops.errors import ParameterError
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+START, AXIS, INVERSE, RADIUS, GROWTH, MIDDLE, REACH = 0, 3, 6, 7, 8, 9, 12
+"""Columns of placed cones: A, B − A, 1/‖B − A‖² (0 without length), r_A, r_B − r_A, and a ball around the cone."""
+
+COLUMNS = 13
+
+_SLACK = 1e-9  # metres by which a bound may be wrong by rounding
+
+
+@dataclass(frozen=True, eq=False)
+class ConeBody:
+    """A body that is fitted to depth images: its cones, their samples, and the pivots that move it.
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    cone_names : tuple of str
+        The names of the C cones.
+    joints : int64 array (C, 2, M)
+        The joints that each end of a cone's axis is a mixture of.
+    shares : float64 array (C, 2, M)
+        Their shares, which add up to 1; 0 beyond an end's joints.
+    radii : float64 array (C, 2)
+        Radii at both ends in metres, for a body that is `height_m` high.
+    height_m : float
+        The standing height in metres of the body that has these radii.
+    height_bones : float64 array (24,)
+        Factors of the bone lengths in the standing height.
+    height_plus_m : float
+        Metres that the standing height has beyond them.
+    sample_cones : int64 array (S,)
+        The cone of each sample of the surface.
+    sample_places : float64 array (S,)
+        Its place on the axis, from 0 to 1.
+    sample_angles : float64 array (S,)
+        Its angle about the axis in radians, from the side towards the camera.
+    pivots : int64 array (P,)
+        The joints that turn what is below them; the root first, parents before children.
+    stiffness : float64 array (P,)
+        How much each pivot holds back a step of a fit.
+    """
+
+    name: str
+    cone_names: tuple[str, ...]
+    joints: I64
+    shares: F64
+    radii: F64
+    height_m: float
+    height_bones: F64
+    height_plus_m: float
+    sample_cones: I64
+    sample_places: F64
+    sample_angles: F64
+    pivots: I64
+    stiffness: F64
+
+    def standing_height(self, bone_lengths: npt.ArrayLike) -> float:
+        """Return the standing height in metres of an actor.
+
+        Parameters
+        ----------
+        bone_lengths : float64 array (24,)
+            The length in metres of the bone that ends at each joint; 0 for the root.
+        """
+        return float(self.height_bones @ np.asarray(bone_lengths, np.float64)) + self.height_plus_m
+
+    def cones(self, height: float) -> Cones:
+        """Return the cones of an actor of a standing height in metres, for kernels.
+
+        Raises
+        ------
+        ParameterError
+            The height is not positive and finite.
+        """
+        if not (math.isfinite(height) and height > 0):
+            raise ParameterError("height", "positive and finite, in metres", height)
+        return Cones(self.joints, self.shares, self.radii * (height / self.height_m))
+
+    @cached_property
+    def samples(self) -> Samples:
+        """The samples of the surface, for kernels."""
+        angles = self.sample_angles
+        return Samples(self.sample_cones, self.sample_places, np.cos(angles), np.sin(angles), angles == 0.0)
+
+
+class Cones(NamedTuple):
+    """The cones of an actor, see `ConeBody` for the arrays; radii are the actor's."""
+
+    joints: I64
+    shares: F64
+    radii: F64
+
+
+class Samples(NamedTuple):
+    """Samples of the surface, see `ConeBody`: cone, place, cosine and sine of the angle, and whether the angle is 0."""
+
+    cones: I64
+    places: F64
+    cosines: F64
+    sines: F64
+    straight: npt.NDArray[np.bool_]
+
+
+class SurfaceDistances(NamedTuple):
+    """The nearest places of a body's surface to points.
+
+    Attributes
+    ----------
+    d : float64 array (n,)
+        Signed distances in metres, negative inside.
+    cone : int64 array (n,)
+        The nearest cone; the first one of equals.
+    s : float64 array (n,)
+        The place on its axis, from 0 to 1.
+    normals : float64 array (n, 3)
+        Unit vectors from the axis to the point; 0 on the axis.
+    """
+
+    d: F64
+    cone: I64
+    s: F64
+    normals: F64
+
+
+def body_distance(body: ConeBody, pose: F64, points: F64, height: float | None = None) -> SurfaceDistances:
+    """Return the signed distances of points from the surface of a body.
+
+    Parameters
+    ----------
+    body : ConeBody
+        The body.
+    pose : float64 array (24, 3)
+        Joints in metres.
+    points : float64 array (n, 3)
+        Points in metres.
+    height : float, optional
+        The actor's standing height in metres; that of the body's radii by default.
+
+    Returns
+    -------
+    SurfaceDistances
+        The nearest places.
+    """
+    cones = body.cones(body.height_m if height is None else height)
+    placed = np.empty((len(cones.radii), COLUMNS))
+    place_cones(cones, np.ascontiguousarray(pose, np.float64), placed)
+    count = len(points)
+    found = SurfaceDistances(np.empty(count), np.empty(count, np.int64), np.empty(count), np.empty((count, 3)))
+    _distances(placed, np.ascontiguousarray(points, np.float64), found)
+    return found
+
+
+def body_samples(body: ConeBody, pose: F64, height: float | None = None) -> F64:
+    """Return the samples C_χ of the surface, on the side towards the camera (thesis, 8.4.1).
+
+    Parameters
+    ----------
+    body : ConeBody
+        The body.
+    pose : float64 array (24, 3)
+        Joints in metres, with the camera at the origin.
+    height : float, optional
+        The actor's standing height in metres; that of the body's radii by default.
+
+    Returns
+    -------
+    float64 array (S, 3)
+        Points in metres; 160 of the shipped body.
+    """
+    cones = body.cones(body.height_m if height is None else height)
+    placed = np.empty((len(cones.radii), COLUMNS))
+    place_cones(cones, np.ascontiguousarray(pose, np.float64), placed)
+    samples, offsets = np.empty((len(body.sample_cones), 3)), np.empty((len(body.sample_cones), 3))
+    place_samples(body.samples, placed, samples, offsets)
+    return samples
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def place_cones(cones: Cones, pose: F64, placed: F64) -> None:
+    """Write the cones of a pose.
+
+    Parameters
+    ----------
+    cones : Cones
+        The cones of an actor.
+    pose : float64 array (24, 3)
+        Joints in metres.
+    placed : float64 array (C, 13)
+        The placed cones, with the columns `START` to `REACH`, which are written.
+    """
+    for c in range(len(cones.radii)):
+        row = placed[c]
+        length = 0.0
+        for i in range(3):
+            a, b = 0.0, 0.0
+            for m in range(cones.joints.shape[2]):
+                a += cones.shares[c, 0, m] * pose[cones.joints[c, 0, m], i]
+                b += cones.shares[c, 1, m] * pose[cones.joints[c, 1, m], i]
+            row[START + i], row[AXIS + i], row[MIDDLE + i] = a, b - a, 0.5 * (a + b)
+            length += (b - a) * (b - a)
+        row[INVERSE] = 1.0 / length if length > 0.0 else 0.0
+        row[RADIUS], row[GROWTH] = cones.radii[c, 0], cones.radii[c, 1] - cones.radii[c, 0]
+        row[REACH] = 0.5 * math.sqrt(length) + max(cones.radii[c, 0], cones.radii[c, 1]) + _SLACK
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cone_distance(cone: F64, x: float, y: float, z: float) -> tuple[float, float]:
+    """Return the signed distance of a point from one placed cone, and the place on its axis."""
+    u, v, w = x - cone[START], y - cone[START + 1], z - cone[START + 2]
+    a, b, c = cone[AXIS], cone[AXIS + 1], cone[AXIS + 2]
+    s = min(max((u * a + v * b + w * c) * cone[INVERSE], 0.0), 1.0)
+    u, v, w = u - s * a, v - s * b, w - s * c
+    return math.sqrt(u * u + v * v + w * w) - (cone[RADIUS] + s * cone[GROWTH]), s
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def nearest_cone(placed: F64, x: float, y: float, z: float, guess: int) -> tuple[float, int, float]:
+    """Return the signed distance of a point from the body, the nearest cone and the place on its axis.
+
+    Parameters
+    ----------
+    placed : float64 array (C, 13)
+        The placed cones.
+    x, y, z : float
+        The point in metres.
+    guess : int
+        A cone that is probably near: most others are then excluded by the balls around them.
+
+    Returns
+    -------
+    tuple of (float, int, float)
+        Metres, negative inside; the first one of equally near cones; from 0 to 1.
+    """
+    nearest = guess
+    d, s = cone_distance(placed[guess], x, y, z)
+    for c in range(len(placed)):
+        row = placed[c]
+        u, v, w = x - row[MIDDLE], y - row[MIDDLE + 1], z - row[MIDDLE + 2]
+        limit = d + row[REACH]
+        if c == guess or limit < 0.0 or u * u + v * v + w * w > limit * limit:
+            continue
+        other, place = cone_distance(row, x, y, z)
+        if other < d or (other == d and c < nearest):
+            d, s, nearest = other, place, c
+    return d, nearest, s
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _distances(placed: F64, points: F64, found: SurfaceDistances) -> None:
+    guess = 0
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        d, guess, s = nearest_cone(placed, x, y, z, guess)
+        row = placed[guess]
+        found.d[i], found.cone[i], found.s[i] = d, guess, s
+        apart = d + row[RADIUS] + s * row[GROWTH]
+        scale = 1.0 / apart if apart > 0.0 else 0.0
+        found.normals[i, 0] = (x - row[START] - s * row[AXIS]) * scale
+        found.normals[i, 1] = (y - row[START + 1] - s * row[AXIS + 1]) * scale
+        found.normals[i, 2] = (z - row[START + 2] - s * row[AXIS + 2]) * scale
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def place_samples(samples: Samples, placed: F64, points: F64, offsets: F64) -> None:
+    """Write the samples of a pose's surface, on the side towards the camera in the origin.
+
+    Parameters
+    ----------
+    samples : Samples
+        The samples of a body.
+    placed : float64 array (C, 13)
+        The placed cones.
+    points, offsets : float64 array (S, 3)
+        The samples in metres, and what they lie beside their cone's axis; both are written.
+    """
+    for i in range(len(samples.cones)):
+        row, s = placed[samples.cones[i]], samples.places[i]
+        unit = math.sqrt(row[INVERSE])
+        e, f, g = unit * row[AXIS], unit * row[AXIS + 1], unit * row[AXIS + 2]
+        x, y, z = row[START] + s * row[AXIS], row[START + 1] + s * row[AXIS + 1], row[START + 2] + s * row[AXIS + 2]
+        along = x * e + y * f + z * g
+        u, v, w = _unit(along * e - x, along * f - y, along * g - z)
+        if s == 1.0 and samples.straight[i]:  # the tip
+            u, v, w = _unit(u + e, v + f, w + g)
+        radius = row[RADIUS] + s * row[GROWTH]
+        cosine, sine = radius * samples.cosines[i], radius * samples.sines[i]
+        offsets[i, 0] = cosine * u + sine * (f * w - g * v)
+        offsets[i, 1] = cosine * v + sine * (g * u - e * w)
+        offsets[i, 2] = cosine * w + sine * (e * v - f * u)
+        points[i, 0], points[i, 1], points[i, 2] = x + offsets[i, 0], y + offsets[i, 1], z + offsets[i, 2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _unit(x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return a vector at length 1; without length it stays."""
+    length = math.sqrt(x * x + y * y + z * z)
+    scale = 1.0 / length if length > 1e-12 else 0.0
+    return x * scale, y * scale, z * scale
