@@ -1,0 +1,248 @@
+"""The graph of a frame's points: edges between neighbouring pixels, components, and links (thesis, Section 8.4.2).
+
+Two points are joined if their pixels are among the eight neighbours of each other and they lie closer than a threshold.
+Small components are noise. The largest one is the body; of the others always the nearest to the body as grown so far
+joins it, by an edge between the closest pair of points.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from kinedex.ops.depth.component_links import LinkRoom, link_components, link_room
+from kinedex.ops.depth.points import FrameCloud
+
+F64 = npt.NDArray[np.float64]
+I32 = npt.NDArray[np.int32]
+Bool = npt.NDArray[np.bool_]
+
+EDGE_M = 0.06
+"""Neighbouring points closer than this are joined by an edge."""
+
+LEAST_NODES = 12
+"""Components of fewer nodes are dropped."""
+
+FORWARD = 4
+"""Neighbours of a pixel that come after it, row by row: right, and three below."""
+
+
+class PointGraph(NamedTuple):
+    """The graph of a frame's points; its arrays are overwritten by the next one that is built in the same room.
+
+    Attributes
+    ----------
+    starts : int32 array (n + 1,)
+        Where the edges of each node begin in the two arrays that follow.
+    neighbours : int32 array (m,)
+        The other node of each edge; every edge is there from both of its nodes.
+    lengths : float64 array (m,)
+        The lengths of the edges in metres.
+    body : bool array (n,)
+        True for nodes of the body: its largest component, and those that links join to it.
+    labels : int32 array (n,)
+        The component of each node, numbered by the lowest node; −1 for components that were dropped.
+    components : int
+        The number of components that were not dropped.
+    links : int
+        The number of edges that join components.
+    """
+
+    starts: I32
+    neighbours: I32
+    lengths: F64
+    body: Bool
+    labels: I32
+    components: int
+    links: int
+
+
+class GraphRoom(NamedTuple):
+    """The arrays that graphs are built in, for frames of at most N points.
+
+    Attributes
+    ----------
+    starts, cursors, parents, labels : int32 array (N + 1,)
+        The beginnings of edges, the next free place of each node, the parents of union-find, and the components.
+    ahead, spans : int32 array (N, 4), float64 array (N, 4)
+        The edges of each node with nodes after it.
+    neighbours, lengths : int32 array (8N + 2 · most links,), float64 array of the same length
+        The edges.
+    sizes : int32 array (N,)
+        The number of nodes of each component.
+    body : bool array (N,)
+        True for nodes of the body.
+    links : LinkRoom
+        The arrays of links.
+    """
+
+    starts: I32
+    cursors: I32
+    parents: I32
+    labels: I32
+    ahead: I32
+    spans: F64
+    neighbours: I32
+    lengths: F64
+    sizes: I32
+    body: Bool
+    links: LinkRoom
+
+
+def graph_room(most: int) -> GraphRoom:
+    """Return room for the graphs of frames with at most so many points."""
+    components = most // LEAST_NODES + 1
+    edges = 2 * FORWARD * most + 2 * components
+    return GraphRoom(
+        np.zeros(most + 1, np.int32),
+        np.zeros(most + 1, np.int32),
+        np.zeros(most + 1, np.int32),
+        np.zeros(most + 1, np.int32),
+        np.zeros((most, FORWARD), np.int32),
+        np.zeros((most, FORWARD)),
+        np.zeros(edges, np.int32),
+        np.zeros(edges),
+        np.zeros(most, np.int32),
+        np.zeros(most, np.bool_),
+        link_room(most, components),
+    )
+
+
+def build_graph(cloud: FrameCloud, threshold: float = EDGE_M, room: GraphRoom | None = None) -> PointGraph:
+    """Return the graph of a frame's points.
+
+    Parameters
+    ----------
+    cloud : FrameCloud
+        The points.
+    threshold : float
+        Neighbouring points closer than this are joined, in metres.
+    room : GraphRoom, optional
+        Room of earlier frames, which is used again; None: it is made.
+
+    Returns
+    -------
+    PointGraph
+        The graph, in arrays of the room.
+    """
+    n = len(cloud.points)
+    if room is None:
+        room = graph_room(n)
+    _join_neighbours(cloud.points, cloud.pixels, cloud.numbers, threshold, room.ahead, room.spans, room.parents)
+    components = _label_components(n, room.parents, room.labels, room.sizes)
+    links = link_components(cloud.points, cloud.pixels, room.labels, room.sizes, components, room.body, room.links)
+    pairs, spans = room.links.pairs, room.links.spans
+    _pack_edges(
+        n, room.ahead, room.spans, pairs[:links], spans, room.starts, room.cursors, room.neighbours, room.lengths
+    )
+    edges = int(room.starts[n])
+    return PointGraph(
+        room.starts[: n + 1],
+        room.neighbours[:edges],
+        room.lengths[:edges],
+        room.body[:n],
+        room.labels[:n],
+        components,
+        links,
+    )
+
+
+@njit(cache=True, nogil=True)
+def _root(parents: I32, node: int) -> int:
+    """Return the lowest node of a component, and shorten the way to it."""
+    while parents[node] != node:
+        parents[node] = parents[parents[node]]
+        node = parents[node]
+    return node
+
+
+@njit(cache=True, nogil=True)
+def _join_neighbours(
+    points: F64, pixels: I32, numbers: I32, threshold: float, ahead: I32, spans: F64, parents: I32
+) -> None:
+    """Find the edges of each node with nodes after it, and unite their components."""
+    height, width = numbers.shape
+    most = threshold * threshold * (1.0 + 1e-12)  # the exact comparison is that of the distance
+    for i in range(len(points)):
+        parents[i] = i
+    for i in range(len(points)):
+        u, v = pixels[i, 0], pixels[i, 1]
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        for k in range(FORWARD):
+            ahead[i, k] = -1
+            column, row = (u + 1, v) if k == 0 else (u + k - 2, v + 1)
+            if column < 0 or column >= width or row >= height:
+                continue
+            j = numbers[row, column]
+            if j < 0:
+                continue
+            dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+            square = dx * dx + dy * dy + dz * dz
+            if square > most:
+                continue
+            span = np.sqrt(square)
+            if span < threshold:
+                ahead[i, k], spans[i, k] = j, span
+                one, other = _root(parents, i), _root(parents, j)
+                if one != other:
+                    parents[max(one, other)] = min(one, other)
+
+
+@njit(cache=True, nogil=True)
+def _label_components(n: int, parents: I32, labels: I32, sizes: I32) -> int:
+    """Number the components that are large enough by their lowest nodes, and return how many there are."""
+    sizes[:n] = 0
+    for i in range(n):
+        parents[i] = parents[parents[i]]  # a parent is a lower node, and points to its root already
+        sizes[parents[i]] += 1
+    count = 0
+    for i in range(n):
+        if parents[i] != i:
+            labels[i] = labels[parents[i]]
+        elif sizes[i] < LEAST_NODES:
+            labels[i] = -1
+        else:
+            sizes[count], labels[i] = sizes[i], count  # a component's number is not above its lowest node
+            count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _pack_edges(
+    n: int, ahead: I32, spans: F64, pairs: I32, pair_spans: F64, starts: I32, cursors: I32, neighbours: I32,
+    lengths: F64,
+) -> None:  # fmt: skip
+    """Write the edges of each node one after the other, neighbours ascending and links last."""
+    cursors[: n + 1] = 0
+    for i in range(n):
+        for k in range(FORWARD):
+            if ahead[i, k] >= 0:
+                cursors[i] += 1
+                cursors[ahead[i, k]] += 1
+    for one, other in pairs:
+        cursors[one] += 1
+        cursors[other] += 1
+    total = np.int32(0)
+    for i in range(n):
+        starts[i] = total
+        total += cursors[i]
+        cursors[i] = starts[i]
+    starts[n] = total
+    for i in range(n):
+        for k in range(FORWARD):
+            j = ahead[i, k]
+            if j >= 0:
+                _write_edge(i, j, spans[i, k], cursors, neighbours, lengths)
+    for k in range(len(pairs)):
+        _write_edge(pairs[k, 0], pairs[k, 1], pair_spans[k], cursors, neighbours, lengths)
+
+
+@njit(cache=True, nogil=True)
+def _write_edge(one: int, other: int, span: float, cursors: I32, neighbours: I32, lengths: F64) -> None:
+    neighbours[cursors[one]], lengths[cursors[one]] = other, span
+    neighbours[cursors[other]], lengths[cursors[other]] = one, span
+    cursors[one] += 1
+    cursors[other] += 1
