@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import os
-import re
-import shutil
-import uuid
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
@@ -26,9 +22,9 @@ from kinedex.ops.simulation.failures import Limbs
 from kinedex.ops.simulation.recording import Setup, SimulatedRecording, simulated_recording, take_generators
 from kinedex.pipelines.export.request import How
 from kinedex.pipelines.export.single import export_take
+from kinedex.pipelines.simulation.chosen_takes import chosen_takes, recording_names
+from kinedex.pipelines.simulation.new_folder import new_folder, require_new
 from kinedex.pipelines.simulation.recording_files import write_calibration, write_keypoints, write_masks
-from kinedex.storage.disk import TEMPORARY
-from kinedex.storage.formats.labels.file_names import file_names
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
 
@@ -37,8 +33,6 @@ I64 = npt.NDArray[np.int64]
 
 RECORDINGS, TRUTH, FAILURES = "recordings.yaml", "truth", "failures.csv"
 
-_FORBIDDEN = re.compile(r"[^\w.+-]")
-_MOST_LETTERS = 90
 _ARM, _LEG = ("elbow", "wrist"), ("hip", "knee", "ankle", "toes")
 
 Progress = Callable[[str, int], AbstractContextManager[Any]]
@@ -122,45 +116,13 @@ def simulate_cameras(store: Store, request: Request, folder: Path, progress: Pro
     KinedexError
         The folder holds files, there is no such take, or a take cannot be filmed.
     """
-    _require_new(folder)
-    takes = _chosen(store, request)
+    require_new(folder)
+    takes = chosen_takes(store, request.takes, request.where)
     keypoints = load_keypoint_set(request.keypoint_set)
     limbs = limbs_of(keypoints)
-    unfinished = folder.absolute().parent / f"{TEMPORARY}{uuid.uuid4().hex}"
-    try:
-        unfinished.mkdir(parents=True)
+    with new_folder(folder) as unfinished:
         made = _write_all(store, request, takes, keypoints, limbs, unfinished, progress)
-        if folder.is_dir():
-            folder.rmdir()
-        os.replace(unfinished, folder)
-    except OSError as fault:
-        raise KinedexError(f"{folder}: cannot be written: {fault.strerror}; nothing was written") from None
-    finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
     return Simulated(folder, *made)
-
-
-def _require_new(folder: Path) -> None:
-    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise KinedexError(f"{folder}: is no folder; give a new one with -o")
-    if folder.is_dir() and any(folder.iterdir()):
-        raise KinedexError(
-            f"{folder}: is not empty, and recordings are never overwritten; give a new folder, such as "
-            f"-o {folder / 'recordings'}"
-        )
-
-
-def _chosen(store: Store, request: Request) -> list[str]:
-    """Return the names of the takes in the store's order."""
-    for name in request.takes:
-        store.take_id(name)
-    selected = set(store.takes_table(request.where)["name"].to_pylist()) if request.where is not None else set()
-    if request.where is not None and not selected:
-        raise KinedexError(f"the filter `{request.where}` selects no take of {store.path}")
-    if not request.takes and request.where is None:
-        raise KinedexError("no take is named; name takes, or select them with --where \"class = 'walk'\"")
-    wanted = selected | set(request.takes)
-    return [name for name in store.takes_table(None)["name"].to_pylist() if name in wanted]
 
 
 def limbs_of(keypoints: KeypointSet) -> Limbs:
@@ -184,17 +146,6 @@ def limbs_of(keypoints: KeypointSet) -> Limbs:
         return left, right
 
     return Limbs(pair(_ARM), pair(_LEG))
-
-
-def recording_names(takes: Sequence[str]) -> list[str]:
-    """Return a name for the recording of each take, which is the name of its folder, too.
-
-    Letters, digits and . + - stay, and other characters become underscores.
-    """
-    plain = [(_FORBIDDEN.sub("_", take)[:_MOST_LETTERS]).lstrip(".+-") or "take" for take in takes]
-    twice = {name.casefold() for name in plain if sum(one.casefold() == name.casefold() for one in plain) > 1}
-    numbered = [f"{name}-{i + 1}" if name.casefold() in twice else name for i, name in enumerate(plain)]
-    return [name.replace("~", "-") for name in file_names(numbered)]
 
 
 def _write_all(

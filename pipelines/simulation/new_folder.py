@@ -1,0 +1,62 @@
+"""Folders of recordings appear when all of their files are written, or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from kinedex.ops.errors import KinedexError
+from kinedex.storage.disk import TEMPORARY
+
+
+@contextmanager
+def new_folder(folder: Path) -> Iterator[Path]:
+    """Write a folder whole or not at all.
+
+    Parameters
+    ----------
+    folder : Path
+        A folder that does not exist, or is empty.
+
+    Yields
+    ------
+    Path
+        A folder beside it to write to, which takes its place where the block ends, and goes where the block fails.
+
+    Raises
+    ------
+    KinedexError
+        The folder cannot be written.
+    """
+    unfinished = folder.absolute().parent / f"{TEMPORARY}{uuid.uuid4().hex}"
+    try:
+        unfinished.mkdir(parents=True)
+        yield unfinished
+        if folder.is_dir():
+            folder.rmdir()
+        os.replace(unfinished, folder)
+    except OSError as fault:
+        raise KinedexError(f"{folder}: cannot be written: {fault.strerror}; nothing was written") from None
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def require_new(folder: Path) -> None:
+    """Refuse a folder that holds files.
+
+    Raises
+    ------
+    KinedexError
+        It holds files, or is none.
+    """
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise KinedexError(f"{folder}: is no folder; give a new one with -o")
+    if folder.is_dir() and any(folder.iterdir()):
+        raise KinedexError(
+            f"{folder}: is not empty, and recordings are never overwritten; give a new folder, such as "
+            f"-o {folder / 'recordings'}"
+        )
