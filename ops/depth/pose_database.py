@@ -99,14 +99,14 @@ def place_directions(directions: F32 | F64, bone_lengths: F64) -> F64:
     ParameterError
         The arrays have other shapes, or a length is negative or not finite.
     """
-    directions = np.ascontiguousarray(directions)
-    if directions.ndim != 3 or directions.shape[1:] != (len(JOINTS), 3):
+    contiguous = np.ascontiguousarray(directions)
+    if contiguous.ndim != 3 or contiguous.shape[1:] != (len(JOINTS), 3):
         raise ParameterError("directions", f"an array (T, {len(JOINTS)}, 3)", directions.shape)
     lengths = np.asarray(bone_lengths, np.float64)
     if lengths.shape != (len(JOINTS),) or not (np.isfinite(lengths).all() and (lengths >= 0).all()):
         raise ParameterError("bone_lengths", f"{len(JOINTS)} lengths of at least 0 m", bone_lengths)
     poses: F64 = np.empty(directions.shape)
-    _place(directions, np.ascontiguousarray(lengths), PARENTS, poses)
+    _place(contiguous, np.ascontiguousarray(lengths), PARENTS, poses)
     return poses
 
 
@@ -285,7 +285,7 @@ def _slot(cell: I64, slots: int) -> int:
     value = np.uint64(14695981039346656037)
     for number in cell:
         value = (value ^ np.uint64(number)) * np.uint64(1099511628211)
-    return np.int64((value >> np.uint64(20)) & np.uint64(slots - 1))
+    return int((value >> np.uint64(20)) & np.uint64(slots - 1))
 
 
 @nb.njit(cache=True, nogil=True)
