@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.body.joint_tree import JOINTS
-from kinedex.ops.depth.pose_database import COMPARED, ENDS, turn_poses
+from kinedex.ops.depth.pose_database import turn_poses
+from kinedex.ops.depth.pose_distance import COMPARED, END_EFFECTORS
 from kinedex.ops.depth.pose_index import PoseIndex, pose_centres, search
 from kinedex.ops.errors import ParameterError
 
@@ -117,8 +118,8 @@ class Lookup:
             The geodesic extrema in their order, in metres; with fewer than five there is no proposal.
         centre : float64 array (3,)
             The centre of the points.
-        facing : float64 array (2,)
-            The unit direction (x, z) that the person faces.
+        facing : float64 array (3,)
+            The horizontal unit direction that the person faces.
         previous : float64 array (24, 3) or None
             The pose of the frame before; None at a start.
         compare : bool, optional
@@ -133,7 +134,7 @@ class Lookup:
         """
         maps = 0
         if len(extrema) >= 5 and previous is not None:
-            ends = np.ascontiguousarray(previous[ENDS])
+            ends = np.ascontiguousarray(previous[END_EFFECTORS])
             maps = near_maps(extrema[: self.among], ends, self._maps, self._sums)
         if len(extrema) >= 5 and (previous is None or jumped or not maps):
             maps = feet_maps(extrema[:5], self._maps, self._sums, maps)
@@ -225,8 +226,8 @@ def feet_maps(extrema: F64, maps: I64, sums: F64, count: int) -> int:
 
 
 @nb.njit(cache=True, nogil=True)
-def pose_distance(pose: F64, other: F64) -> float:
-    """Return the root mean square distance of two poses (24, 3) over the compared joints (thesis, Eq. 8.1, as RMS)."""
+def _distance(pose: F64, other: F64) -> float:
+    """Return the root mean square distance of two poses, see `ops.depth.pose_distance`."""
     total = 0.0
     for j in COMPARED:
         for axis in range(3):
@@ -242,9 +243,9 @@ def _propose(
 ) -> int:  # fmt: skip
     """Retrieve poses for every map, and place the cheapest ones that are apart; return their number."""
     turned = extrema - centre
-    turn_poses(turned, -facing[0], facing[1])
+    turn_poses(turned, -facing[0], facing[2])
     before = previous - centre
-    turn_poses(before, -facing[0], facing[1])
+    turn_poses(before, -facing[0], facing[2])
     for m in range(count):
         for e in range(5):
             for axis in range(3):
@@ -256,7 +257,7 @@ def _propose(
             costs[m, k] = np.sqrt(float(squares[m, k]) / 5.0)
             if compare:
                 pose = poses[rows[m, k]] - centres[rows[m, k]]
-                costs[m, k] = _LAMBDA * costs[m, k] + (1.0 - _LAMBDA) * pose_distance(pose, before)
+                costs[m, k] = _LAMBDA * costs[m, k] + (1.0 - _LAMBDA) * _distance(pose, before)
             else:
                 costs[m, k] *= _LAMBDA
     taken = 0
@@ -265,11 +266,11 @@ def _propose(
             break
         m, k = flat // rows.shape[1], flat % rows.shape[1]
         pose = poses[rows[m, k]] - centres[rows[m, k]]
-        turn_poses(pose, facing[0], facing[1])
+        turn_poses(pose, facing[0], facing[2])
         pose += centre
         apart = True
         for other in range(taken):
-            apart &= pose_distance(pose, placed[other]) > APART_M
+            apart &= _distance(pose, placed[other]) > APART_M
         if apart:
             placed[taken], found[taken, 0], found[taken, 1] = pose, m, k
             taken += 1

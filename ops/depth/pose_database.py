@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.body.joint_tree import JOINTS, PARENTS
+from kinedex.ops.depth.pose_distance import COMPARED
 from kinedex.ops.errors import ParameterError
 
 F32 = npt.NDArray[np.float32]
@@ -20,14 +21,6 @@ LEAST_BONE_M = 1e-4
 
 DISTANCE_M = 0.05
 """Least distance of two poses of a database, the root mean square over `COMPARED` joints in metres."""
-
-COMPARED = np.array(
-    [j for j, name in enumerate(JOINTS) if name not in ("lclavicle", "rclavicle", "belly", "head")], np.int64
-)
-"""The 20 joints that distances of poses and errors are taken over."""
-
-ENDS = np.array([JOINTS.index(name) for name in ("lfingers", "rfingers", "ltoes", "rtoes", "headtop")], np.int64)
-"""The five end effectors, in the order of features and labels."""
 
 _ROOT, _NECK = JOINTS.index("root"), JOINTS.index("neck")
 _LSHOULDER, _RSHOULDER = JOINTS.index("lshoulder"), JOINTS.index("rshoulder")
@@ -112,7 +105,7 @@ def place_directions(directions: F32 | F64, bone_lengths: F64) -> F64:
 
 @nb.njit(cache=True, nogil=True)
 def _place(directions: F32 | F64, lengths: F64, parents: I64, poses: F64) -> None:
-    facing = np.empty(2)
+    facing = np.empty(3)
     for t in range(len(directions)):
         pose = poses[t]
         for j in range(len(parents)):
@@ -120,14 +113,13 @@ def _place(directions: F32 | F64, lengths: F64, parents: I64, poses: F64) -> Non
                 start = pose[parents[j], axis] if parents[j] >= 0 else 0.0
                 pose[j, axis] = start + lengths[j] * directions[t, j, axis] if parents[j] >= 0 else 0.0
         facing_of(pose, facing)
-        length = np.hypot(facing[0], facing[1])
-        if length > 0.0:
-            turn_poses(pose, -facing[0] / length, facing[1] / length)
+        if facing[0] != 0.0 or facing[2] != 0.0:
+            turn_poses(pose, -facing[0], facing[2])
 
 
 @nb.njit(cache=True, nogil=True)
 def facing_of(pose: F64, facing: F64) -> None:
-    """Write the horizontal direction (x, z) that the chest of a pose (24, 3) faces, not of unit length.
+    """Write the horizontal direction (3,) that the chest of a pose (24, 3) faces, of length 1, or 0 where it has none.
 
     It is that of ((lshoulder − rshoulder) + (lhip − rhip)) × (neck − root).
     """
@@ -139,8 +131,10 @@ def facing_of(pose: F64, facing: F64) -> None:
         pose[_NECK, 1] - pose[_ROOT, 1],
         pose[_NECK, 2] - pose[_ROOT, 2],
     )
-    facing[0] = ay * uz - az * uy
-    facing[1] = ax * uy - ay * ux
+    x, z = ay * uz - az * uy, ax * uy - ay * ux
+    length = np.hypot(x, z)
+    scale = 1.0 / length if length > 0.0 else 0.0
+    facing[0], facing[1], facing[2] = x * scale, 0.0, z * scale
 
 
 @nb.njit(cache=True, nogil=True)

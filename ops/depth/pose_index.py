@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.body.joint_tree import JOINTS
-from kinedex.ops.depth.pose_database import ENDS
+from kinedex.ops.depth.pose_distance import END_EFFECTORS
 from kinedex.ops.errors import ParameterError
 
 F32 = npt.NDArray[np.float32]
@@ -33,7 +33,7 @@ def pose_centres(poses: F64) -> F64:
 
 def pose_features(poses: F64) -> F32:
     """Return the five ends of poses (N, 24, 3) that face +Z, less their centres, float32 (N, 15) in metres."""
-    ends = poses[:, ENDS] - pose_centres(poses)[:, None]
+    ends = poses[:, END_EFFECTORS] - pose_centres(poses)[:, None]
     return np.ascontiguousarray(ends.reshape(len(poses), -1), np.float32)
 
 
