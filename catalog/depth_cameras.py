@@ -1,0 +1,172 @@
+"""One depth camera: the camera model of `catalog.cameras`, the unit of its images, and where up is.
+
+In the camera, x points right, y down and z forward; pixel centres are whole numbers. With a pose, x_camera = rotation ·
+(x_world − place), in a world in metres with Y up and the floor at Y = 0; without one, `up` may be the direction that
+points upwards in the camera's axes, as an accelerometer measures it at rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.cameras import Camera
+from kinedex.ops.cameras import projection
+from kinedex.ops.errors import ParameterError
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+
+NOT_MEASURED = (0, 65535)
+"""Values of integer images that stand where nothing was measured."""
+
+FASTEST_HZ = 10_000.0
+"""A faster camera is none."""
+
+_LARGEST_UNIT_M = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class DepthCamera:
+    """A calibrated depth camera.
+
+    Attributes
+    ----------
+    matrix : float64 array (3, 3)
+        [[fx, skew, cx], [0, fy, cy], [0, 0, 1]], in pixels.
+    distortion : float64 array (0,), (4,), (5,) or (8,)
+        k1 k2 p1 p2 k3 k4 k5 k6, or the first of them.
+    size : tuple of (int, int)
+        Width and height of its images in pixels.
+    depth_unit_m : float
+        Metres of one unit of integer images.
+    rate_hz : float, optional
+        Frames per second.
+    is_range : bool
+        True if images hold distances along the ray instead of depths z.
+    rotation : float64 array (3, 3), optional
+        The turn from the world to the camera.
+    place : float64 array (3,), optional
+        Its centre in the world in metres; it stands with `rotation` or not at all.
+    up : float64 array (3,), optional
+        The unit vector that points upwards, in the camera's axes; a vector of any length is given. It does not stand
+        beside a pose, which implies it.
+
+    Raises
+    ------
+    ParameterError
+        A value is out of its domain; the message names the attribute.
+    """
+
+    matrix: F64
+    distortion: F64
+    size: tuple[int, int]
+    depth_unit_m: float = 0.001
+    rate_hz: float | None = None
+    is_range: bool = False
+    rotation: F64 | None = None
+    place: F64 | None = None
+    up: F64 | None = None
+
+    def __post_init__(self) -> None:
+        if (self.rotation is None) != (self.place is None):
+            raise ParameterError("place", "given with `rotation`, or neither", "one of them")
+        if not 0 < self.depth_unit_m <= _LARGEST_UNIT_M:
+            raise ParameterError("depth_unit_m", f"above 0 and at most {_LARGEST_UNIT_M:g}", self.depth_unit_m)
+        if self.rate_hz is not None and not 0 < self.rate_hz <= FASTEST_HZ:
+            raise ParameterError("rate_hz", f"above 0 and at most {FASTEST_HZ:g}", self.rate_hz)
+        if self.up is not None:
+            if self.rotation is not None:
+                raise ParameterError("up", "absent beside a pose, which implies it", np.asarray(self.up).tolist())
+            object.__setattr__(self, "up", _unit_vector("up", self.up))
+        camera = self.camera
+        for key in ("matrix", "distortion"):
+            object.__setattr__(self, key, getattr(camera, key))
+        if self.rotation is not None:
+            object.__setattr__(self, "rotation", camera.rotation)
+            object.__setattr__(self, "place", np.ascontiguousarray(self.place, np.float64))
+
+    @cached_property
+    def camera(self) -> Camera:
+        """The camera in the world, or at the origin of its own axes where there is no pose."""
+        rotation, place = np.eye(3), np.zeros(3)
+        if self.rotation is not None and self.place is not None:
+            rotation, place = np.asarray(self.rotation, np.float64), np.asarray(self.place, np.float64)
+            for key, values, shape in (("rotation", rotation, (3, 3)), ("place", place, (3,))):
+                if values.shape != shape:
+                    raise ParameterError(key, f"of shape {shape}", values.shape)
+        return Camera("depth", self.matrix, self.distortion, rotation, -rotation @ place, self.size)
+
+    @property
+    def upwards(self) -> F64 | None:
+        """The unit vector that points upwards in the camera's axes, of the pose or of `up`; None if unknown."""
+        return self.up if self.rotation is None else self.rotation[:, 1].copy()
+
+    @cached_property
+    def rays(self) -> F64:
+        """The rays (H, W, 2) of its pixels: a, b of (a, b, 1), distortion undone; NaN where the lens has none."""
+        width, height = self.size
+        (fx, skew, cx), (_, fy, cy) = self.matrix[:2]
+        b = np.broadcast_to((np.arange(height)[:, None] - cy) / fy, (height, width))
+        a = (np.arange(width) - cx - skew * b) / fx
+        return projection.undistort(self.distortion, np.stack([a, b], axis=-1))
+
+    @cached_property
+    def _depth_shares(self) -> F64 | None:
+        """Return what a measured value is multiplied by to be z (H, W); None if it is z already."""
+        known = np.isfinite(self.rays[..., 0]) if self.distortion.any() else None
+        if not self.is_range:
+            return None if known is None or known.all() else known.astype(np.float64)
+        lengths: F64 = np.sqrt(1 + np.einsum("...i,...i->...", self.rays, self.rays))
+        return np.where(np.isfinite(lengths), 1 / lengths, 0.0)
+
+    def depths(self, values: npt.NDArray[Any]) -> F32:
+        """Return the depths z in metres of an image as it is stored.
+
+        Parameters
+        ----------
+        values : integer or floating array (H, W)
+            Integers in units of `depth_unit_m`, or floats in metres; distances along the ray if `is_range`.
+
+        Returns
+        -------
+        float32 array (H, W)
+            Depths, 0 where nothing was measured (0, 65535, NaN, below 0), or the lens has no ray.
+
+        Raises
+        ------
+        ParameterError
+            The image has another size, or values of another kind.
+        """
+        width, height = self.size
+        if values.shape != (height, width) or values.dtype.kind not in "iuf":
+            raise ParameterError(
+                "values", f"numbers of shape {(height, width)}", f"{values.dtype} of shape {values.shape}"
+            )
+        found = values.astype(np.float64)
+        if values.dtype.kind == "f":
+            measured = (found > 0) & (found < np.inf)
+        else:
+            measured = (values > NOT_MEASURED[0]) & (values != NOT_MEASURED[1])
+            found *= self.depth_unit_m
+        if self._depth_shares is not None:
+            found *= np.where(measured, self._depth_shares, 0.0)
+        return np.where(measured, found, 0.0).astype(np.float32)
+
+    def project(self, points: npt.ArrayLike) -> tuple[F64, F64]:
+        """Return pixels (…, 2) and depths (…,) in metres of points (…, 3) in the camera's axes."""
+        return projection.project(self.matrix, np.eye(3), np.zeros(3), self.distortion, points)
+
+
+def _unit_vector(name: str, values: npt.ArrayLike) -> F64:
+    vector = np.ascontiguousarray(values, np.float64)
+    if vector.shape != (3,):
+        raise ParameterError(name, "of shape (3,)", vector.shape)
+    length = float(np.linalg.norm(vector)) if (np.abs(vector) <= 1e9).all() else np.nan
+    if not length > 1e-9:
+        raise ParameterError(name, "a finite direction, not 0", vector.tolist())
+    return vector / length

@@ -1,0 +1,121 @@
+"""The frames of a depth recording, read one at a time: files of images or clouds, NPZ, or raw numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.depth_cameras import DepthCamera
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.depth.png import read_depth_png
+
+F32 = npt.NDArray[np.float32]
+
+
+class DepthSource(Protocol):
+    """A source has numbered depth images."""
+
+    @property
+    def numbers(self) -> Sequence[int]:
+        """The numbers of its images, ascending."""
+
+    def read(self, number: int) -> F32:
+        """Return the depths (H, W) of an image in metres; a SourceError reports a damaged one."""
+
+
+@dataclass(frozen=True, eq=False)
+class ImageFiles:
+    """A file for each frame.
+
+    Attributes
+    ----------
+    files : mapping of int to Path
+        The number of a frame → its file.
+    camera : DepthCamera
+        The camera.
+    """
+
+    files: Mapping[int, Path]
+    camera: DepthCamera
+
+    @property
+    def numbers(self) -> Sequence[int]:
+        """The numbers of its images, ascending."""
+        return sorted(self.files)
+
+    def read(self, number: int) -> F32:
+        """Return the depths (H, W) of an image in metres; a SourceError reports a damaged one."""
+        return read_frame(self.files[number], self.camera)
+
+
+def read_frame(path: str | Path, camera: DepthCamera) -> F32:
+    """Return the depths of a file of one frame.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    camera : DepthCamera
+        The camera that it is of, or that a cloud without rows is projected into.
+
+    Returns
+    -------
+    float32 array (H, W)
+        Depths z in metres; 0 where nothing was measured.
+
+    Raises
+    ------
+    SourceError
+        The file is damaged, or is no frame of this camera.
+    """
+    return read_depth_png(path, camera)
+
+
+@dataclass(eq=False)
+class DepthFrames:
+    """The frames of a recording: `frames[t]` is an image (H, W) in metres, or None where it is missing or damaged.
+
+    Attributes
+    ----------
+    source : DepthSource
+        The images.
+    damaged : dict of int to str
+        Frame, from 0 → what is wrong with its image, as far as it was read.
+    """
+
+    source: DepthSource
+    damaged: dict[int, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._numbers = frozenset(self.source.numbers)
+        self.first = min(self._numbers)
+        self._length = max(self._numbers) - self.first + 1
+
+    @property
+    def numbers(self) -> range:
+        """The numbers of all frames in the files, those of missing ones included."""
+        return range(self.first, self.first + self._length)
+
+    @property
+    def missing(self) -> tuple[int, ...]:
+        """The frames, from 0, that the files do not have."""
+        return tuple(t for t in range(self._length) if self.first + t not in self._numbers)
+
+    def __len__(self) -> int:
+        return self._length
+
+    def __getitem__(self, frame: int) -> F32 | None:
+        if not 0 <= frame < self._length:
+            raise IndexError(frame)
+        if self.first + frame not in self._numbers or frame in self.damaged:
+            return None
+        try:
+            return self.source.read(self.first + frame)
+        except SourceError as fault:
+            self.damaged[frame] = str(fault)
+            return None
