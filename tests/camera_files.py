@@ -116,6 +116,29 @@ def opencv_yaml(camera: Camera) -> str:
     return text
 
 
+def easymocap(found: list[Camera], sizes: bool = True, vectors_too: bool = True) -> dict[str, str]:
+    """Return the two files of a calibration as EasyMocap writes them, by their names."""
+    names = "names:\r\n" + "".join(f'  - "{camera.name}"\r\n' for camera in found)
+    lenses = places = f"%YAML:1.0\r\n---\r\n{names}"
+    for camera in found:
+        width, height = camera.size
+        lenses += _matrix(f"K_{camera.name}", camera.matrix)
+        lenses += _matrix(f"dist_{camera.name}", np.append(camera.distortion, 0.0)[None])
+        lenses += f"H_{camera.name}: {height}\r\nW_{camera.name}: {width}\r\n" if sizes else ""
+        if vectors_too:
+            places += _matrix(f"R_{camera.name}", vectors(camera.rotation[None])[0][:, None])
+        places += _matrix(f"Rot_{camera.name}", camera.rotation) + _matrix(
+            f"T_{camera.name}", camera.translation[:, None]
+        )
+    return {"intri.yml": lenses, "extri.yml": places}
+
+
+def _matrix(key: str, values: np.ndarray) -> str:
+    data = ", ".join(f"{value:.12f}" for value in values.ravel())
+    shape = f"  rows: {len(values)}\r\n  cols: {values.shape[1]}\r\n  dt: d\r\n"
+    return f"{key}: !!opencv-matrix\r\n{shape}  data: [{data}]\r\n"
+
+
 def panoptic(found: list[Camera]) -> dict[str, Any]:
     """Return cameras in the form of CMU Panoptic, centimetres with -Y up."""
     turned = [camera.in_world(np.diag([1.0, -1, -1]), 100.0) for camera in found]
@@ -137,6 +160,17 @@ def openpose(persons: list[np.ndarray], confidence: float | None = 0.9) -> dict[
         rows = [[None if np.isnan(x) else float(x) for x in place] + [confidence] for place in places]
         people.append({"person_id": [-1], "pose_keypoints_2d": [number for row in rows for number in row]})
     return {"version": 1.3, "people": people}
+
+
+def mmpose(persons: list[np.ndarray], confidence: float = 0.9) -> list[dict[str, Any]]:
+    """Return the instances of a frame in MMPose's form."""
+    return [
+        {
+            "keypoints": places.tolist(), "keypoint_scores": [confidence] * len(places),
+            "bbox": [[0.0, 0.0, 9.0, 9.0]], "bbox_score": 0.98,
+        }
+        for places in persons
+    ]  # fmt: skip
 
 
 def save_json(path: Path, content: Any) -> Path:

@@ -18,17 +18,14 @@ from kinedex.catalog.cameras import Camera
 from kinedex.catalog.configs import config_path
 from kinedex.catalog.keypoint_sets import load_keypoint_set
 from kinedex.catalog.recordings import CameraRecording, RecordingsFile, load_recordings
-from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
+from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.tracking.tracked_takes import Provenance
-from kinedex.storage.formats.cameras.file_patterns import find_files
-from kinedex.storage.formats.cameras.recording import Recording, RecordingCounts, read_recording
+from kinedex.storage.formats.cameras.recording import Recording, RecordingCounts, read_recording, recording_files
 from kinedex.storage.formats.motion.sources import checksum
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
-
-_ENDINGS = {"keypoints": ".json", "silhouettes": ".png"}
 
 
 def named_files(file: RecordingsFile, name: str) -> list[tuple[str, Path]]:
@@ -42,14 +39,9 @@ def named_files(file: RecordingsFile, name: str) -> list[tuple[str, Path]]:
     given = file.recording(name)
     found = [("recordings", Path(file.located.path))]
     for kind in ("cameras", "keypoints", "silhouettes"):
-        pattern = getattr(given, kind)
-        if pattern is None:
-            continue
-        try:
-            files = find_files(file.folder, pattern, _ENDINGS.get(kind, "")).files
-        except SourceError as fault:
-            raise file.error(name, kind, fault.reason) from None
-        found += [(kind, path) for paths in files.values() for path in paths]
+        if getattr(given, kind) is not None:
+            files = recording_files(file, name, kind).files
+            found += [(kind, path) for paths in files.values() for path in paths]
     keypoint_set = file.keypoint_set(name)
     if isinstance(keypoint_set, Path):
         found.append(("keypoint set", config_path("keypoints", keypoint_set)))

@@ -26,7 +26,7 @@ def body() -> ChainBody:
 def test_the_number_of_keypoints_decides_the_set() -> None:
     sets = {count: [one.name for one in sets] for count, sets in keypoint_sets_by_count().items()}
     assert sets.pop(25) == ["body-25", "body-25b"]
-    assert sets == {17: ["coco-17"], 18: ["coco-18"], 26: ["halpe-26"], 33: ["mediapipe-33"]}
+    assert sets == {17: ["coco-17"], 18: ["coco-18"], 26: ["halpe-26"], 33: ["mediapipe-33"], 133: ["coco-133"]}
 
 
 @pytest.mark.parametrize("name", ["body-25", "body-25b"])
@@ -51,7 +51,8 @@ def test_the_twelve_limb_joints_are_named_joints_in_every_set(name: str) -> None
 def test_only_what_a_body_has_no_place_for_is_left_out() -> None:
     unused = {name: set(load_keypoint_set(name).order) - set(load_keypoint_set(name).places)
               for name in config_names("keypoints")}  # fmt: skip
-    assert {name for name, those in unused.items() if those} == {"mediapipe-33"}
+    assert {name for name, those in unused.items() if those} == {"coco-133", "mediapipe-33"}
+    assert len(unused["coco-133"]) == 68 + 42
     assert {"mouth_left", "left_thumb", "right_eye_inner"} < unused["mediapipe-33"]
 
 

@@ -21,9 +21,10 @@ from kinedex.storage.formats.cameras.coco_results import read_coco_results
 from kinedex.storage.formats.cameras.keypoint_files import keypoint_arrays
 from kinedex.storage.formats.cameras.keypoint_tables import read_keypoint_table
 from kinedex.storage.formats.cameras.masks import mask_arrays, open_bits, read_mask
+from kinedex.storage.formats.cameras.mmpose import read_mmpose
 from kinedex.storage.formats.cameras.openpose import read_frame
 from kinedex.storage.formats.cameras.persons import SeenPersons, chosen_persons
-from tests.camera_files import Filmed, body, cameras, opencv, opencv_yaml, openpose, panoptic, toml
+from tests.camera_files import Filmed, body, cameras, easymocap, mmpose, opencv, opencv_yaml, openpose, panoptic, toml
 
 RING = cameras(2)
 PIXELS = Filmed(Path(), RING, body(2)).pixels
@@ -32,6 +33,7 @@ MASK_SIZE = (64, 48)
 CALIBRATION_WORDS = (
     b"camera_matrix: ", b"!!opencv-matrix\n   rows: 3\n   cols: 3\n", b"rvec: [0, 0, 0]\n", b"fisheye = true\n",
     b"size = [640, 480]\n", b"[cam_1]\n", b'"K":[[1,0,0],[0,1,0],[0,0,1]],', b'"cameras":', b"%YAML:1.0\n---\n",
+    b"K_1: ", b"R_1: ", b"T_1: ", b"W_1: 640\n", b"names: [1]\n",
 )  # fmt: skip
 TABLE_WORDS = (
     b"camera,frame,keypoint,x,y,confidence\n",
@@ -48,6 +50,14 @@ def yaml_calibrations() -> dict[str, bytes]:
     """One camera as OpenCV writes it, and several in sections."""
     sections = yaml.safe_dump({one.name: opencv(one) for one in RING})
     return {"one": opencv_yaml(RING[0]).encode(), "sections": sections.encode()}
+
+
+def easymocap_calibrations() -> dict[str, bytes]:
+    """Both files of EasyMocap in one, with sizes and without vectors."""
+    head = "%YAML:1.0\r\n---\r\n"
+    texts = easymocap(RING), easymocap(RING, sizes=False, vectors_too=False)
+    both = [(one["intri.yml"] + one["extri.yml"].removeprefix(head)).encode() for one in texts]
+    return {name: text.replace(b"names:", b"_:", 1) for name, text in zip(("sizes", "matrices"), both, strict=True)}
 
 
 def json_calibrations() -> dict[str, bytes]:
@@ -69,6 +79,14 @@ def openpose_frames() -> dict[str, bytes]:
         "two": json.dumps(two).encode(),
         "none": json.dumps(openpose([])).encode(),
     }
+
+
+def mmpose_files() -> dict[str, bytes]:
+    """The frames of a video with their header, and a list of frames."""
+    frames = [{"frame_id": t, "instances": mmpose([one, one + 5])} for t, one in enumerate(PIXELS[:, 0])]
+    header = {"keypoint_id2name": {str(number): f"point_{number}" for number in range(16)} | {"16": "nose"}}
+    contents = {"video": {"meta_info": header, "instance_info": frames}, "list": frames}
+    return {name: json.dumps(content).encode() for name, content in contents.items()}
 
 
 def coco_results() -> dict[str, bytes]:
@@ -158,6 +176,13 @@ def check_openpose(path: Path) -> None:
     persons = read_frame(path)
     if persons:
         _check_persons(SeenPersons(path, {0: persons}))
+
+
+def check_mmpose(path: Path) -> None:
+    """Persons become arrays, if there are any."""
+    seen = read_mmpose([path])
+    if seen.keypoints:
+        _check_persons(seen)
 
 
 def check_coco_results(path: Path) -> None:

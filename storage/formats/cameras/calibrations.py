@@ -1,4 +1,4 @@
-"""Calibrations of cameras: OpenCV YAML and JSON, TOML of AniPose and Pose2Sim, JSON of CMU Panoptic.
+"""Calibrations of cameras: OpenCV, EasyMocap, TOML of AniPose and Pose2Sim, JSON of CMU Panoptic.
 
 Whatever the file, a camera is x_camera = R · X + t. Lengths and axes are those of the file until `in_metres` turns the
 world to metres with Y up.
@@ -24,6 +24,7 @@ from kinedex.storage.formats.cameras.camera_values import (
     refuse_names,
     value_of,
 )
+from kinedex.storage.formats.cameras.easymocap import easymocap_calibration, is_easymocap, other_file
 from kinedex.storage.formats.motion.keypoint_frames import load_json
 from kinedex.storage.formats.motion.reader import file_size
 from kinedex.storage.formats.small_files import read_bytes
@@ -47,7 +48,9 @@ UP_AXES = tuple(_TURNS)
 
 _MOST_BYTES = {".json": 16 << 20}
 _FEWEST_BYTES = 1 << 20  # of YAML and TOML, which people can read
-_ENDINGS = (".yaml", ".yml", ".json", ".toml")
+
+ENDINGS = (".yaml", ".yml", ".json", ".toml")
+"""Endings of calibrations."""
 
 
 def read_calibration(path: str | Path, size: tuple[int, int] | None = None) -> Calibration:
@@ -56,7 +59,7 @@ def read_calibration(path: str | Path, size: tuple[int, int] | None = None) -> C
     Parameters
     ----------
     path : str or Path
-        A file ending in .yaml, .yml, .json or .toml.
+        A file ending in .yaml, .yml, .json or .toml; either of the two of EasyMocap, `intri.yml` and `extri.yml`.
     size : tuple of (int, int), optional
         Width and height of the images in pixels, for files that have none.
 
@@ -73,19 +76,14 @@ def read_calibration(path: str | Path, size: tuple[int, int] | None = None) -> C
         The file cannot be read.
     """
     path = Path(path)
-    ending = path.suffix.lower()
-    if ending not in _ENDINGS:
-        raise ConfigError(path, f"expected a calibration ending in {', '.join(_ENDINGS)}")
-    most = _MOST_BYTES.get(ending, _FEWEST_BYTES)
-    if file_size(path) > most:
-        raise ConfigError(path, f"has {file_size(path) / 1e6:.1f} MB, and calibrations {most >> 20} MB at most")
-    if ending == ".json":
-        located = Located(path, load_json(path))
-    elif ending == ".toml":
-        return _toml(_load_toml(path), size)
-    else:
-        located = _load_opencv_yaml(path)
+    located = _load(path)
+    if path.suffix.lower() == ".toml":
+        return _toml(located, size)
     content = located.mapping()
+    if is_easymocap(content):
+        return easymocap_calibration(
+            sorted([located, *map(_load, calibration_files(path)[1:])], key=_without_lenses), size
+        )
     cameras = content.get("cameras")
     if isinstance(cameras, list) and all(isinstance(one, Mapping) for one in cameras):
         if all({"K", "R", "t"} <= one.keys() for one in cameras) and cameras:
@@ -99,6 +97,30 @@ def read_calibration(path: str | Path, size: tuple[int, int] | None = None) -> C
     if value_of(content, "matrix"):
         return _sections(located, {path.stem: content}, {path.stem: ()}, size)
     return _sections(located, _mappings(content), {str(name): (name,) for name in content}, size)
+
+
+def calibration_files(path: Path) -> tuple[Path, ...]:
+    """Return the files of a calibration that one of them names: two of EasyMocap, one of every other kind."""
+    other = other_file(path)
+    return (path,) if other is None or not other.is_file() else (path, other)
+
+
+def _load(path: Path) -> Located:
+    """Return the content of a file by its ending."""
+    ending = path.suffix.lower()
+    if ending not in ENDINGS:
+        raise ConfigError(path, f"expected a calibration ending in {', '.join(ENDINGS)}")
+    most = _MOST_BYTES.get(ending, _FEWEST_BYTES)
+    if file_size(path) > most:
+        raise ConfigError(path, f"has {file_size(path) / 1e6:.1f} MB, and calibrations {most >> 20} MB at most")
+    if ending == ".json":
+        return Located(path, load_json(path))
+    return _load_toml(path) if ending == ".toml" else _load_opencv_yaml(path)
+
+
+def _without_lenses(file: Located) -> bool:
+    """Return whether a file of EasyMocap has no camera matrix, which is the one with the places."""
+    return not any(str(key).startswith("K_") for key in file.mapping())
 
 
 def in_metres(calibration: Calibration, unit: str | None, up: str | None) -> tuple[Camera, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -33,6 +34,7 @@ KEYS = {
 """Attribute of a camera → the keys that programs write it under."""
 
 _MOST_NUMBERS = 64
+_NO_POINT = re.compile(r"[-+]?[0-9]{1,18}[eE][-+]?[0-9]{1,2}")
 _ROTATION_ERROR = 0.01
 
 
@@ -119,6 +121,8 @@ def numbers_of(value: object) -> F64 | None:
     waiting: list[object] = [value]
     while waiting:
         one = waiting.pop()
+        if isinstance(one, str) and _NO_POINT.fullmatch(one):  # YAML 1.1 takes 1e-05 for a text
+            one = float(one)
         if isinstance(one, list):
             if len(flat) + len(waiting) + len(one) > _MOST_NUMBERS:
                 return None

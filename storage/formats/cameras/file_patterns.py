@@ -51,7 +51,7 @@ def natural_key(text: str) -> tuple[tuple[int, str], ...]:
     return (*keys, (0, text))
 
 
-def find_files(folder: Path, pattern: str, ending: str = "", excluded: Path | None = None) -> CameraFiles:
+def find_files(folder: Path, pattern: str, endings: tuple[str, ...] = (), excluded: Path | None = None) -> CameraFiles:
     """Return the files that a pattern names.
 
     Parameters
@@ -59,9 +59,9 @@ def find_files(folder: Path, pattern: str, ending: str = "", excluded: Path | No
     folder : Path
         The folder that a relative pattern starts from.
     pattern : str
-        The pattern; where it ends with a folder, its files with `ending` are meant.
-    ending : str, optional
-        The ending of files of a folder, as ".json".
+        The pattern; where it ends with a folder, its files with one of `endings` are meant.
+    endings : tuple of str, optional
+        Endings of the files of a folder, as ".json".
     excluded : Path, optional
         A file that is not meant, though the pattern may match it.
 
@@ -82,8 +82,8 @@ def find_files(folder: Path, pattern: str, ending: str = "", excluded: Path | No
         found = [match for place, camera in found for match in _step(place, camera, part)]
         if len(found) > MOST_FILES:
             raise SourceError(folder, f"'{pattern}' matches more than {MOST_FILES:,} files")
-    if ending:
-        found = [match for place, camera in found for match in _inside(place, camera, ending)]
+    if endings:
+        found = [match for place, camera in found for match in _inside(place, camera, endings)]
     files: dict[str, list[Path]] = {}
     for place, camera in found:
         if place.is_file() and place != excluded:
@@ -167,10 +167,10 @@ def _step(place: Path, camera: str | None, part: str) -> Iterable[tuple[Path, st
             yield place / name, match.groupdict().get("camera") or camera
 
 
-def _inside(place: Path, camera: str | None, ending: str) -> Iterable[tuple[Path, str | None]]:
+def _inside(place: Path, camera: str | None, endings: tuple[str, ...]) -> Iterable[tuple[Path, str | None]]:
     if not place.is_dir():
         return [(place, camera)]
-    return [(place / name, camera) for name in _names(place) if name.lower().endswith(ending)]
+    return [(place / name, camera) for name in _names(place) if name.lower().endswith(endings)]
 
 
 def _names(place: Path) -> list[str]:

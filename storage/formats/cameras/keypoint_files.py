@@ -20,6 +20,7 @@ from kinedex.ops.errors import SourceError, did_you_mean
 from kinedex.storage.formats.cameras.coco_results import read_coco_results
 from kinedex.storage.formats.cameras.file_patterns import CameraFiles
 from kinedex.storage.formats.cameras.keypoint_tables import read_keypoint_table
+from kinedex.storage.formats.cameras.mmpose import are_mmpose, read_mmpose
 from kinedex.storage.formats.cameras.openpose import read_openpose
 from kinedex.storage.formats.cameras.persons import SeenPersons, chosen_persons
 from kinedex.storage.formats.motion.table_sections import beginning
@@ -78,7 +79,8 @@ def read_keypoint_files(files: CameraFiles, recording: str) -> dict[str, SeenPer
     Parameters
     ----------
     files : CameraFiles
-        Files of OpenPose (one a frame), COCO results (one a camera), or tables (one a camera, or one for all).
+        Files of OpenPose (one a frame), MMPose (one a camera or a frame), COCO results (one a camera), or tables (one a
+        camera, or one for all).
     recording : str
         The recording whose rows of a table count.
 
@@ -104,6 +106,8 @@ def read_keypoint_files(files: CameraFiles, recording: str) -> dict[str, SeenPer
             raise SourceError(paths[0], "expected keypoints ending in .json, .csv or .parquet")
         elif not files.each_camera:
             raise SourceError(paths[0], "keypoints in JSON need {camera} in their path, as pose/{camera}/*.json")
+        elif are_mmpose(paths):
+            found[camera] = read_mmpose(paths)
         elif beginning(paths[0]).lstrip().startswith("[") or '"annotations"' in beginning(paths[0]):
             found[camera] = read_coco_results(_only(paths, "COCO results"))
         else:

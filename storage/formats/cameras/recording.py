@@ -15,7 +15,7 @@ from kinedex.catalog.recordings import CameraRecording, RecordingsFile
 from kinedex.ops.body.kinematic_chain import ChainBody
 from kinedex.ops.errors import ConfigError, SourceError, did_you_mean
 from kinedex.ops.tracking.observations import BodyPoints, Rays
-from kinedex.storage.formats.cameras.calibrations import in_metres, read_calibration
+from kinedex.storage.formats.cameras.calibrations import ENDINGS, calibration_files, in_metres, read_calibration
 from kinedex.storage.formats.cameras.camera_values import Calibration
 from kinedex.storage.formats.cameras.file_patterns import CAMERA, CameraFiles, find_files, match_cameras
 from kinedex.storage.formats.cameras.keypoint_files import KeypointArrays, keypoint_arrays, read_keypoint_files
@@ -24,6 +24,11 @@ from kinedex.storage.formats.cameras.persons import SeenPersons
 from kinedex.storage.formats.cameras.recording_checks import check_cameras, check_keypoints
 
 F64 = npt.NDArray[np.float64]
+
+_ENDINGS = {"cameras": ENDINGS, "keypoints": (".json",), "silhouettes": (".png",)}
+"""Key of a recording → the endings of the files that are meant where it names a folder."""
+
+_MOST_LISTED = 26  # keypoints in a note
 
 
 @dataclass(frozen=True)
@@ -194,7 +199,7 @@ class _Entry:
         """Return the persons of each camera by its name; none where the entry has no keypoints."""
         if self.given.keypoints is None:
             return {}
-        files = _files(self.file, self.name, "keypoints", self.given.keypoints, ".json")
+        files = recording_files(self.file, self.name, "keypoints")
         found = read_keypoint_files(files, self.name)
         if list(found) == [""]:
             raise self._error("keypoints", f"the table has no column `camera`, and the path no {CAMERA}")
@@ -204,7 +209,7 @@ class _Entry:
         """Return the masks of each camera by its name; none where the entry has no silhouettes."""
         if self.given.silhouettes is None:
             return {}
-        files = _files(self.file, self.name, "silhouettes", self.given.silhouettes, ".png")
+        files = recording_files(self.file, self.name, "silhouettes")
         by_name = {camera.name: camera for camera in self.cameras}
         if next(iter(files.files.values()))[0].suffix.lower() == ".npz":
             arrays = _mask_arrays(files)
@@ -239,19 +244,41 @@ class _Entry:
         return self.file.error(self.name, key, message)
 
 
-def _files(file: RecordingsFile, name: str, key: str, pattern: str, ending: str = "") -> CameraFiles:
-    """Return the files of a key but the file of recordings itself; errors name the key."""
+def recording_files(file: RecordingsFile, name: str, key: str) -> CameraFiles:
+    """Return the files of a key of a recording, but the file of recordings itself.
+
+    Parameters
+    ----------
+    file : RecordingsFile
+        The file of recordings.
+    name : str
+        The recording.
+    key : str
+        cameras, keypoints or silhouettes; the recording has it.
+
+    Raises
+    ------
+    ConfigError
+        The key names no file, or a calibration several; the message names the key and its line.
+    """
+    pattern = str(getattr(file.recording(name), key))
     try:
-        return find_files(file.folder, pattern, ending, file.located.path)
+        found = find_files(file.folder, pattern, _ENDINGS[key], Path(file.located.path))
     except SourceError as fault:
         raise file.error(name, key, fault.reason) from None
+    if key != "cameras":
+        return found
+    files = {camera: calibration_files(paths[0]) for camera, paths in found.files.items()}
+    several = next((paths for camera, paths in found.files.items() if not {*paths} <= {*files[camera]}), None)
+    if several is not None:
+        listed = ", ".join(path.name for path in several[:4]) + (", …" if len(several) > 4 else "")
+        raise file.error(name, key, f"'{pattern}' matches several files ({listed}); name one, or use {CAMERA}")
+    return CameraFiles(pattern, files)
 
 
 def _calibration(file: RecordingsFile, name: str, given: CameraRecording) -> Calibration:
     """Return the calibration: one file of all cameras, or a file for each, named by what `{camera}` stands for."""
-    files = _files(file, name, "cameras", str(given.cameras))
-    if any(len(paths) > 1 for paths in files.files.values()):
-        raise file.error(name, "cameras", f"'{given.cameras}' matches several files; name one, or use {CAMERA}")
+    files = recording_files(file, name, "cameras")
     if not files.each_camera:
         return read_calibration(files.files[""][0], given.size)
     read = {camera: read_calibration(paths[0], given.size) for camera, paths in files.files.items()}
@@ -288,7 +315,9 @@ def _mask_arrays(files: CameraFiles) -> dict[str, tuple[Path, str]]:
 
 def _set_notes(keypoints: KeypointArrays) -> list[str]:
     """Return notes on the keypoint set, and on the keypoints that are not used."""
-    unused = [f"not used, for want of a place on the body or of any image: {', '.join(keypoints.unused)}"]
+    some, more = keypoints.unused[:_MOST_LISTED], len(keypoints.unused) - _MOST_LISTED
+    listed = ", ".join(some) + (f" and {more} more" if more > 0 else "")
+    unused = [f"not used, for want of a place on the body or of any image: {listed}"]
     return [f"keypoints are those of {keypoints.keypoint_set.name}", *(unused if keypoints.unused else [])]
 
 

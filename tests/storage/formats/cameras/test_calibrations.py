@@ -12,7 +12,7 @@ import yaml
 from kinedex.catalog.cameras import Camera
 from kinedex.ops.errors import ConfigError, KinedexError
 from kinedex.storage.formats.cameras.calibrations import in_metres, read_calibration
-from tests.camera_files import cameras, opencv, opencv_yaml, panoptic, toml
+from tests.camera_files import cameras, easymocap, opencv, opencv_yaml, panoptic, toml
 
 RING = cameras()
 Z_UP = [camera.in_world(np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])) for camera in RING]
@@ -143,3 +143,53 @@ def test_a_mirrored_rotation_is_refused(tmp_path: Path) -> None:
     values = opencv(RING[0]) | {"R": (RING[0].rotation * [1, 1, -1]).tolist()}
     with pytest.raises(ConfigError, match="R: must be a rotation, three rows of unit length at right angles"):
         read_calibration(written(tmp_path, "a.json", json.dumps(values)))
+
+
+@pytest.mark.parametrize("more", [{}, {"sizes": False}, {"vectors_too": False}])
+@pytest.mark.parametrize("named", ["intri.yml", "extri.yml"])
+def test_the_two_files_of_easymocap_are_one_calibration_in_metres(
+    tmp_path: Path, named: str, more: dict[str, bool]
+) -> None:
+    for name, text in easymocap(RING, **more).items():
+        written(tmp_path, name, text)
+    found = read_calibration(tmp_path / named, None if more.get("sizes", True) else RING[0].size)
+    same(in_metres(found, None, "y"), RING)
+    with pytest.raises(ConfigError, match="of EasyMocap does not state which axis points up; write `up:`"):
+        in_metres(found, None, None)
+
+
+def test_keys_of_easymocap_may_stand_in_one_file_and_without_names(tmp_path: Path) -> None:
+    lenses, places = (text.split('cam_4"\r\n')[1] for text in easymocap(RING).values())
+    same(in_metres(read_calibration(written(tmp_path, "calib.yml", lenses + places)), None, "y"), RING)
+
+
+EASYMOCAP = {
+    "lone": ({"extri.yml": None}, "camera 'cam_1' has no `R_cam_1` or `Rot_cam_1` in intri.yml; EasyMocap writes"),
+    "unlisted": ({"intri.yml": ("K_cam_3:", "K3:")}, r"intri.yml:3: names: lists camera 'cam_3', which has"),
+    "unplaced": ({"extri.yml": ("T_cam_2:", "T2:")}, "camera 'cam_2' has no `T_cam_2` in intri.yml and extri.yml"),
+    "short": ({"extri.yml": ("T_cam_2: !!opencv-matrix\r\n  rows: 3", "T_cam_2: !!opencv-matrix\r\n  rows: 2")},
+              r"extri.yml:\d+: T_cam_2: must be 3 finite numbers"),
+    "sizes": ({"intri.yml": ("W_cam_1:", "X_cam_1:")}, "K_cam_1: camera without the size of its images; write `size"),
+    "code": ({"intri.yml": ("!!opencv-matrix", "!!python/object/apply:os.system")}, ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", EASYMOCAP)
+def test_a_fault_in_files_of_easymocap_names_the_file_and_the_key(tmp_path: Path, case: str) -> None:
+    changes, message = EASYMOCAP[case]
+    for name, text in easymocap(RING).items():
+        change = changes.get(name, ("", ""))
+        if change is not None:
+            written(tmp_path, name, text.replace(*change))
+    if not message:
+        assert read_calibration(tmp_path / "intri.yml").cameras, "tags are never executed"
+        return
+    with pytest.raises(ConfigError, match=message):
+        read_calibration(tmp_path / "intri.yml")
+
+
+def test_numbers_with_an_exponent_and_no_point_are_numbers(tmp_path: Path) -> None:
+    values = opencv(RING[0]) | {"dist_coeffs": "[1e-05, -2E+0, 0, 0]"}
+    text = yaml.safe_dump(values).replace("'[1e-05, -2E+0, 0, 0]'", "[1e-05, -2E+0, 0, 0]")
+    found = read_calibration(written(tmp_path, "cam_1.yml", text)).cameras[0]
+    assert found.distortion.tolist()[:2] == [1e-5, -2.0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,10 @@ from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.storage.formats.cameras.coco_results import read_coco_results
 from kinedex.storage.formats.cameras.file_patterns import find_files, match_cameras, natural_key
 from kinedex.storage.formats.cameras.keypoint_tables import read_keypoint_table
+from kinedex.storage.formats.cameras.mmpose import read_mmpose
 from kinedex.storage.formats.cameras.openpose import read_openpose
 from kinedex.storage.formats.cameras.recording import Recording, read_recording
-from tests.camera_files import Filmed, filmed, openpose, save_json
+from tests.camera_files import Filmed, filmed, mmpose, openpose, save_json
 
 COCO = load_keypoint_set("coco-17").order
 
@@ -59,7 +61,20 @@ def same(found: Recording, step: Filmed) -> None:
 
 
 @pytest.mark.parametrize(
-    "form", ["openpose", "folder", "coco", "coco names", "csv", "semicolons", "parquet", "numbers"]
+    "form",
+    [
+        "openpose",
+        "folder",
+        "coco",
+        "coco names",
+        "mmpose",
+        "mmpose list",
+        "mmpose images",
+        "csv",
+        "semicolons",
+        "parquet",
+        "numbers",
+    ],
 )
 def test_every_form_of_keypoints_is_the_same_recording(step: Filmed, form: str) -> None:
     table = rows(step)
@@ -72,6 +87,21 @@ def test_every_form_of_keypoints_is_the_same_recording(step: Filmed, form: str) 
             for v, camera in enumerate(step.cameras):
                 results = coco_results(step, v, "" if form == "coco" else "cam3/frame_{}.jpg")
                 save_json(step.folder / f"results_{camera.name}.json", results)
+        case "mmpose" | "mmpose list":
+            path = "{camera}.json"
+            for v, camera in enumerate(step.cameras):
+                frames = [
+                    {"frame_id": t + 1, "instances": mmpose([places])} for t, places in enumerate(step.pixels[:, v])
+                ]
+                names = {"keypoint_id2name": dict(enumerate(COCO))}
+                content = frames if "list" in form else {"meta_info": names, "instance_info": frames}
+                save_json(step.folder / f"{camera.name}.json", content)
+        case "mmpose images":
+            path = "images/{camera}"
+            for v, camera in enumerate(step.cameras):
+                for t, places in enumerate(step.pixels[:, v]):
+                    save_json(step.folder / "images" / camera.name / f"{t + 1:05d}.json", mmpose([places]))
+                save_json(step.folder / "images" / camera.name / "00000.json", [])
         case "csv":
             table.write_csv(step.folder / path)
         case "semicolons":
@@ -82,7 +112,53 @@ def test_every_form_of_keypoints_is_the_same_recording(step: Filmed, form: str) 
             if form == "numbers":
                 table = table.with_columns(pl.col("keypoint").replace_strict({n: i for i, n in enumerate(COCO)}))
             table.with_columns(pl.col("camera").cast(pl.Categorical)).write_parquet(step.folder / path)
-    same(read(step, keypoints=path), step)
+    found = read(step, keypoints=path)
+    if form == "mmpose images":  # nobody in the first one
+        assert (found.frames, found.counts.images_without_person) == (4, 4)
+        found = replace(found, pixels=found.pixels[1:], confidence=found.confidence[1:])
+    same(found, step)
+
+
+def test_files_of_mmpose_name_their_keypoints_or_have_as_many_as_a_set(step: Filmed) -> None:
+    wide = np.concatenate([step.pixels, np.full((*step.pixels.shape[:2], 116, 2), 100.0)], axis=2)
+    for v, camera in enumerate(step.cameras):
+        frames = [{"frame_id": t, "instances": mmpose([one])} for t, one in enumerate(wide[:, v])]
+        save_json(step.folder / f"{camera.name}.json", {"meta_info": {}, "instance_info": frames})
+    whole = read(step, keypoints="{camera}.json")
+    assert whole.keypoint_set is not None
+    assert whole.keypoint_set.name == "coco-133"
+    assert whole.keypoints[:17] == COCO
+    assert len(whole.keypoints) == 23
+    assert any("face-25 and 84 more" in note for note in whole.notes)
+    named = ["hip", *COCO[1:]]
+    for v, camera in enumerate(step.cameras):
+        frames = [{"instances": mmpose([one])} for one in step.pixels[:, v]]
+        names = {"keypoint_id2name": dict(enumerate(named))}
+        save_json(step.folder / f"{camera.name}.json", {"meta_info": names, "instance_info": frames})
+    assert read(step, keypoints="{camera}.json").keypoints == ("mid_hip", *COCO[1:])
+
+
+def test_what_is_wrong_in_a_file_of_mmpose_is_refused_with_its_place(tmp_path: Path) -> None:
+    one = mmpose([np.ones((17, 2))])[0]
+    for content, message in (
+        ({"instance_info": 3}, "expected keypoints of MMPose"),
+        ([{"frame_id": 0.5, "instances": []}], "frame 0: `frame_id` must be a whole number of at least 0, got 0.5"),
+        (
+            [{"frame_id": 1, "instances": [one]}, {"frame_id": 1, "instances": []}],
+            "frame 1: a second frame has the number",
+        ),
+        ([{"instances": [{**one, "keypoint_scores": [1.0]}]}], "instance 0: `keypoint_scores` must be a list of 17"),
+        ([{"instances": [{**one, "keypoints": [[1.0, 2.0, 3.0]] * 17}]}], "3D: ingest the file as motion instead"),
+        ([{"instances": [{"keypoints": [[1.0, "x"]]}]}], "frame 0, instance 0: expected numbers"),
+        ([{"instances": [one, mmpose([np.ones((3, 2))])[0]]}], "persons or names of 3 and 17 keypoints"),
+        ([one], "expected the number of the frame at the end of the name"),
+    ):
+        path = save_json(tmp_path / "cam.json", content)
+        with pytest.raises(SourceError, match=message):
+            read_mmpose([path])
+    several = [save_json(tmp_path / f"{t}.json", [{"frame_id": t, "instances": [one]}]) for t in range(2)]
+    with pytest.raises(SourceError, match="the frames of a video, and must be the one file of a camera; there are 2"):
+        read_mmpose(several)
 
 
 def test_a_table_of_several_recordings_gives_the_rows_of_one(step: Filmed) -> None:

@@ -16,9 +16,10 @@ from kinedex.catalog.keypoint_sets import load_keypoint_set
 from kinedex.catalog.recordings import load_recordings, parse_recordings
 from kinedex.ops.errors import ConfigError
 from kinedex.ops.tracking.triangulation import triangulate
+from kinedex.pipelines.tracking.recordings import named_files
 from kinedex.storage.formats.cameras.recording import Recording, read_recording
 from kinedex.storage.formats.motion.position_files import parse_trc
-from tests.camera_files import Filmed, cameras, filmed, opencv, openpose, save_json, toml
+from tests.camera_files import Filmed, cameras, easymocap, filmed, opencv, openpose, save_json, toml
 
 KEY = r"recordings.yaml:\d+: recordings.step"
 
@@ -50,6 +51,26 @@ def test_a_calibration_may_be_a_file_for_each_camera(step: Filmed) -> None:
         path.write_text(yaml.safe_dump(opencv(camera)), encoding="utf-8")
     found = read(step, cameras="{camera}.yaml", rate_hz=60)
     assert [camera.name for camera in found.cameras] == [camera.name for camera in step.cameras]
+
+
+@pytest.mark.parametrize("named", ["calib", "calib/intri.yml", "calib/extri.yml", "calib/*tri.yml"])
+def test_a_folder_and_either_file_name_both_files_of_easymocap(step: Filmed, named: str) -> None:
+    (step.folder / "calib").mkdir()
+    for name, text in easymocap(step.cameras).items():
+        (step.folder / "calib" / name).write_text(text, encoding="utf-8")
+    found = read(step, cameras=named, unit=None)
+    assert [camera.name for camera in found.cameras] == [camera.name for camera in step.cameras]
+    files = named_files(load_recordings(step.folder / "recordings.yaml"), "step")
+    assert {path.name for kind, path in files if kind == "cameras"} == {"intri.yml", "extri.yml"}
+
+
+def test_a_folder_with_several_calibrations_is_refused(step: Filmed) -> None:
+    for name in ("calib", "other"):
+        (step.folder / f"{name}.toml").write_text(toml(step.cameras), encoding="utf-8")
+    with pytest.raises(
+        ConfigError, match=rf"{KEY}.cameras: '\*.toml' matches several files \(calib.toml, other.toml\)"
+    ):
+        read(step, cameras="*.toml")
 
 
 def test_one_camera_is_too_few(tmp_path: Path) -> None:
