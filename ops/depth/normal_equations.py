@@ -1,0 +1,447 @@
+"""JᵀJ and Jᵀr of a fit by sums over cones and over the tree of pivots.
+
+A point of a cone's axis moves by dq = t + Σ_k ω_k × a_k, with a displacement t of all and a small turn ω_k of each
+pivot above it: a_k = Σ_j w_j (p_j − p_k) over the joints that pivot k moves, with their weights w_j in the point.
+
+Most cones are rigid: one pivot and those above it move all of the cone. Their rows are (n, r × n) in the velocity of
+the root's place and the angular velocity, whatever the point, and are summed by pivot. The sums of a pivot go on to the
+one above it, so the work does not grow with the points. The axis of a blended cone has ends that different pivots move;
+its rows are in the velocity and the angular velocity of both ends.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from kinedex.ops.depth.cones import ConeBody
+from kinedex.ops.depth.pivots import Pivots, moved_joints
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+
+class MovingCones(NamedTuple):
+    """The pivots that move each cone, for kernels.
+
+    Attributes
+    ----------
+    rigid : int64 array (C,)
+        The lowest pivot that moves all of a cone; −1 for a blended cone.
+    blends : int64 array (C,)
+        The number of a blended cone among the B blended ones; −1 for a rigid cone.
+    cones : int64 array (B,)
+        The blended cones.
+    pivots : int64 array (B, K)
+        The pivots that move them, each after those above it; −1 beyond the last.
+    shares : float64 array (B, K, 2, M)
+        The shares of the joints at both ends that each pivot moves; see `ConeBody.joints`.
+    """
+
+    rigid: I64
+    blends: I64
+    cones: I64
+    pivots: I64
+    shares: F64
+
+
+class Sums(NamedTuple):
+    """Room for the sums of a step.
+
+    Attributes
+    ----------
+    rigid : float64 array (P, 6, 6)
+        Σ w row rowᵀ of the rigid cones of each pivot, its upper half, for velocity and angular velocity.
+    rigid_right : float64 array (P, 6)
+        Σ w row · residual.
+    faces : float64 array (B, 24)
+        Sums of rows along a normal of blended cones: w n nᵀ times (1 − s)², s (1 − s), s², six numbers each, and
+        w n · residual times 1 − s and s.
+    blended : float64 array (B, 12, 12)
+        Σ w row rowᵀ of all rows of blended cones, for both ends.
+    blended_right : float64 array (B, 12)
+        Σ w row · residual.
+    levers : float64 array (K, 2, 4)
+        −a_k at both ends of a cone, and the share of the turn that the end makes.
+    columns : float64 array (12, 3)
+        Products of a pivot's columns with the sums.
+    matrix : float64 array (3 P + 3, 3 P + 3)
+        The upper half of JᵀJ: deepest pivots first, t last.
+    right : float64 array (3 P + 3,)
+        Jᵀr, in the same order; after `solve` the step.
+    """
+
+    rigid: F64
+    rigid_right: F64
+    faces: F64
+    blended: F64
+    blended_right: F64
+    levers: F64
+    columns: F64
+    matrix: F64
+    right: F64
+
+
+def moving_cones(body: ConeBody) -> MovingCones:
+    """Return the pivots that move each cone of a body.
+
+    A pivot moves the joints below it. It also turns the end of a cone that lies in its own joint, where it moves the
+    other end.
+    """
+    moved, count = moved_joints(body.pivots), len(body.radii)
+    weights = np.zeros((count, len(body.pivots), 2, body.joints.shape[2]))
+    for c in range(count):
+        for e in range(2):
+            others = body.joints[c, 1 - e][body.shares[c, 1 - e] > 0]
+            for m, joint in enumerate(body.joints[c, e]):
+                turned = moved[:, joint] | ((body.pivots == joint) & moved[:, others].any(axis=1))
+                weights[c, :, e, m] = turned * body.shares[c, e, m]
+    whole: F64 = weights.sum(axis=3)
+    is_rigid = np.array([bool((np.isclose(part, 0.0) | np.isclose(part, 1.0)).all()) for part in whole])
+    is_rigid &= np.isclose(whole[:, :, 0], whole[:, :, 1]).all(axis=1)
+    blended = np.flatnonzero(~is_rigid)
+    rigid = np.where(is_rigid, [int(np.flatnonzero(part[:, 0] + part[:, 1] > 0)[-1]) for part in whole], -1)
+    lists = [np.flatnonzero(whole[c].any(axis=1)) for c in blended]
+    most = max((len(chain) for chain in lists), default=0)
+    pivots = np.full((len(blended), most), -1, np.int64)
+    shares = np.zeros((len(blended), most, *weights.shape[2:]))
+    numbers = np.full(count, -1, np.int64)
+    for b, (c, chain) in enumerate(zip(blended.tolist(), lists, strict=True)):
+        numbers[c], pivots[b, : len(chain)], shares[b, : len(chain)] = b, chain, weights[c, chain]
+    return MovingCones(rigid.astype(np.int64), numbers, blended.astype(np.int64), pivots, shares)
+
+
+def make_sums(pivots: int, moving: MovingCones) -> Sums:
+    """Return room for the sums of a body."""
+    blends, size = len(moving.cones), 3 * pivots + 3
+    return Sums(
+        np.zeros((pivots, 6, 6)), np.zeros((pivots, 6)), np.zeros((blends, 24)), np.zeros((blends, 12, 12)),
+        np.zeros((blends, 12)), np.zeros((moving.pivots.shape[1], 2, 4)), np.zeros((12, 3)), np.zeros((size, size)),
+        np.zeros(size),
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def clear_sums(sums: Sums) -> None:
+    """Set all sums to 0."""
+    sums.rigid[:] = 0.0
+    sums.rigid_right[:] = 0.0
+    sums.faces[:] = 0.0
+    sums.blended[:] = 0.0
+    sums.blended_right[:] = 0.0
+    sums.matrix[:] = 0.0
+    sums.right[:] = 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_face(
+    moving: MovingCones, sums: Sums, cone: int, s: float,
+    x: float, y: float, z: float, a: float, b: float, c: float, residual: float, weight: float,
+) -> None:  # fmt: skip
+    """Add the row n · dq = residual of a place on a cone's axis.
+
+    Parameters
+    ----------
+    moving : MovingCones
+        The cones.
+    sums : Sums
+        The sums, which are added to.
+    cone : int
+        The cone.
+    s : float
+        The place on its axis, from 0 to 1.
+    x, y, z : float
+        The place in metres, from the root.
+    a, b, c : float
+        The unit vector n.
+    residual : float
+        Metres.
+    weight : float
+        The weight w of its square.
+    """
+    p, q, r = weight * a, weight * b, weight * c
+    blend = moving.blends[cone]
+    if blend < 0:
+        u, v, w = y * c - z * b, z * a - x * c, x * b - y * a
+        row, right = sums.rigid[moving.rigid[cone]], sums.rigid_right[moving.rigid[cone]]
+        e, f, g = weight * u, weight * v, weight * w
+        row[0, 0] += p * a
+        row[0, 1] += p * b
+        row[0, 2] += p * c
+        row[0, 3] += p * u
+        row[0, 4] += p * v
+        row[0, 5] += p * w
+        row[1, 1] += q * b
+        row[1, 2] += q * c
+        row[1, 3] += q * u
+        row[1, 4] += q * v
+        row[1, 5] += q * w
+        row[2, 2] += r * c
+        row[2, 3] += r * u
+        row[2, 4] += r * v
+        row[2, 5] += r * w
+        row[3, 3] += e * u
+        row[3, 4] += e * v
+        row[3, 5] += e * w
+        row[4, 4] += f * v
+        row[4, 5] += f * w
+        row[5, 5] += g * w
+        right[0] += p * residual
+        right[1] += q * residual
+        right[2] += r * residual
+        right[3] += e * residual
+        right[4] += f * residual
+        right[5] += g * residual
+        return
+    face = sums.faces[blend]
+    one, other = 1.0 - s, s
+    for k in range(3):
+        share = one * one if k == 0 else (one * other if k == 1 else other * other)
+        face[6 * k] += share * p * a
+        face[6 * k + 1] += share * p * b
+        face[6 * k + 2] += share * p * c
+        face[6 * k + 3] += share * q * b
+        face[6 * k + 4] += share * q * c
+        face[6 * k + 5] += share * r * c
+    face[18] += one * p * residual
+    face[19] += one * q * residual
+    face[20] += one * r * residual
+    face[21] += other * p * residual
+    face[22] += other * q * residual
+    face[23] += other * r * residual
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_vector(
+    moving: MovingCones, sums: Sums, cone: int, s: float, place: F64, offset: F64, origin: F64, residual: F64,
+    weight: float,
+) -> None:  # fmt: skip
+    """Add the three rows dq + Σ ω_k × offset = residual of a sample of the surface.
+
+    Parameters
+    ----------
+    moving : MovingCones
+        The cones.
+    sums : Sums
+        The sums, which are added to.
+    cone : int
+        The cone.
+    s : float
+        The place on its axis, from 0 to 1.
+    place, offset : float64 array (3,)
+        The sample in metres, and what it lies beside the axis.
+    origin : float64 array (3,)
+        The root in metres.
+    residual : float64 array (3,)
+        Metres.
+    weight : float
+        The weight of the square of the residual's length.
+    """
+    blend = moving.blends[cone]
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        if blend < 0:
+            # r × e_i, with the unit vector e_i and the place r from the root
+            pivot = moving.rigid[cone]
+            row = (place[k] - origin[k], -(place[j] - origin[j]))
+            matrix, right = sums.rigid[pivot], sums.rigid_right[pivot]
+            matrix[i, i] += weight
+            matrix[i, 3 + j] += weight * row[0]
+            matrix[i, 3 + k] += weight * row[1]
+            matrix[3 + j, 3 + j] += weight * row[0] * row[0]
+            matrix[3 + k, 3 + k] += weight * row[1] * row[1]
+            matrix[3 + min(j, k), 3 + max(j, k)] += weight * row[0] * row[1]
+            right[i] += weight * residual[i]
+            right[3 + j] += weight * row[0] * residual[i]
+            right[3 + k] += weight * row[1] * residual[i]
+        else:
+            matrix, right = sums.blended[blend], sums.blended_right[blend]
+            for end in range(2):
+                share = weight * (s if end == 1 else 1.0 - s)
+                for part in range(3):
+                    one = i if part == 0 else (3 + j if part == 1 else 3 + k)
+                    factor = share * (1.0 if part == 0 else (offset[k] if part == 1 else -offset[j]))
+                    right[6 * end + one] += factor * residual[i]
+                    for last in range(2):
+                        rest = factor * (s if last == 1 else 1.0 - s)
+                        matrix[6 * end + one, 6 * last + i] += rest
+                        matrix[6 * end + one, 6 * last + 3 + j] += rest * offset[k]
+                        matrix[6 * end + one, 6 * last + 3 + k] -= rest * offset[j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def assemble(moving: MovingCones, joints: I64, pivots: Pivots, pose: F64, sums: Sums) -> None:
+    """Compute JᵀJ and Jᵀr from the sums of all rows.
+
+    Parameters
+    ----------
+    moving : MovingCones
+        The cones.
+    joints : int64 array (C, 2, M)
+        The joints of their ends.
+    pivots : Pivots
+        The pivots.
+    pose : float64 array (24, 3)
+        Joints in metres.
+    sums : Sums
+        The sums; `matrix` and `right` are added to.
+    """
+    _add_rigid(pivots, pose, sums)
+    for b in range(len(moving.cones)):
+        _complete(sums.faces[b], sums.blended[b], sums.blended_right[b])
+        _add_blended(moving, joints, pivots, pose, b, sums)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add_rigid(pivots: Pivots, pose: F64, sums: Sums) -> None:
+    """Add the sums of rigid cones, which go from each pivot to the one above it."""
+    count = len(pivots.joints)
+    shift, columns = 3 * count, sums.columns
+    root = pose[pivots.joints[0]]
+    for k in range(count - 1, -1, -1):
+        s, right, parent = sums.rigid[k], sums.rigid_right[k], pivots.parents[k]
+        for i in range(6):
+            for j in range(i):
+                s[i, j] = s[j, i]
+        centre = pose[pivots.joints[k]]
+        x, y, z = centre[0] - root[0], centre[1] - root[1], centre[2] - root[2]
+        for i in range(6):
+            columns[i, 0] = s[i, 3] + z * s[i, 1] - y * s[i, 2]
+            columns[i, 1] = s[i, 4] + x * s[i, 2] - z * s[i, 0]
+            columns[i, 2] = s[i, 5] + y * s[i, 0] - x * s[i, 1]
+        row = 3 * (count - 1 - k)
+        sums.right[row] += right[3] + z * right[1] - y * right[2]
+        sums.right[row + 1] += right[4] + x * right[2] - z * right[0]
+        sums.right[row + 2] += right[5] + y * right[0] - x * right[1]
+        above = k
+        while above >= 0:
+            place = pose[pivots.joints[above]]
+            x, y, z = place[0] - root[0], place[1] - root[1], place[2] - root[2]
+            column = 3 * (count - 1 - above)
+            for j in range(3):
+                sums.matrix[row + j, column] += columns[3, j] + z * columns[1, j] - y * columns[2, j]
+                sums.matrix[row + j, column + 1] += columns[4, j] + x * columns[2, j] - z * columns[0, j]
+                sums.matrix[row + j, column + 2] += columns[5, j] + y * columns[0, j] - x * columns[1, j]
+            above = pivots.parents[above]
+        for i in range(3):
+            for j in range(3):
+                sums.matrix[row + j, shift + i] += columns[i, j]
+        if parent >= 0:
+            sums.rigid_right[parent] += right
+            for i in range(6):
+                for j in range(i, 6):
+                    sums.rigid[parent, i, j] += s[i, j]
+    for i in range(3):
+        sums.right[shift + i] += sums.rigid_right[0, i]
+        for j in range(i, 3):
+            sums.matrix[shift + i, shift + j] += sums.rigid[0, i, j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _complete(face: F64, matrix: F64, right: F64) -> None:
+    """Add the rows along normals to all rows of a blended cone."""
+    for i in range(3):
+        right[i] += face[18 + i]
+        right[6 + i] += face[21 + i]
+        for j in range(3):
+            low, high = min(i, j), max(i, j)
+            n = high if low == 0 else low + high + 1
+            matrix[i, j] += face[n]
+            matrix[i, 6 + j] += face[6 + n]
+            matrix[6 + i, j] += face[6 + n]
+            matrix[6 + i, 6 + j] += face[12 + n]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add_blended(moving: MovingCones, joints: I64, pivots: Pivots, pose: F64, b: int, sums: Sums) -> None:
+    """Add the sums of a blended cone to those of the pivots that move it."""
+    count, levers, columns = len(pivots.joints), sums.levers, sums.columns
+    shift, cone, matrix = 3 * count, moving.cones[b], sums.blended[b]
+    right = sums.blended_right[b]
+    chain = 0
+    while chain < moving.pivots.shape[1] and moving.pivots[b, chain] >= 0:
+        centre = pose[pivots.joints[moving.pivots[b, chain]]]
+        for e in range(2):
+            lever = levers[chain, e]
+            lever[:] = 0.0
+            for m in range(joints.shape[2]):
+                share, place = moving.shares[b, chain, e, m], pose[joints[cone, e, m]]
+                lever[0] -= share * (place[0] - centre[0])
+                lever[1] -= share * (place[1] - centre[1])
+                lever[2] -= share * (place[2] - centre[2])
+                lever[3] += share
+        chain += 1
+    for n in range(chain):
+        row = 3 * (count - 1 - moving.pivots[b, n])
+        columns[:] = 0.0
+        for e in range(2):
+            x, y, z, share = levers[n, e]
+            for i in range(12):
+                s = matrix[i, 6 * e : 6 * e + 6]
+                columns[i, 0] += share * s[3] + z * s[1] - y * s[2]
+                columns[i, 1] += share * s[4] + x * s[2] - z * s[0]
+                columns[i, 2] += share * s[5] + y * s[0] - x * s[1]
+            g = right[6 * e : 6 * e + 6]
+            sums.right[row] += share * g[3] + z * g[1] - y * g[2]
+            sums.right[row + 1] += share * g[4] + x * g[2] - z * g[0]
+            sums.right[row + 2] += share * g[5] + y * g[0] - x * g[1]
+        for m in range(n + 1):
+            column = 3 * (count - 1 - moving.pivots[b, m])
+            for e in range(2):
+                x, y, z, share = levers[m, e]
+                f = columns[6 * e : 6 * e + 6]
+                for j in range(3):
+                    sums.matrix[row + j, column] += share * f[3, j] + z * f[1, j] - y * f[2, j]
+                    sums.matrix[row + j, column + 1] += share * f[4, j] + x * f[2, j] - z * f[0, j]
+                    sums.matrix[row + j, column + 2] += share * f[5, j] + y * f[0, j] - x * f[1, j]
+        for i in range(3):
+            for j in range(3):
+                sums.matrix[row + j, shift + i] += columns[i, j] + columns[6 + i, j]
+    for i in range(3):
+        sums.right[shift + i] += right[i] + right[6 + i]
+        for j in range(i, 3):
+            total = matrix[i, j] + matrix[i, 6 + j] + matrix[6 + i, j] + matrix[6 + i, 6 + j]
+            sums.matrix[shift + i, shift + j] += total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def solve(sums: Sums) -> bool:
+    """Solve JᵀJ x = Jᵀr by Cholesky; with the deepest pivots first the factor stays as sparse as the tree.
+
+    Parameters
+    ----------
+    sums : Sums
+        `matrix`, whose upper half is overwritten by its factor, and `right`, which becomes the step.
+
+    Returns
+    -------
+    bool
+        False where the matrix is not positive definite; the step is undefined then.
+    """
+    matrix, step = sums.matrix, sums.right
+    size = len(step)
+    for i in range(size):
+        top = matrix[i]
+        if not top[i] > 0.0:
+            return False
+        scale = 1.0 / np.sqrt(top[i])
+        for j in range(i, size):
+            top[j] *= scale
+        step[i] *= scale
+        for k in range(i + 1, size):
+            factor = top[k]
+            if factor != 0.0:
+                step[k] -= factor * step[i]
+                row = matrix[k]
+                for j in range(k, size):
+                    row[j] -= factor * top[j]
+    for i in range(size - 1, -1, -1):
+        top = matrix[i]
+        total = step[i]
+        for j in range(i + 1, size):
+            total -= top[j] * step[j]
+        step[i] = total / top[i]
+    return True

@@ -1,0 +1,290 @@
+"""Local optimisation of a pose on the points of a depth image by Gauss–Newton (thesis, 8.4.1).
+
+The unknowns of a step are a displacement of the body and a small turn of every pivot. Points of the image pull the
+nearest place of the surface along its normal; samples of the surface that are projected beside the foreground are
+pulled to it. In the printed form all samples are pulled to their points, and nothing else is.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from kinedex.ops.depth.cones import (
+    AXIS,
+    COLUMNS,
+    GROWTH,
+    RADIUS,
+    START,
+    ConeBody,
+    Cones,
+    Samples,
+    nearest_cone,
+    place_cones,
+    place_samples,
+)  # fmt: skip
+from kinedex.ops.depth.image_search import DepthView, FrameImage, corresponding_point
+from kinedex.ops.depth.normal_equations import (
+    MovingCones,
+    Sums,
+    add_face,
+    add_vector,
+    assemble,
+    clear_sums,
+    make_sums,
+    moving_cones,
+    solve,
+)  # fmt: skip
+from kinedex.ops.depth.pivots import Pivots, pivots_of, turn_pose
+from kinedex.ops.depth.points import FrameCloud, nearest_pixels
+from kinedex.ops.errors import ParameterError
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+Form = Literal["best", "printed"]
+
+STEPS, PRINTED_STEPS = 8, 6
+"""Steps of a fit at most, and those of the printed form."""
+
+SIGMA_M, RETRIEVED_SIGMA_M = (0.20, 0.05), (0.25, 0.06)
+"""σ of the first and of the last step in metres, from the last frame's pose and from a retrieved one."""
+
+SAMPLED_POINTS = 700
+"""Every ⌊n/700⌋-th of the n points of a frame pulls at the surface."""
+
+SILHOUETTE_WEIGHT, STIFFNESS, LEAST_STIFFNESS = 2.0, 3.0, 1e-3
+"""Weight of a sample beside the foreground, factor of a pivot's stiffness, and what is added to all unknowns."""
+
+MOST_TURN, LEAST_TURN = 0.6, 0.004
+"""A step turns a pivot by at most the first, in radians; the fit stops after a step that turns none by the second."""
+
+WINDOW = 3
+"""Pixels to each side of the window that is searched for the point of a sample."""
+
+
+class FitRoom(NamedTuple):
+    """Room for the fits of a recording.
+
+    Attributes
+    ----------
+    placed : float64 array (C, 13)
+        The cones of the pose.
+    samples, offsets : float64 array (S, 3)
+        The samples of its surface, and what they lie beside the axes.
+    residual : float64 array (3,)
+        Residual of a sample.
+    guesses : int64 array (N,)
+        The cones that were nearest to the sampled points.
+    turns : float64 array (P, 3)
+        Turns of the pivots.
+    sums : Sums
+        The sums of a step.
+    """
+
+    placed: F64
+    samples: F64
+    offsets: F64
+    residual: F64
+    guesses: I64
+    turns: F64
+    sums: Sums
+
+
+class FitBody(NamedTuple):
+    """The body of an actor, for kernels: cones, samples, pivots with their stiffness, and what moves which cone."""
+
+    cones: Cones
+    samples: Samples
+    pivots: Pivots
+    stiffness: F64
+    moving: MovingCones
+
+
+class PoseFit:
+    """Fits and costs of the poses of one recording, with the room that they need.
+
+    Parameters
+    ----------
+    body : ConeBody
+        The body.
+    height : float
+        The actor's standing height in metres.
+    view : DepthView
+        The camera.
+    """
+
+    def __init__(self, body: ConeBody, height: float, view: DepthView) -> None:
+        pivots, moving = pivots_of(body.pivots), moving_cones(body)
+        self.body = FitBody(body.cones(height), body.samples, pivots, body.stiffness, moving)
+        self.view = view
+        samples, count = len(body.sample_cones), len(body.pivots)
+        self.room = FitRoom(
+            np.zeros((len(body.radii), COLUMNS)), np.zeros((samples, 3)), np.zeros((samples, 3)), np.zeros(3),
+            np.zeros(2 * SAMPLED_POINTS, np.int64), np.zeros((count, 3)), make_sums(count, moving),
+        )  # fmt: skip
+        self.image: FrameImage | None = None
+
+    def look(self, cloud: FrameCloud) -> None:
+        """Take the points of a frame, which fits and costs refer to until the next one.
+
+        Parameters
+        ----------
+        cloud : FrameCloud
+            The frame, with at least one point; its arrays are not copied.
+
+        Raises
+        ------
+        ParameterError
+            The frame has no points.
+        """
+        if not len(cloud.points):
+            raise ParameterError("cloud", "a frame with points", "none")
+        box = np.array(cloud.box, np.int64)
+        self.image = FrameImage(cloud.points, cloud.pixels, cloud.numbers, nearest_pixels(cloud), box)
+
+    def fit(
+        self,
+        pose: F64,
+        steps: int = STEPS,
+        sigma: tuple[float, float] = SIGMA_M,
+        form: Form = "best",
+        out: F64 | None = None,
+    ) -> F64:
+        """Return the pose that fits the points of the frame better, near the given one.
+
+        Parameters
+        ----------
+        pose : float64 array (24, 3)
+            The pose to begin with, in metres.
+        steps : int, optional
+            The most steps.
+        sigma : tuple of (float, float), optional
+            Scale of the robust weights in metres, in the first and in the last step; geometric between them.
+        form : {"best", "printed"}, optional
+            The terms: points to the surface and the silhouette, or samples to points as the thesis has them.
+        out : float64 array (24, 3), optional
+            Where the pose is written; a new array by default.
+
+        Returns
+        -------
+        float64 array (24, 3)
+            The fitted pose; bones keep their lengths.
+        """
+        if self.image is None:
+            raise ParameterError("image", "that of a frame: call `look` first", None)
+        fitted = np.empty_like(pose) if out is None else out
+        fitted[:] = pose
+        _fit(self.body, self.view, self.image, self.room, fitted, steps, sigma[0], sigma[1], form == "printed")
+        return fitted
+
+
+def fit_pose(
+    body: ConeBody,
+    height: float,
+    view: DepthView,
+    pose: F64,
+    cloud: FrameCloud,
+    steps: int = STEPS,
+    sigma_from: float = SIGMA_M[0],
+    sigma_to: float = SIGMA_M[1],
+    form: Form = "best",
+) -> F64:
+    """Return the pose that fits the points of one frame better; see `PoseFit`, which serves whole recordings."""
+    fit = PoseFit(body, height, view)
+    fit.look(cloud)
+    return fit.fit(np.ascontiguousarray(pose, np.float64), steps, (sigma_from, sigma_to), form)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fit(
+    body: FitBody, view: DepthView, image: FrameImage, room: FitRoom, pose: F64, steps: int,
+    sigma_from: float, sigma_to: float, printed: bool,
+) -> int:  # fmt: skip
+    """Move a pose by Gauss–Newton, and return the number of steps."""
+    room.guesses[0] = -1
+    for step in range(steps):
+        share = step / (steps - 1.0) if steps > 1 else 0.0
+        sigma = sigma_from * (sigma_to / sigma_from) ** share
+        place_cones(body.cones, pose, room.placed)
+        place_samples(body.samples, room.placed, room.samples, room.offsets)
+        clear_sums(room.sums)
+        if not printed:
+            add_points(body, image, room, pose, sigma)
+        add_samples(body, view, image, room, pose, sigma, printed)
+        assemble(body.moving, body.cones.joints, body.pivots, pose, room.sums)
+        if _move(body, room, pose) <= LEAST_TURN:
+            return step + 1
+    return steps
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_points(body: FitBody, image: FrameImage, room: FitRoom, pose: F64, sigma: float) -> None:
+    """Add the rows n · dq = d of sampled points of the image and the places of the surface nearest to them."""
+    every = max(1, len(image.points) // SAMPLED_POINTS)
+    guesses, placed, root = room.guesses, room.placed, pose[body.pivots.joints[0]]
+    first = guesses[0] < 0
+    guess, n = 0, 0
+    for i in range(0, len(image.points), every):
+        x, y, z = image.points[i, 0], image.points[i, 1], image.points[i, 2]
+        d, guess, s = nearest_cone(placed, x, y, z, guess if first else guesses[n])
+        guesses[n] = guess
+        n += 1
+        row = placed[guess]
+        apart = d + row[RADIUS] + s * row[GROWTH]
+        if apart <= 0.0:
+            continue
+        u, v, w = row[START] + s * row[AXIS], row[START + 1] + s * row[AXIS + 1], row[START + 2] + s * row[AXIS + 2]
+        weight = (1.0 + d * d / (sigma * sigma)) ** -2
+        add_face(
+            body.moving, room.sums, guess, s, u - root[0], v - root[1], w - root[2],
+            (x - u) / apart, (y - v) / apart, (z - w) / apart, d, weight,
+        )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_samples(
+    body: FitBody, view: DepthView, image: FrameImage, room: FitRoom, pose: F64, sigma: float, printed: bool
+) -> None:
+    """Add the rows of samples of the surface and their points: of those beside the foreground, or of all."""
+    factor = 1.0 if printed else SILHOUETTE_WEIGHT
+    root = pose[body.pivots.joints[0]]
+    for i in range(len(room.samples)):
+        sample = room.samples[i]
+        number, r, hidden = corresponding_point(view, image, sample[0], sample[1], sample[2], WINDOW, not printed)
+        if number < 0 or hidden:
+            continue
+        for a in range(3):
+            room.residual[a] = image.points[number, a] - sample[a]
+        weight = factor * (1.0 + r * r / (4.0 * sigma * sigma)) ** -2
+        add_vector(
+            body.moving, room.sums, body.samples.cones[i], body.samples.places[i], sample, room.offsets[i], root,
+            room.residual, weight,
+        )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _move(body: FitBody, room: FitRoom, pose: F64) -> float:
+    """Solve for a step, move the pose by it, and return the largest turn in radians."""
+    count, matrix, step = len(body.pivots.joints), room.sums.matrix, room.sums.right
+    for k in range(count):
+        for i in range(3 * (count - 1 - k), 3 * (count - k)):
+            matrix[i, i] += STIFFNESS * body.stiffness[k] + LEAST_STIFFNESS
+    for i in range(3 * count, 3 * count + 3):
+        matrix[i, i] += LEAST_STIFFNESS
+    if not solve(room.sums):
+        return 0.0
+    largest = 0.0
+    for k in range(count):
+        turn = step[3 * (count - 1 - k) : 3 * (count - k)]
+        angle = math.sqrt(turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2])
+        scale = MOST_TURN / angle if angle > MOST_TURN else 1.0
+        largest = max(largest, angle)
+        for i in range(3):
+            room.turns[k, i] = scale * turn[i]
+    turn_pose(body.pivots, pose, room.turns, step[3 * count :])
+    return largest

@@ -1,0 +1,107 @@
+"""The cost of a pose in a frame, by which the vote takes one of several poses (thesis, 8.4.4)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from kinedex.ops.depth.cones import ConeBody, nearest_cone, place_cones, place_samples
+from kinedex.ops.depth.image_search import DepthView, FrameImage, corresponding_point
+from kinedex.ops.depth.points import FrameCloud
+from kinedex.ops.depth.pose_fit import SAMPLED_POINTS, FitBody, FitRoom, Form, PoseFit
+from kinedex.ops.errors import ParameterError
+
+F64 = npt.NDArray[np.float64]
+
+MOST_SAMPLE_M, HIDDEN_COST_M, MOST_POINT_M = 0.5, 0.03, 0.15
+"""A sample costs at most the first, a hidden one the second, and a point the third, in metres."""
+
+POINTS_WEIGHT = 2.0
+"""Weight of the points in the cost; they are no part of the thesis's."""
+
+WINDOW = 4
+"""Pixels to each side of the window that is searched for the point of a sample."""
+
+
+class PoseCost(NamedTuple):
+    """The cost of a pose in metres, and its three parts.
+
+    Attributes
+    ----------
+    total : float
+        The sum of the parts: least for the pose that is taken.
+    surface : float
+        Mean distance of the surface's samples from their points (8.7).
+    extrema : float
+        Mean distance of the geodesic extrema from the surface (8.8).
+    points : float
+        Twice the mean distance of sampled points from the surface; 0 in the printed form.
+    """
+
+    total: float
+    surface: float
+    extrema: float
+    points: float
+
+
+def cost_of(fit: PoseFit, pose: F64, extrema: F64, form: Form = "best") -> PoseCost:
+    """Return the cost of a pose in the frame that was looked at last.
+
+    Parameters
+    ----------
+    fit : PoseFit
+        The body, the camera and the frame.
+    pose : float64 array (24, 3)
+        Joints in metres.
+    extrema : float64 array (n, 3)
+        The places of the geodesic extrema in metres; without any, that part is 0.
+    form : {"best", "printed"}, optional
+        The thesis's cost has no part of all points.
+
+    Returns
+    -------
+    PoseCost
+        The cost.
+    """
+    if fit.image is None:
+        raise ParameterError("fit", "one that has looked at a frame", None)
+    surface, ends, points = _cost(fit.body, fit.view, fit.image, fit.room, pose, extrema, form == "printed")
+    return PoseCost(surface + ends + points, surface, ends, points)
+
+
+def pose_cost(
+    body: ConeBody, height: float, view: DepthView, pose: F64, cloud: FrameCloud, extrema: F64, form: Form = "best"
+) -> PoseCost:
+    """Return the cost of a pose in one frame; see `cost_of`, which serves whole recordings."""
+    fit = PoseFit(body, height, view)
+    fit.look(cloud)
+    return cost_of(fit, np.ascontiguousarray(pose, np.float64), np.ascontiguousarray(extrema, np.float64), form)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cost(
+    body: FitBody, view: DepthView, image: FrameImage, room: FitRoom, pose: F64, extrema: F64, printed: bool
+) -> tuple[float, float, float]:
+    """Return the three parts of the cost."""
+    place_cones(body.cones, pose, room.placed)
+    place_samples(body.samples, room.placed, room.samples, room.offsets)
+    surface, ends, points = 0.0, 0.0, 0.0
+    for i in range(len(room.samples)):
+        x, y, z = room.samples[i, 0], room.samples[i, 1], room.samples[i, 2]
+        number, distance, hidden = corresponding_point(view, image, x, y, z, WINDOW, False)
+        surface += MOST_SAMPLE_M if number < 0 else (HIDDEN_COST_M if hidden else min(distance, MOST_SAMPLE_M))
+    guess = 0
+    for i in range(len(extrema)):
+        d, guess, _ = nearest_cone(room.placed, extrema[i, 0], extrema[i, 1], extrema[i, 2], guess)
+        ends += abs(d)
+    if not printed:
+        every, count = max(1, len(image.points) // SAMPLED_POINTS), 0
+        for i in range(0, len(image.points), every):
+            d, guess, _ = nearest_cone(room.placed, image.points[i, 0], image.points[i, 1], image.points[i, 2], guess)
+            points += min(abs(d), MOST_POINT_M)
+            count += 1
+        points *= POINTS_WEIGHT / count
+    return surface / len(room.samples), ends / max(1, len(extrema)), points
