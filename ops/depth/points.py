@@ -111,7 +111,7 @@ class Preparation:
     turn : float64 array (3, 3), optional
         The rotation that brings the camera's own (x, −y, −z) to axes with +Y up; None for a level camera.
     floor_height : float, optional
-        The floor's Y after that turn, in metres: minus the height of the camera; None where it is not known.
+        The floor's Y after that turn, in metres: minus the height of the camera; None where it is unknown.
     near, far : float
         Depths of the foreground lie between these, in metres.
     stride : int
@@ -134,6 +134,9 @@ class Preparation:
     ) -> None:
         if stride < 1:
             raise ParameterError("stride", "at least 1", stride)
+        if floor_height is not None and not floor_height < -ABOVE_FLOOR_M:
+            way = f"below −{ABOVE_FLOOR_M:g}, since the camera is at 0 and the floor below it"
+            raise ParameterError("floor_height", way, floor_height)
         self.stride, self.shape = stride, rays.shape[:2]
         height, width = self.shape
         around = np.eye(3) if turn is None else np.asarray(turn, np.float64)
