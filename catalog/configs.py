@@ -27,6 +27,7 @@ KINDS = {
     "kinematics": "kinematic chain",
     "keypoints": "keypoint set",
     "bodies": "body for depth images",
+    "bodies/filmed": "body before simulated depth cameras",
     "pipelines": "pipeline",
 }
 """The kinds of configuration file, each a folder of the shipped `configs/`, with the noun used in messages."""

@@ -146,6 +146,14 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         "failures": "number of failures in them",
         "recordings_file": "path of the file that `track` reads",
     },
+    "simulate depth": {
+        "folder": "path of the folder",
+        "recordings": "name of each recording → the take that it shows",
+        "frames": "number of frames of all recordings",
+        "outside": "name of each recording with frames in which a joint is near the camera, or outside the image → "
+        "their number",
+        "recordings_file": "path of the file that `reconstruct` reads",
+    },
     "duplicates": {
         **_STORE,
         "takes": "number of takes of the store",

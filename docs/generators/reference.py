@@ -86,6 +86,12 @@ PARTS = {
         ("`height`", "kinedex.catalog.bodies", "_Height"),
         ("a cone", "kinedex.catalog.bodies", "_Cone"),
     ),
+    "bodies/filmed": (
+        ("", "kinedex.catalog.filmed_bodies", "_FilmedFile"),
+        ("a cone", "kinedex.catalog.filmed_bodies", "_Cone"),
+        ("`clothes`", "kinedex.catalog.filmed_bodies", "_Clothes"),
+        ("`errors`", "kinedex.catalog.filmed_bodies", "_Errors"),
+    ),
     "pipelines": (
         ("", "kinedex.pipelines.engine.config", "_PipelineFile"),
         ("a `Stage`", "kinedex.pipelines.engine.config", "_StageEntry"),
@@ -106,6 +112,8 @@ WHERE = {
     "keypoints": "The names of the keypoints of pose estimators, and where they lie on the body; `keypoint_set` of a "
     "recording names a shipped set, or a file of your own.",
     "bodies": "The body that is fitted to depth images: round cones between the 24 named joints, and pivots.",
+    "bodies/filmed": "`kinedex simulate depth --body`: flesh, clothes and errors of a body before a simulated depth "
+    "camera. Every key is explained in [`first.yaml`](../configs/bodies/filmed/first.yaml).",
     "pipelines": "`kinedex run`. Every shipped pipeline is listed above.",
 }
 

@@ -61,3 +61,52 @@ def cameras(
     number = counted(len(made.recordings), "recording")
     print_message(f"{number} of {made.frames:,} frames with {counted(made.failures, 'failure')}, in {made.folder}")
     print_path(made.folder / RECORDINGS)
+
+
+def _interval(text: str) -> tuple[int, int]:
+    """Return the frames of an interval such as 100:160."""
+    start, colon, stop = text.strip().partition(":")
+    if not (colon and start.isdecimal() and stop.isdecimal() and int(start) < int(stop)):
+        raise typer.BadParameter(f"--frames {text}: expected the first frame and the one after the last, as 0:60")
+    return int(start), int(stop)
+
+
+@command(of=simulate)
+def depth(
+    store: StorePath,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="New folder of the recordings.")],
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the body's sizes and of all errors.")],
+    takes: Annotated[list[str] | None, typer.Argument(metavar="[TAKE...]", help="Takes to film.")] = None,
+    where: WhereOption = None,
+    camera: Annotated[str, typer.Option(metavar="NAME", help="tof, tof_small or structured.")] = "tof",
+    body: Annotated[str, typer.Option(metavar="NAME", help="first or second; or a file.")] = "first",
+    azimuth: Annotated[
+        float, typer.Option(min=-360, max=360, metavar="DEGREES", help="Film from the person's left by this angle.")
+    ] = 0.0,
+    frames: Annotated[
+        str | None, typer.Option(metavar="A:B", help="Film frames A to B of each take, without B.")
+    ] = None,
+    at: AtOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Film takes by a simulated depth camera.
+
+    DIR/recordings.yaml names the recordings, as `kinedex reconstruct` reads them: depth images, the background and
+    the camera. DIR/truth has the true joints. The same command makes the same bytes.
+    """
+    from dataclasses import asdict
+
+    from kinedex.pipelines.console.terminal import Terminal
+    from kinedex.pipelines.console.wording import counted
+    from kinedex.pipelines.simulation.depth_recordings import RECORDINGS, Request, simulate_depth
+
+    interval = None if frames is None else _interval(frames)
+    request = Request(tuple(takes or ()), where, seed, camera, body, azimuth, interval)
+    made = simulate_depth(open_for_reading(store, at), request, output, Terminal().progress)
+    if as_json:
+        print_json(asdict(made) | {"recordings_file": made.folder / RECORDINGS})
+        return
+    for name, number in made.outside.items():
+        print_message(f"{name}: {counted(number, 'frame')} with a joint near the camera, or outside the image")
+    print_message(f"{counted(len(made.recordings), 'recording')} of {made.frames:,} frames, in {made.folder}")
+    print_path(made.folder / RECORDINGS)

@@ -1,0 +1,205 @@
+"""Depth of cones along the rays of a camera, by ray marching.
+
+Places are in the axes of the camera: x right, y down, z forward, in metres. A ray goes through 0 and (a, b, 1), and its
+depth is z.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from kinedex.ops.simulation.depth_flesh import Surface
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+Bool = npt.NDArray[np.bool_]
+
+HIT_M = 0.001
+"""A ray ends where the surface is nearer than this."""
+
+SHADOW_M = 0.01
+"""Light that ends less than this before a point does reach it."""
+
+_NEAREST_M = 0.05
+"""A cone that comes nearer to the plane of the camera than this may be anywhere in the image."""
+
+
+class ConeRays:
+    """Rays of a camera that looks at cones, with the arrays that they need.
+
+    Parameters
+    ----------
+    surface : Surface
+        Sizes and bumps of C cones.
+    focal_px : float
+        Focal length in pixels.
+    centre : tuple of (float, float)
+        Column and row of the optical axis.
+    size : tuple of (int, int)
+        Width and height of the images in pixels.
+    """
+
+    def __init__(self, surface: Surface, focal_px: float, centre: tuple[float, float], size: tuple[int, int]) -> None:
+        self.surface, self.view, self.size = surface, np.array([focal_px, *centre]), size
+        cones = len(surface.radii)
+        self._boxes = np.zeros((cones, 6))
+        self._bumps = np.array([surface.wave_m, surface.wave_phase, surface.step])
+
+    def depth(self, ends: F64) -> F64:
+        """Return the depth (H, W) of cones with ends (C, 2, 3); infinite where a ray meets none."""
+        width, height = self.size
+        image = np.full((height, width), np.inf)
+        margin = self.surface.wave_m + self.surface.folds[:, 0]
+        _bound(ends, self.surface.radii, margin, self.view, self._boxes)
+        _render(ends, self.surface.radii, self.surface.folds, self._bumps, self.view, self._boxes, image)
+        return image
+
+    def shadow(self, ends: F64, depth: F64, baseline_m: float) -> Bool:
+        """Return the pixels (H, W) whose points a projector does not reach past the cones.
+
+        Parameters
+        ----------
+        ends : float64 array (C, 2, 3)
+            Ends of the cones.
+        depth : float64 array (H, W)
+            Depth of each pixel in metres.
+        baseline_m : float
+            Distance of the projector to the right of the camera in metres.
+        """
+        hidden = np.zeros(depth.shape, np.bool_)
+        moved = ends - np.array([baseline_m, 0.0, 0.0])
+        margin = self.surface.wave_m + self.surface.folds[:, 0]
+        _bound(moved, self.surface.radii, margin, self.view, self._boxes)
+        surface = self.surface
+        _shade(
+            moved, surface.radii, surface.folds, self._bumps, self.view, self._boxes, depth, baseline_m, hidden
+        )  # fmt: skip
+        return hidden
+
+
+@njit(cache=True)
+def _bound(ends: F64, radii: F64, margin: F64, view: F64, boxes: F64) -> None:
+    """Bound each cone by columns, rows and depths: u0, u1, v0, v1, z0, z1."""
+    focal = view[0]
+    for c in range(len(ends)):
+        z0, z1 = np.inf, -np.inf
+        for e in range(2):
+            radius = radii[c, e] + margin[c]
+            z0, z1 = min(z0, ends[c, e, 2] - radius), max(z1, ends[c, e, 2] + radius)
+        boxes[c, 4], boxes[c, 5] = max(z0, 0.0), z1
+        for axis in range(2):
+            low, high = np.inf, -np.inf
+            for e in range(2):
+                radius = radii[c, e] + margin[c]
+                near, far = ends[c, e, 2] - radius, ends[c, e, 2] + radius
+                left, right = ends[c, e, axis] - radius, ends[c, e, axis] + radius
+                if near > 0.0:
+                    low = min(low, left / (near if left < 0.0 else far))
+                    high = max(high, right / (near if right > 0.0 else far))
+            boxes[c, 2 * axis] = focal * low + view[1 + axis]
+            boxes[c, 2 * axis + 1] = focal * high + view[1 + axis]
+            if z0 < _NEAREST_M:
+                boxes[c, 2 * axis], boxes[c, 2 * axis + 1] = -np.inf, np.inf
+
+
+@njit(cache=True)
+def _cone_distance(ends: F64, radii: F64, folds: F64, c: int, x: float, y: float, z: float) -> float:
+    """Return the signed distance of a point from a cone with its folds."""
+    ax, ay, az = ends[c, 0, 0], ends[c, 0, 1], ends[c, 0, 2]
+    dx, dy, dz = ends[c, 1, 0] - ax, ends[c, 1, 1] - ay, ends[c, 1, 2] - az
+    square = dx * dx + dy * dy + dz * dz
+    s = 0.0
+    if square > 0.0:
+        s = min(max(((x - ax) * dx + (y - ay) * dy + (z - az) * dz) / square, 0.0), 1.0)
+    qx, qy, qz = x - ax - s * dx, y - ay - s * dy, z - az - s * dz
+    radius = radii[c, 0] + s * (radii[c, 1] - radii[c, 0])
+    if folds[c, 0] > 0.0:
+        bump = math.sin(folds[c, 1] * s * math.sqrt(square) + folds[c, 2])
+        radius += folds[c, 0] * bump * bump
+    return math.sqrt(qx * qx + qy * qy + qz * qz) - radius
+
+
+@njit(cache=True)
+def _march(
+    ends: F64, radii: F64, folds: F64, bumps: F64, listed: I64, count: int,
+    a: float, b: float, begin: float, end: float,
+) -> float:  # fmt: skip
+    """Return the depth where a ray meets one of the listed cones between two depths; infinity if it meets none."""
+    z = begin
+    factor = bumps[2] / math.sqrt(1.0 + a * a + b * b)
+    while z < end:
+        x, y = a * z, b * z
+        distance = np.inf
+        for i in range(count):
+            distance = min(distance, _cone_distance(ends, radii, folds, listed[i], x, y, z))
+        if bumps[0] > 0.0:
+            phase = bumps[1]
+            wave = math.sin(40.0 * x + phase) * math.sin(37.0 * y + 2.0 * phase) * math.sin(33.0 * z)
+            distance -= bumps[0] * wave
+        if distance < HIT_M:
+            return z
+        z += factor * distance
+    return np.inf
+
+
+@njit(cache=True)
+def _row_cones(boxes: F64, v: int, row: I64) -> int:
+    """List the cones that may be seen in a row."""
+    count = 0
+    for c in range(len(boxes)):
+        if boxes[c, 2] <= v <= boxes[c, 3]:
+            row[count] = c
+            count += 1
+    return count
+
+
+@njit(cache=True)
+def _column_cones(boxes: F64, row: I64, in_row: int, u: float, listed: I64) -> tuple[int, float, float]:
+    """List the cones of a row that may be seen in a column, and return the depths between which they are."""
+    count, begin, end = 0, np.inf, -np.inf
+    for i in range(in_row):
+        c = row[i]
+        if boxes[c, 0] <= u <= boxes[c, 1]:
+            listed[count] = c
+            count += 1
+            begin, end = min(begin, boxes[c, 4]), max(end, boxes[c, 5])
+    return count, begin, end
+
+
+@njit(cache=True)
+def _render(ends: F64, radii: F64, folds: F64, bumps: F64, view: F64, boxes: F64, image: F64) -> None:
+    height, width = image.shape
+    row, listed = np.empty(len(ends), np.int64), np.empty(len(ends), np.int64)
+    for v in range(height):
+        in_row = _row_cones(boxes, v, row)
+        if in_row == 0:
+            continue
+        for u in range(width):
+            count, begin, end = _column_cones(boxes, row, in_row, float(u), listed)
+            if count > 0:
+                a, b = (u - view[1]) / view[0], (v - view[2]) / view[0]
+                image[v, u] = _march(ends, radii, folds, bumps, listed, count, a, b, begin, end)
+
+
+@njit(cache=True)
+def _shade(
+    ends: F64, radii: F64, folds: F64, bumps: F64, view: F64, boxes: F64, depth: F64, baseline: float, hidden: Bool
+) -> None:  # fmt: skip
+    """Mark the pixels whose points are in the shadow of cones, whose ends are in the axes of the projector."""
+    height, width = depth.shape
+    row, listed = np.empty(len(ends), np.int64), np.empty(len(ends), np.int64)
+    for v in range(height):
+        in_row = _row_cones(boxes, v, row)
+        if in_row == 0:
+            continue
+        for u in range(width):
+            z = depth[v, u]
+            a, b = (u - view[1]) / view[0] - baseline / z, (v - view[2]) / view[0]
+            count, begin, end = _column_cones(boxes, row, in_row, view[0] * a + view[1], listed)
+            if count > 0:
+                end = min(end, z - SHADOW_M)
+                hidden[v, u] = _march(ends, radii, folds, bumps, listed, count, a, b, begin, end) < end
