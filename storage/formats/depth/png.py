@@ -18,7 +18,7 @@ from kinedex.storage.disk import whole_file
 F32 = npt.NDArray[np.float32]
 U16 = npt.NDArray[np.uint16]
 
-MOST_PIXELS = 1 << 26
+MOST_PIXELS = 1 << 24
 """An image of more pixels is none of a depth camera."""
 
 _DEPTH_MODES = ("I;16", "I;16B", "I;16L", "I;16N", "I")

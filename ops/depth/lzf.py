@@ -1,0 +1,91 @@
+"""LZF, the compression of point clouds: runs of literal bytes, and copies of bytes that came before."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from kinedex.ops.errors import ParameterError
+
+U8 = npt.NDArray[np.uint8]
+
+MOST_RATIO = 88
+"""Three bytes, the longest copy, become 264 bytes at most."""
+
+_TRUNCATED, _TOO_LONG, _TOO_EARLY = -1, -2, -3
+_REASONS = {
+    _TRUNCATED: "data that do not end within a run",
+    _TOO_LONG: "data that unpack to as many bytes as their header claims, not more",
+    _TOO_EARLY: "data that copy only what came before",
+}
+
+
+def decompress(data: bytes, size: int) -> U8:
+    """Return the bytes that LZF data unpack to.
+
+    Parameters
+    ----------
+    data : bytes
+        The packed bytes.
+    size : int
+        How many bytes they unpack to.
+
+    Returns
+    -------
+    uint8 array (size,)
+        The bytes.
+
+    Raises
+    ------
+    ParameterError
+        The data are damaged, or unpack to fewer or more bytes. Nothing is allocated for a size beyond their reach.
+    """
+    if not 0 <= size <= MOST_RATIO * len(data):
+        raise ParameterError("size", f"0 to {MOST_RATIO * len(data)} for {len(data)} packed bytes", size)
+    unpacked = np.empty(size, np.uint8)
+    written = _decompress(np.frombuffer(data, np.uint8), unpacked)
+    if written < 0:
+        raise ParameterError("data", _REASONS[written], f"{len(data)} bytes")
+    if written != size:
+        raise ParameterError("data", f"of {size} bytes when unpacked", f"{written} bytes")
+    return unpacked
+
+
+@njit(cache=True, nogil=True)
+def _decompress(data: U8, unpacked: U8) -> int:
+    """Unpack data, and return the number of bytes, or one of the faults below 0."""
+    end, room = len(data), len(unpacked)
+    i = o = 0
+    while i < end:
+        control = int(data[i])
+        i += 1
+        if control < 32:  # a run of control + 1 bytes as they are
+            count = control + 1
+            if i + count > end:
+                return _TRUNCATED
+            if o + count > room:
+                return _TOO_LONG
+            unpacked[o : o + count] = data[i : i + count]
+            i += count
+            o += count
+            continue
+        count = control >> 5
+        if count == 7:
+            if i >= end:
+                return _TRUNCATED
+            count += int(data[i])
+            i += 1
+        if i >= end:
+            return _TRUNCATED
+        start = o - ((control & 31) << 8) - int(data[i]) - 1
+        i += 1
+        count += 2
+        if start < 0:
+            return _TOO_EARLY
+        if o + count > room:
+            return _TOO_LONG
+        for k in range(count):  # byte by byte: a copy may overlap itself
+            unpacked[o + k] = unpacked[start + k]
+        o += count
+    return o

@@ -1,0 +1,276 @@
+"""Point clouds of a depth camera, whatever their format: organised ones are images, others are projected into one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.depth_cameras import DepthCamera
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.depth.png import MOST_PIXELS, size_fault
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+
+MOST_BYTES = 1 << 28
+"""A cloud that takes more memory than this is none of a frame."""
+
+MOST_POINTS = MOST_PIXELS
+"""A cloud of more points is none of a frame."""
+
+FARTHEST_M = 1e6
+"""Coordinates beyond this are no lengths; they count as not measured."""
+
+_LEAST_POINTS = 100
+_LEAST_BEFORE = 0.9  # some programs leave a few points behind the camera
+_MOST_RESIDUAL_PX = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """The points of a frame in the camera's axes: x right, y down, z forward.
+
+    Attributes
+    ----------
+    path : Path
+        The file, for errors.
+    points : float64 array (n, 3)
+        Places in the unit of the file; NaN where nothing was measured.
+    size : tuple of (int, int), optional
+        Width and height where the points are the pixels of an image, row by row; None for others.
+    """
+
+    path: Path
+    points: F64
+    size: tuple[int, int] | None = None
+
+
+def cloud_of(path: Path, points: F64, size: tuple[int, int] | None) -> Cloud:
+    """Return a cloud of the points of a file.
+
+    Clouds whose points all have z < 0 have OpenGL's axes (y up, z to the rear), which are turned into the camera's.
+
+    Raises
+    ------
+    SourceError
+        No point lies before the camera.
+    """
+    with np.errstate(invalid="ignore"):
+        known = (np.abs(points) <= FARTHEST_M).all(axis=1) & (points[:, 2] != 0)
+    seen = np.where(known[:, None], points, np.nan)
+    before = int((seen[:, 2] > 0).sum())
+    if not before and known.any():
+        seen = seen * np.array([1.0, -1.0, -1.0])
+    elif before < _LEAST_BEFORE * int(known.sum()):
+        raise SourceError(
+            path, f"{int(known.sum()) - before} of {int(known.sum())} points lie behind the camera; expected its own "
+            "axes, x right, y down, z forward: write clouds before they are turned into a world",
+        )  # fmt: skip
+    seen[~(seen[:, 2] > 0)] = np.nan
+    return Cloud(path, seen, size)
+
+
+def cloud_depths(cloud: Cloud, camera: DepthCamera, unit_m: float = 1.0) -> F32:
+    """Return the depth image of a cloud.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        The points.
+    camera : DepthCamera
+        The camera that points are projected into; the nearest point of a pixel counts. An organised cloud is the image
+        already, and must have its size.
+    unit_m : float, optional
+        Metres of the file's unit.
+
+    Returns
+    -------
+    float32 array (H, W)
+        Depths z in metres; 0 where no point is.
+
+    Raises
+    ------
+    SourceError
+        An organised cloud has another size than the camera.
+    """
+    width, height = camera.size
+    if cloud.size is not None:
+        if cloud.size != camera.size:
+            raise SourceError(cloud.path, size_fault(cloud.size, camera.size))
+        return np.nan_to_num(unit_m * cloud.points[:, 2], nan=0.0).astype(np.float32).reshape(height, width)
+    points = cloud.points[np.isfinite(cloud.points[:, 2])]
+    pixels, _ = camera.project(points)
+    with np.errstate(invalid="ignore"):
+        u, v = np.floor(pixels + 0.5).T
+        inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    depths = np.full((height, width), np.inf, np.float32)
+    places = v[inside].astype(np.int64), u[inside].astype(np.int64)
+    np.minimum.at(depths, places, (unit_m * points[inside, 2]).astype(np.float32))
+    return np.where(np.isfinite(depths), depths, np.float32(0.0))
+
+
+def fitted_matrix(cloud: Cloud) -> F64:
+    """Return the camera matrix of an organised cloud by least squares of u = fx x/z + cx and v = fy y/z + cy.
+
+    Raises
+    ------
+    SourceError
+        The cloud has no rows, too few points, or is no image of a camera without distortion.
+    """
+    found = _fit(cloud)
+    matrix, residual = found
+    if not (matrix[0, 0] >= 1 and matrix[1, 1] >= 1 and residual <= _MOST_RESIDUAL_PX):
+        raise SourceError(
+            cloud.path, f"rows and columns are no image of a pinhole camera: fx {matrix[0, 0]:.4g}, fy "
+            f"{matrix[1, 1]:.4g}, {residual:.3g} pixels off in the mean; give the recording a camera",
+        )  # fmt: skip
+    return matrix
+
+
+def check_camera(cloud: Cloud, camera: DepthCamera) -> None:
+    """Refuse a camera that sees the points of an organised cloud elsewhere than its rows and columns are.
+
+    Raises
+    ------
+    SourceError
+        The points lie more than a pixel off in the median; the message has the intrinsics that fit.
+    """
+    if cloud.size != camera.size:
+        raise SourceError(cloud.path, size_fault(cloud.size or (0, 0), camera.size))
+    known = np.flatnonzero(np.isfinite(cloud.points[:, 2]))
+    if len(known) < _LEAST_POINTS:
+        return
+    pixels, _ = camera.project(cloud.points[known])
+    grid = np.stack([known % camera.size[0], known // camera.size[0]], axis=1)
+    off = float(np.nanmedian(np.linalg.norm(pixels - grid, axis=1)))
+    if not off <= _MOST_RESIDUAL_PX:
+        matrix, residual = _fit(cloud)
+        fits = (
+            f"; fx {matrix[0, 0]:.5g}, fy {matrix[1, 1]:.5g}, cx {matrix[0, 2]:.5g}, cy {matrix[1, 2]:.5g} fit"
+            if residual <= _MOST_RESIDUAL_PX
+            else ""
+        )
+        raise SourceError(
+            cloud.path, f"its points lie {off:.3g} pixels off their rows and columns with this camera{fits}"
+        )
+
+
+def _fit(cloud: Cloud) -> tuple[F64, float]:
+    """Return the matrix that fits an organised cloud best, and the mean distance in pixels."""
+    known = np.flatnonzero(np.isfinite(cloud.points[:, 2]))
+    if cloud.size is None or len(known) < _LEAST_POINTS:
+        raise SourceError(
+            cloud.path, "no intrinsics follow from a cloud without rows and columns, or with fewer than "
+            f"{_LEAST_POINTS} points; give the recording a camera",
+        )  # fmt: skip
+    x, y, z = cloud.points[known].T
+    matrix = np.eye(3)
+    total = np.zeros(len(known))
+    for row, ratios, places in ((0, x / z, known % cloud.size[0]), (1, y / z, known // cloud.size[0])):
+        design = np.stack([ratios, np.ones(len(known))], axis=1)
+        (focal, centre), *_ = np.linalg.lstsq(design, places.astype(np.float64))
+        matrix[row, row], matrix[row, 2] = focal, centre
+        total += (design @ [focal, centre] - places) ** 2
+    return matrix, float(np.sqrt(total).mean())
+
+
+def refuse_size(path: Path, points: int, record: int) -> None:
+    """Refuse a header that claims more points, or larger ones, than those of a frame.
+
+    Raises
+    ------
+    SourceError
+        The cloud would take more memory than any frame.
+    """
+    if not 0 < points <= MOST_POINTS or points * max(record, 24) > MOST_BYTES:
+        raise SourceError(path, f"claims {points:,} points of {record} bytes, and a frame has 1 to {MOST_POINTS:,}")
+
+
+def number_rows(path: Path, data: bytes, rows: int, columns: int, line: int) -> F64:
+    """Return the numbers of text (rows, columns) after a header.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for errors.
+    data : bytes
+        The text after the header.
+    rows, columns : int
+        How many rows and columns the header claims.
+    line : int
+        The number of the first line of the text.
+
+    Raises
+    ------
+    SourceError
+        There are fewer or more rows or columns, or something else than numbers.
+    """
+    if 2 * rows * columns > len(data) + 1:
+        raise SourceError(path, f"claims {rows:,} points, and has {len(data):,} bytes of them: is it cut off?")
+    words = data.split()
+    if len(words) == rows * columns and b"_" not in data:
+        try:
+            return np.fromiter(map(float, words), np.float64, len(words)).reshape(rows, columns)
+        except ValueError:
+            pass
+    for number, row in enumerate(data.split(b"\n"), line):
+        cells = row.split()
+        if not all(map(_is_number, cells)):
+            raise SourceError(path, f"expected {columns} numbers, got {row[:60].decode('latin-1')!r}", line=number)
+        if cells and len(cells) != columns:
+            raise SourceError(path, f"expected {columns} numbers, got {len(cells)}", line=number)
+    found = len(words) // columns
+    what = "is it cut off?" if found < rows else "the header does not fit its data"
+    raise SourceError(path, f"claims {rows:,} points, and has {found:,}: {what}")
+
+
+def check_bytes(path: Path, claimed: int, found: int) -> None:
+    """Refuse a file that has fewer or more bytes of points than its header claims; a SourceError reports it."""
+    if claimed != found:
+        what = "is it cut off?" if claimed > found else "the header does not fit its data"
+        raise SourceError(path, f"claims {claimed:,} bytes of points, and has {found:,}: {what}")
+
+
+def record_points(data: bytes, start: int, rows: int, record: int, types: list[str], offsets: list[int]) -> F64:
+    """Return x, y, z (n, 3) of records.
+
+    Parameters
+    ----------
+    data : bytes
+        The file.
+    start : int
+        The place of the first record.
+    rows, record : int
+        The number of records, and the bytes of each.
+    types, offsets : list
+        The NumPy type of x, y and z, and their places in a record.
+    """
+    records = np.frombuffer(data, np.uint8, rows * record, start).reshape(rows, record)
+    columns = []
+    for kind, offset in zip(types, offsets, strict=True):
+        cells = np.ascontiguousarray(records[:, offset : offset + np.dtype(kind).itemsize])
+        columns.append(cells.view(kind)[:, 0].astype(np.float64))
+    return np.stack(columns, axis=1)
+
+
+def cloud_bytes(path: Path) -> bytes:
+    """Return the bytes of a file; a SourceError reports one that cannot be read or is larger than a frame."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(MOST_BYTES + 1)
+    except OSError as fault:
+        raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
+    if len(data) > MOST_BYTES:
+        raise SourceError(path, f"has more than {MOST_BYTES >> 20} MB; write a file for each frame")
+    return data
+
+
+def _is_number(word: bytes) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return b"_" not in word
