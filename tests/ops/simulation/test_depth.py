@@ -17,7 +17,7 @@ from kinedex.ops.simulation.depth_scene import CameraPlace, DepthScene, on_floor
 from kinedex.ops.simulation.depth_sensors import BASELINE_M, SENSORS, DepthSensor, Disturbance, measured
 from tests.bodies import STANDING
 from tests.ops.simulation.cone_table import table_flesh
-from tests.oracles.ray_marching import naive_depth, naive_shadow
+from tests.oracles.naive_rays import naive_depth, naive_shadow
 
 STILL = np.array([[STANDING[joint] for joint in JOINTS]], float)
 SMALL = DepthSensor("structured", (48, 40), 40.0)
