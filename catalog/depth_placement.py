@@ -1,0 +1,103 @@
+"""The axes that motion from depth is computed in: the camera's, turned upright, and their place in the world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.depth_cameras import DepthCamera
+from kinedex.ops.depth.floor import find_floor, upright_turn
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+
+FLIP = np.array([1.0, -1.0, -1.0])
+"""The camera's axes (x right, y down, z forward) times this are x right, y up, z to the rear."""
+
+NO_UP = (
+    "neither pose nor `up` nor a floor is known: the camera is taken as level, without a floor; add `up:`, a vector "
+    "that points upwards in the camera's axes, to its file, or a background that shows the floor"
+)
+"""The warning about a camera that is assumed to be level."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """The inside axes of a recording: x right, Y up, z to the rear, with the camera at the origin, in metres.
+
+    Attributes
+    ----------
+    turn : float64 array (3, 3)
+        From (x, −y, −z) of the camera to the inside axes.
+    floor_height : float or None
+        The floor's Y: minus the height of the camera; None where it is not known.
+    rotation : float64 array (3, 3)
+        From the inside axes to the world, a turn about Y.
+    place : float64 array (3,)
+        The camera in the world.
+    notes : tuple of str
+        Sentences for the user on how these were found.
+    """
+
+    turn: F64
+    floor_height: float | None
+    rotation: F64
+    place: F64
+    notes: tuple[str, ...] = ()
+
+    def inside(self, points: npt.ArrayLike) -> F64:
+        """Return points (…, 3) of the camera's axes in the inside axes."""
+        return (np.asarray(points, np.float64) * FLIP) @ self.turn.T
+
+    def in_camera(self, points: npt.ArrayLike) -> F64:
+        """Return points (…, 3) of the inside axes in the camera's axes."""
+        return (np.asarray(points, np.float64) @ self.turn) * FLIP
+
+    def in_world(self, points: npt.ArrayLike) -> F64:
+        """Return points (…, 3) of the inside axes in the world; without a pose, Y = 0 is the floor if it is known."""
+        placed: F64 = np.asarray(points, np.float64) @ self.rotation.T + self.place
+        return placed
+
+    def from_world(self, points: npt.ArrayLike) -> F64:
+        """Return points (…, 3) of the world in the inside axes."""
+        inside: F64 = (np.asarray(points, np.float64) - self.place) @ self.rotation
+        return inside
+
+
+def placement_of(camera: DepthCamera, background: F32 | None, seed: int = 0) -> Placement:
+    """Return the inside axes of a recording.
+
+    With a pose, it determines up and floor. Without one, the largest level plane of the background is the floor, and
+    its normal is up; else the camera's `up` holds; else a level camera without a floor is assumed, and noted.
+
+    Parameters
+    ----------
+    camera : DepthCamera
+        The camera.
+    background : float32 array (H, W), optional
+        Depths of the empty room in metres; 0 where they are not known.
+    seed : int, optional
+        Seed of the search for the floor.
+    """
+    upwards = camera.upwards
+    if camera.rotation is not None and camera.place is not None and upwards is not None:
+        turn = upright_turn(FLIP * upwards)
+        return Placement(turn, -float(camera.place[1]), (camera.rotation.T * FLIP) @ turn.T, camera.place)
+    floor = None
+    if background is not None:
+        seen = background > 0
+        points = np.concatenate([camera.rays[seen], np.ones((int(seen.sum()), 1))], axis=1) * background[seen, None]
+        floor = find_floor(points * FLIP, None if upwards is None else FLIP * upwards, seed)
+    if floor is not None:
+        note = (
+            f"the floor is {-floor.height:.2f} m below the camera, which is tilted by "
+            f"{np.degrees(np.arccos(np.clip(floor.normal[1], -1, 1))):.1f}° ({floor.share:.0%} of the background)"
+        )
+        return Placement(
+            upright_turn(floor.normal), floor.height, np.eye(3), np.array([0.0, -floor.height, 0.0]), (note,)
+        )
+    if upwards is not None:
+        return Placement(upright_turn(FLIP * upwards), None, np.eye(3), np.zeros(3), ("no floor was found",))
+    return Placement(np.eye(3), None, np.eye(3), np.zeros(3), (NO_UP,))

@@ -1,0 +1,175 @@
+"""The floor of an empty room: its largest plane that lies below the camera and is about level.
+
+Axes are x right, y up and z to the rear, with the camera at the origin, before any turn.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.errors import ParameterError
+
+F64 = npt.NDArray[np.float64]
+
+TRIPLES = 300
+"""Planes that are tried, each through three points."""
+
+WITHIN_M = 0.03
+"""A point belongs to a plane that is not farther away."""
+
+LEAST_SHARE = 0.15
+"""The floor has at least this share of the points."""
+
+MOST_FROM_UP, MOST_FROM_IMAGE_UP = np.radians(5.0), np.radians(45.0)
+"""Greatest angles between the floor's normal and `up`, or the upward axis of the image where there is no `up`."""
+
+_MOST_DRAWN = 100 * TRIPLES
+_COUNTED = 10_000
+_REFITS = 5
+_LEAST_NORMAL = 1e-6  # of three points that are nearly in a line, in square metres
+
+
+class Floor(NamedTuple):
+    """A plane below the camera.
+
+    Attributes
+    ----------
+    normal : float64 array (3,)
+        The unit vector that points upwards.
+    height : float
+        Where the floor lies along it: minus the height of the camera above the floor, in metres.
+    share : float
+        The share of the points that belong to it.
+    """
+
+    normal: F64
+    height: float
+    share: float
+
+
+def find_floor(points: npt.ArrayLike, up: npt.ArrayLike | None = None, seed: int = 0) -> Floor | None:
+    """Return the largest plane that can be the floor.
+
+    Planes through 300 random triples of points, of those whose normals are near to `up`, are compared by the number of
+    points within 3 cm; the best is fitted to its points by least squares.
+
+    Parameters
+    ----------
+    points : float64 array (n, 3)
+        Points of the empty room in metres; rows that are not finite do not count.
+    up : float64 array (3,), optional
+        A vector that points upwards, which the normal differs from by 5° at most; None allows 45° from (0, 1, 0).
+    seed : int, optional
+        Seed of the triples.
+
+    Returns
+    -------
+    Floor, optional
+        The floor; None where no plane has 15 % of the points.
+
+    Raises
+    ------
+    ParameterError
+        `points` has another shape, or `up` no direction.
+    """
+    places = np.asarray(points, np.float64)
+    if places.ndim != 2 or places.shape[1] != 3:
+        raise ParameterError("points", "of shape (n, 3)", places.shape)
+    places = places[np.isfinite(places).all(axis=1)]
+    axis = np.array([0.0, 1.0, 0.0]) if up is None else _unit(up)
+    least = np.cos(MOST_FROM_IMAGE_UP if up is None else MOST_FROM_UP)
+    if len(places) < 3:
+        return None
+    normals, heights = admissible_planes(places, axis, float(least), seed)
+    if not len(normals):
+        return None
+    some = places[:: -(-len(places) // _COUNTED)]
+    counts = [int((np.abs(some @ normal - h) <= WITHIN_M).sum()) for normal, h in zip(normals, heights, strict=True)]
+    best = int(np.argmax(counts))
+    normal, height = normals[best], float(heights[best])
+    near = np.abs(places @ normal - height) <= WITHIN_M
+    for _ in range(_REFITS):
+        if near.sum() < 3:
+            return None
+        normal, height = fitted_plane(places[near], axis)
+        former, near = near, np.abs(places @ normal - height) <= WITHIN_M
+        if (near == former).all():
+            break
+    share = float(near.mean())
+    if share < LEAST_SHARE or normal @ axis < least or height >= 0:
+        return None
+    return Floor(normal, height, share)
+
+
+def admissible_planes(points: F64, up: F64, least: float, seed: int) -> tuple[F64, F64]:
+    """Return the planes through random triples of points that lie below the origin and are about level.
+
+    Parameters
+    ----------
+    points : float64 array (n, 3)
+        Points.
+    up : float64 array (3,)
+        A unit vector that points upwards.
+    least : float
+        The least cosine between a normal and `up`.
+    seed : int
+        Seed of the triples.
+
+    Returns
+    -------
+    normals : float64 array (k, 3)
+        At most 300 unit vectors; fewer where 30,000 triples do not give as many.
+    heights : float64 array (k,)
+        Where the planes lie along them, below 0.
+    """
+    triples = np.random.default_rng(seed).integers(0, len(points), (_MOST_DRAWN, 3))
+    a, b, c = (points[triples[:, k]] for k in range(3))
+    across = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(across, axis=1)
+    known = lengths > _LEAST_NORMAL
+    normals = np.where(known[:, None], across / np.maximum(lengths, _LEAST_NORMAL)[:, None], 0.0)
+    normals *= np.where(normals @ up < 0, -1.0, 1.0)[:, None]
+    heights = np.einsum("ij,ij->i", normals, a)
+    fit = np.flatnonzero(known & (normals @ up >= least) & (heights < 0))[:TRIPLES]
+    return normals[fit], heights[fit]
+
+
+def fitted_plane(points: F64, up: F64) -> tuple[F64, float]:
+    """Return normal and height of the plane of least squares through points (n, 3), whose normal is turned to `up`."""
+    middle = points.mean(axis=0)
+    offsets = points - middle
+    normal: F64 = np.linalg.eigh(offsets.T @ offsets)[1][:, 0]
+    if normal @ up < 0:
+        normal = -normal
+    return normal, float(normal @ middle)
+
+
+def upright_turn(up: npt.ArrayLike) -> F64:
+    """Return the shortest turn (3, 3) that brings a direction to +Y.
+
+    Parameters
+    ----------
+    up : float64 array (3,)
+        The direction; one that points straight down is turned about the x axis.
+
+    Raises
+    ------
+    ParameterError
+        It has no direction.
+    """
+    x, y, z = _unit(up)
+    if y < -1 + 1e-12:
+        return np.diag([1.0, -1.0, -1.0])
+    share = 1 / (1 + y)
+    return np.array([[1 - x * x * share, -x, -x * z * share], [x, y, z], [-x * z * share, -z, 1 - z * z * share]])
+
+
+def _unit(up: npt.ArrayLike) -> F64:
+    vector = np.asarray(up, np.float64)
+    length = float(np.linalg.norm(vector)) if vector.shape == (3,) else 0.0
+    if not 1e-9 < length < np.inf:
+        raise ParameterError("up", "a direction of shape (3,), not 0", vector.tolist())
+    return vector / length
