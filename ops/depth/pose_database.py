@@ -217,7 +217,7 @@ class PoseThinning:
 
     def _compared(self, directions: F32) -> F32:
         poses = place_directions(directions, self.bone_lengths)[:, COMPARED]
-        return np.ascontiguousarray(poses.reshape(len(poses), -1), np.float32)
+        return np.ascontiguousarray(poses.reshape(len(poses), 3 * len(COMPARED)), np.float32)
 
     def _grow(self) -> None:
         """Double the room for kept poses, and spread their cells over more lists."""

@@ -1,0 +1,383 @@
+"""The pose of a person in one depth frame after the other: two hypotheses and their vote (thesis, Section 8.4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.body.joint_tree import JOINTS
+from kinedex.ops.depth.cones import ConeBody, body_distance
+from kinedex.ops.depth.extrema import COUNT, ExtremaRoom, extrema_room, find_source, geodesic_extrema
+from kinedex.ops.depth.facing_direction import facing_from_points, point_centre, sample_step
+from kinedex.ops.depth.graph import GraphRoom, build_graph, graph_room
+from kinedex.ops.depth.image_search import DepthView
+from kinedex.ops.depth.lookup import JUMP_M, Lookup, Proposals
+from kinedex.ops.depth.points import FrameCloud, Preparation
+from kinedex.ops.depth.pose_database import facing_of, place_directions
+from kinedex.ops.depth.pose_fit import PRINTED_STEPS, RETRIEVED_SIGMA_M, SIGMA_M, STEPS, Form, PoseFit
+from kinedex.ops.depth.pose_index import PoseIndex
+from kinedex.ops.depth.vote import cost_of
+from kinedex.ops.errors import ParameterError
+
+Bool = npt.NDArray[np.bool_]
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+
+Hypothesis = Literal["local", "database"]
+
+LEAST_POINTS = 200
+"""A frame of fewer points shows nobody."""
+
+ABSENT_S, MISSING_S = 0.5, 0.2
+"""The tracker starts anew where nobody was seen, or frames were missing, for longer."""
+
+TRIAL_STEPS = 2
+"""Steps that each candidate gets before the best of them is fitted."""
+
+_TOWARDS = np.array([0.0, 0.0, 1.0])  # a person faces the camera until something else is known
+
+
+@dataclass(frozen=True)
+class TrackerSettings:
+    """The choices of a tracker.
+
+    Attributes
+    ----------
+    form : str
+        "best", or "printed": the thesis's.
+    hypotheses : tuple of str
+        Those that take part, of "local" and "database". Without "database" it lends only the pose of a start; without
+        "local" it is not compared with the pose before.
+    candidates : int
+        Poses of the database that are tried in a frame; 1 as printed.
+    rate_hz : float
+        Frames per second.
+
+    Raises
+    ------
+    ParameterError
+        A value is none of these.
+    """
+
+    form: Form = "best"
+    hypotheses: tuple[Hypothesis, ...] = ("local", "database")
+    candidates: int = 3
+    rate_hz: float = 30.0
+
+    def __post_init__(self) -> None:
+        if self.form not in ("best", "printed"):
+            raise ParameterError("form", "'best' or 'printed'", self.form)
+        if not self.hypotheses or not set(self.hypotheses) <= {"local", "database"}:
+            raise ParameterError("hypotheses", "one or both of 'local' and 'database'", self.hypotheses)
+        if self.candidates < 1:
+            raise ParameterError("candidates", "at least 1", self.candidates)
+        if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
+            raise ParameterError("rate_hz", "positive and finite", self.rate_hz)
+
+    @property
+    def is_printed(self) -> bool:
+        """True for the form of the thesis."""
+        return self.form == "printed"
+
+
+class Candidate(NamedTuple):
+    """A pose of the database that was tried in a frame.
+
+    Attributes
+    ----------
+    row : int
+        Its row in the database.
+    lookup_cost : float
+        Its cost in the lookup (thesis, Eq. 8.6).
+    map : int
+        The map of `Proposals.maps` that it was found by.
+    cost : float
+        Its cost in the vote after the trial steps; NaN where there was no trial.
+    """
+
+    row: int
+    lookup_cost: float
+    map: int
+    cost: float
+
+
+class FrameResult(NamedTuple):
+    """The result of a frame, with its explanation.
+
+    Attributes
+    ----------
+    pose : float64 array (24, 3)
+        The joints in metres; NaN without a person.
+    hypothesis : str or None
+        The one that was taken; None without a person.
+    cost_local, cost_database : float
+        Their costs in the vote; NaN for one that there is none of.
+    row : int
+        The row of the database that the database's hypothesis comes from; −1 without one.
+    local, database : float64 array (24, 3) or None
+        The two hypotheses.
+    extrema : float64 array (20, 3)
+        The geodesic extrema in metres; NaN where there are fewer.
+    facing : float64 array (3,)
+        The horizontal direction that extrema were turned by.
+    centre : float64 array (3,)
+        The centre of the points.
+    points, components, links : int
+        The sizes of the graph.
+    maps : int64 array (M, 5)
+        The maps of ends to extrema that were tried.
+    sums : float64 array (M,)
+        Their sums of distances from the previous ends; NaN for the lowest as feet.
+    candidates : tuple of Candidate
+        The poses that were tried, by their lookup cost.
+    unseen : bool array (24,)
+        Joints whose cones are nearest to no point.
+    started : bool
+        True where there was no previous pose.
+    """
+
+    pose: F64
+    hypothesis: Hypothesis | None
+    cost_local: float
+    cost_database: float
+    row: int
+    local: F64 | None
+    database: F64 | None
+    extrema: F64
+    facing: F64
+    centre: F64
+    points: int
+    components: int
+    links: int
+    maps: npt.NDArray[np.int64]
+    sums: F64
+    candidates: tuple[Candidate, ...]
+    unseen: Bool
+    started: bool
+
+    @property
+    def cost(self) -> float:
+        """The cost of the hypothesis that was taken; NaN without a person."""
+        return {"local": self.cost_local, "database": self.cost_database}.get(self.hypothesis or "", np.nan)
+
+
+class _Scene(NamedTuple):
+    """All that is known of a frame before poses are fitted."""
+
+    cloud: FrameCloud
+    extrema: F64
+    centre: F64
+    facing: F64
+    components: int
+    links: int
+
+
+class Reconstructor:
+    """Reconstructs the poses of one person from depth frames, in their order.
+
+    Parameters
+    ----------
+    body : ConeBody
+        The surface.
+    bone_lengths : float64 array (24,)
+        The person's bones in metres.
+    directions : float32 array (N, 24, 3)
+        The pose database: unit directions of bones.
+    preparation : Preparation
+        Makes points of frames.
+    view : DepthView
+        The camera, with the stride and the turn of the preparation.
+    settings : TrackerSettings, optional
+        The choices.
+
+    Raises
+    ------
+    ParameterError
+        The database is empty, or arrays have other shapes.
+    """
+
+    def __init__(
+        self,
+        body: ConeBody,
+        bone_lengths: F64,
+        directions: F32,
+        preparation: Preparation,
+        view: DepthView,
+        settings: TrackerSettings | None = None,
+    ) -> None:
+        self.body, self.bone_lengths, self.preparation = body, np.asarray(bone_lengths, np.float64), preparation
+        self.settings = settings or TrackerSettings()
+        self.height = body.standing_height(self.bone_lengths)
+        printed = self.settings.is_printed
+        self._steps = PRINTED_STEPS if printed else STEPS
+        index = PoseIndex(place_directions(directions, self.bone_lengths))
+        self.lookup = Lookup(index, 1 if printed else self.settings.candidates, 5 if printed else 6)
+        self._poses = PoseFit(body, self.height, view)
+        self._graph: GraphRoom | None = None
+        self._extrema: ExtremaRoom | None = None
+        self._joints = cone_joints(body)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the person: the next frame is a start."""
+        self._pose: F64 | None = None
+        self._last: F64 | None = None  # the extrema of the last frame
+        self._facing = _TOWARDS.copy()
+        self._absent = self._missing = 0
+
+    def skip(self, frames: int = 1) -> None:
+        """Pass over frames that are missing; after more than `MISSING_S` without one the tracker starts anew."""
+        self._missing += frames
+        if self._missing > MISSING_S * self.settings.rate_hz + 1e-9:
+            self.restart()
+
+    def step(self, image: npt.ArrayLike) -> FrameResult:
+        """Reconstruct the pose of the next frame.
+
+        Parameters
+        ----------
+        image : float32 array (H, W)
+            Depths in metres; 0 where nothing was measured.
+
+        Returns
+        -------
+        FrameResult
+            The pose and how it came about.
+
+        Raises
+        ------
+        ParameterError
+            The image has another size than those that the preparation was made for.
+        """
+        cloud = self.preparation.prepare(image)
+        self._missing = 0
+        if len(cloud.points) < LEAST_POINTS:
+            return self._nobody(cloud)
+        scene = self._look(cloud)
+        self._poses.look(cloud)
+        self._absent = 0
+        result = self._vote(scene, self._pose)
+        self._last = scene.extrema[:5]
+        self._pose = self._pose if result.hypothesis is None else result.pose
+        return result
+
+    def _nobody(self, cloud: FrameCloud) -> FrameResult:
+        self._absent += 1
+        started = self._pose is None
+        if self._absent > ABSENT_S * self.settings.rate_hz + 1e-9:
+            self.restart()
+        nowhere = np.full(3, np.nan)
+        return FrameResult(
+            np.full((len(JOINTS), 3), np.nan), None, np.nan, np.nan, -1, None, None, np.full((COUNT, 3), np.nan),
+            nowhere, nowhere, len(cloud.points), 0, 0, np.empty((0, 5), np.int64), np.empty(0), (),
+            np.ones(len(JOINTS), np.bool_), started,
+        )  # fmt: skip
+
+    def _look(self, cloud: FrameCloud) -> _Scene:
+        """Find the extrema, the centre and the facing direction of a frame."""
+        pixels = self.preparation.shape[0] * self.preparation.shape[1]
+        if self._graph is None:
+            self._graph = graph_room(pixels)
+        graph = build_graph(cloud, room=self._graph)
+        if self._extrema is None:
+            self._extrema = extrema_room(
+                self.preparation.shape[0] * self.preparation.shape[1], len(self._graph.lengths)
+            )
+        source = find_source(cloud, graph, 0.0) if self.settings.is_printed else find_source(cloud, graph)
+        nodes = geodesic_extrema(graph, source, room=self._extrema).nodes if source >= 0 else np.empty(0, np.int32)
+        centre = point_centre(cloud.points)
+        if self._pose is None or self.settings.is_printed:
+            self._facing = facing_from_points(cloud.points, centre, self._facing)
+        else:
+            facing = np.empty(3)
+            facing_of(self._pose, facing)
+            self._facing = facing if facing.any() else self._facing
+        return _Scene(cloud, cloud.points[nodes], centre, self._facing.copy(), graph.components, graph.links)
+
+    def _vote(self, scene: _Scene, previous: F64 | None) -> FrameResult:
+        """Fit both hypotheses, and take the one of least cost; the local one at equal costs."""
+        local = database = pose = None
+        cost_local = cost_database = np.nan
+        hypothesis: Hypothesis | None = None
+        row, proposals = -1, _NO_PROPOSALS
+        candidates: tuple[Candidate, ...] = ()
+        if previous is not None and "local" in self.settings.hypotheses:
+            local = self._fit(previous, self._steps, SIGMA_M)
+            cost_local = self._cost(local, scene)
+            pose, hypothesis = local, "local"
+        if previous is None or "database" in self.settings.hypotheses:
+            proposals = self._propose(scene, previous)
+            candidates, best, trial = self._try(proposals, scene)
+            if trial is not None:
+                row = int(proposals.rows[best])
+                database = self._fit(trial, self._steps, RETRIEVED_SIGMA_M)
+                cost_database = self._cost(database, scene)
+                if not cost_local <= cost_database:
+                    pose, hypothesis = database, "database"
+        return FrameResult(
+            np.full((len(JOINTS), 3), np.nan) if pose is None else pose, hypothesis, cost_local, cost_database, row,
+            local, database, _padded(scene.extrema), scene.facing, scene.centre, len(scene.cloud.points),
+            scene.components, scene.links, proposals.maps, proposals.sums, candidates,
+            self._unseen(pose, scene.cloud), previous is None,
+        )  # fmt: skip
+
+    def _propose(self, scene: _Scene, previous: F64 | None) -> Proposals:
+        """Look poses up; also with the lowest extrema as feet where an extremum has jumped."""
+        first = scene.extrema[:5]
+        jumped = self._last is None or bool(
+            (np.linalg.norm(first[:, None] - self._last[None], axis=2).min(axis=1, initial=np.inf) > JUMP_M).any()
+        )
+        compare = "local" in self.settings.hypotheses
+        return self.lookup.propose(scene.extrema, scene.centre, scene.facing, previous, compare=compare, jumped=jumped)
+
+    def _try(self, proposals: Proposals, scene: _Scene) -> tuple[tuple[Candidate, ...], int, F64 | None]:
+        """Give each candidate two short steps; return all, the number of the best one, and its pose."""
+        poses, costs = list(proposals.poses), [np.nan] * len(proposals.poses)
+        if len(poses) > 1:
+            poses = [self._fit(pose, TRIAL_STEPS, (RETRIEVED_SIGMA_M[0],) * 2) for pose in poses]
+            costs = [self._cost(pose, scene) for pose in poses]
+        best = int(np.argmin(costs)) if len(poses) > 1 else len(poses) - 1
+        candidates = tuple(
+            Candidate(int(row), float(cost), int(origin), float(trial))
+            for row, cost, origin, trial in zip(proposals.rows, proposals.costs, proposals.origins, costs, strict=True)
+        )
+        return candidates, best, poses[best] if poses else None
+
+    def _fit(self, pose: F64, steps: int, sigma: tuple[float, float]) -> F64:
+        return self._poses.fit(pose, steps, sigma, self.settings.form)
+
+    def _cost(self, pose: F64, scene: _Scene) -> float:
+        """Return the cost of a pose in the vote (thesis, Eq. 8.7 to 8.9)."""
+        return cost_of(self._poses, pose, scene.extrema, self.settings.form).total
+
+    def _unseen(self, pose: F64 | None, cloud: FrameCloud) -> Bool:
+        """Return the joints whose cones are nearest to no point."""
+        if pose is None:
+            return np.ones(len(JOINTS), np.bool_)
+        sample = cloud.points[:: sample_step(len(cloud.points))]
+        seen = np.unique(body_distance(self.body, pose, sample, self.height).cone)
+        unseen: Bool = np.any(self._joints, axis=0) & ~np.any(self._joints[seen], axis=0)
+        return unseen
+
+
+_NO_PROPOSALS = Proposals(
+    np.empty((0, len(JOINTS), 3)), np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64),
+    np.empty((0, 5), np.int64), np.empty(0),
+)  # fmt: skip
+
+
+def _padded(extrema: F64) -> F64:
+    padded: F64 = np.full((COUNT, 3), np.nan)
+    padded[: len(extrema)] = extrema
+    return padded
+
+
+def cone_joints(body: ConeBody) -> Bool:
+    """Return which joints are at an end of each cone, bool (C, 24)."""
+    joints: Bool = np.zeros((len(body.cone_names), len(JOINTS)), np.bool_)
+    for c in range(len(joints)):
+        joints[c, body.joints[c][body.shares[c] > 0]] = True
+    return joints
