@@ -20,8 +20,8 @@ Bool = npt.NDArray[np.bool_]
 MOST_LINK_M = 0.5
 """Components that are not nearer than this to the body are no part of it."""
 
-TILE = 8
-"""Rows and columns of a block, in pixels."""
+TILE_BITS = 3
+"""Rows and columns of a block are 2 to this power, in pixels."""
 
 
 class LinkRoom(NamedTuple):
@@ -29,8 +29,8 @@ class LinkRoom(NamedTuple):
 
     Attributes
     ----------
-    order, keys, counts : int32 array (N,), (N,), (N + 1,)
-        The nodes by component and tile, their tiles, and counts of a sort.
+    order, keys, counts : int32 array (N,), (2, N), (N + 1,)
+        The nodes by component and tile, the tile of each node with a first order, and counts of a sort.
     blocks, firsts : int32 array (N + 1,), (K + 1,)
         Where the nodes of each block begin in the order, and where the blocks of each component begin.
     boxes : float64 array (N, 2, 3)
@@ -163,20 +163,18 @@ def _sort_nodes(pixels: I32, labels: I32, components: int, room: LinkRoom) -> in
     """Order the nodes of components by component, column of tiles and row of tiles, and return their number."""
     n = len(pixels)
     order, (tiles, passing), counts = room.order, room.keys, room.counts
-    left, right = pixels[0, 0], pixels[0, 0]
+    left, right, top = pixels[0, 0], pixels[0, 0], pixels[0, 1]
     for i in range(n):
         left, right = min(left, pixels[i, 0]), max(right, pixels[i, 0])
-    columns = (right - left) // TILE + 1
-    top = pixels[0, 1]
+    columns = ((right - left) >> TILE_BITS) + 1
     counts[: columns + 1] = 0
-    for i in range(n):  # rows ascend with the nodes, so a stable sort by column leaves rows of tiles together
-        column = (pixels[i, 0] - left) // TILE
-        tiles[i] = ((pixels[i, 1] - top) // TILE) * columns + column
-        counts[column + 1] += 1
+    for i in range(n):
+        counts[((pixels[i, 0] - left) >> TILE_BITS) + 1] += 1
     for column in range(columns):
         counts[column + 1] += counts[column]
-    for i in range(n):
-        column = tiles[i] % columns
+    for i in range(n):  # rows ascend with the nodes, so a stable sort by column leaves rows of tiles together
+        column = (pixels[i, 0] - left) >> TILE_BITS
+        tiles[i] = ((pixels[i, 1] - top) >> TILE_BITS) * columns + column
         passing[counts[column]] = i
         counts[column] += 1
     counts[: components + 1] = 0

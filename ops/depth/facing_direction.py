@@ -78,8 +78,8 @@ def _mean_shift(points: F64, step: int, centre: F64) -> None:
     for axis in range(3):
         for k in range(count):
             sample[k] = points[k * step, axis]
-        sample.sort()
-        centre[axis] = 0.5 * (sample[(count - 1) // 2] + sample[count // 2])
+        lower = _select(sample, (count - 1) // 2)
+        centre[axis] = 0.5 * (lower + _select(sample, count // 2))
     for _ in range(MOST_SHIFTS):
         x, y, z, total = 0.0, 0.0, 0.0, 0.0
         for k in range(count):
@@ -94,6 +94,30 @@ def _mean_shift(points: F64, step: int, centre: F64) -> None:
         centre[0], centre[1], centre[2] = x, y, z
         if moved < CLOSE_M:
             return
+
+
+@njit(cache=True, nogil=True)
+def _select(values: F64, rank: int) -> float:
+    """Return the value of a rank, from 0 for the least, and move values about (Hoare's selection)."""
+    low, high = 0, len(values) - 1
+    while low < high:
+        middle = values[(low + high) >> 1]
+        i, j = low, high
+        while i <= j:
+            while values[i] < middle:
+                i += 1
+            while values[j] > middle:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i, j = i + 1, j - 1
+        if rank <= j:
+            high = j
+        elif rank >= i:
+            low = i
+        else:
+            break
+    return values[rank]
 
 
 @njit(cache=True, nogil=True)

@@ -47,6 +47,27 @@ STRIDE_FRAMES = 10
 """The stride is chosen on the first frames, as many as this."""
 
 
+class NearestRoom(NamedTuple):
+    """The arrays that nearest points are found in.
+
+    Attributes
+    ----------
+    nearest : int32 array (h, w)
+        The nearest point of each pixel of the box.
+    box : int64 array (4,)
+        The box that `nearest` was filled in.
+    steps : int32 array (h, w)
+        The rows from each pixel to the nearest point of its column.
+    hull : float64 array (3, w)
+        The lower envelope of a row: where each part begins, its column and its squared distance.
+    """
+
+    nearest: I32
+    box: I64
+    steps: I32
+    hull: F64
+
+
 class FrameCloud(NamedTuple):
     """The points of a frame; its arrays are overwritten when the next frame is prepared.
 
@@ -64,6 +85,8 @@ class FrameCloud(NamedTuple):
         First column, first row, and the column and row after the last, of all points; zeros without any.
     foreground : int
         The number of foreground pixels before cleaning.
+    room : NearestRoom, optional
+        Room for `nearest_pixels`, that of the recording; None: it is made.
     """
 
     points: F64
@@ -72,6 +95,7 @@ class FrameCloud(NamedTuple):
     depth: F32
     box: tuple[int, int, int, int]
     foreground: int
+    room: NearestRoom | None = None
 
 
 def ray_table(matrix: npt.ArrayLike, distortion: npt.ArrayLike, size: tuple[int, int], stride: int = 1) -> F64:
@@ -148,10 +172,11 @@ class Preparation:
         self._limits = depth_limits(wall, self._directions[..., 1], floor_height, far)
         self._near = _float32_below(near)
         self._foreground = np.zeros((height + 2, width + 2), np.float32)
+        self._runs = np.zeros((height, 2), np.int64)
         self._rows = np.zeros((5, width + 2), np.float32)
         self._points, self._pixels = np.zeros((height * width, 3)), np.zeros((height * width, 2), np.int32)
         self._numbers, self._depth = np.full(self.shape, -1, np.int32), np.zeros(self.shape, np.float32)
-        self._window, self._box = np.zeros(4, np.int64), np.zeros(4, np.int64)
+        self._box, self._nearest = np.zeros(4, np.int64), nearest_room(self.shape)
 
     def prepare(self, image: npt.ArrayLike) -> FrameCloud:
         """Return the points of a frame.
@@ -172,13 +197,15 @@ class Preparation:
             The image has another size than the rays.
         """
         depths = self._strided("image", image)
-        count = _foreground(depths, self._limits, self._near, self._foreground, self._window)
+        count = _foreground(depths, self._limits, self._near, self._foreground, self._runs)
         n = _clean(
-            self._foreground, self._directions, self._window, self._rows,
+            self._foreground, self._directions, self._runs, self._rows,
             self._points, self._pixels, self._numbers, self._depth, self._box,
         )  # fmt: skip
         u0, v0, u1, v1 = self._box.tolist()
-        return FrameCloud(self._points[:n], self._pixels[:n], self._numbers, self._depth, (u0, v0, u1, v1), count)
+        return FrameCloud(
+            self._points[:n], self._pixels[:n], self._numbers, self._depth, (u0, v0, u1, v1), count, self._nearest
+        )
 
     def _strided(self, name: str, image: npt.ArrayLike) -> F32:
         """Return every k-th row and column of an image as depths z, in the room of the next one."""
@@ -302,12 +329,18 @@ def nearest_pixels(cloud: FrameCloud) -> I32:
     Returns
     -------
     int32 array (h, w)
-        The point, ties to the lowest column, then the lowest row; −1 outside the box, or without points.
+        The point, ties to the lowest column, then the lowest row; −1 outside the box, or without points. The next
+        frame of the recording overwrites it.
     """
-    nearest = np.full(cloud.numbers.shape, -1, np.int32)
-    height, width = cloud.numbers.shape
-    _nearest(cloud.numbers, np.array(cloud.box), np.empty((height, width), np.int32), np.empty((3, width)), nearest)
-    return nearest
+    room = nearest_room(cloud.numbers.shape) if cloud.room is None else cloud.room
+    _nearest(cloud.numbers, *cloud.box, room)
+    return room.nearest
+
+
+def nearest_room(shape: tuple[int, ...]) -> NearestRoom:
+    """Return room for the nearest points of images of h rows and w columns."""
+    empty = np.zeros(4, np.int64)
+    return NearestRoom(np.full(shape, -1, np.int32), empty, np.zeros(shape, np.int32), np.zeros((3, shape[1])))
 
 
 def _float32_below(value: float) -> np.float32:
@@ -317,10 +350,10 @@ def _float32_below(value: float) -> np.float32:
 
 
 @njit(cache=True, nogil=True)
-def _foreground(image: F32, limits: F32, near: np.float32, foreground: F32, window: I64) -> int:
-    """Copy foreground depths into the padded image, set the window that holds them, and return their number."""
+def _foreground(image: F32, limits: F32, near: np.float32, foreground: F32, runs: I64) -> int:
+    """Copy foreground depths into the padded image, find where they begin and end in each row, and count them."""
     height, width = image.shape
-    total, left, right, top, bottom = 0, width, 0, height, 0
+    total = 0
     for v in range(height):
         given, limit, kept = image[v], limits[v], foreground[v + 1, 1 : width + 1]
         count = np.int32(0)
@@ -329,60 +362,72 @@ def _foreground(image: F32, limits: F32, near: np.float32, foreground: F32, wind
             passes = (z > near) & (z < limit[u])
             kept[u] = z if passes else np.float32(0.0)
             count += np.int32(passes)
+        left, right = 0, 0
         if count > 0:
             total += int(count)
-            top, bottom = min(top, v), v + 1
-            u = 0
-            while kept[u] == 0:
-                u += 1
-            left = min(left, u)
-            u = width
-            while kept[u - 1] == 0:
-                u -= 1
-            right = max(right, u)
-    window[0], window[1], window[2], window[3] = left, top, right, bottom
-    if total == 0:
-        window[:] = 0
+            right = width
+            while kept[left] == 0:
+                left += 1
+            while kept[right - 1] == 0:
+                right -= 1
+        runs[v, 0], runs[v, 1] = left, right
     return total
 
 
 @njit(cache=True, nogil=True)
 def _clean(
-    foreground: F32, directions: F64, window: I64, rows: F32,
+    foreground: F32, directions: F64, runs: I64, rows: F32,
     points: F64, pixels: I32, numbers: I32, depth: F32, box: I64,
 ) -> int:  # fmt: skip
     """Clear the former frame's box, number the pixels that stay, set their box, and return how many there are."""
     for v in range(box[1], box[3]):
         numbers[v, box[0] : box[2]] = -1
         depth[v, box[0] : box[2]] = 0.0
+    n, first, last = 0, numbers.shape[1], 0
+    for v in range(numbers.shape[0]):
+        left, right, former = runs[v, 0], runs[v, 1], n
+        if left < right:
+            n = _clean_run(foreground, rows, v, left, right, n, directions, points, pixels, depth)
+        for k in range(former, n):
+            numbers[v, pixels[k, 0]] = k
+        if n > former:
+            first, last = min(first, pixels[former, 0]), max(last, pixels[n - 1, 0] + 1)
     box[:] = 0
-    left, top, right, bottom = window
-    lows, middles, highs = rows[0, : right - left + 2], rows[1, : right - left + 2], rows[2, : right - left + 2]
-    counts, medians = rows[3, : right - left + 2], rows[4, : right - left]
-    n = 0
-    for v in range(top, bottom):
-        above, here, below = (
-            foreground[v, left : right + 2], foreground[v + 1, left : right + 2], foreground[v + 2, left : right + 2]
-        )  # fmt: skip
-        _sort_columns(above, here, below, lows, middles, highs, counts)
-        _medians(lows, middles, highs, medians)
-        for i in range(right - left):
-            z = here[i + 1]
-            kept = int(counts[i] + counts[i + 1] + counts[i + 2])
-            if z == 0 or kept < LEAST_NEIGHBOURS + 1:
-                continue
-            m = medians[i] if kept >= 8 else _sixth(above, here, below, i)
-            if abs(np.float64(z) - np.float64(m)) < MOST_FROM_MEDIAN_M - _ROUNDING_M:
-                u, far = left + i, np.float64(m)
-                numbers[v, u], depth[v, u] = n, m
-                pixels[n, 0], pixels[n, 1] = u, v
-                points[n, 0] = far * directions[v, u, 0]
-                points[n, 1] = far * directions[v, u, 1]
-                points[n, 2] = far * directions[v, u, 2]
-                box[0], box[2] = (min(box[0], u), max(box[2], u + 1)) if n > 0 else (u, u + 1)
-                n += 1
     if n > 0:
-        box[1], box[3] = pixels[0, 1], pixels[n - 1, 1] + 1
+        box[0], box[1], box[2], box[3] = first, pixels[0, 1], last, pixels[n - 1, 1] + 1
+    return n
+
+
+@njit(cache=True, nogil=True)
+def _clean_run(
+    foreground: F32, rows: F32, v: int, left: int, right: int, n: int,
+    directions: F64, points: F64, pixels: I32, depth: F32,
+) -> int:  # fmt: skip
+    """Write the pixels that stay of some columns of a row, after n points, and return the new number of points."""
+    size = right - left + 2
+    lows, middles, highs, counts, medians = (
+        rows[0, :size], rows[1, :size], rows[2, :size], rows[3, :size], rows[4, : size - 2]
+    )  # fmt: skip
+    above, here, below = (
+        foreground[v, left : right + 2], foreground[v + 1, left : right + 2], foreground[v + 2, left : right + 2]
+    )  # fmt: skip
+    _sort_columns(above, here, below, lows, middles, highs, counts)
+    _medians(lows, middles, highs, medians)
+    for i in range(size - 2):
+        z = here[i + 1]
+        kept = int(counts[i] + counts[i + 1] + counts[i + 2])
+        if z == 0 or kept < LEAST_NEIGHBOURS + 1:
+            continue
+        m = medians[i] if kept >= 8 else _sixth(above, here, below, i)
+        far = np.float64(m)
+        if abs(np.float64(z) - far) < MOST_FROM_MEDIAN_M - _ROUNDING_M:
+            u = left + i
+            depth[v, u] = m
+            pixels[n, 0], pixels[n, 1] = u, v
+            points[n, 0] = far * directions[v, u, 0]
+            points[n, 1] = far * directions[v, u, 1]
+            points[n, 2] = far * directions[v, u, 2]
+            n += 1
     return n
 
 
@@ -423,7 +468,6 @@ def _medians(lows: F32, middles: F32, highs: F32, medians: F32) -> None:
 @njit(cache=True, nogil=True)
 def _sixth(above: F32, here: F32, below: F32, i: int) -> np.float32:
     """Return the sixth of the nine values of a window: the lower median of six or seven, zeros before them."""
-    most = np.float32(np.inf)
     first = second = third = fourth = np.float32(-1.0)  # the four greatest, descending
     for row in (above, here, below):
         for k in range(3):
@@ -436,13 +480,16 @@ def _sixth(above: F32, here: F32, below: F32, i: int) -> np.float32:
                     second, third = third, second
                 if second > first:
                     first, second = second, first
-    return fourth if fourth < most else first
+    return fourth
 
 
 @njit(cache=True, nogil=True)
-def _nearest(numbers: I32, box: I64, steps: I32, hull: F64, nearest: I32) -> None:
+def _nearest(numbers: I32, left: int, top: int, right: int, bottom: int, room: NearestRoom) -> None:
     """Fill the nearest points: down and up each column, then along each row by the lower envelope of parabolas."""
-    left, top, right, bottom = box
+    nearest, box, steps = room.nearest, room.box, room.steps
+    for v in range(box[1], box[3]):
+        nearest[v, box[0] : box[2]] = -1
+    box[0], box[1], box[2], box[3] = left, top, right, bottom
     far = np.int32(1 << 14)  # above any distance in an image, and its square below 2³¹
     for v in range(top, bottom):  # steps to the nearest point of the column; negative for one above
         for u in range(left, right):
@@ -454,7 +501,7 @@ def _nearest(numbers: I32, box: I64, steps: I32, hull: F64, nearest: I32) -> Non
             if after < -steps[v, u]:
                 steps[v, u] = after
     for v in range(top, bottom):
-        _nearest_of_row(numbers, v, left, right, far, steps[v], hull, nearest[v])
+        _nearest_of_row(numbers, v, left, right, far, steps[v], room.hull, nearest[v])
 
 
 @njit(cache=True, nogil=True)

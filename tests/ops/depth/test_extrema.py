@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinedex.ops.depth.extrema import extrema_room, find_source, geodesic_extrema
+from kinedex.ops.depth.extrema import find_source, geodesic_extrema
 from kinedex.ops.depth.graph import build_graph
 from kinedex.ops.depth.points import FrameCloud
 from kinedex.ops.errors import ParameterError
@@ -114,7 +114,7 @@ def finds_all_ends(cloud: FrameCloud, ends: np.ndarray, drop: float) -> bool:
     """Return True where each of the five ends has one of the first five extrema within 0.2 m, one to one."""
     graph = build_graph(cloud)
     nodes = geodesic_extrema(
-        graph, find_source(cloud, graph, drop), 5, extrema_room(len(graph.body), len(graph.lengths))
+        graph, find_source(cloud, graph, drop), 5
     )
     close = np.linalg.norm(cloud.points[nodes.nodes][:, None] - ends, axis=2) <= 0.2
     return any(close[list(order), range(5)].all() for order in permutations(range(len(close)), 5))
