@@ -53,10 +53,9 @@ class Sums(NamedTuple):
 
     Attributes
     ----------
-    rigid : float64 array (P, 6, 6)
-        Σ w row rowᵀ of the rigid cones of each pivot, its upper half, for velocity and angular velocity.
-    rigid_right : float64 array (P, 6)
-        Σ w row · residual.
+    rigid : float64 array (P, 27)
+        Sums of the rigid cones of each pivot: the upper half of Σ w row rowᵀ, row by row, for velocity and angular
+        velocity, and Σ w row · residual.
     faces : float64 array (B, 24)
         Sums of rows along a normal of blended cones: w n nᵀ times (1 − s)², s (1 − s), s², six numbers each, and
         w n · residual times 1 − s and s.
@@ -64,6 +63,8 @@ class Sums(NamedTuple):
         Σ w row rowᵀ of all rows of blended cones, for both ends.
     blended_right : float64 array (B, 12)
         Σ w row · residual.
+    square : float64 array (6, 6)
+        Σ w row rowᵀ of one pivot.
     levers : float64 array (K, 2, 4)
         −a_k at both ends of a cone, and the share of the turn that the end makes.
     columns : float64 array (12, 3)
@@ -75,10 +76,10 @@ class Sums(NamedTuple):
     """
 
     rigid: F64
-    rigid_right: F64
     faces: F64
     blended: F64
     blended_right: F64
+    square: F64
     levers: F64
     columns: F64
     matrix: F64
@@ -118,8 +119,8 @@ def make_sums(pivots: int, moving: MovingCones) -> Sums:
     """Return room for the sums of a body."""
     blends, size = len(moving.cones), 3 * pivots + 3
     return Sums(
-        np.zeros((pivots, 6, 6)), np.zeros((pivots, 6)), np.zeros((blends, 24)), np.zeros((blends, 12, 12)),
-        np.zeros((blends, 12)), np.zeros((moving.pivots.shape[1], 2, 4)), np.zeros((12, 3)), np.zeros((size, size)),
+        np.zeros((pivots, 27)), np.zeros((blends, 24)), np.zeros((blends, 12, 12)),
+        np.zeros((blends, 12)), np.zeros((6, 6)), np.zeros((moving.pivots.shape[1], 2, 4)), np.zeros((12, 3)), np.zeros((size, size)),
         np.zeros(size),
     )  # fmt: skip
 
@@ -128,7 +129,6 @@ def make_sums(pivots: int, moving: MovingCones) -> Sums:
 def clear_sums(sums: Sums) -> None:
     """Set all sums to 0."""
     sums.rigid[:] = 0.0
-    sums.rigid_right[:] = 0.0
     sums.faces[:] = 0.0
     sums.blended[:] = 0.0
     sums.blended_right[:] = 0.0
@@ -137,22 +137,17 @@ def clear_sums(sums: Sums) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_face(
-    moving: MovingCones, sums: Sums, cone: int, s: float,
-    x: float, y: float, z: float, a: float, b: float, c: float, residual: float, weight: float,
-) -> None:  # fmt: skip
-    """Add the row n · dq = residual of a place on a cone's axis.
+def add_rigid_face(
+    rigid: F64, pivot: int, x: float, y: float, z: float, a: float, b: float, c: float, residual: float, weight: float
+) -> None:
+    """Add the row n · dq = residual of a place on the axis of a rigid cone.
 
     Parameters
     ----------
-    moving : MovingCones
-        The cones.
-    sums : Sums
-        The sums, which are added to.
-    cone : int
-        The cone.
-    s : float
-        The place on its axis, from 0 to 1.
+    rigid : float64 array (P, 27)
+        The sums of rigid cones, which are added to.
+    pivot : int
+        The lowest pivot that moves the cone.
     x, y, z : float
         The place in metres, from the root.
     a, b, c : float
@@ -162,114 +157,82 @@ def add_face(
     weight : float
         The weight w of its square.
     """
-    p, q, r = weight * a, weight * b, weight * c
-    blend = moving.blends[cone]
-    if blend < 0:
-        u, v, w = y * c - z * b, z * a - x * c, x * b - y * a
-        row, right = sums.rigid[moving.rigid[cone]], sums.rigid_right[moving.rigid[cone]]
-        e, f, g = weight * u, weight * v, weight * w
-        row[0, 0] += p * a
-        row[0, 1] += p * b
-        row[0, 2] += p * c
-        row[0, 3] += p * u
-        row[0, 4] += p * v
-        row[0, 5] += p * w
-        row[1, 1] += q * b
-        row[1, 2] += q * c
-        row[1, 3] += q * u
-        row[1, 4] += q * v
-        row[1, 5] += q * w
-        row[2, 2] += r * c
-        row[2, 3] += r * u
-        row[2, 4] += r * v
-        row[2, 5] += r * w
-        row[3, 3] += e * u
-        row[3, 4] += e * v
-        row[3, 5] += e * w
-        row[4, 4] += f * v
-        row[4, 5] += f * w
-        row[5, 5] += g * w
-        right[0] += p * residual
-        right[1] += q * residual
-        right[2] += r * residual
-        right[3] += e * residual
-        right[4] += f * residual
-        right[5] += g * residual
-        return
-    face = sums.faces[blend]
-    one, other = 1.0 - s, s
-    for k in range(3):
-        share = one * one if k == 0 else (one * other if k == 1 else other * other)
-        face[6 * k] += share * p * a
-        face[6 * k + 1] += share * p * b
-        face[6 * k + 2] += share * p * c
-        face[6 * k + 3] += share * q * b
-        face[6 * k + 4] += share * q * c
-        face[6 * k + 5] += share * r * c
-    face[18] += one * p * residual
-    face[19] += one * q * residual
-    face[20] += one * r * residual
-    face[21] += other * p * residual
-    face[22] += other * q * residual
-    face[23] += other * r * residual
+    u, v, w = y * c - z * b, z * a - x * c, x * b - y * a
+    row = (a, b, c, u, v, w)
+    n = 0
+    for i in range(6):
+        part = weight * row[i]
+        for j in range(i, 6):
+            rigid[pivot, n] += part * row[j]
+            n += 1
+        rigid[pivot, 21 + i] += part * residual
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_vector(
-    moving: MovingCones, sums: Sums, cone: int, s: float, place: F64, offset: F64, origin: F64, residual: F64,
-    weight: float,
-) -> None:  # fmt: skip
-    """Add the three rows dq + Σ ω_k × offset = residual of a sample of the surface.
+def add_blended_face(
+    faces: F64, blend: int, s: float, a: float, b: float, c: float, residual: float, weight: float
+) -> None:
+    """Add the row n · dq = residual of a place on the axis of a blended cone.
 
     Parameters
     ----------
-    moving : MovingCones
-        The cones.
-    sums : Sums
+    faces : float64 array (B, 24)
         The sums, which are added to.
-    cone : int
-        The cone.
+    blend : int
+        The number of the cone among the blended ones.
     s : float
         The place on its axis, from 0 to 1.
-    place, offset : float64 array (3,)
-        The sample in metres, and what it lies beside the axis.
-    origin : float64 array (3,)
-        The root in metres.
-    residual : float64 array (3,)
+    a, b, c : float
+        The unit vector n.
+    residual : float
         Metres.
     weight : float
-        The weight of the square of the residual's length.
+        The weight w of its square.
     """
-    blend = moving.blends[cone]
+    row = (a, b, c)
+    n = 0
+    for i in range(3):
+        part = weight * row[i]
+        for j in range(i, 3):
+            product = part * row[j]
+            faces[blend, n] += (1.0 - s) * (1.0 - s) * product
+            faces[blend, 6 + n] += (1.0 - s) * s * product
+            faces[blend, 12 + n] += s * s * product
+            n += 1
+        faces[blend, 18 + i] += (1.0 - s) * part * residual
+        faces[blend, 21 + i] += s * part * residual
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_blended_vector(
+    matrix: F64, right: F64, s: float, offset: F64, x: float, y: float, z: float, weight: float
+) -> None:
+    """Add the three rows dq + Σ ω_k × offset = (x, y, z) of a sample on a blended cone.
+
+    Parameters
+    ----------
+    matrix, right : float64 array (12, 12), (12,)
+        The sums of the cone, which are added to.
+    s : float
+        The place on its axis, from 0 to 1.
+    offset : float64 array (3,)
+        What the sample lies beside the axis in metres.
+    x, y, z : float
+        The residual in metres.
+    weight : float
+        The weight of the square of its length.
+    """
+    residual = (x, y, z)
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
-        if blend < 0:
-            # r × e_i, with the unit vector e_i and the place r from the root
-            pivot = moving.rigid[cone]
-            row = (place[k] - origin[k], -(place[j] - origin[j]))
-            matrix, right = sums.rigid[pivot], sums.rigid_right[pivot]
-            matrix[i, i] += weight
-            matrix[i, 3 + j] += weight * row[0]
-            matrix[i, 3 + k] += weight * row[1]
-            matrix[3 + j, 3 + j] += weight * row[0] * row[0]
-            matrix[3 + k, 3 + k] += weight * row[1] * row[1]
-            matrix[3 + min(j, k), 3 + max(j, k)] += weight * row[0] * row[1]
-            right[i] += weight * residual[i]
-            right[3 + j] += weight * row[0] * residual[i]
-            right[3 + k] += weight * row[1] * residual[i]
-        else:
-            matrix, right = sums.blended[blend], sums.blended_right[blend]
-            for end in range(2):
-                share = weight * (s if end == 1 else 1.0 - s)
-                for part in range(3):
-                    one = i if part == 0 else (3 + j if part == 1 else 3 + k)
-                    factor = share * (1.0 if part == 0 else (offset[k] if part == 1 else -offset[j]))
-                    right[6 * end + one] += factor * residual[i]
-                    for last in range(2):
-                        rest = factor * (s if last == 1 else 1.0 - s)
-                        matrix[6 * end + one, 6 * last + i] += rest
-                        matrix[6 * end + one, 6 * last + 3 + j] += rest * offset[k]
-                        matrix[6 * end + one, 6 * last + 3 + k] -= rest * offset[j]
+        columns, factors = (i, 3 + j, 3 + k), (1.0, offset[k], -offset[j])  # e_i and offset × e_i
+        for one in range(6):
+            part = weight * factors[one % 3] * (1.0 - s if one < 3 else s)
+            row = columns[one % 3] + (0 if one < 3 else 6)
+            right[row] += part * residual[i]
+            for other in range(6):
+                share = 1.0 - s if other < 3 else s
+                matrix[row, columns[other % 3] + (0 if other < 3 else 6)] += part * share * factors[other % 3]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -299,13 +262,15 @@ def assemble(moving: MovingCones, joints: I64, pivots: Pivots, pose: F64, sums: 
 def _add_rigid(pivots: Pivots, pose: F64, sums: Sums) -> None:
     """Add the sums of rigid cones, which go from each pivot to the one above it."""
     count = len(pivots.joints)
-    shift, columns = 3 * count, sums.columns
+    shift, columns, s = 3 * count, sums.columns, sums.square
     root = pose[pivots.joints[0]]
     for k in range(count - 1, -1, -1):
-        s, right, parent = sums.rigid[k], sums.rigid_right[k], pivots.parents[k]
+        own, parent = sums.rigid[k], pivots.parents[k]
+        right, n = own[21:], 0
         for i in range(6):
-            for j in range(i):
-                s[i, j] = s[j, i]
+            for j in range(i, 6):
+                s[i, j] = s[j, i] = own[n]
+                n += 1
         centre = pose[pivots.joints[k]]
         x, y, z = centre[0] - root[0], centre[1] - root[1], centre[2] - root[2]
         for i in range(6):
@@ -330,14 +295,12 @@ def _add_rigid(pivots: Pivots, pose: F64, sums: Sums) -> None:
             for j in range(3):
                 sums.matrix[row + j, shift + i] += columns[i, j]
         if parent >= 0:
-            sums.rigid_right[parent] += right
-            for i in range(6):
-                for j in range(i, 6):
-                    sums.rigid[parent, i, j] += s[i, j]
+            for i in range(27):
+                sums.rigid[parent, i] += own[i]
     for i in range(3):
-        sums.right[shift + i] += sums.rigid_right[0, i]
+        sums.right[shift + i] += sums.rigid[0, 21 + i]
         for j in range(i, 3):
-            sums.matrix[shift + i, shift + j] += sums.rigid[0, i, j]
+            sums.matrix[shift + i, shift + j] += s[i, j]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

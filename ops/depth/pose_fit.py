@@ -31,8 +31,9 @@ from kinedex.ops.depth.image_search import DepthView, FrameImage, corresponding_
 from kinedex.ops.depth.normal_equations import (
     MovingCones,
     Sums,
-    add_face,
-    add_vector,
+    add_blended_face,
+    add_blended_vector,
+    add_rigid_face,
     assemble,
     clear_sums,
     make_sums,
@@ -76,8 +77,6 @@ class FitRoom(NamedTuple):
         The cones of the pose.
     samples, offsets : float64 array (S, 3)
         The samples of its surface, and what they lie beside the axes.
-    residual : float64 array (3,)
-        Residual of a sample.
     guesses : int64 array (N,)
         The cones that were nearest to the sampled points.
     turns : float64 array (P, 3)
@@ -89,7 +88,6 @@ class FitRoom(NamedTuple):
     placed: F64
     samples: F64
     offsets: F64
-    residual: F64
     guesses: I64
     turns: F64
     sums: Sums
@@ -124,7 +122,7 @@ class PoseFit:
         self.view = view
         samples, count = len(body.sample_cones), len(body.pivots)
         self.room = FitRoom(
-            np.zeros((len(body.radii), COLUMNS)), np.zeros((samples, 3)), np.zeros((samples, 3)), np.zeros(3),
+            np.zeros((len(body.radii), COLUMNS)), np.zeros((samples, 3)), np.zeros((samples, 3)),
             np.zeros(2 * SAMPLED_POINTS, np.int64), np.zeros((count, 3)), make_sums(count, moving),
         )  # fmt: skip
         self.image: FrameImage | None = None
@@ -225,25 +223,29 @@ def _fit(
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_points(body: FitBody, image: FrameImage, room: FitRoom, pose: F64, sigma: float) -> None:
     """Add the rows n · dq = d of sampled points of the image and the places of the surface nearest to them."""
-    every = max(1, len(image.points) // SAMPLED_POINTS)
-    guesses, placed, root = room.guesses, room.placed, pose[body.pivots.joints[0]]
+    points, guesses, placed, root = image.points, room.guesses, room.placed, pose[body.pivots.joints[0]]
+    blends, pivots, faces, rigid = body.moving.blends, body.moving.rigid, room.sums.faces, room.sums.rigid
+    every = max(1, len(points) // SAMPLED_POINTS)
     first = guesses[0] < 0
     guess, n = 0, 0
-    for i in range(0, len(image.points), every):
-        x, y, z = image.points[i, 0], image.points[i, 1], image.points[i, 2]
+    for i in range(0, len(points), every):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
         d, guess, s = nearest_cone(placed, x, y, z, guess if first else guesses[n])
         guesses[n] = guess
         n += 1
-        row = placed[guess]
-        apart = d + row[RADIUS] + s * row[GROWTH]
+        apart = d + placed[guess, RADIUS] + s * placed[guess, GROWTH]
         if apart <= 0.0:
             continue
-        u, v, w = row[START] + s * row[AXIS], row[START + 1] + s * row[AXIS + 1], row[START + 2] + s * row[AXIS + 2]
-        weight = (1.0 + d * d / (sigma * sigma)) ** -2
-        add_face(
-            body.moving, room.sums, guess, s, u - root[0], v - root[1], w - root[2],
-            (x - u) / apart, (y - v) / apart, (z - w) / apart, d, weight,
-        )  # fmt: skip
+        u = placed[guess, START] + s * placed[guess, AXIS]
+        v = placed[guess, START + 1] + s * placed[guess, AXIS + 1]
+        w = placed[guess, START + 2] + s * placed[guess, AXIS + 2]
+        a, b, c = (x - u) / apart, (y - v) / apart, (z - w) / apart
+        ratio = 1.0 + d * d / (sigma * sigma)
+        weight = 1.0 / (ratio * ratio)
+        if blends[guess] < 0:
+            add_rigid_face(rigid, pivots[guess], u - root[0], v - root[1], w - root[2], a, b, c, d, weight)
+        else:
+            add_blended_face(faces, blends[guess], s, a, b, c, d, weight)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -252,19 +254,25 @@ def add_samples(
 ) -> None:
     """Add the rows of samples of the surface and their points: of those beside the foreground, or of all."""
     factor = 1.0 if printed else SILHOUETTE_WEIGHT
-    root = pose[body.pivots.joints[0]]
+    root, rigid = pose[body.pivots.joints[0]], room.sums.rigid
     for i in range(len(room.samples)):
-        sample = room.samples[i]
-        number, r, hidden = corresponding_point(view, image, sample[0], sample[1], sample[2], WINDOW, not printed)
+        x, y, z = room.samples[i, 0], room.samples[i, 1], room.samples[i, 2]
+        number, r, hidden = corresponding_point(view, image, x, y, z, WINDOW, not printed)
         if number < 0 or hidden:
             continue
-        for a in range(3):
-            room.residual[a] = image.points[number, a] - sample[a]
-        weight = factor * (1.0 + r * r / (4.0 * sigma * sigma)) ** -2
-        add_vector(
-            body.moving, room.sums, body.samples.cones[i], body.samples.places[i], sample, room.offsets[i], root,
-            room.residual, weight,
-        )  # fmt: skip
+        u, v, w = image.points[number, 0] - x, image.points[number, 1] - y, image.points[number, 2] - z
+        ratio = 1.0 + r * r / (4.0 * sigma * sigma)
+        weight = factor / (ratio * ratio)
+        cone = body.samples.cones[i]
+        blend, pivot = body.moving.blends[cone], body.moving.rigid[cone]
+        if blend >= 0:
+            matrix, right = room.sums.blended[blend], room.sums.blended_right[blend]
+            add_blended_vector(matrix, right, body.samples.places[i], room.offsets[i], u, v, w, weight)
+            continue
+        x, y, z = x - root[0], y - root[1], z - root[2]
+        add_rigid_face(rigid, pivot, x, y, z, 1.0, 0.0, 0.0, u, weight)
+        add_rigid_face(rigid, pivot, x, y, z, 0.0, 1.0, 0.0, v, weight)
+        add_rigid_face(rigid, pivot, x, y, z, 0.0, 0.0, 1.0, w, weight)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
