@@ -41,7 +41,7 @@ class DepthView(NamedTuple):
 
 
 class FrameImage(NamedTuple):
-    """What the search looks at in a frame.
+    """A frame as the search uses it.
 
     Attributes
     ----------

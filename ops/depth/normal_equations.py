@@ -119,8 +119,8 @@ def make_sums(pivots: int, moving: MovingCones) -> Sums:
     """Return room for the sums of a body."""
     blends, size = len(moving.cones), 3 * pivots + 3
     return Sums(
-        np.zeros((pivots, 27)), np.zeros((blends, 24)), np.zeros((blends, 12, 12)),
-        np.zeros((blends, 12)), np.zeros((6, 6)), np.zeros((moving.pivots.shape[1], 2, 4)), np.zeros((12, 3)), np.zeros((size, size)),
+        np.zeros((pivots, 27)), np.zeros((blends, 24)), np.zeros((blends, 12, 12)), np.zeros((blends, 12)),
+        np.zeros((6, 6)), np.zeros((moving.pivots.shape[1], 2, 4)), np.zeros((12, 3)), np.zeros((size, size)),
         np.zeros(size),
     )  # fmt: skip
 
