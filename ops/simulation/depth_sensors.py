@@ -1,4 +1,4 @@
-"""What depth sensors measure of the true depth of their pixels: noise, flying pixels and holes."""
+"""Measurements of depth sensors: true depth with noise, flying pixels and holes."""
 
 from __future__ import annotations
 
