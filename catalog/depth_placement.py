@@ -49,11 +49,13 @@ class Placement:
 
     def inside(self, points: npt.ArrayLike) -> F64:
         """Return points (…, 3) of the camera's axes in the inside axes."""
-        return (np.asarray(points, np.float64) * FLIP) @ self.turn.T
+        turned: F64 = (np.asarray(points, np.float64) * FLIP) @ self.turn.T
+        return turned
 
     def in_camera(self, points: npt.ArrayLike) -> F64:
         """Return points (…, 3) of the inside axes in the camera's axes."""
-        return (np.asarray(points, np.float64) @ self.turn) * FLIP
+        seen: F64 = (np.asarray(points, np.float64) @ self.turn) * FLIP
+        return seen
 
     def in_world(self, points: npt.ArrayLike) -> F64:
         """Return points (…, 3) of the inside axes in the world; without a pose, Y = 0 is the floor if it is known."""

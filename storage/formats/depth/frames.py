@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -12,9 +12,16 @@ import numpy.typing as npt
 
 from kinedex.catalog.depth_cameras import DepthCamera
 from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.depth.clouds import Cloud, cloud_depths
+from kinedex.storage.formats.depth.frame_files import RAW
+from kinedex.storage.formats.depth.pcd import read_pcd
+from kinedex.storage.formats.depth.ply import read_ply
 from kinedex.storage.formats.depth.png import read_depth_png
+from kinedex.storage.formats.depth.raw import open_raw
 
 F32 = npt.NDArray[np.float32]
+
+_CLOUDS: dict[str, Callable[[Path], Cloud]] = {".pcd": read_pcd, ".ply": read_ply}
 
 
 class DepthSource(Protocol):
@@ -38,10 +45,13 @@ class ImageFiles:
         The number of a frame → its file.
     camera : DepthCamera
         The camera.
+    unit_m : float
+        Metres of a unit of clouds.
     """
 
     files: Mapping[int, Path]
     camera: DepthCamera
+    unit_m: float = 1.0
 
     @property
     def numbers(self) -> Sequence[int]:
@@ -50,10 +60,10 @@ class ImageFiles:
 
     def read(self, number: int) -> F32:
         """Return the depths (H, W) of an image in metres; a SourceError reports a damaged one."""
-        return read_frame(self.files[number], self.camera)
+        return read_frame(self.files[number], self.camera, self.unit_m)
 
 
-def read_frame(path: str | Path, camera: DepthCamera) -> F32:
+def read_frame(path: str | Path, camera: DepthCamera, unit_m: float = 1.0) -> F32:
     """Return the depths of a file of one frame.
 
     Parameters
@@ -62,6 +72,8 @@ def read_frame(path: str | Path, camera: DepthCamera) -> F32:
         The file.
     camera : DepthCamera
         The camera that it is of, or that a cloud without rows is projected into.
+    unit_m : float, optional
+        Metres of a unit of clouds; images have the camera's.
 
     Returns
     -------
@@ -73,7 +85,22 @@ def read_frame(path: str | Path, camera: DepthCamera) -> F32:
     SourceError
         The file is damaged, or is no frame of this camera.
     """
+    path = Path(path)
+    ending = path.suffix.lower()
+    if ending in _CLOUDS:
+        return cloud_depths(_CLOUDS[ending](path), camera, unit_m)
+    if ending in RAW:
+        frames = open_raw(path, camera)
+        if frames.count != 1:
+            raise SourceError(path, f"has {frames.count} images, and must have one")
+        return frames.read(0)
     return read_depth_png(path, camera)
+
+
+def read_cloud(path: Path) -> Cloud | None:
+    """Return the points of a file of a cloud; None for any other file."""
+    read = _CLOUDS.get(path.suffix.lower())
+    return None if read is None else read(path)
 
 
 @dataclass(eq=False)

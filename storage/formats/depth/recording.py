@@ -3,17 +3,50 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.depth_cameras import DepthCamera
-from kinedex.catalog.depth_recordings import WorldPose
-from kinedex.storage.formats.depth.frames import DepthFrames
+from kinedex.catalog.depth_recordings import (
+    AUTO,
+    NONE,
+    DepthEntry,
+    DepthRecordingsFile,
+    WorldPose,
+    load_depth_recordings,
+)
+from kinedex.ops.depth.background import percentile_depths
+from kinedex.ops.errors import ConfigError, KinedexError, SourceError
+from kinedex.storage.formats.cameras.file_patterns import find_files
+from kinedex.storage.formats.depth.camera_file import read_camera
+from kinedex.storage.formats.depth.clouds import Cloud, check_camera, fitted_matrix
+from kinedex.storage.formats.depth.frame_files import FrameFiles, find_frames
+from kinedex.storage.formats.depth.frames import DepthFrames, DepthSource, ImageFiles, read_cloud, read_frame
+from kinedex.storage.formats.depth.npz import NpzValues, camera_of_npz, npz_values, open_npz
+from kinedex.storage.formats.depth.png import image_size
+from kinedex.storage.formats.depth.raw import open_raw
+from kinedex.storage.formats.depth.recording_checks import (
+    intrinsics_note,
+    measured_extents,
+    moved_frames,
+    shows_room,
+    unit_fault,
+)
 
 F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+
+SAMPLE = 10
+"""Frames that a recording is checked on, spread over it."""
+
+MOST_BACKGROUND_BYTES = 1 << 28
+"""Memory for the frames that a background is measured in; of longer recordings evenly spaced frames are used."""
+
+_MOST_TRIES = 50
+_MOST_OFF_PX = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,9 +60,9 @@ class DepthRecording:
     camera : DepthCamera
         The camera.
     background : float32 array (H, W) or None
-        Depths of the empty room in metres, 0 where they are not known; None without a background.
+        Depths z of the empty room in metres, 0 where they are not known; None without a background.
     frames : DepthFrames
-        The images, read one at a time.
+        The images, read one at a time: depths z in metres.
     rate_hz : float
         Frames per second.
     body : str or None
@@ -52,5 +85,261 @@ class DepthRecording:
     body: str | None = None
     truth: str | Path | None = None
     truth_pose: WorldPose | None = None
-    markers: Mapping[str, str] | None = None
+    markers: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+
+def read_recordings(path: str | Path) -> list[DepthRecording]:
+    """Read the depth recordings of a file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file, a YAML with `recordings:`.
+
+    Returns
+    -------
+    list of DepthRecording
+        The recordings, in the order of the file; no images but a few to check them are read.
+
+    Raises
+    ------
+    ConfigError
+        The file, or a key of a recording or camera, is wrong; the message names file, line and key.
+    SourceError
+        A file of frames is wrong.
+    """
+    file = load_depth_recordings(path)
+    return [read_recording(file, name) for name in file.recordings]
+
+
+def read_recording(file: DepthRecordingsFile, name: str) -> DepthRecording:
+    """Read one depth recording.
+
+    Parameters
+    ----------
+    file : DepthRecordingsFile
+        The file of recordings, see `kinedex.catalog.depth_recordings.load_depth_recordings`.
+    name : str
+        The name of one of them.
+
+    Raises
+    ------
+    ConfigError
+        The file, or a key of the recording or its camera, is wrong; the message names file, line and key.
+    SourceError
+        A file of frames is wrong.
+    """
+    entry = _Entry(file, name, file.entry(name))
+    files = entry.frame_files()
+    values = npz_values(files.files[0]) if files.kind == "npz" else None
+    camera = entry.camera(files, values)
+    rate_hz = entry.rate_hz(camera, files, values)
+    camera = replace(camera, rate_hz=rate_hz)
+    frames = DepthFrames(entry.source(files, camera))
+    images = entry.sample(frames)
+    background, notes = entry.background(camera, frames, images)
+    notes += entry.checks(camera, files, images, background)
+    if frames.missing:
+        notes.append(f"{len(frames.missing)} of {len(frames)} frames are missing in the numbering of the files")
+    return DepthRecording(
+        name, camera, background, frames, rate_hz, entry.given.body, entry.truth(), entry.given.truth_pose,
+        entry.given.markers, tuple(note for note in notes if note),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """A recording's entry in its file."""
+
+    file: DepthRecordingsFile
+    name: str
+    given: DepthEntry
+
+    def error(self, key: str, message: str) -> ConfigError:
+        return self.file.error(self.name, key, message)
+
+    def path(self, key: str, pattern: str) -> Path:
+        """Return the one file that a key names; errors name the key."""
+        try:
+            found = find_files(self.file.folder, pattern, excluded=self.file.located.path).files
+        except SourceError as fault:
+            raise self.error(key, fault.reason) from None
+        files = [path for paths in found.values() for path in paths]
+        if len(files) != 1:
+            raise self.error(key, f"'{pattern}' matches {len(files)} files; name one")
+        return files[0]
+
+    def frame_files(self) -> FrameFiles:
+        """Return the files of the frames; errors name the key."""
+        try:
+            return find_frames(self.file.folder, self.given.depth, self.file.located.path)
+        except SourceError as fault:
+            raise self.error("depth", str(fault)) from None
+
+    def camera(self, files: FrameFiles, values: NpzValues | None) -> DepthCamera:
+        """Return the camera, of its file, of an NPZ, or of an organised cloud."""
+        camera: DepthCamera | None = None
+        if self.given.camera is not None:
+            path = self.path("camera", self.given.camera)
+            stated = path.suffix.lower() in (".yaml", ".yml")
+            camera = read_camera(path, None if stated else values.size if values is not None else _first_size(files))
+            if values is not None and values.matrix is not None:
+                self.compare_matrices(camera, files, values.matrix)
+        elif values is not None:
+            camera = camera_of_npz(files.files[0], values)
+        elif files.kind == "images" and (cloud := _first_cloud(files)) is not None and cloud.size is not None:
+            camera = DepthCamera(fitted_matrix(cloud), np.zeros(0), cloud.size)
+        if camera is None:
+            raise self.error(
+                "camera",
+                "this key is missing: only NPZ files with `intrinsics` and organised clouds state their camera",
+            )
+        if self.given.depth_unit_m is not None:
+            camera = replace(camera, depth_unit_m=self.given.depth_unit_m)
+        elif values is not None and values.depth_unit_m is not None and not 0 < values.depth_unit_m <= 1:
+            raise SourceError(files.files[0], f"'depth_unit_m' must be above 0, at most 1, got {values.depth_unit_m:g}")
+        return camera
+
+    def compare_matrices(self, camera: DepthCamera, files: FrameFiles, matrix: F64) -> None:
+        """Refuse a camera that contradicts the intrinsics in an NPZ file."""
+        if np.abs(camera.matrix - matrix).max() > _MOST_OFF_PX:
+            fx, cx, fy, cy = matrix[0, 0], matrix[0, 2], matrix[1, 1], matrix[1, 2]
+            raise self.error(
+                "camera", f"contradicts the intrinsics in {files.files[0].name}, fx {fx:g}, fy {fy:g}, cx {cx:g}, cy "
+                f"{cy:g}, by more than {_MOST_OFF_PX:g} pixel; remove this key to use them",
+            )  # fmt: skip
+
+    def rate_hz(self, camera: DepthCamera, files: FrameFiles, values: NpzValues | None) -> float:
+        """Return the frames per second: of the recording, the camera, the NPZ, or the times of the files."""
+        stated = None if values is None else values.rate_hz
+        found = self.given.rate_hz or camera.rate_hz or stated or files.rate_hz()
+        if found is None:
+            raise self.error("rate_hz", "this key is missing: neither camera nor frames state the frames per second")
+        return float(found)
+
+    def source(self, files: FrameFiles, camera: DepthCamera) -> DepthSource:
+        """Return the images."""
+        unit_m = self.given.depth_unit_m or 1.0
+        if files.kind == "npz":
+            return open_npz(files.files[0], camera, unit_m)
+        if files.kind == "raw":
+            return open_raw(files.files[0], camera)
+        return ImageFiles(files.numbers(camera.rate_hz), camera, unit_m)
+
+    def sample(self, frames: DepthFrames) -> dict[int, F32]:
+        """Return a few images, spread over the recording; an error reports why none can be read."""
+        present = [number - frames.first for number in frames.source.numbers]
+        chosen = {present[i] for i in np.linspace(0, len(present) - 1, min(SAMPLE, len(present))).astype(int)}
+        images = {t: image for t in sorted(chosen) if (image := frames[t]) is not None}
+        if not images:  # the first of them are all damaged: perhaps others are not
+            for t in present[:_MOST_TRIES]:
+                if (image := frames[t]) is not None:
+                    return {t: image}
+            raise self.error("depth", f"no frame can be read; the first: {next(iter(frames.damaged.values()))}")
+        return images
+
+    def background(
+        self, camera: DepthCamera, frames: DepthFrames, images: Mapping[int, F32]
+    ) -> tuple[F32 | None, list[str]]:
+        """Return the background and notes on it."""
+        given = self.given.background
+        if given is None:
+            given = AUTO if shows_room(images) else NONE
+            reason = "the images show the room" if given == AUTO else "most pixels of the images are empty"
+            notes = [f"background: {given}, for {reason}; write `background:` to choose"]
+        else:
+            notes = []
+        if given == NONE:
+            return None, notes
+        if given == AUTO:
+            return self._measured_background(camera, frames, notes), notes
+        path = self.path("background", given)
+        try:
+            return read_frame(path, camera, self.given.depth_unit_m or 1.0), notes
+        except SourceError as fault:
+            raise self.error("background", str(fault)) from None
+
+    def _measured_background(self, camera: DepthCamera, frames: DepthFrames, notes: list[str]) -> F32:
+        """Return the 90th percentile of each pixel's depths over the frames that fit into memory."""
+        most = max(SAMPLE, MOST_BACKGROUND_BYTES // (4 * camera.size[0] * camera.size[1]))
+        present = [number - frames.first for number in frames.source.numbers]
+        if len(present) > most:
+            present = [present[i] for i in np.linspace(0, len(present) - 1, most).astype(int)]
+            notes.append(f"background: measured in {most} frames, evenly spaced over the recording")
+        stack = np.zeros((len(present), camera.size[1], camera.size[0]), np.float32)
+        for i, t in enumerate(present):
+            image = frames[t]
+            if image is not None:
+                stack[i] = image
+        return percentile_depths(stack)
+
+    def checks(
+        self, camera: DepthCamera, files: FrameFiles, images: Mapping[int, F32], background: F32 | None
+    ) -> list[str]:
+        """Refuse what the frames contradict, and return notes on what is odd."""
+        removed = background is None and not shows_room(images)
+        extents = measured_extents(camera, images, background)
+        unit_m = camera.depth_unit_m
+        if files.kind == "images" and files.files[0].suffix.lower() not in (".png", ".raw", ".bin"):
+            unit_m = self.given.depth_unit_m or 1.0
+            if self.given.camera is not None and (cloud := _first_cloud(files)) is not None and cloud.size is not None:
+                check_camera(cloud, camera)
+        notes = [self.moved_note(images, background), intrinsics_note(camera)]
+        if extents is None:
+            return [f"nobody is seen in {len(images)} frames, spread over the recording", *notes]
+        if fault := unit_fault(extents, unit_m, removed or background is not None):
+            raise self.unit_error(fault)
+        return notes
+
+    def moved_note(self, images: Mapping[int, F32], background: F32 | None) -> str:
+        """Return a note on frames that are farther than the background; refuse one that no frame fits."""
+        moved = {}
+        if background is not None and self.given.background not in (None, AUTO):
+            moved = moved_frames(images, background)
+        listed = ", ".join(map(str, moved))
+        if moved and len(moved) == len(images):
+            raise self.error(
+                "background", f"lies before {min(moved.values()):.0%} or more of the pixels in all {len(moved)} frames "
+                "that were compared: the camera moved, or it is of another room; write `background: auto`",
+            )  # fmt: skip
+        return f"frames {listed}: much lies behind the background; did the camera move?" if moved else ""
+
+    def unit_error(self, fault: str) -> ConfigError:
+        """Return the error on a unit, at the key that states it: in the recording, or in the camera's file."""
+        if self.given.depth_unit_m is None and self.given.camera is not None:
+            return ConfigError(self.path("camera", self.given.camera), fault, key="depth_unit_m")
+        return self.error("depth_unit_m", fault)
+
+    def truth(self) -> str | Path | None:
+        """Return the truth: a file below the folder if there is one of this name, or the name of a take."""
+        given = self.given.truth
+        if given is None:
+            return None
+        if "/" in given or (self.file.folder / given).is_file():
+            return self.path("truth", given)
+        return given
+
+
+def _first_size(files: FrameFiles) -> tuple[int, int] | None:
+    """Return the size of the first image that can be read, for cameras that state none."""
+    if files.kind != "images" or files.files[0].suffix.lower() != ".png":
+        return None
+    fault: KinedexError | None = None
+    for path in files.files[:_MOST_TRIES]:
+        try:
+            return image_size(path)
+        except SourceError as found:
+            fault = fault or found
+    raise fault or SourceError(files.files[0], "cannot be read")
+
+
+def _first_cloud(files: FrameFiles) -> Cloud | None:
+    """Return the first cloud that can be read; None where frames are no clouds."""
+    fault: KinedexError | None = None
+    for path in files.files[:_MOST_TRIES]:
+        try:
+            return read_cloud(path)
+        except SourceError as found:
+            fault = fault or found
+    raise fault or SourceError(files.files[0], "cannot be read")

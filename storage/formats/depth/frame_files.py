@@ -1,0 +1,213 @@
+"""The files of a depth recording's frames: their kind, and the number of each by its name, list or time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.cameras.file_patterns import MOST_FILES, find_files
+from kinedex.storage.formats.depth.png import frame_number
+from kinedex.storage.formats.small_files import read_bytes
+
+F64 = npt.NDArray[np.float64]
+
+IMAGES = (".png", ".pcd", ".ply")
+"""Endings of files of one frame."""
+
+RAW = (".raw", ".bin")
+"""Endings of raw 16-bit numbers."""
+
+CONVERTERS = {
+    ".mkv": "Open3D's `python azure_kinect_mkv_reader.py --input FILE.mkv --output DIR` writes DIR/depth/*.png and "
+    "DIR/intrinsic.json",
+    ".bag": "`rs-convert -i FILE.bag -d -r DIR/depth` of RealSense writes raw 16-bit files (its PNG is a coloured "
+    "picture); bags of ROS: `rosrun image_view image_saver image:=/camera/depth/image_rect_raw _encoding:=16UC1 "
+    "_filename_format:=depth_%06d.png`",
+    ".db3": "`ros2 run image_view image_saver --ros-args -r image:=/camera/depth/image_rect_raw -p encoding:=16UC1 -p "
+    "filename_format:=depth_%06d.png` writes 16-bit PNG while `ros2 bag play` runs",
+}
+"""Ending of recordings that are not read → the command that writes files that are."""
+
+CONVERTERS[".mcap"] = CONVERTERS[".db3"]
+
+_TIME = re.compile(r"(?:.*[^0-9.])?([0-9]{9,14}\.[0-9]+)")
+_SECONDS_DIGITS = 11  # a longer whole part counts milliseconds
+_MOST_STEP, _MOST_TIMED_STEP = 5, 1.5  # frames from one file to the next, in the median
+_MOST_RATE_ERROR = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class FrameFiles:
+    """Files of frames.
+
+    Attributes
+    ----------
+    kind : str
+        "images", "npz" or "raw".
+    files : tuple of Path
+        The files in natural order; one of NPZ.
+    times : float64 array (T,), optional
+        Seconds of each file, ascending, where names or a list state them.
+    """
+
+    kind: str
+    files: tuple[Path, ...]
+    times: F64 | None = None
+
+    def rate_hz(self) -> float | None:
+        """Return the rate of the median step between times; None without times."""
+        if self.times is None or len(self.times) < 2:
+            return None
+        step = float(np.median(np.diff(self.times)))
+        return 1 / step if step > 1e-4 else None
+
+    def numbers(self, rate_hz: float | None) -> dict[int, Path]:
+        """Return number → file: the last number in a name, or the count of frames since the first time.
+
+        Parameters
+        ----------
+        rate_hz : float, optional
+            Frames per second, for files with times.
+
+        Raises
+        ------
+        SourceError
+            A name has no number, two have the same, the numbers do not count frames, or the rate contradicts the times.
+        """
+        if self.times is not None and rate_hz is not None:
+            return self._timed(self.times, rate_hz)
+        found: dict[int, Path] = {}
+        for path in self.files:
+            number = frame_number(path)
+            if number in found:
+                raise SourceError(path, f"has the frame number {number}, as {found[number].name} has")
+            found[number] = path
+        steps = np.diff(sorted(found))
+        if len(steps) and np.median(steps) > _MOST_STEP:
+            raise SourceError(
+                self.files[0], f"the last numbers in the names go up by {np.median(steps):g} in the median, and must "
+                "count frames; rename the files (depth_000000.png, depth_000001.png, …)",
+            )  # fmt: skip
+        return found
+
+    def _timed(self, times: F64, rate_hz: float) -> dict[int, Path]:
+        """Return number → file by times, which may jitter by less than a frame."""
+        found: dict[int, Path] = {}
+        last = -1
+        for path, time in zip(self.files, (times - times[0]).tolist(), strict=True):
+            last = max(last + 1, round(time * rate_hz))
+            found[last] = path
+        due = float(times[-1] - times[0]) * rate_hz
+        step = rate_hz / (self.rate_hz() or rate_hz)
+        if abs(last - due) > max(2.0, _MOST_RATE_ERROR * due) or step > _MOST_TIMED_STEP:
+            raise SourceError(
+                self.files[0], f"{len(times)} frames in {times[-1] - times[0]:.2f} s are not {rate_hz:g} frames per "
+                f"second; `rate_hz: {self.rate_hz() or 0:.4g}` fits the times in the names or the list",
+            )  # fmt: skip
+        return found
+
+
+def find_frames(folder: Path, pattern: str, excluded: Path | None = None) -> FrameFiles:
+    """Return the files of a recording's frames.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder that a relative pattern starts from, and stays below.
+    pattern : str
+        A pattern of files, a folder, an NPZ or raw file, or a list of TUM RGB-D (.txt).
+    excluded : Path, optional
+        A file that is not meant, though the pattern may match it.
+
+    Raises
+    ------
+    SourceError
+        Nothing matches, or files of this kind are not read; the message has the command that converts them.
+    """
+    ending = Path(pattern).suffix.lower()
+    if ending in CONVERTERS:
+        raise SourceError(folder / pattern, f"recordings ending in {ending} are not read: {CONVERTERS[ending]}")
+    found = find_files(folder, pattern, excluded=excluded) if not (folder / pattern).is_dir() else None
+    if found is None:
+        files = _in_folder(folder, pattern)
+    else:
+        files = tuple(path for paths in found.files.values() for path in paths)
+    if found is not None and found.each_camera:
+        raise SourceError(folder, f"'{pattern}' is of several cameras; a depth recording has one")
+    endings = {path.suffix.lower() for path in files}
+    if len(endings) > 1:
+        listed = ", ".join(sorted(one or "none" for one in endings))
+        raise SourceError(folder, f"'{pattern}' matches files ending in {listed}; name one kind, as depth/*.png")
+    (ending,) = endings
+    if ending == ".txt" and len(files) == 1:
+        return _listed(files[0])
+    if ending == ".npz" and len(files) == 1:
+        return FrameFiles("npz", files)
+    if ending in RAW and len(files) == 1:
+        return FrameFiles("raw", files)
+    if ending in (*IMAGES, *RAW):
+        return _with_times(files)
+    known = "*.png, *.pcd, *.ply, *.raw, one .npz, or depth.txt of TUM RGB-D"
+    raise SourceError(files[0], f"is no depth image that is read; expected {known}")
+
+
+def _in_folder(folder: Path, pattern: str) -> tuple[Path, ...]:
+    """Return the images in a folder, of the first kind that there is."""
+    fault: SourceError | None = None
+    for ending in (*IMAGES, *RAW):
+        try:
+            return find_files(folder, pattern, (ending,)).files[""]
+        except SourceError as found:
+            fault = fault or found
+    raise fault or SourceError(folder, "has no depth images")
+
+
+def _with_times(files: Sequence[Path]) -> FrameFiles:
+    """Return files in natural order, with times where every name ends with one (seconds or milliseconds)."""
+    found = [_TIME.fullmatch(path.stem) for path in files]
+    if len(files) < 2 or not all(found):
+        return FrameFiles("images", tuple(files))
+    whole = [one[1] for one in found if one is not None]
+    milliseconds = len(whole[0].partition(".")[0]) > _SECONDS_DIGITS
+    times = np.array([float(text) for text in whole]) * (1e-3 if milliseconds else 1.0)
+    return _in_order(files, times)
+
+
+def _in_order(files: Sequence[Path], times: F64) -> FrameFiles:
+    order = np.argsort(times, kind="stable")
+    repeated = np.flatnonzero(np.diff(times[order]) <= 0)
+    if len(repeated):
+        raise SourceError(files[int(order[repeated[0] + 1])], "has the same time as another frame")
+    return FrameFiles("images", tuple(files[int(i)] for i in order), times[order])
+
+
+def _listed(path: Path) -> FrameFiles:
+    """Return the files of a list of TUM RGB-D: a time in seconds and a path from its folder on each line."""
+    data = read_bytes(path, "lists of frames", "write shorter recordings")
+    files, times = [], []
+    for number, line in enumerate(data.decode("utf-8", "replace").splitlines(), 1):
+        words = line.split("#")[0].split()
+        if not words:
+            continue
+        try:
+            time = float(words[0])
+        except ValueError:
+            time = np.nan
+        if len(words) != 2 or not 0 <= time <= 1e12:
+            raise SourceError(path, f"expected a time in seconds and a file, got {line[:80]!r}", line=number)
+        place = Path(words[1])
+        if place.is_absolute() or ".." in place.parts or "\0" in words[1]:
+            raise SourceError(path, f"{words[1][:80]!r} must be a path below the folder of this list", line=number)
+        if place.suffix.lower() != ".png":
+            raise SourceError(path, f"expected a PNG file, got {words[1][:80]!r}", line=number)
+        files.append(path.parent / place)
+        times.append(time)
+    if not 1 <= len(files) <= MOST_FILES:
+        raise SourceError(path, f"lists {len(files)} frames; expected lines with a time in seconds and a PNG file")
+    return _in_order(files, np.array(times))

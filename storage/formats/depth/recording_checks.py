@@ -1,0 +1,135 @@
+"""Checks of a depth recording on a few of its frames, with a guess at what is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.depth_cameras import DepthCamera
+from kinedex.ops.depth.background import behind_share, person_extent
+
+F32 = npt.NDArray[np.float32]
+
+NEAREST_M, FARTHEST_M = 0.4, 8.0
+"""A person stands between these distances."""
+
+SMALLEST_M, LARGEST_M = 0.45, 4.5
+"""A person before the background has a size between these; two of them may be 3 m apart."""
+
+PERSON_M = 0.5, 2.3
+"""The size of a person, to choose the likely unit."""
+
+MOST_BEHIND = 0.2
+"""With a larger share of the pixels behind the background, the camera has moved."""
+
+MOST_ROOM = 0.5
+"""With a larger share of the pixels measured, the images show the room."""
+
+UNITS_M = (0.001, 0.0001, 0.0002, 0.00025, 0.000125, 0.0005, 0.01, 1.0, 0.0254)
+"""Units of depth cameras and clouds that are tried, the usual ones first."""
+
+_OFF_CENTRE = 0.25
+_USUAL_SIZE_M, _USUAL_DISTANCE_M = 1.5, 2.5
+
+
+class Extents(NamedTuple):
+    """The person in a few frames: median distance, and the least and greatest size, in metres."""
+
+    distance: float
+    least: float
+    greatest: float
+
+
+def measured_extents(camera: DepthCamera, images: Mapping[int, F32], background: F32 | None) -> Extents | None:
+    """Return distance and size of what stands before the background.
+
+    Parameters
+    ----------
+    camera : DepthCamera
+        The camera.
+    images : mapping of int to float32 array (H, W)
+        A few frames.
+    background : float32 array (H, W), optional
+        The empty room; None where it was removed from the images.
+
+    Returns
+    -------
+    Extents, optional
+        None where nobody is seen.
+    """
+    found = [
+        one
+        for image in images.values()
+        if (one := person_extent(image, background, camera.rays)) is not None and np.isfinite(one).all()
+    ]
+    if not found:
+        return None
+    distances, sizes = zip(*found, strict=True)
+    return Extents(float(np.median(distances)), min(sizes), max(sizes))
+
+
+def unit_fault(extents: Extents, unit_m: float, judge_size: bool) -> str:
+    """Return the message on a unit that distance or size contradicts; empty where it may be right.
+
+    Parameters
+    ----------
+    extents : Extents
+        Distance and size in the frames.
+    unit_m : float
+        The unit that they were read in.
+    judge_size : bool
+        False where the frames may show the room.
+    """
+    near = NEAREST_M <= extents.distance <= FARTHEST_M
+    sized = not judge_size or (extents.greatest >= SMALLEST_M and extents.least <= LARGEST_M)
+    if near and sized:
+        return ""
+    seen = f"puts who is seen {extents.distance:.3g} m away"
+    seen += f", {extents.greatest:.3g} m large" if judge_size else ""
+    fits = [
+        unit
+        for unit in UNITS_M
+        if NEAREST_M <= extents.distance * unit / unit_m <= FARTHEST_M
+        and (not judge_size or PERSON_M[0] <= extents.greatest * unit / unit_m <= PERSON_M[1])
+    ]
+    fits.sort(key=lambda unit: _unlikely(extents, unit / unit_m, judge_size))
+    expected = f"expected {NEAREST_M:g} to {FARTHEST_M:g} m" + (", and the size of a person" if judge_size else "")
+    if not fits:
+        return f"{unit_m:g} {seen}; {expected}: are unit, fx and fy those of this recording?"
+    size = f" and {extents.greatest * fits[0] / unit_m:.2f} m" if judge_size else ""
+    distance = f"{extents.distance * fits[0] / unit_m:.2f} m"
+    return f"{unit_m:g} {seen}; {expected}: `depth_unit_m: {fits[0]:g}` gives {distance}{size}"
+
+
+def _unlikely(extents: Extents, scale: float, judge_size: bool) -> float:
+    """Return how far a person at this scale is from the usual distance and size."""
+    size = abs(np.log(extents.greatest * scale / _USUAL_SIZE_M)) if judge_size else 0.0
+    return float(size + abs(np.log(extents.distance * scale / _USUAL_DISTANCE_M)))
+
+
+def moved_frames(images: Mapping[int, F32], background: F32) -> dict[int, float]:
+    """Return the frames in which too much lies behind the background, with its share of the pixels."""
+    shares = {frame: behind_share(image, background) for frame, image in images.items()}
+    return {frame: share for frame, share in shares.items() if share > MOST_BEHIND}
+
+
+def shows_room(images: Mapping[int, F32]) -> bool:
+    """Return True if the images show the room behind the person."""
+    return bool(images) and float(np.median([(image > 0).mean() for image in images.values()])) > MOST_ROOM
+
+
+def intrinsics_note(camera: DepthCamera) -> str:
+    """Return a note on a principal point that lies far from the middle of the image; empty where it does not."""
+    for side, centre, name in (
+        (camera.size[0], camera.matrix[0, 2], "cx"),
+        (camera.size[1], camera.matrix[1, 2], "cy"),
+    ):
+        if abs(centre - (side - 1) / 2) > _OFF_CENTRE * side:
+            return (
+                f"{name} {centre:g} lies far from the middle of {side} pixels: are the intrinsics those of images of "
+                "this size?"
+            )
+    return ""
