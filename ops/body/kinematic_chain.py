@@ -347,25 +347,33 @@ def take_step(chain: ChainArrays, place: F64, turns: F64, step: F64, new_place: 
         while d < len(chain.axis_nodes) and chain.axis_nodes[d] == k:
             vector[chain.axis_directions[d]] = chain.axis_signs[d] * step[PLACES + d]
             d += 1
-        exponential = rotation_of(vector)
-        for i in range(3):
-            for j in range(3):
-                new_turns[k, i, j] = (
-                    turns[k, i, 0] * exponential[0, j]
-                    + turns[k, i, 1] * exponential[1, j]
-                    + turns[k, i, 2] * exponential[2, j]
-                )
+        x, y, z = vector[0], vector[1], vector[2]
+        a, b = _rodrigues(x * x + y * y + z * z)
+        for i in range(3):  # a row r becomes r + a r × v + b (r × v) × v
+            p, q, r = turns[k, i, 0], turns[k, i, 1], turns[k, i, 2]
+            u, v, w = q * z - r * y, r * x - p * z, p * y - q * x
+            new_turns[k, i, 0] = p + a * u + b * (v * z - w * y)
+            new_turns[k, i, 1] = q + a * v + b * (w * x - u * z)
+            new_turns[k, i, 2] = r + a * w + b * (u * y - v * x)
+
+
+@njit(cache=True, nogil=True)
+def _rodrigues(square: float) -> tuple[float, float]:
+    """Return sin θ / θ and (1 − cos θ) / θ², from θ²: to full precision by their series where θ is small."""
+    if square < 0.03:
+        return (
+            1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0 * (1.0 - square / 72.0))),
+            0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0 * (1.0 - square / 90.0))),
+        )
+    angle = np.sqrt(square)
+    return np.sin(angle) / angle, 2.0 * np.sin(0.5 * angle) ** 2 / square
 
 
 @njit(cache=True, nogil=True)
 def rotation_of(vector: F64) -> F64:
     """Return the rotation (3, 3) of a rotation vector: Rodrigues' formula."""
     x, y, z = vector
-    angle = np.sqrt(x * x + y * y + z * z)
-    if angle < 1e-8:
-        a, b = 1.0, 0.5
-    else:
-        a, b = np.sin(angle) / angle, 2.0 * (np.sin(0.5 * angle) / angle) ** 2
+    a, b = _rodrigues(x * x + y * y + z * z)
     return np.array([
         [1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y],
         [b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x],

@@ -317,8 +317,9 @@ def _eliminate(front: F64, right: F64, m: int) -> None:
     """Factorise the first m rows of a front and of its right side, and subtract what they leave from the other rows.
 
     Row k ends at column 2 m + k: beyond it the coupling with the frame after the next one is 0. Eight rows at once are
-    subtracted from two others, which are read and written once for them. Rows are worked on as slices from 0, which the
-    compiler turns into vector instructions; what it computes left of the diagonal is not used.
+    subtracted from two others, which are read and written once for them, and what is left of the m rows in pairs. Rows
+    are worked on as slices from 0, which the compiler turns into vector instructions; what it computes left of the
+    diagonal is not used.
     """
     for low in range(0, m, _PANEL):
         high = min(low + _PANEL, m)
@@ -331,13 +332,15 @@ def _eliminate(front: F64, right: F64, m: int) -> None:
             for i in range(k + 1, high):
                 _subtract(front[i, i:stop], front[k, i], front[k, i:stop])
             _subtract(right[k + 1 : stop], right[k], front[k, k + 1 : stop])
-        i = high
-        while high - low == _PANEL and i + 1 < stop:
-            _subtract_panel(front, low, i, _aligned(stop))
-            i += 2
-        for rest in range(i, stop):
-            for k in range(low, high):
-                _subtract(front[rest, rest:stop], front[k, rest], front[k, rest:stop])
+        for i in range(high, stop, 2):  # 2 m rows
+            if high - low == _PANEL:
+                _subtract_panel(front, low, i, _aligned(stop))
+                continue
+            for k in range(low, high - 1, 2):
+                _subtract_pair(front, k, i, _aligned(stop))
+            if (high - low) % 2 == 1:
+                _subtract(front[i, i:stop], front[high - 1, i], front[high - 1, i:stop])
+                _subtract(front[i + 1, i + 1 : stop], front[high - 1, i + 1], front[high - 1, i + 1 : stop])
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
@@ -359,6 +362,19 @@ def _subtract_panel(front: F64, k: int, i: int, stop: int) -> None:
     for j in range(len(row)):
         row[j] -= a * p[j] + b * q[j] + c * r[j] + d * s[j] + e * t[j] + f * u[j] + g * v[j] + h * w[j]
         next_row[j] -= aa * p[j] + bb * q[j] + cc * r[j] + dd * s[j] + ee * t[j] + ff * u[j] + gg * v[j] + hh * w[j]
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST)
+def _subtract_pair(front: F64, k: int, i: int, stop: int) -> None:
+    """Subtract two rows of the front, from k on, from its rows i and i + 1."""
+    first = i // 8 * 8
+    row, next_row = front[i, first:stop], front[i + 1, first:stop]
+    p, q = front[k, first:stop], front[k + 1, first:stop]
+    n, o = i - first, i + 1 - first
+    a, b, aa, bb = p[n], q[n], p[o], q[o]
+    for j in range(len(row)):
+        row[j] -= a * p[j] + b * q[j]
+        next_row[j] -= aa * p[j] + bb * q[j]
 
 
 @njit(cache=True, nogil=True)
