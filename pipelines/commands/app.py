@@ -30,9 +30,10 @@ FAILED, LEFT_OUT, TIMED_OUT, INTERRUPTED = 1, 3, 124, 130
 _CODES = {"TimeLimitError": TIMED_OUT}
 """Class of an error → exit code, where it is not `FAILED`."""
 
-RUN, ASK, SEARCH, MAINTAIN = "Run pipelines", "Ask a store", "Search for motion", "Look after files and stores"
-PANELS = (RUN, ASK, SEARCH, MAINTAIN)
-"""The groups of commands in the help, in its order."""
+RUN, ASK, SEARCH = "Run pipelines", "Ask a store", "Search for motion"
+TRACK, MAINTAIN = "Track bodies", "Look after files and stores"
+PANELS = (RUN, ASK, SEARCH, TRACK, MAINTAIN)
+"""The groups of commands in the help, in its order: what most people need first stands first."""
 
 Function = TypeVar("Function", bound=Callable[..., None])
 

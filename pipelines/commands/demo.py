@@ -117,7 +117,6 @@ def run_tracking_demo(store: Path, minutes: float, executor: str, workers: int |
         "source": str(data),
         "recordings": str(recordings / "recordings.yaml"),
         "train": f"class IS NOT NULL AND actor <> '{FILMED}'",
-        "classes": "synthetic",
     }
     return run_pipeline("stabilise", store, assignments=settings, **common)
 

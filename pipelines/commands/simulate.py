@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from kinedex.pipelines.commands.app import MAINTAIN, command, group
+from kinedex.pipelines.commands.app import TRACK, command, group
 from kinedex.pipelines.commands.options import AtOption, JsonOption, StorePath, WhereOption
 from kinedex.pipelines.commands.output import print_json, print_message, print_path
 from kinedex.pipelines.commands.store_access import open_for_reading
 
-simulate = group("simulate", "Make recordings of takes, with their truth apart.", MAINTAIN)
+simulate = group("simulate", "Make recordings of takes, with their truth apart.", TRACK)
 
 
 @command(of=simulate)
@@ -22,7 +22,7 @@ def cameras(
     seed: Annotated[int, typer.Option(min=0, help="Seed of cameras, errors and failures.")],
     takes: Annotated[list[str] | None, typer.Argument(metavar="[TAKE...]", help="Takes to film.")] = None,
     where: WhereOption = None,
-    count: Annotated[int, typer.Option("--cameras", min=1, max=100, metavar="N", help="Number of cameras.")] = 4,
+    count: Annotated[int, typer.Option("--cameras", max=100, metavar="N", help="Number of cameras, 2 at least.")] = 4,
     keypoints: Annotated[
         str, typer.Option(metavar="SET", help="Keypoint set, as coco-17, body-25 or halpe-26; or a file.")
     ] = "coco-17-toes",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinedex.pipelines.commands.app import RUN, command
+from kinedex.pipelines.commands.app import TRACK, command
 from kinedex.pipelines.commands.options import (
     ExecutorOption,
     ForceOption,
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _SHOWN = ("round", "kind", "side", "class", "hit", "start_seconds", "stop_seconds", "cost", "kept", "reason")
 
 
-@command(RUN)
+@command(TRACK)
 def track(
     store: StorePath,
     recordings: Annotated[Path, typer.Argument(help="YAML file: name of a recording → calibration, keypoints, rate.")],
@@ -62,7 +62,7 @@ def track(
     show_outcome(outcome, store, as_json)
 
 
-@command(RUN)
+@command(TRACK)
 def stabilise(
     store: StorePath,
     takes: Annotated[list[str], typer.Argument(metavar="TAKE...", help="Tracked takes, or any take with gaps.")],

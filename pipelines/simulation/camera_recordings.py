@@ -73,6 +73,8 @@ class Request:
             raise ParameterError("seed", "at least 0", self.seed)
         if self.form not in ("parquet", "openpose"):
             raise ParameterError("form", "parquet or openpose", self.form)
+        if self.setup.ring.count < 2:
+            raise ParameterError("cameras", "at least 2: tracking triangulates joints", self.setup.ring.count)
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,9 @@ class TrackParameters(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     tracker: Literal["take", "frames"] = Field(
-        "take", description="take: all frames at once; frames: one after the other, as the thesis has it"
+        "take",
+        description="take: all frames at once; frames: one after the other, as the thesis has it, and always for "
+        "silhouettes alone",
     )
     loss: Loss = Field(
         "geman_mcclure", description="geman_mcclure, which outliers hardly move, or squares; of the tracker take"

@@ -193,7 +193,6 @@ def remarks_of(recording: Recording) -> list[str]:
     """Return the remarks on a recording: its notes, and what was odd in some measure."""
     counts: RecordingCounts = recording.counts
     phrases = {
-        "images_with_several_persons": "images with several persons",
         "images_without_person": "images without a person",
         "keypoints_without_confidence": "keypoints without a confidence, which count as 1",
         "confidences_above_one": "confidences above 1, which count as 1",

@@ -11,6 +11,8 @@ from kinedex.catalog.classes import load_classes
 from kinedex.catalog.recordings import load_recordings
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.priors.motion import Motion
+from kinedex.ops.priors.stabilise import LOGICAL
+from kinedex.ops.tracking.band import solve_band
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
@@ -48,6 +50,13 @@ from kinedex.storage.store.verification import damaged_frames
 from kinedex.storage.store.writer import StoreWriter
 
 Task = TypeVar("Task", TrackTask, StabiliseTask)
+
+
+NO_LOCOMOTION = (
+    "no class has `locomotion: true`, so the prior of a foot that moves to the front is absent; a class file gives it: "
+    "--classes FILE, `classes:` of a pipeline"
+)
+COMPILING = "kernels are compiled, once after an installation or update: this takes a minute or two"
 
 
 @dataclass(frozen=True)
@@ -233,7 +242,8 @@ def stabilise(
     store = writer.store
     require_takes(store, takes)
     _refuse_stabilised(store, takes)
-    motions, remarks = _motions(writer, params, archive, place)
+    settings = {take: params.settings(_is_silhouettes_only(store, take), store.rate_hz) for take in takes}
+    motions, remarks = _motions(writer, params, archive, place, any(LOGICAL in one.kinds for one in settings.values()))
     mean, ids = archive_body(store), _take_ids(writer, map(stabilised_name, takes))
     lent = hash_of(*(part for motion in motions for part in _motion_parts(motion)))
     chosen = (params.model_dump(exclude={"takes"}), tracker.model_dump())
@@ -241,12 +251,11 @@ def stabilise(
     tasks = []
     for take in takes:
         tracked, name = tracked_row(store, take), stabilised_name(take)
-        silhouettes = tracked is not None and _silhouettes_only(store, tracked["recording"])
         follows = (rows[take]["checksum"], rows[take]["recipe"], tracked and tracked["fingerprint"])
         tasks.append(
             StabiliseTask(
                 writer.store, take, name, ids[name], tracker, params.sigma_m, params.body, mean,
-                params.settings(silhouettes, store.rate_hz), motions,
+                settings[take], motions,
                 hash_of(place.code, chosen, lent, follows, mean.offsets), place.run,
             )
         )  # fmt: skip
@@ -283,13 +292,14 @@ def _refuse_stabilised(store: Store, takes: Iterable[str]) -> None:
             )
 
 
-def _silhouettes_only(store: Store, recording: str) -> bool:
-    row = stored_rows(store).get(recording)
+def _is_silhouettes_only(store: Store, take: str) -> bool:
+    tracked = tracked_row(store, take)
+    row = None if tracked is None else stored_rows(store).get(tracked["recording"])
     return row is not None and bool(row["silhouettes"]) and not row["keypoints"]
 
 
 def _motions(
-    writer: StoreWriter, params: StabiliseParameters, archive: Archive, place: Place
+    writer: StoreWriter, params: StabiliseParameters, archive: Archive, place: Place, logical: bool
 ) -> tuple[list[Motion], list[str]]:
     """Return the motions of an archive, with poses where they are wanted; poses that were fitted are stored."""
     store = writer.store
@@ -304,6 +314,8 @@ def _motions(
         writer.put_results("archive_poses", table, stage=place.stage, run=place.run)
         remarks = poses.remarks
     classes = load_classes(params.classes, [one.subclass for one in archive.templates])
+    if logical and not any(one.locomotion for one in classes.classes):
+        remarks = [*remarks, NO_LOCOMOTION]
     for remark in remarks:
         place.say(remark)
     return archive_motions(archive.templates, poses, store.feature_set, classes, params.delta), remarks
@@ -329,6 +341,8 @@ def _run(writer: StoreWriter, place: Place, work: Callable[[Task], Finished], ta
     damaged = {take for part in damaged_frames(writer.store) for take in part.live}
     live = set(writer.manifest.live_takes) - damaged
     unchanged = [one.take for one in tasks if before.get(one.take) == one.fingerprint and one.take_id in live]
+    if len(unchanged) < len(tasks) and not are_kernels_compiled():
+        place.say(COMPILING)
     for finished in place.executor.map(work, [one for one in tasks if one.take not in unchanged]):
         ids = put_tracks(writer, [finished.track])
         for kind, table in finished.tables.items():
@@ -338,6 +352,12 @@ def _run(writer: StoreWriter, place: Place, work: Callable[[Task], Finished], ta
         writer.commit()
         place.say(finished.line)
     return Outcome([one.take for one in tasks], unchanged)
+
+
+def are_kernels_compiled() -> bool:
+    """Return whether the kernels of the tracker are on disk; True where Python runs them as they are."""
+    statistics = getattr(solve_band, "stats", None)
+    return statistics is None or any(Path(statistics.cache_path).glob(f"*{solve_band.__name__}-*.nbi"))
 
 
 def renew_index(path: Path, wait: Wait) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +15,13 @@ from kinedex.pipelines.engine.code_digest import code_digest
 from kinedex.pipelines.engine.context import Display
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.engine.runner import new_run_id
-from kinedex.pipelines.templates.learning import learn_templates
+from kinedex.pipelines.engine.stage import load_stage
+from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips, learn_templates
 from kinedex.pipelines.templates.stored_templates import stored_templates
 from kinedex.pipelines.templates.training import TemplateParameters, training_material
 from kinedex.pipelines.tracking.parameters import StabiliseParameters, TrackParameters
 from kinedex.pipelines.tracking.runs import Archive, Outcome, Place, renew_index, require_takes, stabilise
 from kinedex.pipelines.tracking.tracked_takes import stabilised_name
-from kinedex.pipelines.tracking.work import stabilise_take
 from kinedex.storage.lock import NO_WAIT, Wait
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store, open_store
@@ -94,7 +94,7 @@ def stabilise_stored(
     """
     opened = open_store(path, at="newest")
     require_takes(opened, takes)
-    code = code_digest(stabilise_take)
+    code = code_digest(type(load_stage("stabilise")))  # as the pipeline has it
     place = Place(STAGE, new_run_id(), executor, terminal.say, code, anew)
     with StoreWriter.open(path, opened.feature_set, opened.rate_hz, wait) as writer:
         archive = store_archive(writer.store, params, executor)
@@ -116,11 +116,23 @@ def store_archive(store: Store, params: StabiliseParameters, executor: Executor)
                 "ingest example clips with a pattern that names their class, or learn templates: kinedex run annotate"
             ) from None
         clips = []
-    if not found:
-        features = len(store.feature_set.features)
-        learned = learn_templates(clips, [params.templates], features, executor)
-        found = sorted((one for group in learned for one in group), key=lambda one: one.subclass)
-    return Archive(found, clips)
+    if found:
+        return Archive(found, _learned_from(found, clips))
+    learned = learn_templates(clips, [params.templates], len(store.feature_set.features), executor)
+    return Archive(sorted((one for group in learned for one in group), key=lambda one: one.subclass), clips)
+
+
+def _learned_from(templates: Sequence[SubclassTemplate], clips: Sequence[TrainingClips]) -> list[TrainingClips]:
+    """Return the clips that templates were learned from, which lend poses; all of a class whose template has none."""
+    names = {one.subclass: {*one.clips} for one in templates}
+    chosen = []
+    for one in clips:
+        own = [at for at, name in enumerate(one.names) if name in names.get(one.subclass, ())]
+        if own and len(own) < len(one.names):
+            parts = {key: tuple(getattr(one, key)[at] for at in own) for key in ("names", "words", "takes")}
+            one = replace(one, names=parts["names"], words=parts["words"], takes=parts["takes"])
+        chosen.append(one)
+    return chosen
 
 
 def explanations(store: Store, takes: Sequence[str]) -> list[Explanation]:

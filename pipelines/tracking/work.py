@@ -27,7 +27,7 @@ from kinedex.ops.words import U64
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.ingestion.analysis import analyse
 from kinedex.pipelines.tracking.bodies import body_of_places, take_body, take_joints
-from kinedex.pipelines.tracking.chain_tracker import ChainTracker, Observed, keypoint_sigma
+from kinedex.pipelines.tracking.chain_tracker import ChainTracker, Observed, TrackSettings, keypoint_sigma
 from kinedex.pipelines.tracking.parameters import TrackParameters
 from kinedex.pipelines.tracking.recordings import StoredRecording, stored_recording
 from kinedex.pipelines.tracking.result_tables import TRACK_KINDS, TrackResult
@@ -154,7 +154,7 @@ def track_recording(task: TrackTask) -> Finished:
     """Track a recording without priors."""
     found = stored_recording(task.store, task.recording, task.stage)
     subject = recording_subject(task.store, found, task.mean, task.params.sigma_m)
-    tracker = ChainTracker(subject.observed, task.params.settings(subject.sigma_px))
+    tracker = ChainTracker(subject.observed, _settings(task.params, subject))
     track = _first(tracker, task.recording)
     result = _result(task, tracker, track, subject)
     line = f"{task.recording}: {counted(len(track.costs), 'frame')} tracked as {task.take}" + _doubts(result, subject)
@@ -164,10 +164,7 @@ def track_recording(task: TrackTask) -> Finished:
 def stabilise_take(task: StabiliseTask) -> Finished:
     """Stabilise a take by priors of the archive."""
     subject = take_subject(task)
-    settings = task.tracker.settings(subject.sigma_px)
-    if isinstance(subject.observed.observations, Places):
-        settings = replace(settings, tracker="take")
-    tracker = ChainTracker(subject.observed, settings)
+    tracker = ChainTracker(subject.observed, _settings(task.tracker, subject))
 
     def words(current: Track) -> U64:
         placed = _take(task.take, subject, current.poses, task.fingerprint)
@@ -183,6 +180,14 @@ def stabilise_take(task: StabiliseTask) -> Finished:
         rounds=len(done.rounds),
     )
     return _finished(task, result, subject, (*TRACK_KINDS, "priors"), _stabilised_line(task, result))
+
+
+def _settings(params: TrackParameters, subject: Subject) -> TrackSettings:
+    """Return the settings of the tracker; 3D tracks are tracked all at once, and silhouettes alone frame by frame."""
+    settings, observations = params.settings(subject.sigma_px), subject.observed.observations
+    if observations is None or isinstance(observations, Places):
+        return replace(settings, tracker="frames" if observations is None else "take")
+    return settings
 
 
 def recording_subject(store: Store, found: StoredRecording, mean: ChainBody, sigma_m: float) -> Subject:
@@ -328,7 +333,7 @@ def _stabilised_line(task: StabiliseTask, result: TrackResult) -> str:
     gone = [row for row in result.rows if not row.kept]
     last = {hit for number, hit in kept if number == result.rounds}
     moved = 0.0 if result.moved_mm is None else float(result.moved_mm.mean())
-    filled = _filled(result.tracker.observed)
+    filled = filled_gaps(result.tracker.observed)
     if not kept:
         why = "all were withdrawn" if gone else "no motion of the archive was found"
         return f"{task.of}: no priors, {why}{filled}; as {task.take}"
@@ -340,7 +345,7 @@ def _stabilised_line(task: StabiliseTask, result: TrackResult) -> str:
     )
 
 
-def _filled(observed: Observed) -> str:
+def filled_gaps(observed: Observed) -> str:
     """Return a phrase that reports the gaps of a 3D track; joints that it never has are none."""
     if not isinstance(observed.observations, Places):
         return ""

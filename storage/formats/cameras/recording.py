@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from kinedex.storage.formats.cameras.camera_values import Calibration
 from kinedex.storage.formats.cameras.file_patterns import CAMERA, CameraFiles, find_files, match_cameras
 from kinedex.storage.formats.cameras.keypoint_files import KeypointArrays, keypoint_arrays, read_keypoint_files
 from kinedex.storage.formats.cameras.masks import CameraMasks, MaskFrames, mask_arrays, open_bits, open_images
-from kinedex.storage.formats.cameras.persons import SeenPersons
+from kinedex.storage.formats.cameras.persons import LARGEST, MOST_CONFIDENT, SeenPersons
 from kinedex.storage.formats.cameras.recording_checks import check_cameras, check_keypoints
 
 F64 = npt.NDArray[np.float64]
@@ -28,7 +28,7 @@ F64 = npt.NDArray[np.float64]
 _ENDINGS = {"cameras": ENDINGS, "keypoints": (".json",), "silhouettes": (".png",)}
 """Key of a recording → the endings of the files that are meant where it names a folder."""
 
-_MOST_LISTED = 26  # keypoints in a note
+_MOST_LISTED, _MOST_IDS = 26, 8  # keypoints, and ids of persons, in a note
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ def read_recording(file: RecordingsFile, name: str) -> Recording:
         counts = RecordingCounts(
             keypoints.several, keypoints.empty, keypoints.without_confidence, keypoints.above_one, outside
         )
-        notes += [*_set_notes(keypoints), *more]
+        notes += [*_set_notes(keypoints), *more, *_person_notes(seen.values(), entry.given.person, counts)]
     own = tuple(masks.get(camera.name) for camera in used)
     first, frames = _extent(file, name, keypoints, own, shift)
     pixels, confidence = _over(keypoints, len(used), first, frames)
@@ -319,6 +319,26 @@ def _set_notes(keypoints: KeypointArrays) -> list[str]:
     listed = ", ".join(some) + (f" and {more} more" if more > 0 else "")
     unused = [f"not used, for want of a place on the body or of any image: {listed}"]
     return [f"keypoints are those of {keypoints.keypoint_set.name}", *(unused if keypoints.unused else [])]
+
+
+def _person_notes(seen: Iterable[SeenPersons], choice: str, counts: RecordingCounts) -> list[str]:
+    """Return a note on who is tracked where images show several persons, by what rule, and on the other choices."""
+    images = counts.images_with_several_persons
+    if not images:
+        return []
+    ids = sorted({one.called for camera in seen for those in camera.frames.values() for one in those if one.called})
+    more = f" and {len(ids) - _MOST_IDS} more" if len(ids) > _MOST_IDS else ""
+    listed = f"an id ({', '.join(ids[:_MOST_IDS])}{more})" if ids else "an id, of which the files have none"
+    rules = {
+        LARGEST: "the one whose box of keypoints is largest in the image",
+        MOST_CONFIDENT: "the one whose confidences have the greatest sum",
+    }
+    taken = rules.get(choice, f"the one with the id '{choice}'")
+    others = [f"`{name}`" for name in rules if name != choice]
+    return [
+        f"{images:,} image{'s' * (images > 1)} with several persons: {taken} is tracked (`person: {choice}`); other "
+        f"choices are {', '.join(others)}, and {listed}"
+    ]
 
 
 def _extent(

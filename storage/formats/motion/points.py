@@ -194,7 +194,8 @@ def _invalid(
     most = max(gap.frames for gap in blamed)
     return (
         f"{np.count_nonzero(~valid)} of {len(valid)} source frames are invalid and have no word; {reason}; "
-        f"`fill_gap_frames: {most}` closes all gaps along straight lines"
+        f"`fill_gap_frames: {most}` closes all gaps along straight lines; `kinedex stabilise` fills them by the motion "
+        "around them and by what the archive knows"
     )
 
 

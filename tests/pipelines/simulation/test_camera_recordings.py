@@ -110,6 +110,13 @@ def test_keypoints_of_openpose_and_masks_have_a_folder_for_each_camera(store: Pa
         assert set(np.unique(mask)) == {0, 255}
 
 
+def test_one_camera_is_refused_before_anything_is_written(store: Path, tmp_path: Path) -> None:
+    code, output = simulate(store, "x_bo_hop_2", "-o", tmp_path / "r", "--seed", 1, "--cameras", 1)
+    assert code == 1
+    assert "cameras must be at least 2: tracking triangulates joints, got 1" in output
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_folder_with_files_is_never_overwritten(store: Path, tmp_path: Path) -> None:
     (tmp_path / "r").mkdir()
     (tmp_path / "r" / "mine.txt").write_text("mine")

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from kinedex.catalog.kinematics import load_kinematic_chain
+from kinedex.ops.body.kinematic_chain import ChainBody
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.tracking.observations import Places
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.runner import run_pipeline
+from kinedex.pipelines.tracking import runs
+from kinedex.pipelines.tracking.chain_tracker import Observed
 from kinedex.pipelines.tracking.recordings import stored_recording
+from kinedex.pipelines.tracking.work import filled_gaps
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.take_removal import planned_removal, remove_takes
 from kinedex.storage.store.verification import verify
@@ -69,6 +77,11 @@ def test_results_describe_recordings_cameras_frames_and_priors(folder: Path) -> 
     assert np.nanmax(stored.recording.confidence) <= 1
 
 
+def test_the_command_takes_templates_clips_and_classes_as_the_pipeline_does(folder: Path) -> None:
+    shown = kinedex("stabilise", folder / "store", f"{FILMED}_tracked", "--rounds", 1)
+    assert f"{FILMED}_tracked: up to date as {FILMED}_stabilised" in shown
+
+
 def test_what_is_unchanged_is_not_done_again(folder: Path) -> None:
     first, second = run(folder), run(folder)
     assert set(first.ran) <= {"ingest", "index"}
@@ -107,11 +120,45 @@ def test_a_take_without_cameras_is_stabilised_by_a_command(folder: Path) -> None
     (one,) = shown["takes"]
     assert (one["take"], one["stabilised"], one["recording"]) == ("x_bo_sway_1", "x_bo_sway_1_stabilised", None)
     assert {"class", "cost", "kept"} <= set(one["priors"][0])
+    assert shown["remarks"] == []
     again = kinedex("stabilise", folder / "store", "x_bo_sway_1", "--rounds", 1, "--explain")
     assert "as x_bo_sway_1_stabilised" in again
     assert "no take 'x_bo_swya_1'" in kinedex("stabilise", folder / "store", "x_bo_swya_1", code=1)
     wrong = kinedex("stabilise", folder / "store", "x_bo_sway_1", "--priors", "pse", code=1)
     assert "priors: should be 'archive', 'pose' or 'logical', got 'pse'" in wrong
+
+
+def test_logical_priors_without_locomotion_are_reported_with_the_way_to_it(folder: Path, tmp_path: Path) -> None:
+    command = ("stabilise", folder / "store", "x_bo_sway_1", "--rounds", 1, "--priors", "logical", "--json")
+    (remark,) = json.loads(kinedex(*command))["remarks"]
+    assert "no class has `locomotion: true`" in remark
+    assert "--classes FILE" in remark
+    classes = tmp_path / "classes.yaml"
+    classes.write_text("hop: {subclasses: [hop], locomotion: true}\n")
+    assert json.loads(kinedex(*command, "--classes", classes))["remarks"] == []
+    wrong = kinedex("stabilise", folder / "store", "x_bo_sway_1", "--classes", "synthetic", code=1)
+    assert "the archive has no subclass 'walk4StepsLstart'" in " ".join(wrong.split())
+
+
+def test_a_track_with_gaps_is_filled_which_is_reported() -> None:
+    places = np.zeros((6, 3, 3))
+    places[1:3, 0] = np.nan
+    places[:, 2] = np.nan  # a joint that the track never has
+    body = ChainBody(load_kinematic_chain(), np.zeros((len(load_kinematic_chain().joints), 3)))
+    observed = Observed(body, 30.0, Places(places, np.full((6, 3), 0.02)))
+    assert filled_gaps(observed) == "; gaps in 2 frames filled"
+    assert filled_gaps(replace(observed, observations=Places(places[3:], np.full((3, 3), 0.02)))) == ""
+
+
+def test_the_first_track_reports_that_kernels_are_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    band = runs.solve_band
+    fake = SimpleNamespace(stats=SimpleNamespace(cache_path=str(tmp_path)), __name__="solve_band")
+    monkeypatch.setattr(runs, "solve_band", fake)
+    assert not runs.are_kernels_compiled()
+    (tmp_path / "band.solve_band-227.py311.nbi").touch()
+    assert runs.are_kernels_compiled()
+    monkeypatch.setattr(runs, "solve_band", band)
+    assert runs.are_kernels_compiled(), "the takes of this module were tracked"
 
 
 def test_a_stabilised_take_is_neither_stabilised_again_nor_replaced_by_that_of_another(folder: Path) -> None:

@@ -55,7 +55,7 @@ def run(folder: Path, **settings: object) -> Outcome:
         "source": str(folder / "source"),
         "recordings": str(folder / "sim" / "recordings.yaml"),
         "patterns": PATTERNS,
-        "train": "class IS NOT NULL",
+        "train": "class IS NOT NULL AND actor <> 'al'",
         "stabilise.rounds": 1,
         **settings,
     }

@@ -198,6 +198,14 @@ def test_of_several_persons_the_one_that_is_asked_for_is_tracked(step: Filmed) -
     assert found["largest"].pixels == pytest.approx(step.pixels, abs=1e-3)
     assert found["most_confident"].pixels[0, 0] == pytest.approx(small)
     assert found["largest"].counts.images_with_several_persons == 1
+    assert found["largest"].notes[-1] == (
+        "1 image with several persons: the one whose box of keypoints is largest in the image is tracked (`person: "
+        "largest`); other choices are `most_confident`, and an id (3, 7)"
+    )
+    assert (
+        "whose confidences have the greatest sum is tracked (`person: most_confident`)"
+        in (found["most_confident"].notes[-1])
+    )
     with pytest.raises(SourceError, match=r"no person has the id '3'; its persons have no ids; `person:` may also be"):
         read(step, person=3)
     (camera,) = [read_openpose(sorted((step.folder / "pose" / "cam_1").iterdir()))]

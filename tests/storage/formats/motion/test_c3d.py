@@ -320,7 +320,7 @@ def test_a_long_occlusion_makes_its_frames_invalid_and_says_whose(tmp_path: Path
         "gaps closed along straight lines: LKNE 10 frames (longest 10), RTOE 10 frames (longest 10)",
         "20 of 100 source frames are invalid and have no word; points that the mapping 'recognised markers' takes are "
         "missing for more than 12 frames: LKNE 20 frames (longest 20); `fill_gap_frames: 20` closes all gaps along "
-        "straight lines",
+        "straight lines; `kinedex stabilise` fills them by the motion around them and by what the archive knows",
     )
     closed = read(tmp_path / "a.c3d", ReadSettings(fill_gap_frames=20))
     assert closed.valid is None

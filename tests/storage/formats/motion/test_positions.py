@@ -145,7 +145,7 @@ def test_long_gaps_make_frames_invalid_and_short_ones_are_closed(tmp_path: Path)
         "gaps closed along straight lines: left_wrist 3 frames (longest 3)",
         "8 of 24 source frames are invalid and have no word; points that the mapping 'recognised points' takes are "
         "missing for more than 6 frames: left_hip 8 frames (longest 8); `fill_gap_frames: 8` closes all gaps along "
-        "straight lines",
+        "straight lines; `kinedex stabilise` fills them by the motion around them and by what the archive knows",
     )
     assert np.isnan(body.orientation).any(axis=0).tolist() == (~body.valid).tolist()
     whole = read(write(tmp_path / "b.trc", trc(1000 * walk, COCO)))
