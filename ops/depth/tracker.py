@@ -283,9 +283,7 @@ class Reconstructor:
             self._graph = graph_room(pixels)
         graph = build_graph(cloud, room=self._graph)
         if self._extrema is None:
-            self._extrema = extrema_room(
-                self.preparation.shape[0] * self.preparation.shape[1], len(self._graph.lengths)
-            )
+            self._extrema = extrema_room(pixels)
         source = find_source(cloud, graph, 0.0) if self.settings.is_printed else find_source(cloud, graph)
         nodes = geodesic_extrema(graph, source, room=self._extrema).nodes if source >= 0 else np.empty(0, np.int32)
         centre = point_centre(cloud.points)
