@@ -381,6 +381,30 @@ max_mm    DOUBLE    greatest mean of a frame""",
         stages="evaluate_track",
     ),
     _view(
+        "poses",
+        "The pose database: poses of the archive that differ, as unit directions of bones.",
+        f"""pose    INTEGER    its number, from 0, in order of take name and frame
+{_TAKE}
+frame    INTEGER    frame of the take, from 0
+directions    FLOAT[]    unit vector along the bone to each joint, three numbers a joint; 0 for bones without length""",
+        "SELECT take, count(*) AS poses FROM poses GROUP BY take ORDER BY poses DESC, take LIMIT 10",
+        stages="pose_database",
+    ),
+    _view(
+        "pose_takes",
+        "The takes that the pose database was made of, also those that lend no pose.",
+        f"""{_TAKE}
+actor    VARCHAR    their actor, whose bones count once in the mean of the archive; NULL counts as one actor
+frames    BIGINT    its length in frames
+poses    INTEGER    number of its poses in the database
+distance_m    DOUBLE    a frame is no pose of the database where it is so near to another one, in metres
+bone_lengths    DOUBLE[]    median length in metres of the bone that ends at each joint; NULL where joints are missing
+stands_for    INTEGER[]    for each frame the number of a pose within distance_m; NULL without a word
+fingerprint    VARCHAR    hash of all that its directions follow from""",
+        "SELECT take, frames, poses FROM pose_takes WHERE poses = 0 ORDER BY take",
+        stages="pose_database",
+    ),
+    _view(
         "queries",
         "Learned keyframe queries, in bits of whole words, with their margins.",
         f"""subclass    VARCHAR    whose motions it preselects

@@ -123,6 +123,7 @@ BUILT_IN = {
     "stabilise": "kinedex.pipelines.stages.stabilise:Stabilise",
     "report_stabilised": "kinedex.pipelines.stages.report_stabilised:ReportStabilised",
     "evaluate_track": "kinedex.pipelines.stages.evaluate_track:EvaluateTrack",
+    "pose_database": "kinedex.pipelines.stages.pose_database:PoseDatabase",
 }
 """The built-in stages, in the form of entry points."""
 

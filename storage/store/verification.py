@@ -47,6 +47,7 @@ from kinedex.storage.snapshot.schemas import (
 )
 from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.history import history_problems
+from kinedex.storage.store.pose_checks import pose_problems
 from kinedex.storage.store.report_sums import wrong_files
 
 Kind = Literal[
@@ -90,9 +91,9 @@ def verify(store: Snapshot) -> list[Finding]:
     """Check everything that a version of a store records about its files.
 
     These are every part's size, checksum, row count, schema, takes and order of rows; that the frames of every take
-    are 0, 1, …, as many as its row in takes records; that no take is live twice; older manifests; the checksums of
-    reports; leftover files; the history of runs; the index's checksums, counts and bit slices; and what repairs have
-    set aside.
+    are 0, 1, …, as many as its row in takes records; that no take is live twice; that pose databases are whole; older
+    manifests; the checksums of reports; leftover files; the history of runs; the index's checksums, counts and bit
+    slices; and what repairs have set aside.
 
     Parameters
     ----------
@@ -175,18 +176,26 @@ class _Verification:
             for line in journal.damaged:
                 file = journal.path.relative_to(self.store.path).as_posix()
                 yield self._found("labels", file, f"line {line} of the journal of labels is damaged")
-        for kind, parts in self.manifest.results.items():
-            for result in parts:
-                if kind not in RESULT_KINDS:
-                    yield self._found("results", result.path, f"no kind of result is named '{kind}'")
-                else:
-                    yield from self._file("results", result, result_schema(kind)) or self._result_rows(result)
+        yield from self._results()
         if sound:
             yield from self._takes_against_frames()
             for part in self.manifest.frames:
                 if self.dropped[part.path] != part.dropped_rows:
                     problem = f"{self.dropped[part.path]} of its rows are of dropped takes, not {part.dropped_rows}"
                     yield self._found("frames", part.path, problem, takes=part.live)
+
+    def _results(self) -> Iterator[Finding]:
+        sound = True
+        for kind, parts in self.manifest.results.items():
+            for result in parts:
+                if kind not in RESULT_KINDS:
+                    yield self._found("results", result.path, f"no kind of result is named '{kind}'")
+                else:
+                    found = self._file("results", result, result_schema(kind)) or self._result_rows(result)
+                    sound &= not found
+                    yield from found
+        for file, problem in pose_problems(self.store) if sound else ():
+            yield self._found("results", file, problem)
 
     def _file(self, kind: Kind, part: AnyPart, schema: pa.Schema) -> list[Finding]:
         """Check a part as a file: size, checksum, number of rows, schema."""

@@ -1,0 +1,395 @@
+"""The pose database of a store: built from the frames of takes, kept up to date, and read again.
+
+Poses are thinned in order of take name and frame, so that whether one is kept depends on all before it. Each frame has
+a pose that stands for it: it keeps the frame out as long as that pose is kept itself. And a pose that was kept stays
+so unless a pose that is new in the database comes before it and is near. So the frames of a take that has not changed
+are read again only where a pose that stood for one of them is gone, or one of its own poses is near a new one; the
+result is that of a build of everything.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from kinedex.ops.body.joint_tree import JOINTS
+from kinedex.ops.depth.pose_database import PoseThinning, bone_directions, bone_lengths_of
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.tracking.work import hash_of
+from kinedex.storage.snapshot.parts import joint_positions
+from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.store.store import Store
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+BATCH_FRAMES = 500_000
+"""About so many frames are in memory at once while poses are thinned."""
+
+_PIECE_ROWS, _PIECE_TAKES = 100_000, 1000
+_DIGITS = 3  # mean bones in whole millimetres: they do not change with the last bits of one take
+
+
+@dataclass(frozen=True)
+class TakePoses:
+    """A take of the pose database.
+
+    Attributes
+    ----------
+    take_id : int
+        Id of the take.
+    take : str
+        Its name.
+    actor : str or None
+        Its actor.
+    frames : int
+        Its length.
+    fingerprint : str
+        A hash of all that its directions follow from.
+    bone_lengths : float64 array (24,) or None
+        Its median bones in metres; None where joints are missing.
+    rows : int64 array (K,)
+        Its frames that are poses of the database.
+    stands_for : int64 array (T,)
+        For each frame the number of a pose that is near it; −1 without a word.
+    directions : float32 array (K, 24, 3)
+        The directions of its poses.
+    """
+
+    take_id: int
+    take: str
+    actor: str | None
+    frames: int
+    fingerprint: str
+    bone_lengths: F64 | None
+    rows: I64 = field(default_factory=lambda: np.empty(0, np.int64))
+    stands_for: I64 = field(default_factory=lambda: np.empty(0, np.int64))
+    directions: F32 = field(default_factory=lambda: np.empty((0, len(JOINTS), 3), np.float32))
+
+
+@dataclass(frozen=True)
+class PoseDatabase:
+    """A pose database.
+
+    Attributes
+    ----------
+    takes : tuple of TakePoses
+        Its takes by name.
+    distance_m : float
+        The distance that it was thinned by.
+    read : int
+        The takes whose frames were read to make it.
+    """
+
+    takes: tuple[TakePoses, ...]
+    distance_m: float
+    read: int = 0
+
+    @property
+    def mean_bones(self) -> F64:
+        """The mean bones of its actors, see `mean_bones`."""
+        return mean_bones(self.takes)
+
+    @property
+    def directions(self) -> F32:
+        """The directions of all poses, float32 (N, 24, 3)."""
+        return np.concatenate([np.empty((0, len(JOINTS), 3), np.float32), *(one.directions for one in self.takes)])
+
+    @property
+    def origins(self) -> list[tuple[str, int]]:
+        """The take and the frame of each pose."""
+        return [(one.take, int(row)) for one in self.takes for row in one.rows]
+
+
+def mean_bones(takes: Sequence[TakePoses]) -> F64:
+    """Return the mean bones of the actors of takes: the mean over actors of the median over the takes of each.
+
+    Returns
+    -------
+    float64 array (24,)
+        Whole millimetres, in metres; takes without an actor count as those of one.
+
+    Raises
+    ------
+    KinedexError
+        No take has all joints.
+    """
+    actors: dict[str | None, list[F64]] = defaultdict(list)
+    for one in takes:
+        if one.bone_lengths is not None:
+            actors[one.actor].append(one.bone_lengths)
+    if not actors:
+        raise KinedexError(f"no take has frames with all of the {len(JOINTS)} named joints, which poses are made of")
+    ordered = [actors[actor] for actor in sorted(actors, key=lambda name: (name is not None, name or ""))]
+    mean: F64 = np.mean([np.median(own, axis=0) for own in ordered], axis=0)
+    return np.round(mean, _DIGITS)
+
+
+def listed_takes(store: Store, where: str, code: str) -> list[TakePoses]:
+    """Return the takes that a filter selects, by name, without poses and bones.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    where : str
+        A SQL filter over the columns of takes.
+    code : str
+        A hash of the sources that make directions of frames.
+
+    Raises
+    ------
+    KinedexError
+        The filter does not work, or the store's frames lack named joints.
+    """
+    if missing := sorted(set(JOINTS).difference(store.feature_set.joints)):
+        raise KinedexError(
+            f"{store.path}: its feature set {store.feature_set.name} has no joint {', '.join(missing)}, and poses are "
+            f"made of all {len(JOINTS)} named joints; ingest the archive with a feature set that lists them"
+        )
+    chosen = set(store.takes(where)["name"].to_list())
+    rows = [row for row in store.take_rows.to_pylist() if row["name"] in chosen]
+    return [
+        TakePoses(
+            row["take_id"], row["name"], row["actor"], row["frames"],
+            hash_of(code, row["name"], row["checksum"], row["recipe"], row["frames"], store.rate_hz), None,
+        )
+        for row in rows
+    ]  # fmt: skip
+
+
+def build_pose_database(
+    store: Store,
+    takes: Sequence[TakePoses],
+    distance_m: float,
+    earlier: PoseDatabase | None,
+    say: Callable[[str], None],
+) -> PoseDatabase:
+    """Build a pose database of takes, from an earlier one as far as it holds.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    takes : sequence of TakePoses
+        The takes by name, see `listed_takes`.
+    distance_m : float
+        Poses are dropped where a kept one is so near, in metres.
+    earlier : PoseDatabase or None
+        The database before.
+    say : callable
+        Shows a line.
+
+    Returns
+    -------
+    PoseDatabase
+        The poses; equal to those of a build without an earlier database.
+
+    Raises
+    ------
+    KinedexError
+        No take has all joints.
+    """
+    before = {one.take: one for one in earlier.takes} if earlier else {}
+    same = {one.take for one in takes if one.take in before and before[one.take].fingerprint == one.fingerprint}
+    measured = _measure(store, takes, before, same)
+    bones = mean_bones(measured)
+    if earlier and same:
+        reason = ""
+        if earlier.distance_m != distance_m:
+            reason = f"distance_m was {earlier.distance_m:g}"
+        elif not np.array_equal(earlier.mean_bones, bones):
+            reason = "the mean bones of the actors have changed, and with them all distances"
+        if reason:
+            say(f"all takes are thinned anew: {reason}")
+            same = set()
+    work = _Build(store, PoseThinning(bones, distance_m), PoseThinning(bones, distance_m), before, same)
+    return PoseDatabase(tuple(work.takes(measured)), distance_m, work.read)
+
+
+def _measure(
+    store: Store, takes: Sequence[TakePoses], before: Mapping[str, TakePoses], same: set[str]
+) -> list[TakePoses]:
+    """Return the takes with their bones; those of unchanged ones are known."""
+    bones = {name: before[name].bone_lengths for name in same}
+    for one, poses, _ in _frames(store, [one for one in takes if one.take not in same]):
+        bones[one.take] = bone_lengths_of(poses) if len(poses) else None
+    return [TakePoses(one.take_id, one.take, one.actor, one.frames, one.fingerprint, bones[one.take]) for one in takes]
+
+
+def _frames(store: Store, takes: Sequence[TakePoses]) -> Iterator[tuple[TakePoses, F64, I64]]:
+    """Yield takes in their order with the places (K, 24, 3) and the numbers of their whole frames that have a word."""
+    waiting: list[TakePoses] = []
+    for index, one in enumerate(takes):
+        waiting.append(one)
+        if index + 1 == len(takes) or sum(each.frames for each in waiting) >= BATCH_FRAMES:
+            tables = dict(store.frames_of([each.take for each in waiting]))
+            for each in waiting:
+                table = tables.pop(each.take)
+                poses = joint_positions(table, JOINTS).transpose(2, 0, 1).astype(np.float64)
+                rows = np.flatnonzero(table.column("word").is_valid().to_numpy() & np.isfinite(poses).all(axis=(1, 2)))
+                yield each, poses[rows], rows
+            waiting = []
+
+
+class _Build:
+    """One build: the poses kept so far, those of them that the earlier database has not, and the new numbers."""
+
+    def __init__(
+        self, store: Store, kept: PoseThinning, fresh: PoseThinning, before: Mapping[str, TakePoses], same: set[str]
+    ) -> None:
+        self.store, self.kept, self.fresh, self.before, self.same = store, kept, fresh, before, same
+        self.read = 0
+        total = sum(len(one.rows) for one in before.values())
+        self.number = np.full(total, -1, np.int64)  # former number → new number, −1 for one that is gone
+        starts = np.cumsum([0, *(len(one.rows) for one in before.values())]).tolist()
+        self.first = dict(zip(before, starts, strict=False))
+
+    def takes(self, takes: Sequence[TakePoses]) -> Iterator[TakePoses]:
+        """Yield the takes with their poses."""
+        changed = [one for one in takes if one.take not in self.same]
+        frames = _frames(self.store, changed)
+        for one in takes:
+            if one.take not in self.same:
+                _, poses, rows = next(frames)
+                yield self._thinned(one, poses, rows)
+            elif self._stands(self.before[one.take]):
+                yield self._unchanged(one, self.before[one.take])
+            else:
+                _, poses, rows = next(_frames(self.store, [one]))
+                yield self._thinned(one, poses, rows)
+
+    def _stands(self, former: TakePoses) -> bool:
+        """Return whether every frame of an unchanged take is kept or dropped as before."""
+        own = np.arange(self.first[former.take], self.first[former.take] + len(former.rows))
+        others = np.setdiff1d(former.stands_for, [*own, -1])
+        gone = len(others) and (self.number[others] < 0).any()
+        return not gone and not (self.fresh.near(former.directions) >= 0).any()
+
+    def _unchanged(self, one: TakePoses, former: TakePoses) -> TakePoses:
+        first = self.first[former.take]
+        self.number[first : first + len(former.rows)] = self.kept.add(former.directions, always=True)
+        stands_for = np.where(former.stands_for < 0, -1, self.number[former.stands_for])
+        return TakePoses(
+            one.take_id, one.take, one.actor, one.frames, one.fingerprint, one.bone_lengths, former.rows, stands_for,
+            former.directions,
+        )  # fmt: skip
+
+    def _thinned(self, one: TakePoses, poses: F64, frames: I64) -> TakePoses:
+        """Return a take whose frames are compared with all poses before."""
+        self.read += 1
+        directions = bone_directions(poses)
+        count = self.kept.count
+        numbers = self.kept.add(directions)
+        new = numbers >= count
+        own, places = np.unique(numbers[new], return_index=True)
+        rows = np.flatnonzero(new)[places]
+        stands_for = np.full(one.frames, -1, np.int64)
+        stands_for[frames] = numbers
+        former = self.before[one.take] if one.take in self.same else None
+        if former is None:
+            self.fresh.add(directions[rows], always=True)
+        else:
+            known = np.isin(frames[rows], former.rows)
+            self.fresh.add(directions[rows[~known]], always=True)
+            old = self.first[former.take] + np.searchsorted(former.rows, frames[rows[known]])
+            self.number[old] = own[known]
+        return TakePoses(
+            one.take_id, one.take, one.actor, one.frames, one.fingerprint, one.bone_lengths, frames[rows], stands_for,
+            directions[rows],
+        )  # fmt: skip
+
+
+def pose_tables(database: PoseDatabase, run: str) -> Iterator[pa.Table]:
+    """Yield the poses of a database as rows of the results `poses`."""
+    schema = result_schema("poses")
+    number = 0
+    for some in _batches(database.takes):
+        counts = [len(one.rows) for one in some]
+        total = sum(counts)
+        numbers = np.concatenate([one.directions.reshape(-1) for one in some])
+        width = 3 * len(JOINTS)
+        yield pa.table(
+            {
+                "run": pa.repeat(pa.scalar(run), total),
+                "pose": np.arange(number, number + total, dtype=np.int32),
+                "take_id": np.repeat(np.array([one.take_id for one in some], np.int64), counts),
+                "take": pa.array([one.take for one in some]).take(pa.array(np.repeat(np.arange(len(some)), counts))),
+                "frame": np.concatenate([one.rows for one in some]).astype(np.int32),
+                "directions": pa.ListArray.from_arrays(
+                    np.arange(0, total * width + 1, width, dtype=np.int32), pa.array(numbers)
+                ),
+            },
+            schema=schema,
+        )
+        number += total
+
+
+def _batches(takes: Sequence[TakePoses]) -> Iterator[list[TakePoses]]:
+    """Divide takes into groups of about `_PIECE_ROWS` poses."""
+    waiting: list[TakePoses] = []
+    for one in takes:
+        waiting.append(one)
+        if sum(len(each.rows) for each in waiting) >= _PIECE_ROWS:
+            yield waiting
+            waiting = []
+    if waiting:
+        yield waiting
+
+
+def take_tables(database: PoseDatabase, run: str) -> Iterator[pa.Table]:
+    """Yield the takes of a database as rows of the results `pose_takes`."""
+    schema = result_schema("pose_takes")
+    for first in range(0, len(database.takes), _PIECE_TAKES):
+        rows = [
+            {
+                "run": run,
+                "take_id": one.take_id,
+                "take": one.take,
+                "actor": one.actor,
+                "frames": one.frames,
+                "poses": len(one.rows),
+                "distance_m": database.distance_m,
+                "bone_lengths": None if one.bone_lengths is None else one.bone_lengths.tolist(),
+                "stands_for": pa.array(one.stands_for.astype(np.int32), mask=one.stands_for < 0),
+                "fingerprint": one.fingerprint,
+            }
+            for one in database.takes[first : first + _PIECE_TAKES]
+        ]
+        yield pa.Table.from_pylist(rows, schema=schema)
+
+
+def read_pose_database(store: Store, stage: str) -> PoseDatabase | None:
+    """Return the pose database that a stage has made, "<pipeline>/<stage>"; None where there is none."""
+    rows = store.result("pose_takes", stage=stage)
+    if not rows.num_rows:
+        return None
+    poses = store.result("poses", stage=stage)
+    directions = poses.column("directions").combine_chunks().flatten().to_numpy(zero_copy_only=False)
+    directions = directions.reshape(-1, len(JOINTS), 3)
+    frames = poses.column("frame").to_numpy().astype(np.int64)
+    takes, start = [], 0
+    stands_for = rows.column("stands_for")
+    for number, row in enumerate(rows.drop_columns(["stands_for"]).to_pylist()):
+        stop = start + row["poses"]
+        takes.append(
+            TakePoses(
+                row["take_id"],
+                row["take"],
+                row["actor"],
+                row["frames"],
+                row["fingerprint"],
+                None if row["bone_lengths"] is None else np.array(row["bone_lengths"]),
+                frames[start:stop],
+                stands_for[number].values.fill_null(-1).to_numpy(zero_copy_only=False).astype(np.int64),
+                directions[start:stop],
+            )
+        )
+        start = stop
+    return PoseDatabase(tuple(takes), float(rows.column("distance_m")[0].as_py()))

@@ -1,0 +1,66 @@
+"""Stage pose_database: poses of the archive that differ, for the lookup of depth frames."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.digests import Reading
+from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.reconstruction.parameters import PoseDatabaseParameters
+from kinedex.pipelines.reconstruction.pose_database import (
+    build_pose_database,
+    listed_takes,
+    pose_tables,
+    read_pose_database,
+    take_tables,
+)
+from kinedex.pipelines.tracking.work import hash_of
+from kinedex.storage.store.store import Store
+
+
+class PoseDatabase(Stage[PoseDatabaseParameters]):
+    """Poses of the archive that differ, for the lookup of depth frames (thesis, Section 8.3.3)."""
+
+    name = "pose_database"
+    parameters = PoseDatabaseParameters
+    inputs: ClassVar = {"takes": Input("ingest", optional=True)}
+
+    def reading(self, params: PoseDatabaseParameters, store: Store) -> Reading:
+        """Return a digest of the takes that lend poses."""
+        takes = listed_takes(store, params.where, "")
+        return Reading(hash_of([(one.take, one.actor, one.fingerprint) for one in takes]), counted(len(takes), "take"))
+
+    def run(self, context: StageContext, params: PoseDatabaseParameters) -> dict[str, object]:
+        """Thin the poses of takes that are new or changed, and store the database."""
+        store = context.open()
+        takes = listed_takes(store, params.where, context.code)
+        if not takes:
+            raise KinedexError(
+                f"where: no take fits '{params.where}'; `kinedex sql STORE 'FROM takes'` lists what there is, and "
+                f"`--set {context.stage}.where=true` takes all"
+            )
+        earlier = None
+        if not context.anew:
+            try:
+                earlier = read_pose_database(store, context.key())
+            except KinedexError as fault:
+                context.say(f"all takes are read: {fault}")
+        made = build_pose_database(store, takes, params.distance_m, earlier, context.say)
+        with context.writer() as writer:
+            writer.put_results("poses", pose_tables(made, context.run), stage=context.key(), run=context.run)
+            writer.put_results("pose_takes", take_tables(made, context.run), stage=context.key(), run=context.run)
+            writer.commit()
+        frames = sum(int((one.stands_for >= 0).sum()) for one in made.takes)
+        poses = sum(len(one.rows) for one in made.takes)
+        lacking = [one.take for one in made.takes if one.bone_lengths is None]
+        megabytes = sum(one.directions.nbytes for one in made.takes) / 1e6
+        context.say(
+            f"{counted(frames, 'frame')} of {counted(len(takes), 'take')} → {counted(poses, 'pose')}, "
+            f"{megabytes:.1f} MB; {counted(made.read, 'take')} read"
+        )
+        if lacking:
+            context.say(f"warning: {counted(len(lacking), 'take')} without all named joints lend no pose")
+        return {"takes": len(takes), "frames": frames, "poses": poses, "read": made.read, "lacking": len(lacking)}
