@@ -32,8 +32,10 @@ I64 = npt.NDArray[np.int64]
 BATCH_FRAMES = 500_000
 """About so many frames are in memory at once while poses are thinned."""
 
+BONE_DIGITS = 3
+"""Mean bones are rounded to so many digits of a metre: they do not change with every take that is added."""
+
 _PIECE_ROWS, _PIECE_TAKES = 100_000, 1000
-_DIGITS = 3  # mean bones in whole millimetres: they do not change with the last bits of one take
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,7 @@ def mean_bones(takes: Sequence[TakePoses]) -> F64:
         raise KinedexError(f"no take has frames with all of the {len(JOINTS)} named joints, which poses are made of")
     ordered = [actors[actor] for actor in sorted(actors, key=lambda name: (name is not None, name or ""))]
     mean: F64 = np.mean([np.median(own, axis=0) for own in ordered], axis=0)
-    return np.round(mean, _DIGITS)
+    return np.round(mean, BONE_DIGITS)
 
 
 def listed_takes(store: Store, where: str, code: str) -> list[TakePoses]:
@@ -366,11 +368,11 @@ def take_tables(database: PoseDatabase, run: str) -> Iterator[pa.Table]:
 
 
 def read_pose_database(store: Store, stage: str) -> PoseDatabase | None:
-    """Return the pose database that a stage has made, "<pipeline>/<stage>"; None where there is none."""
+    """Return the pose database that a stage has made, "<pipeline>/<stage>"; None where there is no whole one."""
     rows = store.result("pose_takes", stage=stage)
-    if not rows.num_rows:
-        return None
     poses = store.result("poses", stage=stage)
+    if not rows.num_rows or sum(rows.column("poses").to_pylist()) != poses.num_rows:
+        return None  # repair has removed a part
     directions = poses.column("directions").combine_chunks().flatten().to_numpy(zero_copy_only=False)
     directions = directions.reshape(-1, len(JOINTS), 3)
     frames = poses.column("frame").to_numpy().astype(np.int64)

@@ -113,9 +113,7 @@ def test_the_figures_of_a_given_frame(shared: Path, name: str) -> None:
 def finds_all_ends(cloud: FrameCloud, ends: np.ndarray, drop: float) -> bool:
     """Return True where each of the five ends has one of the first five extrema within 0.2 m, one to one."""
     graph = build_graph(cloud)
-    nodes = geodesic_extrema(
-        graph, find_source(cloud, graph, drop), 5
-    )
+    nodes = geodesic_extrema(graph, find_source(cloud, graph, drop), 5)
     close = np.linalg.norm(cloud.points[nodes.nodes][:, None] - ends, axis=2) <= 0.2
     return any(close[list(order), range(5)].all() for order in permutations(range(len(close)), 5))
 
