@@ -20,7 +20,7 @@ class Params(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    title: str = Field("Takes before and after", description="title of the page")
+    title: str = Field("Stabilised takes, before and after", description="title of the page")
     takes: int = Field(20, ge=1, description="takes on the page, those first that priors have moved most")
 
 
