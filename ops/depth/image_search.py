@@ -17,9 +17,12 @@ from kinedex.ops.errors import ParameterError
 
 F64 = npt.NDArray[np.float64]
 I32 = npt.NDArray[np.int32]
+I64 = npt.NDArray[np.int64]
 
 HIDDEN_M, SAME_RAY = 0.12, 0.02
 """A sample is hidden by a point nearer to the camera by the first, if x/z and y/z differ by less than the second."""
+
+_NEAREST_M = 1e-6  # what is nearer to the camera's plane lies behind it
 
 
 class DepthView(NamedTuple):
@@ -33,11 +36,14 @@ class DepthView(NamedTuple):
         Distortion in OpenCV's order, filled up with 0.
     turn : float64 array (3, 3)
         The rotation that was applied to the camera's own axes (x, −y, −z).
+    is_distorted : bool
+        False where all distortion numbers are 0.
     """
 
     matrix: F64
     distortion: F64
     turn: F64
+    is_distorted: bool
 
 
 class FrameImage(NamedTuple):
@@ -61,7 +67,7 @@ class FrameImage(NamedTuple):
     pixels: I32
     numbers: I32
     nearest: I32
-    box: npt.NDArray[np.int64]
+    box: I64
 
 
 def depth_view(
@@ -102,40 +108,12 @@ def depth_view(
     around = np.eye(3) if turn is None else np.ascontiguousarray(turn, np.float64)
     if around.shape != (3, 3):
         raise ParameterError("turn", "of shape (3, 3)", around.shape)
-    return DepthView(scaled, np.pad(numbers, (0, 8 - len(numbers))), around)
+    return DepthView(scaled, np.pad(numbers, (0, 8 - len(numbers))), around, bool(numbers.any()))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def camera_ray(view: DepthView, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return x/z, y/z and z of a point in the camera's axes, x right, y down, z forward; z ≤ 0 behind the camera."""
-    t = view.turn
-    depth = -(t[0, 2] * x + t[1, 2] * y + t[2, 2] * z)
-    if depth <= 1e-6:
-        return 0.0, 0.0, 0.0
-    return (t[0, 0] * x + t[1, 0] * y + t[2, 0] * z) / depth, -(t[0, 1] * x + t[1, 1] * y + t[2, 1] * z) / depth, depth
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def ray_pixel(view: DepthView, a: float, b: float) -> tuple[float, float]:
-    """Return column and row of the place (x/z, y/z) in the strided image."""
-    if view.distortion.any():
-        k1, k2, p1, p2, k3, k4, k5, k6 = view.distortion
-        square = a * a + b * b
-        scale = 1.0 + square * (k1 + square * (k2 + square * k3))
-        scale /= 1.0 + square * (k4 + square * (k5 + square * k6))
-        a, b = (
-            a * scale + 2.0 * p1 * a * b + p2 * (square + 2.0 * a * a),
-            b * scale + p1 * (square + 2.0 * b * b) + 2.0 * p2 * a * b,
-        )
-    matrix = view.matrix
-    return matrix[0, 0] * a + matrix[0, 1] * b + matrix[0, 2], matrix[1, 1] * b + matrix[1, 2]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def corresponding_point(
-    view: DepthView, image: FrameImage, x: float, y: float, z: float, reach: int, beside: bool
-) -> tuple[int, float, bool]:
-    """Return the point that corresponds to a sample.
+def project_samples(view: DepthView, image: FrameImage, samples: F64, seen: F64, places: I64) -> None:
+    """Project samples into the image, and find the pixels with a point that are nearest to them there.
 
     Parameters
     ----------
@@ -143,45 +121,90 @@ def corresponding_point(
         The camera.
     image : FrameImage
         The frame, with at least one point.
+    samples : float64 array (S, 3)
+        Samples in metres.
+    seen : float64 array (S, 3)
+        Their x/z, y/z and z in the camera's axes, x right, y down, z forward, which are written; z ≤ 0 behind the
+        camera.
+    places : int64 array (S, 3)
+        Column and row of the pixel with a point that is nearest to each one's own pixel, and the larger number of
+        columns or rows between the two, which are written. A sample outside the image counts as at its border.
+    """
+    matrix, turn, nearest, pixels = view.matrix, view.turn, image.nearest, image.pixels
+    height, width = image.numbers.shape
+    left, top, right, bottom = image.box
+    for i in range(len(samples)):
+        x, y, z = samples[i, 0], samples[i, 1], samples[i, 2]
+        depth = -(turn[0, 2] * x + turn[1, 2] * y + turn[2, 2] * z)
+        if depth <= _NEAREST_M:
+            seen[i, 2] = 0.0
+            continue
+        a = (turn[0, 0] * x + turn[1, 0] * y + turn[2, 0] * z) / depth
+        b = -(turn[0, 1] * x + turn[1, 1] * y + turn[2, 1] * z) / depth
+        seen[i, 0], seen[i, 1], seen[i, 2] = a, b, depth
+        if view.is_distorted:
+            a, b = _distorted(view.distortion, a, b)
+        column = matrix[0, 0] * a + matrix[0, 1] * b + matrix[0, 2]
+        row = matrix[1, 1] * b + matrix[1, 2]
+        u = math.floor(min(max(column, 0.0), width - 1.0) + 0.5)
+        v = math.floor(min(max(row, 0.0), height - 1.0) + 0.5)
+        near = nearest[min(max(v, top), bottom - 1), min(max(u, left), right - 1)]
+        p, q = np.int64(pixels[near, 0]), np.int64(pixels[near, 1])
+        places[i, 0], places[i, 1], places[i, 2] = p, q, max(abs(p - u), abs(q - v))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _distorted(distortion: F64, a: float, b: float) -> tuple[float, float]:
+    """Return the place (x/z, y/z) with distortion."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = distortion
+    square = a * a + b * b
+    scale = 1.0 + square * (k1 + square * (k2 + square * k3))
+    scale /= 1.0 + square * (k4 + square * (k5 + square * k6))
+    u = a * scale + 2.0 * p1 * a * b + p2 * (square + 2.0 * a * a)
+    return u, b * scale + p1 * (square + 2.0 * b * b) + 2.0 * p2 * a * b
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def closest_point(points: F64, numbers: I32, left: int, top: int, x: float, y: float, z: float, reach: int) -> int:
+    """Return the point closest to a sample in a window of the image.
+
+    Parameters
+    ----------
+    points : float64 array (n, 3)
+        Points in metres.
+    numbers : int32 array (h, w)
+        The point of each pixel; −1 where there is none.
+    left, top : int
+        Column and row of the middle of the window.
     x, y, z : float
         The sample in metres.
     reach : int
-        Half the width of the window: 3 for one of 7 × 7 pixels.
-    beside : bool
-        True to search only for samples that are projected more than a pixel away from all points.
+        Pixels to each side: 3 for a window of 7 × 7.
 
     Returns
     -------
-    point : int
-        Its number; −1 for a sample behind the camera, or one that is not searched for.
-    distance : float
-        Its distance from the sample in metres.
-    hidden : bool
-        True where the point hides the sample.
+    int
+        The first one of equally close points, row by row; −1 in an empty window.
     """
-    a, b, depth = camera_ray(view, x, y, z)
-    if depth <= 0.0:
-        return -1, 0.0, False
-    column, row = ray_pixel(view, a, b)
-    height, width = image.numbers.shape
-    u = math.floor(min(max(column, 0.0), width - 1.0) + 0.5)
-    v = math.floor(min(max(row, 0.0), height - 1.0) + 0.5)
-    left, top, right, bottom = image.box
-    near = image.nearest[min(max(v, top), bottom - 1), min(max(u, left), right - 1)]
-    i, j = image.pixels[near]
-    if beside and abs(i - u) <= 1 and abs(j - v) <= 1:
-        return -1, 0.0, False
     found, least = -1, np.inf
-    for q in range(max(j - reach, top), min(j + reach + 1, bottom)):
-        for p in range(max(i - reach, left), min(i + reach + 1, right)):
-            number = image.numbers[q, p]
-            if number < 0:
-                continue
-            point = image.points[number]
-            square = (point[0] - x) ** 2 + (point[1] - y) ** 2 + (point[2] - z) ** 2
-            if square < least:
-                found, least = number, square
-    point = image.points[found]
-    one, other, before = camera_ray(view, point[0], point[1], point[2])
-    hidden = depth - before > HIDDEN_M and (one - a) ** 2 + (other - b) ** 2 < SAME_RAY**2
-    return found, math.sqrt(least), hidden
+    for q in range(max(top - reach, 0), min(top + reach + 1, numbers.shape[0])):
+        for p in range(max(left - reach, 0), min(left + reach + 1, numbers.shape[1])):
+            number = numbers[q, p]
+            if number >= 0:
+                u, v, w = points[number, 0] - x, points[number, 1] - y, points[number, 2] - z
+                square = u * u + v * v + w * w
+                if square < least:
+                    found, least = number, square
+    return found
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def is_hidden(turn: F64, point: F64, a: float, b: float, depth: float) -> bool:
+    """Return True where a point hides a sample at x/z, y/z and z in the camera's axes."""
+    x, y, z = point[0], point[1], point[2]
+    before = -(turn[0, 2] * x + turn[1, 2] * y + turn[2, 2] * z)
+    if depth - before <= HIDDEN_M or before <= _NEAREST_M:
+        return False
+    u = (turn[0, 0] * x + turn[1, 0] * y + turn[2, 0] * z) / before - a
+    v = -(turn[0, 1] * x + turn[1, 1] * y + turn[2, 1] * z) / before - b
+    return u * u + v * v < SAME_RAY * SAME_RAY

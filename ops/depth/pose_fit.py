@@ -27,7 +27,7 @@ from kinedex.ops.depth.cones import (
     place_cones,
     place_samples,
 )  # fmt: skip
-from kinedex.ops.depth.image_search import DepthView, FrameImage, corresponding_point
+from kinedex.ops.depth.image_search import DepthView, FrameImage, closest_point, is_hidden, project_samples
 from kinedex.ops.depth.normal_equations import (
     MovingCones,
     Sums,
@@ -77,6 +77,10 @@ class FitRoom(NamedTuple):
         The cones of the pose.
     samples, offsets : float64 array (S, 3)
         The samples of its surface, and what they lie beside the axes.
+    seen : float64 array (S, 3)
+        The samples in the camera, see `project_samples`.
+    places : int64 array (S, 3)
+        Their pixels in the image.
     guesses : int64 array (N,)
         The cones that were nearest to the sampled points.
     turns : float64 array (P, 3)
@@ -88,6 +92,8 @@ class FitRoom(NamedTuple):
     placed: F64
     samples: F64
     offsets: F64
+    seen: F64
+    places: I64
     guesses: I64
     turns: F64
     sums: Sums
@@ -123,7 +129,8 @@ class PoseFit:
         samples, count = len(body.sample_cones), len(body.pivots)
         self.room = FitRoom(
             np.zeros((len(body.radii), COLUMNS)), np.zeros((samples, 3)), np.zeros((samples, 3)),
-            np.zeros(2 * SAMPLED_POINTS, np.int64), np.zeros((count, 3)), make_sums(count, moving),
+            np.zeros((samples, 3)), np.zeros((samples, 3), np.int64), np.zeros(2 * SAMPLED_POINTS, np.int64),
+            np.zeros((count, 3)), make_sums(count, moving),
         )  # fmt: skip
         self.image: FrameImage | None = None
 
@@ -255,13 +262,18 @@ def add_samples(
     """Add the rows of samples of the surface and their points: of those beside the foreground, or of all."""
     factor = 1.0 if printed else SILHOUETTE_WEIGHT
     root, rigid = pose[body.pivots.joints[0]], room.sums.rigid
-    for i in range(len(room.samples)):
-        x, y, z = room.samples[i, 0], room.samples[i, 1], room.samples[i, 2]
-        number, r, hidden = corresponding_point(view, image, x, y, z, WINDOW, not printed)
-        if number < 0 or hidden:
+    samples, seen, places = room.samples, room.seen, room.places
+    points, numbers, turn = image.points, image.numbers, view.turn
+    project_samples(view, image, samples, seen, places)
+    for i in range(len(samples)):
+        if seen[i, 2] <= 0.0 or (places[i, 2] <= 1 and not printed):
             continue
-        u, v, w = image.points[number, 0] - x, image.points[number, 1] - y, image.points[number, 2] - z
-        ratio = 1.0 + r * r / (4.0 * sigma * sigma)
+        x, y, z = samples[i, 0], samples[i, 1], samples[i, 2]
+        number = closest_point(points, numbers, places[i, 0], places[i, 1], x, y, z, WINDOW)
+        if is_hidden(turn, points[number], seen[i, 0], seen[i, 1], seen[i, 2]):
+            continue
+        u, v, w = points[number, 0] - x, points[number, 1] - y, points[number, 2] - z
+        ratio = 1.0 + (u * u + v * v + w * w) / (4.0 * sigma * sigma)
         weight = factor / (ratio * ratio)
         cone = body.samples.cones[i]
         blend, pivot = body.moving.blends[cone], body.moving.rigid[cone]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy.typing as npt
 from numba import njit
 
 from kinedex.ops.depth.cones import ConeBody, nearest_cone, place_cones, place_samples
-from kinedex.ops.depth.image_search import DepthView, FrameImage, corresponding_point
+from kinedex.ops.depth.image_search import DepthView, FrameImage, closest_point, is_hidden, project_samples
 from kinedex.ops.depth.points import FrameCloud
 from kinedex.ops.depth.pose_fit import SAMPLED_POINTS, FitBody, FitRoom, Form, PoseFit
 from kinedex.ops.errors import ParameterError
@@ -89,10 +90,19 @@ def _cost(
     place_cones(body.cones, pose, room.placed)
     place_samples(body.samples, room.placed, room.samples, room.offsets)
     surface, ends, points = 0.0, 0.0, 0.0
+    project_samples(view, image, room.samples, room.seen, room.places)
     for i in range(len(room.samples)):
+        if room.seen[i, 2] <= 0.0:
+            surface += MOST_SAMPLE_M
+            continue
         x, y, z = room.samples[i, 0], room.samples[i, 1], room.samples[i, 2]
-        number, distance, hidden = corresponding_point(view, image, x, y, z, WINDOW, False)
-        surface += MOST_SAMPLE_M if number < 0 else (HIDDEN_COST_M if hidden else min(distance, MOST_SAMPLE_M))
+        number = closest_point(image.points, image.numbers, room.places[i, 0], room.places[i, 1], x, y, z, WINDOW)
+        point = image.points[number]
+        if is_hidden(view.turn, point, room.seen[i, 0], room.seen[i, 1], room.seen[i, 2]):
+            surface += HIDDEN_COST_M
+        else:
+            distance = math.sqrt((point[0] - x) ** 2 + (point[1] - y) ** 2 + (point[2] - z) ** 2)
+            surface += min(distance, MOST_SAMPLE_M)
     guess = 0
     for i in range(len(extrema)):
         d, guess, _ = nearest_cone(room.placed, extrema[i, 0], extrema[i, 1], extrema[i, 2], guess)
