@@ -24,6 +24,12 @@ F64 = npt.NDArray[np.float64]
 NOT_MEASURED = (0, 65535)
 """Values of integer images that stand where nothing was measured."""
 
+MOST_PIXELS = 1 << 24
+"""An image of more pixels is none of a depth camera."""
+
+FARTHEST_M = 1e6
+"""A depth beyond this is no length, and counts as not measured."""
+
 FASTEST_HZ = 10_000.0
 """A faster camera is none."""
 
@@ -84,6 +90,8 @@ class DepthCamera:
                 raise ParameterError("up", "absent beside a pose, which implies it", np.asarray(self.up).tolist())
             object.__setattr__(self, "up", _unit_vector("up", self.up))
         camera = self.camera
+        if self.size[0] * self.size[1] > MOST_PIXELS:
+            raise ParameterError("size", f"of at most {MOST_PIXELS:,} pixels", self.size)
         for key in ("matrix", "distortion"):
             object.__setattr__(self, key, getattr(camera, key))
         if self.rotation is not None:
@@ -124,6 +132,13 @@ class DepthCamera:
         lengths: F64 = np.sqrt(1 + np.einsum("...i,...i->...", self.rays, self.rays))
         return np.where(np.isfinite(lengths), 1 / lengths, 0.0)
 
+    @cached_property
+    def _depth_table(self) -> F32:
+        """Return the depth of every value of 16 bits."""
+        table = (np.arange(1 << 16) * self.depth_unit_m).astype(np.float32)
+        table[list(NOT_MEASURED)] = 0.0
+        return table
+
     def depths(self, values: npt.NDArray[Any]) -> F32:
         """Return the depths z in metres of an image as it is stored.
 
@@ -135,7 +150,8 @@ class DepthCamera:
         Returns
         -------
         float32 array (H, W)
-            Depths, 0 where nothing was measured (0, 65535, NaN, below 0), or the lens has no ray.
+            Depths, 0 where nothing was measured (0, 65535, NaN, below 0, beyond `FARTHEST_M`), or the lens
+            has no ray.
 
         Raises
         ------
@@ -147,7 +163,10 @@ class DepthCamera:
             raise ParameterError(
                 "values", f"numbers of shape {(height, width)}", f"{values.dtype} of shape {values.shape}"
             )
-        found = values.astype(np.float64)
+        if values.dtype == np.uint16 and self._depth_shares is None:
+            return self._depth_table[values]
+        with np.errstate(invalid="ignore"):  # some NaN raise a flag when they are converted
+            found = values.astype(np.float64)
         if values.dtype.kind == "f":
             measured = (found > 0) & (found < np.inf)
         else:
@@ -155,7 +174,8 @@ class DepthCamera:
             found *= self.depth_unit_m
         if self._depth_shares is not None:
             found *= np.where(measured, self._depth_shares, 0.0)
-        return np.where(measured, found, 0.0).astype(np.float32)
+        found = np.where(measured, found, 0.0)
+        return np.where(found <= FARTHEST_M, found, 0.0).astype(np.float32)
 
     def project(self, points: npt.ArrayLike) -> tuple[F64, F64]:
         """Return pixels (…, 2) and depths (…,) in metres of points (…, 3) in the camera's axes."""

@@ -27,6 +27,13 @@ def test_integers_are_units_and_floats_metres_and_nothing_measured_is_0() -> Non
     assert camera(depth_unit_m=0.0002).depths(metres)[0, :5].tolist() == [2.5, 0, 0, 0, 0]
 
 
+def test_a_table_of_16_bits_gives_the_depths_of_wider_integers() -> None:
+    values = np.random.default_rng(0).integers(0, 1 << 16, (5, 8))
+    values[0, :2] = 0, 65535
+    seen = camera(depth_unit_m=0.00025)
+    assert seen.depths(values.astype(np.uint16)).tolist() == seen.depths(values).tolist()
+
+
 def test_distances_along_the_ray_become_depths() -> None:
     point = np.array([0.3, -0.2, 2.0])
     turned = camera(matrix=np.array([[4.0, 0, 3.5], [0, 4.0, 2], [0, 0, 1]]), is_range=True)
@@ -60,6 +67,7 @@ def test_a_pose_or_an_accelerometer_tells_where_up_is() -> None:
         ({"matrix": -MATRIX}, "focal lengths"),
         ({"distortion": np.zeros(3)}, "distortion must be of 0, 4, 5 or 8 numbers"),
         ({"size": (0, 5)}, "size must be width and height"),
+        ({"size": (100_000, 100_000)}, "size must be of at most 16,777,216 pixels"),
         ({"depth_unit_m": 0}, "depth_unit_m must be above 0"),
         ({"depth_unit_m": 1000.0}, "depth_unit_m must be above 0 and at most 1"),
         ({"rate_hz": np.nan}, "rate_hz must be above 0"),

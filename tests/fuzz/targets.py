@@ -35,7 +35,7 @@ from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, Body, 
 from kinedex.storage.formats.motion.reader_table import read_body, reader_of
 from kinedex.storage.snapshot.schemas import COLUMN_TYPES
 from tests.bodies import STANDING
-from tests.fuzz import camera_files, seeds
+from tests.fuzz import camera_files, depth_files, seeds
 from tests.fuzz.binary import C3D, FBX, GLB, NPY, NPZ
 from tests.fuzz.mutations import ANY, TEXT, Mutation, insert_word, nest
 from tests.fuzz.words import (
@@ -372,6 +372,23 @@ _CAMERAS = (
 )  # fmt: skip
 """The readers of camera recordings."""
 
+_LENSES = _text(depth_files.CAMERA_WORDS, DEEP_YAML)
+_DEPTH = (
+    Target("depth-png", ".png", depth_files.png_images, ANY, depth_files.check_png),
+    Target("depth-npz", ".npz", depth_files.npz_images, (*ANY, *NPZ, *NPZ), depth_files.check_npz, (KinedexError,)),
+    Target("depth-raw", ".raw", depth_files.raw_images, ANY, depth_files.check_raw),
+    Target("pcd", ".pcd", depth_files.pcd_clouds, _text(depth_files.PCD_WORDS), depth_files.check_pcd),
+    Target("ply", ".ply", depth_files.ply_clouds, _text(depth_files.PLY_WORDS), depth_files.check_ply),
+    Target("depth-camera-yaml", ".yaml", depth_files.yaml_cameras, _LENSES, depth_files.check_camera, (KinedexError,),
+           60_000),
+    Target("depth-camera-json", ".json", depth_files.json_cameras, _LENSES, depth_files.check_camera, (KinedexError,)),
+    Target("depth-camera-text", ".txt", depth_files.text_cameras, _text(), depth_files.check_camera, (KinedexError,)),
+    Target("depth-list", ".txt", depth_files.frame_lists, _text(depth_files.LIST_WORDS), depth_files.check_list),
+    Target("depth-recordings", ".yaml", depth_files.recordings, _YAML, depth_files.check_recordings, (KinedexError,),
+           60_000),
+)  # fmt: skip
+"""The readers of depth recordings."""
+
 TARGETS: dict[str, Target] = {
     target.name: target
     for target in (
@@ -420,6 +437,7 @@ TARGETS: dict[str, Target] = {
             )
         ),
         *_CAMERAS,
+        *_DEPTH,
     )
 }  # fmt: skip
 """All targets by name."""

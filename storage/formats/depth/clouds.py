@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.depth_cameras import DepthCamera
+from kinedex.catalog.depth_cameras import FARTHEST_M, MOST_PIXELS, DepthCamera
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.depth.png import MOST_PIXELS, size_fault
+from kinedex.storage.formats.depth.png import size_fault
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -21,10 +22,8 @@ MOST_BYTES = 1 << 28
 MOST_POINTS = MOST_PIXELS
 """A cloud of more points is none of a frame."""
 
-FARTHEST_M = 1e6
-"""Coordinates beyond this are no lengths; they count as not measured."""
-
 _LEAST_POINTS = 100
+_NEAREST = 1e-6  # nearer points have no direction
 _LEAST_BEFORE = 0.9  # some programs leave a few points behind the camera
 _MOST_RESIDUAL_PX = 1.0
 
@@ -59,7 +58,7 @@ def cloud_of(path: Path, points: F64, size: tuple[int, int] | None) -> Cloud:
         No point lies before the camera.
     """
     with np.errstate(invalid="ignore"):
-        known = (np.abs(points) <= FARTHEST_M).all(axis=1) & (points[:, 2] != 0)
+        known = (np.abs(points) <= FARTHEST_M).all(axis=1) & (np.abs(points[:, 2]) >= _NEAREST)
     seen = np.where(known[:, None], points, np.nan)
     before = int((seen[:, 2] > 0).sum())
     if not before and known.any():
@@ -252,8 +251,14 @@ def record_points(data: bytes, start: int, rows: int, record: int, types: list[s
     columns = []
     for kind, offset in zip(types, offsets, strict=True):
         cells = np.ascontiguousarray(records[:, offset : offset + np.dtype(kind).itemsize])
-        columns.append(cells.view(kind)[:, 0].astype(np.float64))
+        columns.append(as_floats(cells.view(kind)[:, 0]))
     return np.stack(columns, axis=1)
+
+
+def as_floats(values: npt.NDArray[Any]) -> F64:
+    """Return numbers as float64; NaN of every kind passes in silence."""
+    with np.errstate(invalid="ignore"):
+        return values.astype(np.float64)
 
 
 def cloud_bytes(path: Path) -> bytes:

@@ -12,9 +12,9 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.depth_cameras import FASTEST_HZ, DepthCamera
+from kinedex.catalog.depth_cameras import FASTEST_HZ, MOST_PIXELS, DepthCamera
 from kinedex.ops.errors import ParameterError, SourceError
-from kinedex.storage.formats.depth.png import MOST_PIXELS, size_fault
+from kinedex.storage.formats.depth.png import size_fault
 from kinedex.storage.formats.motion.numpy_arrays import load_arrays
 
 F32 = npt.NDArray[np.float32]

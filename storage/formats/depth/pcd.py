@@ -14,6 +14,7 @@ from kinedex.ops.errors import ParameterError, SourceError
 from kinedex.storage.formats.depth.clouds import (
     MOST_BYTES,
     Cloud,
+    as_floats,
     check_bytes,
     cloud_bytes,
     cloud_of,
@@ -173,8 +174,7 @@ def _compressed(path: Path, header: _Header, data: bytes) -> F64:
         raise SourceError(path, f"its compressed data are damaged: {fault}") from None
     offsets = header.points * np.cumsum([0, *header.sizes])
     columns = [
-        np.frombuffer(fields, header.types[place], header.points, int(offsets[place])).astype(np.float64)
-        for place in places
+        as_floats(np.frombuffer(fields, header.types[place], header.points, int(offsets[place]))) for place in places
     ]
     return np.stack(columns, axis=1)
 

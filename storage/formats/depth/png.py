@@ -11,15 +11,12 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from kinedex.catalog.depth_cameras import NOT_MEASURED, DepthCamera
+from kinedex.catalog.depth_cameras import MOST_PIXELS, NOT_MEASURED, DepthCamera
 from kinedex.ops.errors import ParameterError, SourceError
 from kinedex.storage.disk import whole_file
 
 F32 = npt.NDArray[np.float32]
 U16 = npt.NDArray[np.uint16]
-
-MOST_PIXELS = 1 << 24
-"""An image of more pixels is none of a depth camera."""
 
 _DEPTH_MODES = ("I;16", "I;16B", "I;16L", "I;16N", "I")
 _NUMBER = re.compile(r"[0-9]+")
