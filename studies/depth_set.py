@@ -178,7 +178,7 @@ def archive_of(motions: Sequence[Clip], bones: Mapping[str, F64], without: str) 
     return Archive(actors, mean, np.ascontiguousarray(every[thin_poses(every, mean).rows]))
 
 
-def test_clips(motions: Sequence[Clip], data: Path) -> list[Clip]:
+def held_out_clips(motions: Sequence[Clip], data: Path) -> list[Clip]:
     """Return the takes of set D: the first interval of each class that the ground truth of mm labels."""
     takes = {clip.name: clip for clip in motions if clip.actor == TEST_ACTOR}
     first: dict[str, Clip] = {}
@@ -237,7 +237,11 @@ def _make(folder: Path, clips: Sequence[Clip], bones: F64, film: Film) -> None:
 def _filmed(folder: Path, name: str, actor: str, truth: str) -> Filmed:
     camera = read_camera(folder / name / "camera.yaml")
     joints = np.loadtxt(folder / truth, delimiter=",", skiprows=1, ndmin=2)[:, 2:].reshape(-1, len(JOINTS), 3)
+    return Filmed(name, actor, folder / name, camera, inside(camera, joints))
+
+
+def inside(camera: DepthCamera, joints: F64) -> F64:
+    """Return joints (T, 24, 3) of the world in the axes that bodies are fitted in, of a level camera."""
     assert camera.rotation is not None
-    assert camera.place is not None
-    seen = (joints - camera.place) @ camera.rotation.T
-    return Filmed(name, actor, folder / name, camera, seen * np.array([1.0, -1.0, -1.0]))
+    seen: F64 = (joints - camera.place) @ camera.rotation.T * np.array([1.0, -1.0, -1.0])
+    return seen
