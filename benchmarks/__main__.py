@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from benchmarks import (
     annotating,
     checksums,
+    depth_lookup,
     indexing,
     keyframes,
     learning,
@@ -36,6 +37,7 @@ PARTS: dict[str, Callable[[Store], Sequence[Figure]]] = {
     "ranking": ranking.figures,
     "annotating": annotating.figures,
     "tracking": tracking.figures,
+    "depth_lookup": lambda opened: list(depth_lookup.figures(opened)),
 }
 
 

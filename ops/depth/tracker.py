@@ -15,6 +15,7 @@ from kinedex.ops.depth.facing_direction import facing_from_points, point_centre,
 from kinedex.ops.depth.graph import GraphRoom, build_graph, graph_room
 from kinedex.ops.depth.image_search import DepthView
 from kinedex.ops.depth.lookup import JUMP_M, Lookup, Proposals
+from kinedex.ops.depth.persons import nearest_person, restrict_cloud, split_people
 from kinedex.ops.depth.points import FrameCloud, Preparation
 from kinedex.ops.depth.pose_database import facing_of, place_directions
 from kinedex.ops.depth.pose_fit import PRINTED_STEPS, RETRIEVED_SIGMA_M, SIGMA_M, STEPS, Form, PoseFit
@@ -137,6 +138,9 @@ class FrameResult(NamedTuple):
         Joints whose cones are nearest to no point.
     started : bool
         True where there was no previous pose.
+    people : int
+        The number of people in the frame, of whom the one nearest to the last pose is tracked, and at a start the one
+        nearest to the middle of the image.
     """
 
     pose: F64
@@ -157,6 +161,7 @@ class FrameResult(NamedTuple):
     candidates: tuple[Candidate, ...]
     unseen: Bool
     started: bool
+    people: int
 
     @property
     def cost(self) -> float:
@@ -173,6 +178,7 @@ class _Scene(NamedTuple):
     facing: F64
     components: int
     links: int
+    people: int
 
 
 class Reconstructor:
@@ -257,7 +263,7 @@ class Reconstructor:
         if len(cloud.points) < LEAST_POINTS:
             return self._nobody(cloud)
         scene = self._look(cloud)
-        self._poses.look(cloud)
+        self._poses.look(scene.cloud)
         self._absent = 0
         result = self._vote(scene, self._pose)
         self._last = scene.extrema[:5]
@@ -273,7 +279,7 @@ class Reconstructor:
         return FrameResult(
             np.full((len(JOINTS), 3), np.nan), None, np.nan, np.nan, -1, None, None, np.full((COUNT, 3), np.nan),
             nowhere, nowhere, len(cloud.points), 0, 0, np.empty((0, 5), np.int64), np.empty(0), (),
-            np.ones(len(JOINTS), np.bool_), started,
+            np.ones(len(JOINTS), np.bool_), started, 0,
         )  # fmt: skip
 
     def _look(self, cloud: FrameCloud) -> _Scene:
@@ -282,6 +288,10 @@ class Reconstructor:
         if self._graph is None:
             self._graph = graph_room(pixels)
         graph = build_graph(cloud, room=self._graph)
+        people = split_people(cloud, graph)
+        if people:
+            cloud = restrict_cloud(cloud, people[nearest_person(cloud, people, self._pose)])
+            graph = build_graph(cloud, room=self._graph)
         if self._extrema is None:
             self._extrema = extrema_room(pixels)
         source = find_source(cloud, graph, 0.0) if self.settings.is_printed else find_source(cloud, graph)
@@ -293,7 +303,8 @@ class Reconstructor:
             facing = np.empty(3)
             facing_of(self._pose, facing)
             self._facing = facing if facing.any() else self._facing
-        return _Scene(cloud, cloud.points[nodes], centre, self._facing.copy(), graph.components, graph.links)
+        counts = (graph.components, graph.links, max(1, len(people)))
+        return _Scene(cloud, cloud.points[nodes], centre, self._facing.copy(), *counts)
 
     def _vote(self, scene: _Scene, previous: F64 | None) -> FrameResult:
         """Fit both hypotheses, and take the one of least cost; the local one at equal costs."""
@@ -319,7 +330,7 @@ class Reconstructor:
             np.full((len(JOINTS), 3), np.nan) if pose is None else pose, hypothesis, cost_local, cost_database, row,
             local, database, _padded(scene.extrema), scene.facing, scene.centre, len(scene.cloud.points),
             scene.components, scene.links, proposals.maps, proposals.sums, candidates,
-            self._unseen(pose, scene.cloud), previous is None,
+            self._unseen(pose, scene.cloud), previous is None, scene.people,
         )  # fmt: skip
 
     def _propose(self, scene: _Scene, previous: F64 | None) -> Proposals:

@@ -16,7 +16,7 @@ from kinedex.ops.simulation.depth_rays import ConeRays
 from tests.ops.depth.cone_bodies import BODY, HEIGHT, POSE, random_pose
 from tests.ops.depth.pose_material import BONES, random_directions
 
-SIZE, FOCAL, CENTRE = (96, 96), 84.0, (47.5, 47.5)
+SIZE, FOCAL, CENTRE = (150, 120), 126.0, (70.0, 59.5)
 MATRIX = [[FOCAL, 0, CENTRE[0]], [0, FOCAL, CENTRE[1]], [0, 0, 1]]
 DIRECTIONS = np.concatenate([bone_directions(POSE[None]), random_directions(60)])
 EMPTY = np.zeros(SIZE[::-1], np.float32)
@@ -98,6 +98,19 @@ def test_missing_frames_are_skipped_up_to_a_fifth_of_a_second(images: list[np.nd
     assert not follow.step(images[1]).started
     follow.skip(3)
     assert follow.step(images[2]).started
+
+
+def test_the_person_in_the_middle_is_found_and_then_followed(frames: list[np.ndarray]) -> None:
+    follow = tracker()
+    other = [0.95, 0.0, -0.6]
+    images = []
+    for pose in frames[:3]:
+        both = np.stack([image(pose), image(pose + other)])
+        near = np.where(both > 0, both, np.inf).min(axis=0)
+        images.append(np.where(np.isfinite(near), near, 0.0).astype(np.float32))
+    results = [follow.step(one) for one in images]
+    assert [one.people for one in results] == [2, 2, 2]
+    assert max(error(one, pose) for one, pose in zip(results, frames, strict=False)) < 0.05
 
 
 def test_one_hypothesis_alone(images: list[np.ndarray]) -> None:
