@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+from tests.shared_kernels import compile_in_one_worker
 
 # The first call of a kernel compiles it, and tests run beside each other: time proves nothing about correctness.
 settings.register_profile("kinedex", deadline=None)
@@ -20,6 +23,19 @@ sys.dont_write_bytecode = False
 
 SLOW_SECONDS = 900
 """The time-out of a slow test; that of the others stands in pyproject.toml."""
+
+
+def pytest_configure() -> None:
+    """Let workers that need the same kernel wait for the one that compiles it."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        compile_in_one_worker()
+
+
+def pytest_collection_finish() -> None:
+    """Keep the garbage collector away from modules and collected tests, which cost it a quarter of a worker's time."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(10_000, 20, 10)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
