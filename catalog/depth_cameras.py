@@ -24,7 +24,7 @@ F64 = npt.NDArray[np.float64]
 NOT_MEASURED = (0, 65535)
 """Values of integer images that stand where nothing was measured."""
 
-MOST_PIXELS = 1 << 24
+MOST_PIXELS = 1 << 22
 """An image of more pixels is none of a depth camera."""
 
 FARTHEST_M = 1e6
@@ -164,7 +164,8 @@ class DepthCamera:
                 "values", f"numbers of shape {(height, width)}", f"{values.dtype} of shape {values.shape}"
             )
         if values.dtype == np.uint16 and self._depth_shares is None:
-            return self._depth_table[values]
+            depths: F32 = self._depth_table[values]
+            return depths
         with np.errstate(invalid="ignore"):  # some NaN raise a flag when they are converted
             found = values.astype(np.float64)
         if values.dtype.kind == "f":

@@ -32,14 +32,18 @@ from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.errors import KinedexError
 from kinedex.storage.formats.labels.formats import FORMATS, read_labels
 from kinedex.storage.formats.motion.reader_table import read_body
+from tests.fuzz.depth_files import check_npz, check_pcd, check_ply, check_png
 from tests.large_files import peak_mb
 path = Path(sys.argv[1])
+DEPTH = {"pcd": check_pcd, "ply": check_ply, "png": check_png, "npz": check_npz}
 joints = load_feature_set().joints
 mappings = load_mappings("auto", joints)
 before = peak_mb()
 ending = path.suffix[1:]
 try:
-    if ending in FORMATS and "motion" not in path.stem:
+    if ending in DEPTH or path.stem.endswith("depth"):
+        DEPTH[ending](path)
+    elif ending in FORMATS and "motion" not in path.stem:
         read_labels(path)
     else:
         read_body(path, path.with_name("x.asf") if ending == "amc" else None, mappings, joints)
@@ -50,19 +54,37 @@ print(peak_mb() - before)
 """
 
 
-def _npz(shape: tuple[int, ...], stored: int) -> bytes:
+def _npz(shape: tuple[int, ...], stored: int, name: str = "positions", kind: str = "<f8") -> bytes:
     """Return a packed array whose header states a shape, and that has so many bytes of zeros."""
     header = io.BytesIO()
-    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": shape})
+    np.lib.format.write_array_header_1_0(header, {"descr": kind, "fortran_order": False, "shape": shape})
     packed = io.BytesIO()
     with (
         zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as file,
-        file.open("positions.npy", "w", force_zip64=True) as entry,
+        file.open(f"{name}.npy", "w", force_zip64=True) as entry,
     ):
         entry.write(header.getvalue())
         for _ in range(stored >> 20):
             entry.write(bytes(1 << 20))
     return packed.getvalue()
+
+
+def _cloud(claimed: int, data: bytes, encoding: str = "ascii") -> bytes:
+    """Return a PCD that claims so many points."""
+    head = f"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH {claimed}\nHEIGHT 1\nDATA {encoding}\n"
+    return head.encode() + data
+
+
+def _zeros(copies: int) -> bytes:
+    """Return a packed cloud of 22 zeros a copy, and one more point."""
+    packed = b"\x0b" + bytes(12) + b"\xe0\xff\0" * copies
+    return _cloud(22 * copies + 1, struct.pack("<II", len(packed), 12 + 264 * copies) + packed, "binary_compressed")
+
+
+def _vertices(claimed: int, before: int, data: bytes) -> bytes:
+    """Return a PLY that claims so many points, and so many rows before them."""
+    head = f"ply\nformat ascii 1.0\nelement edge {before}\nproperty int a\nelement vertex {claimed}\n"
+    return f"{head}property float x\nproperty float y\nproperty float z\nend_header\n".encode() + data
 
 
 def _bvh(claimed: int, rows: int = 2) -> bytes:
@@ -218,6 +240,14 @@ BOMBS: dict[str, tuple[str, Callable[[], bytes]]] = {
     "blank lines of 60 MB": ("vtt", lambda: b"WEBVTT\n\n" + b"\n" * 60_000_000),
     "a reference of 10^6 digits": ("vtt", lambda: CUE.format(text="&#" + "9" * 10**6 + ";").encode()),
     "unclosed tags": ("vtt", lambda: CUE.format(text="<" * 10**7).encode()),
+    "a cloud of 10^9 points": ("pcd", lambda: _cloud(10**9, b"0 0 1\n")),
+    "a cloud of 4 million points": ("pcd", lambda: _cloud(4_000_000, b"0 0 1\n" * 10)),
+    "a line of 80 MB in PCD": ("pcd", lambda: _cloud(4_000_000, LONG_LINE)),
+    "a packed cloud of 32 MB in 0.4 MB": ("pcd", lambda: _zeros(120_000)),
+    "vertices after 10^12 edges": ("ply", lambda: _vertices(3, TEN_TO_12, b"1\n")),
+    "line ends alone in PLY": ("ply", lambda: _vertices(4_000_000, 3, b"\n" * 60_000_000)),
+    "depth images of 10^12 pixels": ("depth.npz", lambda: _npz((10**6, 1000, 1000), 1 << 20, "depth", "<u2")),
+    "depth images of 600 MB in 0.6 MB": ("depth.npz", lambda: _npz((409_600, 24, 32), 600 << 20, "depth", "<u2")),
     "levels of JSON": ("json", lambda: b"[" * 60_000_000),
     "lists of JSON": ("json", lambda: b'{"takes":[' + b"[]," * 20_000_000 + b"0]}"),
     "a number of 10^7 digits": ("json", lambda: b'{"takes":[' + b"9" * 10**7 + b"]}"),

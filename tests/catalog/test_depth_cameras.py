@@ -67,7 +67,7 @@ def test_a_pose_or_an_accelerometer_tells_where_up_is() -> None:
         ({"matrix": -MATRIX}, "focal lengths"),
         ({"distortion": np.zeros(3)}, "distortion must be of 0, 4, 5 or 8 numbers"),
         ({"size": (0, 5)}, "size must be width and height"),
-        ({"size": (100_000, 100_000)}, "size must be of at most 16,777,216 pixels"),
+        ({"size": (100_000, 100_000)}, "size must be of at most 4,194,304 pixels"),
         ({"depth_unit_m": 0}, "depth_unit_m must be above 0"),
         ({"depth_unit_m": 1000.0}, "depth_unit_m must be above 0 and at most 1"),
         ({"rate_hz": np.nan}, "rate_hz must be above 0"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -48,7 +49,7 @@ class Cloud:
 
 
 def cloud_of(path: Path, points: F64, size: tuple[int, int] | None) -> Cloud:
-    """Return a cloud of the points of a file.
+    """Return a cloud of the points (n, 3) of a file, which are changed.
 
     Clouds whose points all have z < 0 have OpenGL's axes (y up, z to the rear), which are turned into the camera's.
 
@@ -57,19 +58,22 @@ def cloud_of(path: Path, points: F64, size: tuple[int, int] | None) -> Cloud:
     SourceError
         No point lies before the camera.
     """
+    z = points[:, 2]
     with np.errstate(invalid="ignore"):
-        known = (np.abs(points) <= FARTHEST_M).all(axis=1) & (np.abs(points[:, 2]) >= _NEAREST)
-    seen = np.where(known[:, None], points, np.nan)
-    before = int((seen[:, 2] > 0).sum())
+        known = np.abs(z) >= _NEAREST
+        for axis in range(3):
+            known &= np.abs(points[:, axis]) <= FARTHEST_M
+        before = int((known & (z > 0)).sum())
     if not before and known.any():
-        seen = seen * np.array([1.0, -1.0, -1.0])
+        points[:, 1:] *= -1.0
     elif before < _LEAST_BEFORE * int(known.sum()):
         raise SourceError(
             path, f"{int(known.sum()) - before} of {int(known.sum())} points lie behind the camera; expected its own "
             "axes, x right, y down, z forward: write clouds before they are turned into a world",
         )  # fmt: skip
-    seen[~(seen[:, 2] > 0)] = np.nan
-    return Cloud(path, seen, size)
+    with np.errstate(invalid="ignore"):
+        points[~(known & (z > 0))] = np.nan
+    return Cloud(path, points, size)
 
 
 def cloud_depths(cloud: Cloud, camera: DepthCamera, unit_m: float = 1.0) -> F32:
@@ -188,7 +192,7 @@ def refuse_size(path: Path, points: int, record: int) -> None:
         raise SourceError(path, f"claims {points:,} points of {record} bytes, and a frame has 1 to {MOST_POINTS:,}")
 
 
-def number_rows(path: Path, data: bytes, rows: int, columns: int, line: int) -> F64:
+def number_rows(path: Path, data: bytes, rows: int, columns: int, line: int, last: bool = True) -> F64:
     """Return the numbers of text (rows, columns) after a header.
 
     Parameters
@@ -201,6 +205,8 @@ def number_rows(path: Path, data: bytes, rows: int, columns: int, line: int) -> 
         How many rows and columns the header claims.
     line : int
         The number of the first line of the text.
+    last : bool, optional
+        False if something else may follow the rows.
 
     Raises
     ------
@@ -209,21 +215,23 @@ def number_rows(path: Path, data: bytes, rows: int, columns: int, line: int) -> 
     """
     if 2 * rows * columns > len(data) + 1:
         raise SourceError(path, f"claims {rows:,} points, and has {len(data):,} bytes of them: is it cut off?")
-    words = data.split()
+    words = data.split(maxsplit=rows * columns)
+    if not last:
+        del words[rows * columns :]
     if len(words) == rows * columns and b"_" not in data:
         try:
             return np.fromiter(map(float, words), np.float64, len(words)).reshape(rows, columns)
         except ValueError:
             pass
-    for number, row in enumerate(data.split(b"\n"), line):
-        cells = row.split()
+    for number, row in enumerate(data.split(b"\n", rows)[:rows], line):
+        cells = row.split(maxsplit=columns)
         if not all(map(_is_number, cells)):
             raise SourceError(path, f"expected {columns} numbers, got {row[:60].decode('latin-1')!r}", line=number)
         if cells and len(cells) != columns:
             raise SourceError(path, f"expected {columns} numbers, got {len(cells)}", line=number)
-    found = len(words) // columns
-    what = "is it cut off?" if found < rows else "the header does not fit its data"
-    raise SourceError(path, f"claims {rows:,} points, and has {found:,}: {what}")
+    if len(words) > rows * columns:
+        raise SourceError(path, f"claims {rows:,} points, and has more: the header does not fit its data")
+    raise SourceError(path, f"claims {rows:,} points, and has {len(words) // columns:,}: is it cut off?")
 
 
 def check_bytes(path: Path, claimed: int, found: int) -> None:
@@ -248,17 +256,17 @@ def record_points(data: bytes, start: int, rows: int, record: int, types: list[s
         The NumPy type of x, y and z, and their places in a record.
     """
     records = np.frombuffer(data, np.uint8, rows * record, start).reshape(rows, record)
-    columns = []
-    for kind, offset in zip(types, offsets, strict=True):
-        cells = np.ascontiguousarray(records[:, offset : offset + np.dtype(kind).itemsize])
-        columns.append(as_floats(cells.view(kind)[:, 0]))
-    return np.stack(columns, axis=1)
+    cells = (records[:, offset : offset + np.dtype(kind).itemsize] for kind, offset in zip(types, offsets, strict=True))
+    return as_points([np.ascontiguousarray(cell).view(kind)[:, 0] for cell, kind in zip(cells, types, strict=True)])
 
 
-def as_floats(values: npt.NDArray[Any]) -> F64:
-    """Return numbers as float64; NaN of every kind passes in silence."""
+def as_points(columns: Sequence[npt.NDArray[Any]]) -> F64:
+    """Return x, y and z, of any type, as points (n, 3); NaN of every kind passes in silence."""
+    points = np.empty((len(columns[0]), 3))
     with np.errstate(invalid="ignore"):
-        return values.astype(np.float64)
+        for axis, column in enumerate(columns):
+            points[:, axis] = column
+    return points
 
 
 def cloud_bytes(path: Path) -> bytes:

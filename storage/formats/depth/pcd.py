@@ -14,7 +14,7 @@ from kinedex.ops.errors import ParameterError, SourceError
 from kinedex.storage.formats.depth.clouds import (
     MOST_BYTES,
     Cloud,
-    as_floats,
+    as_points,
     check_bytes,
     cloud_bytes,
     cloud_of,
@@ -173,10 +173,9 @@ def _compressed(path: Path, header: _Header, data: bytes) -> F64:
     except ParameterError as fault:
         raise SourceError(path, f"its compressed data are damaged: {fault}") from None
     offsets = header.points * np.cumsum([0, *header.sizes])
-    columns = [
-        as_floats(np.frombuffer(fields, header.types[place], header.points, int(offsets[place]))) for place in places
-    ]
-    return np.stack(columns, axis=1)
+    return as_points(
+        [np.frombuffer(fields, header.types[place], header.points, int(offsets[place])) for place in places]
+    )
 
 
 def _check_bytes(path: Path, claimed: int, data: bytes, start: int) -> None:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.depth.clouds import (
+    MOST_POINTS,
     Cloud,
     check_bytes,
     cloud_bytes,
@@ -143,9 +144,12 @@ def _binary(path: Path, data: bytes, order: str, before: list[_Element], vertice
 def _ascii(path: Path, data: bytes, line: int, before: list[_Element], vertices: _Element, last: bool) -> F64:
     """Return x, y, z of the lines of vertices."""
     skipped = sum(one.rows for one in before)
-    if skipped + vertices.rows > len(data):
-        raise SourceError(path, f"claims {vertices.rows:,} points, and has {len(data):,} bytes: is it cut off?")
-    rows = data.split(b"\n")
-    used = rows[skipped:] if last else rows[skipped : skipped + vertices.rows]
-    numbers = number_rows(path, b"\n".join(used), vertices.rows, len(vertices.names), line + skipped)
+    if skipped > MOST_POINTS:
+        raise SourceError(path, f"claims {skipped:,} rows before its vertices, and a frame has {MOST_POINTS:,} points")
+    start = 0
+    for _ in range(skipped):
+        start = data.find(b"\n", start) + 1
+        if not start:
+            raise SourceError(path, f"claims {skipped:,} rows before its vertices, and has fewer: is it cut off?")
+    numbers = number_rows(path, data[start:], vertices.rows, len(vertices.names), line + skipped, last)
     return np.ascontiguousarray(numbers[:, [vertices.names.index(axis) for axis in "xyz"]])
