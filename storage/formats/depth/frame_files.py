@@ -39,6 +39,7 @@ CONVERTERS[".mcap"] = CONVERTERS[".db3"]
 _TIME = re.compile(r"(?:.*[^0-9.])?([0-9]{9,14}\.[0-9]+)")
 _SECONDS_DIGITS = 11  # a longer whole part counts milliseconds
 _MOST_STEP, _MOST_TIMED_STEP = 5, 1.5  # frames from one file to the next, in the median
+_MOST_SPAN, _LEAST_SPAN = 10, 1000  # frames of a recording for each that is there, and of a short one
 _MOST_RATE_ERROR = 0.02
 
 
@@ -80,8 +81,19 @@ class FrameFiles:
         SourceError
             A name has no number, two have the same, the numbers do not count frames, or the rate contradicts the times.
         """
-        if self.times is not None and rate_hz is not None:
-            return self._timed(self.times, rate_hz)
+        timed = self.times is not None and rate_hz is not None
+        found = self._timed(self.times, rate_hz) if timed else self._numbered()  # type: ignore[arg-type]
+        first, last = min(found), max(found)
+        count = len(found)
+        if last - first >= _MOST_SPAN * count + _LEAST_SPAN:
+            raise SourceError(
+                found[last], f"most of the frames {first} to {last} are missing: {count} files have numbers or times "
+                "so far apart; name the files of one recording",
+            )  # fmt: skip
+        return found
+
+    def _numbered(self) -> dict[int, Path]:
+        """Return number → file by the last numbers in the names."""
         found: dict[int, Path] = {}
         for path in self.files:
             number = frame_number(path)

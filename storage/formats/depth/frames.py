@@ -133,6 +133,17 @@ class DepthFrames:
         """The frames, from 0, that the files do not have."""
         return tuple(t for t in range(self._length) if self.first + t not in self._numbers)
 
+    def notes(self) -> list[str]:
+        """Return sentences on the frames that are missing or, as far as they were read, damaged."""
+        found = []
+        if missing := self._length - len(self._numbers):
+            found.append(f"{missing} of {self._length} frames are missing in the numbering of the files")
+        if self.damaged:
+            first = min(self.damaged)
+            more = f", and {len(self.damaged) - 1} more" if len(self.damaged) > 1 else ""
+            found.append(f"frame {first} is damaged and counts as missing{more}: {self.damaged[first]}")
+        return found
+
     def __len__(self) -> int:
         return self._length
 

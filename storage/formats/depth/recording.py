@@ -74,7 +74,7 @@ class DepthRecording:
     markers : mapping of str to str
         Marker of the truth → the joint that it is fixed to.
     notes : tuple of str
-        Sentences for the user: what was chosen, what looks wrong.
+        Sentences for the user: what was chosen, what looks wrong. `frames.notes()` has more when all were read.
     """
 
     name: str
@@ -140,8 +140,7 @@ def read_recording(file: DepthRecordingsFile, name: str) -> DepthRecording:
     images = entry.sample(frames)
     background, notes = entry.background(camera, frames, images)
     notes += entry.checks(camera, files, images, background)
-    if frames.missing:
-        notes.append(f"{len(frames.missing)} of {len(frames)} frames are missing in the numbering of the files")
+    notes += frames.notes()
     return DepthRecording(
         name, camera, background, frames, rate_hz, entry.given.body, entry.truth(), entry.given.truth_pose,
         entry.given.markers, tuple(note for note in notes if note),

@@ -147,7 +147,10 @@ def test_holes_in_the_numbering_and_broken_images_are_missing_frames(walk: Recor
     assert found.frames.missing == (2,)
     assert list(found.frames.damaged) == [4]
     assert "frame_0004.png: cannot be read as PNG" in found.frames.damaged[4]
-    assert found.notes == ("1 of 6 frames are missing in the numbering of the files",)
+    missing, damaged = found.frames.notes()
+    assert found.notes == (missing, damaged)
+    assert missing == "1 of 6 frames are missing in the numbering of the files"
+    assert damaged.startswith("frame 4 is damaged and counts as missing: ")
     with pytest.raises(IndexError):
         found.frames[6]
 
@@ -266,6 +269,8 @@ def _list(walk: Recorded, text: str) -> None:
          "walk.background: lies before .* the camera moved"),
         (_copy_png, {}, "has the frame number 3, as"),
         (_rename, {}, "go up by 33 in the median, and must count frames"),
+        (lambda w: write_depth_png(w.folder / "depth" / "frame_99999.png", w.depths[0]), {},
+         "frame_99999.png: most of the frames 0 to 99999 are missing"),
         (_break_all, {}, "cannot be read as PNG"),
         (lambda w: None, {"depth": "nothing/*.png"}, "walk.depth: .*no file matches 'nothing"),
         (lambda w: None, {"depth": "../depth/*.png"}, "walk.depth: .*must be a path below this folder"),
