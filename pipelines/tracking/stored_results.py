@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Collection, Iterable, Iterator
 
 import pyarrow as pa
@@ -72,6 +73,15 @@ def stages_of_tracks(store: Store, take_ids: Collection[int]) -> set[str]:
     return {
         stage for stage in stages if any(row["take_id"] in take_ids for row in earlier_rows(store, "tracks", stage))
     }
+
+
+def command_of_track(store: Store, take_id: int) -> str:
+    """Return the command that makes a track again."""
+    for part in store.manifest.results.get("tracks", ()):
+        for row in (row for rows in store.result_pieces("tracks", [part]) for row in rows.to_pylist()):
+            if row["take_id"] == take_id and row["track_of"] is not None:
+                return f"kinedex stabilise {shlex.quote(str(store.path))} {shlex.quote(row['track_of'])}"
+    return f"kinedex track {shlex.quote(str(store.path))} RECORDINGS"
 
 
 def are_tracks_there(store: Store, kind: str) -> bool:
