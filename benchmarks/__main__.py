@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from benchmarks import (
     annotating,
     checksums,
+    depth,
     depth_lookup,
     indexing,
     keyframes,
@@ -37,6 +38,7 @@ PARTS: dict[str, Callable[[Store], Sequence[Figure]]] = {
     "ranking": ranking.figures,
     "annotating": annotating.figures,
     "tracking": tracking.figures,
+    "depth": depth.figures,
     "depth_lookup": lambda opened: list(depth_lookup.figures(opened)),
 }
 
