@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -145,7 +146,7 @@ def find_frames(folder: Path, pattern: str, excluded: Path | None = None) -> Fra
     ending = Path(pattern).suffix.lower()
     if ending in CONVERTERS:
         raise SourceError(folder / pattern, f"recordings ending in {ending} are not read: {CONVERTERS[ending]}")
-    found = find_files(folder, pattern, excluded=excluded) if not (folder / pattern).is_dir() else None
+    found = find_files(folder, pattern, excluded=excluded) if not os.path.isdir(folder / pattern) else None
     if found is None:
         files = _in_folder(folder, pattern)
     else:

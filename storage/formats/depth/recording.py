@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.catalog.configs import load_yaml
 from kinedex.catalog.depth_cameras import DepthCamera
 from kinedex.catalog.depth_recordings import (
     AUTO,
@@ -46,6 +48,7 @@ MOST_BACKGROUND_BYTES = 1 << 28
 """Memory for the frames that a background is measured in; of longer recordings evenly spaced frames are used."""
 
 _MOST_TRIES = 50
+_YAML = (".yaml", ".yml")
 _MOST_OFF_PX = 1.0
 
 
@@ -181,7 +184,7 @@ class _Entry:
         camera: DepthCamera | None = None
         if self.given.camera is not None:
             path = self.path("camera", self.given.camera)
-            stated = path.suffix.lower() in (".yaml", ".yml")
+            stated = path.suffix.lower() in _YAML
             camera = read_camera(path, None if stated else values.size if values is not None else _first_size(files))
             if values is not None and values.matrix is not None:
                 self.compare_matrices(camera, files, values.matrix)
@@ -305,9 +308,11 @@ class _Entry:
         return f"frames {listed}: much lies behind the background; did the camera move?" if moved else ""
 
     def unit_error(self, fault: str) -> ConfigError:
-        """Return the error on a unit, at the key that states it: in the recording, or in the camera's file."""
+        """Return the error on a unit, at the key that states it or can: in the camera's YAML, or in the recording."""
         if self.given.depth_unit_m is None and self.given.camera is not None:
-            return ConfigError(self.path("camera", self.given.camera), fault, key="depth_unit_m")
+            path = self.path("camera", self.given.camera)
+            if path.suffix.lower() in _YAML:
+                return load_yaml(path).error(fault, "depth_unit_m")
         return self.error("depth_unit_m", fault)
 
     def truth(self) -> str | Path | None:
@@ -315,7 +320,7 @@ class _Entry:
         given = self.given.truth
         if given is None:
             return None
-        if "/" in given or (self.file.folder / given).is_file():
+        if "/" in given or os.path.isfile(self.file.folder / given):
             return self.path("truth", given)
         return given
 

@@ -228,10 +228,11 @@ def _rewrite(walk: Recorded, **changed: Any) -> None:
     write_camera(walk.folder / "camera.yaml", camera(**changed))
 
 
-def _scale(walk: Recorded, factor: float) -> None:
+def _scale(walk: Recorded, factor: float) -> Recorded:
     for t, one in enumerate(walk.depths):
         write_depth_png(walk.folder / "depth" / f"frame_{t:04d}.png", factor * one)
     write_depth_png(walk.folder / "background.png", factor * room(walk.camera))
+    return walk
 
 
 def _copy_png(walk: Recorded) -> None:
@@ -260,7 +261,7 @@ def _list(walk: Recorded, text: str) -> None:
         (lambda w: write_depth_png(w.folder / "background.png", np.ones((9, 9))), {},
          "walk.background: .*background.png: has 9 × 9 pixels, and its camera 32 × 24"),
         (lambda w: _rewrite(w, depth_unit_m=0.0001), {},
-         "camera.yaml: depth_unit_m: 0.0001 puts who is seen 0.25 m away.*`depth_unit_m: 0.001` gives 2.50 m and 1"),
+         "camera.yaml:7: depth_unit_m: 0.0001 puts who is seen 0.25 m away.*`depth_unit_m: 0.001` gives 2.50 m and 1"),
         (lambda w: _scale(w, 5), {}, "depth_unit_m: 0.001 puts who is seen 12.5 m away.*`depth_unit_m: 0.0002` gives"),
         (lambda w: None, {"depth_unit_m": 0.01}, "walk.depth_unit_m: 0.01 puts who is seen 25 m away"),
         (lambda w: _rewrite(w, matrix=np.array([[200.0, 0, 15.5], [0, 200, 11.5], [0, 0, 1]])), {},
@@ -272,6 +273,9 @@ def _list(walk: Recorded, text: str) -> None:
         (lambda w: write_depth_png(w.folder / "depth" / "frame_99999.png", w.depths[0]), {},
          "frame_99999.png: most of the frames 0 to 99999 are missing"),
         (_break_all, {}, "cannot be read as PNG"),
+        (lambda w: write_azure(_scale(w, 5)), {"camera": "intrinsic.json"},
+         "recordings.walk.depth_unit_m: 0.001 puts who is seen 12.5 m away"),
+        (lambda w: None, {"depth": "a" * 5000}, "walk.depth: .*no file matches 'a"),
         (lambda w: None, {"depth": "nothing/*.png"}, "walk.depth: .*no file matches 'nothing"),
         (lambda w: None, {"depth": "../depth/*.png"}, "walk.depth: .*must be a path below this folder"),
         (lambda w: None, {"depth": "{camera}/*.png"}, "is of several cameras"),
