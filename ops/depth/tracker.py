@@ -20,6 +20,7 @@ from kinedex.ops.depth.points import FrameCloud, Preparation
 from kinedex.ops.depth.pose_database import facing_of, place_directions
 from kinedex.ops.depth.pose_fit import PRINTED_STEPS, RETRIEVED_SIGMA_M, SIGMA_M, STEPS, Form, PoseFit
 from kinedex.ops.depth.pose_index import PoseIndex
+from kinedex.ops.depth.pose_prediction import predicted_pose
 from kinedex.ops.depth.vote import cost_of
 from kinedex.ops.errors import ParameterError
 
@@ -230,6 +231,7 @@ class Reconstructor:
     def restart(self) -> None:
         """Forget the person: the next frame is a start."""
         self._pose: F64 | None = None
+        self._before: F64 | None = None  # the pose before it, where the one follows from the other
         self._last: F64 | None = None  # the extrema of the last frame
         self._facing = _TOWARDS.copy()
         self._absent = self._missing = 0
@@ -237,6 +239,7 @@ class Reconstructor:
     def skip(self, frames: int = 1) -> None:
         """Pass over frames that are missing; after more than `MISSING_S` without one the tracker starts anew."""
         self._missing += frames
+        self._before = None
         if self._missing > MISSING_S * self.settings.rate_hz + 1e-9:
             self.restart()
 
@@ -267,11 +270,13 @@ class Reconstructor:
         self._absent = 0
         result = self._vote(scene, self._pose)
         self._last = scene.extrema[:5]
+        self._before = self._pose if result.hypothesis == "local" else None
         self._pose = self._pose if result.hypothesis is None else result.pose
         return result
 
     def _nobody(self, cloud: FrameCloud) -> FrameResult:
         self._absent += 1
+        self._before = None
         started = self._pose is None
         if self._absent > ABSENT_S * self.settings.rate_hz + 1e-9:
             self.restart()
@@ -314,7 +319,7 @@ class Reconstructor:
         row, proposals = -1, _NO_PROPOSALS
         candidates: tuple[Candidate, ...] = ()
         if previous is not None and "local" in self.settings.hypotheses:
-            local = self._fit(previous, self._steps, SIGMA_M)
+            local = self._fit(self._predicted(previous), self._steps, SIGMA_M)
             cost_local = self._cost(local, scene)
             pose, hypothesis = local, "local"
         if previous is None or "database" in self.settings.hypotheses:
@@ -332,6 +337,12 @@ class Reconstructor:
             scene.components, scene.links, proposals.maps, proposals.sums, candidates,
             self._unseen(pose, scene.cloud), previous is None, scene.people,
         )  # fmt: skip
+
+    def _predicted(self, previous: F64) -> F64:
+        """Return the pose that the local optimisation begins with; as printed it is the previous one."""
+        if self._before is None or self.settings.is_printed:
+            return previous
+        return predicted_pose(previous, self._before)
 
     def _propose(self, scene: _Scene, previous: F64 | None) -> Proposals:
         """Look poses up; also with the lowest extrema as feet where an extremum has jumped."""

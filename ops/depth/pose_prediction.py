@@ -1,0 +1,53 @@
+"""The pose that the next frame begins with: the last one, moved on as it has moved before."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from kinedex.ops.body.joint_tree import PARENTS
+
+F64 = npt.NDArray[np.float64]
+
+SHARE = 0.6
+"""Share of the last frame's movement that is added: chosen on clips of two actors, for two cameras."""
+
+
+def predicted_pose(pose: F64, before: F64, share: float = SHARE) -> F64:
+    """Return a pose that has gone on moving; its bones keep their lengths.
+
+    The root moves on by a share of its last movement, and each bone's direction by that share of its last change.
+
+    Parameters
+    ----------
+    pose, before : float64 array (24, 3)
+        The last pose and the one before it, on the same bones, in metres.
+    share : float, optional
+        The share.
+    """
+    predicted = np.empty_like(pose)
+    _predict(pose, before, share, PARENTS, predicted)
+    return predicted
+
+
+@njit(cache=True, nogil=True)
+def _predict(pose: F64, before: F64, share: float, parents: npt.NDArray[np.int64], predicted: F64) -> None:
+    for j in range(len(parents)):
+        parent = parents[j]
+        if parent < 0:
+            for axis in range(3):
+                predicted[j, axis] = pose[j, axis] + share * (pose[j, axis] - before[j, axis])
+            continue
+        square, turned = 0.0, 0.0
+        for axis in range(3):
+            bone = pose[j, axis] - pose[parent, axis]
+            moved = bone + share * (bone - before[j, axis] + before[parent, axis])
+            predicted[j, axis] = moved
+            square += bone * bone
+            turned += moved * moved
+        scale = math.sqrt(square / turned) if turned > 0.0 else 0.0
+        for axis in range(3):
+            predicted[j, axis] = predicted[parent, axis] + scale * predicted[j, axis]
