@@ -28,6 +28,9 @@ SOURCE_DROP_M = 0.2
 COUNT = 20
 """The number of extrema (thesis, Section 8.4.4)."""
 
+TIP_M = 0.15
+"""At the tip of a limb, no point connected to it within this is farther from the source."""
+
 BUCKET_M, BUCKETS = 0.01, 128
 """Width of a bucket of distances, and their number, a power of two; all together are longer than the longest edge."""
 
@@ -65,6 +68,8 @@ class ExtremaRoom(NamedTuple):
         The bucket of each node; −1 for nodes in none.
     changed : int32 array (N,)
         The last search in which each node came nearer.
+    from_source : float64 array (N,)
+        The distance of each node to the source alone.
     """
 
     distances: F64
@@ -73,6 +78,7 @@ class ExtremaRoom(NamedTuple):
     before: I32
     buckets: I32
     changed: I32
+    from_source: F64
 
 
 def extrema_room(nodes: int) -> ExtremaRoom:
@@ -84,6 +90,7 @@ def extrema_room(nodes: int) -> ExtremaRoom:
         np.zeros(nodes, np.int32),
         np.zeros(nodes, np.int32),
         np.zeros(nodes, np.int32),
+        np.zeros(nodes),
     )
 
 
@@ -141,6 +148,62 @@ def geodesic_extrema(graph: PointGraph, source: int, count: int = COUNT, room: E
     return Extrema(nodes[:found], distances[:found], visited[:found])
 
 
+def tips_first(cloud: FrameCloud, graph: PointGraph, extrema: Extrema, room: ExtremaRoom) -> Extrema:
+    """Return extrema in another order: first those at the tips of limbs, then the others, each in the order they had.
+
+    At a tip, no point that is connected to it within 0.15 m is farther from the source. A knee between source and foot,
+    or a shoulder, takes a place among the first five extrema where a hand hangs at the hip, but is mostly no tip. All
+    five ends are among the first five extrema in 57 % of the frames of set D instead of 46.
+
+    Parameters
+    ----------
+    cloud : FrameCloud
+        The points.
+    graph : PointGraph
+        Their graph.
+    extrema : Extrema
+        Its extrema.
+    room : ExtremaRoom
+        The room that they were found in, with nothing else since.
+
+    Returns
+    -------
+    Extrema
+        The same extrema.
+    """
+    tips = np.zeros(len(extrema.nodes), np.bool_)
+    _find_tips(cloud.points, graph.starts, graph.neighbours, extrema.nodes, room, tips)
+    order = np.argsort(~tips, kind="stable")
+    return Extrema(extrema.nodes[order], extrema.distances[order], extrema.visited[order])
+
+
+@njit(cache=True, nogil=True)
+def _find_tips(
+    points: F64, starts: I32, neighbours: I32, nodes: I32, room: ExtremaRoom, tips: npt.NDArray[np.bool_]
+) -> None:
+    """Search around each extremum, along edges within the ball, until a node is farther from the source."""
+    distances, queue, seen = room.from_source, room.after, room.changed
+    seen[: len(points)] = -1
+    for m in range(len(nodes)):
+        node = nodes[m]
+        x, y, z = points[node, 0], points[node, 1], points[node, 2]
+        queue[0], seen[node] = node, m
+        done, size, tips[m] = 0, 1, True
+        while done < size and tips[m]:
+            here = queue[done]
+            done += 1
+            for k in range(starts[here], starts[here + 1]):
+                other = neighbours[k]
+                dx, dy, dz = points[other, 0] - x, points[other, 1] - y, points[other, 2] - z
+                if seen[other] == m or dx * dx + dy * dy + dz * dz >= TIP_M * TIP_M:
+                    continue
+                if distances[other] > distances[node]:
+                    tips[m] = False
+                    break
+                seen[other], queue[size] = m, other
+                size += 1
+
+
 @njit(cache=True, nogil=True)
 def _nearest_to_mean(points: F64, body: npt.NDArray[np.bool_], drop: float) -> int:
     x, y, z = 0.0, 0.0, 0.0
@@ -170,6 +233,8 @@ def _find_extrema(
     room.firsts[:] = -1
     for k in range(len(nodes)):
         visited[k] = _spread(starts, neighbours, lengths, source if k == 0 else nodes[k - 1], k, room)
+        if k == 0:
+            room.from_source[: len(reached)] = reached
         farthest = _greatest_finite(reached)
         if farthest == 0.0:
             return k

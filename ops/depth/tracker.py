@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.cones import ConeBody, body_distance
-from kinedex.ops.depth.extrema import COUNT, ExtremaRoom, extrema_room, find_source, geodesic_extrema
+from kinedex.ops.depth.extrema import COUNT, ExtremaRoom, extrema_room, find_source, geodesic_extrema, tips_first
 from kinedex.ops.depth.facing_direction import facing_from_points, point_centre, sample_step
 from kinedex.ops.depth.graph import GraphRoom, build_graph, graph_room
 from kinedex.ops.depth.image_search import DepthView
@@ -300,7 +300,10 @@ class Reconstructor:
         if self._extrema is None:
             self._extrema = extrema_room(pixels)
         source = find_source(cloud, graph, 0.0) if self.settings.is_printed else find_source(cloud, graph)
-        nodes = geodesic_extrema(graph, source, room=self._extrema).nodes if source >= 0 else np.empty(0, np.int32)
+        nodes = np.empty(0, np.int32)
+        if source >= 0:
+            found = geodesic_extrema(graph, source, room=self._extrema)
+            nodes = (found if self.settings.is_printed else tips_first(cloud, graph, found, self._extrema)).nodes
         centre = point_centre(cloud.points)
         if self._pose is None or self.settings.is_printed:
             self._facing = facing_from_points(cloud.points, centre, self._facing)

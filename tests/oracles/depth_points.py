@@ -141,3 +141,16 @@ def shortest(neighbours: list[dict[int, float]], sources: list[int]) -> np.ndarr
                 distances[other] = length + span
                 heapq.heappush(heap, (length + span, other))
     return distances
+
+
+def is_tip(
+    points: np.ndarray, neighbours: list[dict[int, float]], node: int, from_source: np.ndarray, radius: float
+) -> bool:
+    """Return True where no node that is connected to a node inside a ball around it is farther from the source."""
+    inside = ((points - points[node]) ** 2).sum(axis=1) < radius * radius
+    todo, members = deque([node]), {node}
+    while todo:
+        fresh = {other for other in neighbours[todo.popleft()] if inside[other]} - members
+        members |= fresh
+        todo.extend(fresh)
+    return bool(from_source[node] >= max(from_source[list(members)]))
