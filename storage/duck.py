@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import glob
+import os
 import re
 import tempfile
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +38,7 @@ def connect(threads: int | None = None, memory_mb: int | None = None) -> Connect
     connection = duckdb.connect(":memory:")
     # a GLOBAL setting holds for the cursors of this connection, too
     connection.execute("SET GLOBAL python_enable_replacements = false")
-    # in a notebook without ipywidgets DuckDB draws no progress bar, and cannot switch it off either
-    with suppress(duckdb.InvalidInputException):
-        connection.execute("SET enable_progress_bar = false")
+    _hide_progress(connection)
     connection.execute("SET autoinstall_known_extensions = false")
     connection.execute("SET autoload_known_extensions = false")
     connection.execute(f"SET temp_directory = {quote(str(Path(tempfile.gettempdir()) / 'kinedex-duckdb'))}")
@@ -47,6 +47,12 @@ def connect(threads: int | None = None, memory_mb: int | None = None) -> Connect
     if memory_mb is not None:
         connection.execute(f"SET memory_limit = '{int(memory_mb)}MB'")
     return connection
+
+
+def _hide_progress(connection: Connection) -> None:
+    # in a notebook without ipywidgets DuckDB draws no progress bar, and cannot switch it off either
+    with suppress(duckdb.InvalidInputException):
+        connection.execute("SET enable_progress_bar = false")
 
 
 def lock_settings(connection: Connection) -> None:
@@ -211,17 +217,28 @@ def rows_where(table: pa.Table, name: str, condition: str) -> pa.Table:
     Error
         DuckDB refuses the condition.
     """
-    connection = connect(threads=1)
+    connection = _closed_database(os.getpid()).cursor()
     try:
+        _hide_progress(connection)
         connection.register(name, table)
-        connection.execute("SET enable_external_access = false")
         text = f"SELECT * FROM {name} WHERE (\n{condition}\n)"
         if len(connection.extract_statements(text)) != 1:
             raise duckdb.ParserException("more than one statement")
         return run_bounded(connection, lambda: connection.sql(text).to_arrow_table())
+    except (duckdb.FatalException, duckdb.InternalException):
+        _closed_database.cache_clear()  # after such an error DuckDB refuses all that follows
+        raise
     finally:
         if not is_abandoned(connection):
             connection.close()
+
+
+@cache
+def _closed_database(_process: int) -> Connection:
+    """Open a database for conditions that reads no files; a process keeps it, since opening one takes 15 ms."""
+    connection = connect(threads=1)
+    connection.execute("SET enable_external_access = false")
+    return connection
 
 
 def message(fault: duckdb.Error) -> str:

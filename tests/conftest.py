@@ -38,6 +38,11 @@ def pytest_collection_finish() -> None:
     gc.set_threshold(10_000, 20, 10)
 
 
+def pytest_unconfigure() -> None:
+    """Let the end of the process free everything, or else libraries print what they miss."""
+    gc.unfreeze()
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with the slow tests, for one of them at the end would be waited for by all other processes."""
     items.sort(key=lambda item: item.get_closest_marker("slow") is None)

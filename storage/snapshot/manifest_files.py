@@ -15,6 +15,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
+from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import TEMPORARY, sync_folder, write_errors
 from kinedex.storage.remedies import repair, upgrade
@@ -26,6 +27,8 @@ FOLDER = "manifest"
 _NAME = re.compile(r"^(\d{6,})\.json$")
 
 _ADAPTER: TypeAdapter[Manifest] = TypeAdapter(Manifest)
+
+_FEATURE_SETS: dict[str, FeatureSet] = {}  # by their digests: versions share one, whose `encoded` is made once
 
 
 def manifest_path(store: Path, version: int) -> Path:
@@ -85,7 +88,8 @@ def read_version(store: Path, version: int) -> Manifest:
         raise _damaged(path, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from None
     if manifest.version != version:
         raise _damaged(path, f"it names version {manifest.version}")
-    return manifest
+    known = _FEATURE_SETS.setdefault(manifest.feature_set.digest, manifest.feature_set)
+    return replace(manifest, feature_set=known) if known == manifest.feature_set else manifest
 
 
 def require_current_format(store: Path, manifest: Manifest) -> None:
