@@ -252,6 +252,10 @@ class _Entry:
             notes = [f"background: {given}, for {reason}; write `background:` to choose"]
         else:
             notes = []
+        if given == NONE and self.given.background == NONE and shows_room(images):
+            notes.append(
+                "background: none, but the images show the room, all of which counts as the person; write `auto`"
+            )
         if given == NONE:
             return None, notes
         if given == AUTO:
@@ -280,7 +284,6 @@ class _Entry:
         self, camera: DepthCamera, files: FrameFiles, images: Mapping[int, F32], background: F32 | None
     ) -> list[str]:
         """Refuse what the frames contradict, and return notes on what is odd."""
-        removed = background is None and not shows_room(images)
         extents = measured_extents(camera, images, background)
         unit_m = camera.depth_unit_m
         if files.kind == "images" and files.files[0].suffix.lower() not in (".png", ".raw", ".bin"):
@@ -290,7 +293,7 @@ class _Entry:
         notes = [self.moved_note(images, background), intrinsics_note(camera)]
         if extents is None:
             return [f"nobody is seen in {len(images)} frames, spread over the recording", *notes]
-        if fault := unit_fault(extents, unit_m, removed or background is not None):
+        if fault := unit_fault(extents, unit_m):
             raise self.unit_error(fault)
         return notes
 

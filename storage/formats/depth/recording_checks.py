@@ -32,15 +32,29 @@ UNITS_M = (0.001, 0.0001, 0.0002, 0.00025, 0.000125, 0.0005, 0.01, 1.0, 0.0254)
 """Units of depth cameras and clouds that are tried, the usual ones first."""
 
 _OFF_CENTRE = 0.25
+_NEAR_PERCENTILE = 10.0
 _USUAL_SIZE_M, _USUAL_DISTANCE_M = 1.5, 2.5
 
 
 class Extents(NamedTuple):
-    """The person in a few frames: median distance, and the least and greatest size, in metres."""
+    """The person in a few frames, or the nearest of the room.
+
+    Attributes
+    ----------
+    distance : float
+        The median distance in metres.
+    least, greatest : float
+        Sizes in metres; infinity and 0 where the frames show the room.
+    """
 
     distance: float
     least: float
     greatest: float
+
+    @property
+    def sized(self) -> bool:
+        """True if the sizes are those of a person."""
+        return self.greatest > 0
 
 
 def measured_extents(camera: DepthCamera, images: Mapping[int, F32], background: F32 | None) -> Extents | None:
@@ -58,7 +72,7 @@ def measured_extents(camera: DepthCamera, images: Mapping[int, F32], background:
     Returns
     -------
     Extents, optional
-        None where nobody is seen.
+        None where nobody is seen; the nearest of the room where nothing tells the person from it.
     """
     found = [
         one
@@ -67,11 +81,14 @@ def measured_extents(camera: DepthCamera, images: Mapping[int, F32], background:
     ]
     if not found:
         return None
+    if background is None and shows_room(images):  # the nearest of it counts, for halls are deeper than 8 m
+        nearest = [float(np.percentile(image[image > 0], _NEAR_PERCENTILE)) for image in images.values() if image.any()]
+        return Extents(float(np.median(nearest)), np.inf, 0.0)
     distances, sizes = zip(*found, strict=True)
     return Extents(float(np.median(distances)), min(sizes), max(sizes))
 
 
-def unit_fault(extents: Extents, unit_m: float, judge_size: bool) -> str:
+def unit_fault(extents: Extents, unit_m: float) -> str:
     """Return the message on a unit that distance or size contradicts; empty where it may be right.
 
     Parameters
@@ -80,33 +97,32 @@ def unit_fault(extents: Extents, unit_m: float, judge_size: bool) -> str:
         Distance and size in the frames.
     unit_m : float
         The unit that they were read in.
-    judge_size : bool
-        False where the frames may show the room.
     """
     near = NEAREST_M <= extents.distance <= FARTHEST_M
-    sized = not judge_size or (extents.greatest >= SMALLEST_M and extents.least <= LARGEST_M)
+    sized = not extents.sized or (extents.greatest >= SMALLEST_M and extents.least <= LARGEST_M)
     if near and sized:
         return ""
     seen = f"puts who is seen {extents.distance:.3g} m away"
-    seen += f", {extents.greatest:.3g} m large" if judge_size else ""
+    seen += f", {extents.greatest:.3g} m large" if extents.sized else ""
     fits = [
         unit
         for unit in UNITS_M
         if NEAREST_M <= extents.distance * unit / unit_m <= FARTHEST_M
-        and (not judge_size or PERSON_M[0] <= extents.greatest * unit / unit_m <= PERSON_M[1])
+        and (not extents.sized or PERSON_M[0] <= extents.greatest * unit / unit_m <= PERSON_M[1])
     ]
-    fits.sort(key=lambda unit: _unlikely(extents, unit / unit_m, judge_size))
-    expected = f"expected {NEAREST_M:g} to {FARTHEST_M:g} m" + (", and the size of a person" if judge_size else "")
+    if extents.sized:
+        fits.sort(key=lambda unit: _unlikely(extents, unit / unit_m))
+    expected = f"expected {NEAREST_M:g} to {FARTHEST_M:g} m" + (", and the size of a person" if extents.sized else "")
     if not fits:
         return f"{unit_m:g} {seen}; {expected}: are unit, fx and fy those of this recording?"
-    size = f" and {extents.greatest * fits[0] / unit_m:.2f} m" if judge_size else ""
+    size = f" and {extents.greatest * fits[0] / unit_m:.2f} m" if extents.sized else ""
     distance = f"{extents.distance * fits[0] / unit_m:.2f} m"
     return f"{unit_m:g} {seen}; {expected}: `depth_unit_m: {fits[0]:g}` gives {distance}{size}"
 
 
-def _unlikely(extents: Extents, scale: float, judge_size: bool) -> float:
+def _unlikely(extents: Extents, scale: float) -> float:
     """Return how far a person at this scale is from the usual distance and size."""
-    size = abs(np.log(extents.greatest * scale / _USUAL_SIZE_M)) if judge_size else 0.0
+    size = abs(np.log(extents.greatest * scale / _USUAL_SIZE_M))
     return float(size + abs(np.log(extents.distance * scale / _USUAL_DISTANCE_M)))
 
 

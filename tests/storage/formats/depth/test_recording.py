@@ -169,6 +169,7 @@ def test_a_background_is_measured_where_the_images_show_the_room(walk: Recorded,
         assert found.background is not None
         assert (np.abs(found.background - room(walk.camera)) < 1e-3).mean() > 0.9
         assert any("background: auto, for the images show the room" in note for note in found.notes) == noted
+    assert "all of which counts as the person; write `auto`" in read(walk, background="none").notes[0]
     monkeypatch.setattr(recording_reader, "MOST_BACKGROUND_BYTES", 0)
     monkeypatch.setattr(recording_reader, "SAMPLE", 3)
     assert any("measured in 3 frames, evenly spaced" in note for note in read(walk, background="auto").notes)
@@ -273,6 +274,8 @@ def _list(walk: Recorded, text: str) -> None:
         (lambda w: write_depth_png(w.folder / "depth" / "frame_99999.png", w.depths[0]), {},
          "frame_99999.png: most of the frames 0 to 99999 are missing"),
         (_break_all, {}, "cannot be read as PNG"),
+        (lambda w: None, {"background": "none", "depth_unit_m": 0.01},
+         "0.01 puts who is seen 2. m away; expected 0.4 to 8 m: `depth_unit_m: 0.001` gives 2"),
         (lambda w: write_azure(_scale(w, 5)), {"camera": "intrinsic.json"},
          "recordings.walk.depth_unit_m: 0.001 puts who is seen 12.5 m away"),
         (lambda w: None, {"depth": "a" * 5000}, "walk.depth: .*no file matches 'a"),
