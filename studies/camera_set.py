@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
+import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -18,9 +19,12 @@ from kinedex.catalog.keypoint_sets import load_keypoint_set
 from kinedex.catalog.kinematics import load_kinematic_chain
 from kinedex.ops.body.kinematic_chain import ChainBody
 from kinedex.ops.body.pose_fit import measured_body
-from kinedex.ops.simulation.failures import Limbs
-from kinedex.ops.simulation.recording import Setup, simulated_recording, take_generators
+from kinedex.ops.cameras.projection import project
+from kinedex.ops.simulation.failures import FailureRate, Limbs
+from kinedex.ops.simulation.keypoints import Detector, detected_keypoints, outside_hidden
+from kinedex.ops.simulation.recording import Setup, keypoint_places, simulated_recording, take_generators
 from kinedex.ops.tracking.observations import BodyPoints, Rays
+from kinedex.ops.tracking.triangulation import triangulate
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
@@ -38,6 +42,9 @@ LONG_TAKES = (
     "squat1Reps", "jogLeftCircle4StepsRstart", "sneak2StepsLStart", "kickLFront1Reps", "medley", "02_05", "03_04",
 )  # fmt: skip
 """The takes of the set with long failures."""
+
+NEVER = FailureRate(per_second=0.0)
+"""No failures."""
 
 
 def _keypoints(*parts: str) -> tuple[I64, I64]:
@@ -184,3 +191,26 @@ def filmed(take: str, truth: F64, rate_hz: float, seed: int, setup: Setup | None
     )
     failing = _within([(one.start, one.stop) for one in made.failures], len(truth))
     return Filmed(f"{take}_seed{seed}", take, rate_hz, cameras, made.pixels, made.confidence, truth, failing)
+
+
+def without_failures(one: Filmed) -> Filmed:
+    """Return a recording that was read as the detector would report it if it never failed.
+
+    Its cameras and the keypoints outside failures stay. Within failures they are drawn anew, with the places in their
+    segments that they have elsewhere in the recording.
+    """
+    generator, detector = np.random.default_rng(zlib.crc32(one.name.encode())), Detector()
+    positions = np.ascontiguousarray(one.truth.transpose(1, 2, 0))
+    segments = np.zeros((3, len(one.points.nodes), 3))
+    unmoved = keypoint_places(one.body, positions, one.points, segments[0])
+    for axis in range(3):
+        segments[axis, :, axis] = 1.0
+    axes = np.stack([keypoint_places(one.body, positions, one.points, unit) - unmoved for unit in segments], axis=2)
+    gaps = triangulate(one.rays)[0] - unmoved
+    seen = np.where(one.failing[:, None, None], np.nan, np.einsum("tpai,tpi->tpa", axes, gaps))
+    places = unmoved + np.einsum("tpai,pa->tpi", axes, np.nanmedian(seen, axis=0))
+    true = [project(camera.matrix, camera.rotation, camera.translation, (), places)[0] for camera in one.cameras]
+    drawn = outside_hidden(*detected_keypoints(detector, np.stack(true, axis=1), generator), one.cameras[0].size)
+    failing = one.failing[:, None, None]
+    pixels = np.where(failing[..., None], drawn[0], one.pixels)
+    return replace(one, pixels=pixels, confidence=np.where(failing, drawn[1], one.confidence))

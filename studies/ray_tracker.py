@@ -34,12 +34,15 @@ class RayTracker:
         The observations.
     rate_hz : float
         Frames a second.
+    carries_over : bool
+        False: priors change the frames near their own alone.
     """
 
     body: ChainBody
     points: BodyPoints
     rays: Rays
     rate_hz: float
+    carries_over: bool = False
 
     @cached_property
     def without(self) -> FirstTrack:

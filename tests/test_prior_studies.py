@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from kinedex.ops.simulation.recording import Setup
 from kinedex.ops.tracking.observations import Rays
-from studies.camera_set import CHAIN, LIMBS, MEASURED, filmed
+from studies.camera_set import CHAIN, LIMBS, MEASURED, NEVER, filmed, without_failures
 from studies.filters import butterworth, kalman_smoother, one_euro, savitzky_golay, without_gaps
 from studies.point_fit import fitted_points
 from studies.prior_archive import Clip
 from studies.prior_choice import joined, line
-from studies.priors import WITH, aims, mean, per_take, table
+from studies.priors import FLOOR, WITH, aims, mean, per_take, table
 from studies.tracked_rows import CHAIN_ROW, POINT_FIT, WITHOUT, Tracked, point_rows
 from tests.bodies import STANDING
 
@@ -78,11 +79,22 @@ def test_filmed_takes_have_errors_in_and_outside_failures_in_every_table() -> No
     rows = {name: {one.name: track} for name, track in point_rows(one).items()}
     assert all(np.isfinite(tracks[one.name].errors_mm).all() for tracks in rows.values())
     assert mean(rows[POINT_FIT], [one], False) < 60
-    for name, error in ((CHAIN_ROW, 3.0), (WITHOUT, 2.0), (WITH, 1.0)):
+    for name, error in ((CHAIN_ROW, 3.0), (WITHOUT, 2.0), (WITH, 1.0), (FLOOR, 0.4)):
         rows[name] = {one.name: Tracked(np.full(60, error), 0.1)}
     assert any(line.startswith("| + restart | 2.0 | 0.0 | 2 | 2.0 | 2.0 | nan |") for line in table(rows, [one], {}))
     assert any("0.50" in line for line in aims(rows, [one]))
+    assert any("62%" in line for line in aims(rows, [one]))
     assert any(line.startswith("| squat1Reps | 60 | 2.0, 2.0 | 1.0, 1.0 |") for line in per_take(rows, [one]))
+
+
+def test_without_failures_keypoints_are_near_those_of_a_detector_that_never_fails() -> None:
+    truth = np.repeat(np.array([STANDING[joint] for joint in CHAIN.joints], float)[None], 60, axis=0)
+    one, calm = filmed("squat1Reps", truth, RATE_HZ, 4), filmed("squat1Reps", truth, RATE_HZ, 4, Setup(failures=NEVER))
+    found = without_failures(one)
+    assert np.array_equal(found.pixels[~one.failing], calm.pixels[~one.failing])
+    apart = np.linalg.norm(found.pixels - calm.pixels, axis=-1)[one.failing]
+    assert np.median(apart) < 15  # noise of two draws, 4 px an axis each
+    assert not calm.failing.any()
 
 
 def test_limbs_and_measured_joints_are_those_of_the_design() -> None:

@@ -39,6 +39,8 @@ LEAST_TRIED_S = 5 / 30
 
 _LOCAL_REASON = f"over {LOCAL_S:g} s the observations fit {LOCAL_GUARD:g} times as badly as without priors, or worse"
 
+_WHOLE_REASON = "with this round's priors all frames together fit the observations worse than before it"
+
 SETTLED_RAD, SETTLED_M = 0.01, 0.01
 """A round is the last one if no turn and no place has moved by more."""
 
@@ -69,6 +71,10 @@ class Tracker(Protocol):
     @property
     def rate_hz(self) -> float:
         """Frames per second."""
+
+    @property
+    def carries_over(self) -> bool:
+        """True where a prior changes later frames too, and can lower the costs, as on silhouettes alone."""
 
     def track(self, start: Poses, priors: PriorTerms | None) -> Track:
         """Track the recording again from a start, with the terms of priors."""
@@ -200,12 +206,19 @@ def stabilise(
     Returns
     -------
     StabilisedTrack
+
+    Notes
+    -----
+    Where priors carry over to frames that no hit covers, the guard judges a round as a whole too: one that raises the
+    sum of the costs of all frames is undone, and is the last.
     """
     chosen = settings or Settings()
     current, rounds = without, []
     for number in range(1, chosen.rounds + 1):
         before = current
         current, rows = _round(tracker, before, without, words, motions, chosen, number)
+        if tracker.carries_over and np.isfinite(chosen.guard) and current.costs.sum() > before.costs.sum():
+            current, rows = before, [replace(row, kept=False, reason=row.reason or _WHOLE_REASON) for row in rows]
         rounds.append(Round(tuple(rows), current.costs, _moved_mm(before, current)))
         if _settled(before, current):
             break

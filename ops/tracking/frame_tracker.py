@@ -199,6 +199,11 @@ class FrameTracker:
     silhouettes: Silhouettes | None = None
     sigma_px: float = SIGMA_PX
 
+    @property
+    def carries_over(self) -> bool:
+        """True for silhouettes alone: their costs fall with priors that help, those of rays always rise."""
+        return self.observations is None
+
     def track(self, start: Poses | None = None, priors: PriorTerms | None = None) -> FrameTrack:
         """Track the recording with the terms of priors; every frame starts from the one before, not from `start`."""
         return track_frames(

@@ -125,6 +125,11 @@ class ChainTracker:
         """Frames per second."""
         return self.observed.rate_hz
 
+    @property
+    def carries_over(self) -> bool:
+        """True for silhouettes alone, see `ops.tracking.frame_tracker.FrameTracker`."""
+        return self.observed.observations is None
+
     def first(self) -> Track:
         """Track without priors, with the restart where neither hip is seen.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -71,6 +71,7 @@ class PlaceTracker:
     observations: Places
     body: ChainBody = BODY
     rate_hz: float = 30.0
+    carries_over: bool = False
 
     def track(self, start: Poses, priors: PriorTerms | None) -> TakeTrack:
         return track_take(self.body, self.observations, None, self.rate_hz, start, priors, schedule=(3.0,))
@@ -162,6 +163,16 @@ def test_another_motion_takes_the_place_of_one_that_the_observations_refute(with
     found = {(row.motion, row.kept) for row in done.rounds[0].rows}
     assert {("wrong", False), ("squat", True)} <= found
     assert error_mm(done.track) < 0.5 * error_mm(without)
+
+
+def test_a_round_that_fits_worse_as_a_whole_is_undone_where_priors_carry_over(without: TakeTrack):
+    inside = (np.arange(FRAMES) >= SQUAT.start) & (np.arange(FRAMES) < SQUAT.stop)
+    better = replace(without, costs=np.where(inside, without.costs, 0.0))  # beyond the hit
+    settings = Settings(threshold=0.3, guard=10.0)
+    done = stabilise(replace(TRACKER, carries_over=True), better, words, [KNOWN], settings)
+    assert done.track is better
+    assert len(done.rounds) == 1
+    assert any(not row.kept and "all frames together" in row.reason for row in done.rounds[0].rows)
 
 
 def test_the_priors_of_the_thesis_alone_run_through(without: TakeTrack):
