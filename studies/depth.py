@@ -2,12 +2,14 @@
 
 DATA is a folder with hdm05/clips, hdm05/takes and depth/simulated. Recordings are filmed at the first call, and kept in
 build/studies/depth; --make-sets films them and ends. Actors dg and bk are for the choice of parameters, mm is the test.
+One core takes half an hour; --workers spreads recordings over several.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -143,7 +145,9 @@ def rows(
     for film in films:
         recordings = study.film(film)
         for kind in kinds:
-            found[film.name, kind] = tracks_of(study, recordings, bones_of(study, recordings, kind), methods)
+            tracks = tracks_of(study, recordings, bones_of(study, recordings, kind), methods)
+            print(f"{film.name}, {kind}: {cell(tracks[methods[-1]])} {methods[-1]}", file=sys.stderr, flush=True)
+            found[film.name, kind] = tracks
     return found
 
 

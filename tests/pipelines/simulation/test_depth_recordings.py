@@ -16,6 +16,7 @@ from kinedex.pipelines.stages.index import Index
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.formats.depth.camera_file import read_camera
 from kinedex.storage.formats.depth.png import read_depth_png
+from kinedex.storage.formats.depth.recording import read_recordings
 from tests.pipelines.archives import context, write_archive
 
 
@@ -54,7 +55,10 @@ def test_recordings_name_their_files_and_the_truth_lies_in_the_images(store: Pat
     assert np.ptp(moved, axis=(0, 1)) == pytest.approx(np.zeros(3), abs=1e-5)  # the take was only lowered
     files = sorted((tmp_path / "r" / "x_al_hop_1" / "depth").iterdir())
     assert [path.name for path in files] == [f"{frame:06d}.png" for frame in range(6)]
-    background = read_depth_png(tmp_path / "r" / entry["background"], camera)
+    (recording,) = read_recordings(tmp_path / "r" / "recordings.yaml")
+    assert (recording.name, recording.rate_hz, recording.notes) == ("x_al_hop_1", 30, ())
+    background = recording.background
+    assert background is not None
     for path, joints in zip(files, true.positions, strict=True):
         depths = read_depth_png(path, camera)
         pixels, z = camera.camera.project(joints[[true.joints.index(name) for name in ("neck", "head", "lknee")]])
