@@ -73,7 +73,7 @@ AIMS = {("tof", OWN): 2.5, ("structured", OWN): 3.0, ("tof", ESTIMATED): 3.0, ("
 
 @dataclass(frozen=True)
 class Study:
-    """What every table of the study needs.
+    """A study holds what each of its tables needs.
 
     Attributes
     ----------
