@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from kinedex.catalog.recordings import load_recordings
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading
 from kinedex.pipelines.engine.stage import Input, Stage
@@ -36,7 +37,8 @@ class Track(Stage[TrackParameters]):
     def run(self, context: StageContext, params: TrackParameters) -> dict[str, object]:
         """Track the recordings that are new or changed, each committed whole."""
         place = Place(context.key(), context.run, context.executor, context.say, context.code, context.anew)
-        names = context.params_of("recordings", ObserveParameters).only or None
+        observed = context.params_of("recordings", ObserveParameters)
+        names = observed.only or list(load_recordings(observed.recordings).recordings)
         with context.writer() as writer:
             done = track(writer, params, names, context.key(context.inputs["recordings"]), place)
         renew_index(context.store_path, context.wait)

@@ -36,8 +36,7 @@ class TrackParameters(BaseModel):
 
     tracker: Literal["take", "frames"] = Field(
         "take",
-        description="take: all frames at once; frames: one after the other, as the thesis has it, and always for "
-        "silhouettes alone",
+        description="take: all frames at once; frames: one after the other, as the thesis has it",
     )
     loss: Loss = Field(
         "geman_mcclure", description="geman_mcclure, which outliers hardly move, or squares; of the tracker take"

@@ -151,9 +151,7 @@ def observe(writer: StoreWriter, params: ObserveParameters, place: Place) -> Out
     return done
 
 
-def track(
-    writer: StoreWriter, params: TrackParameters, names: Sequence[str] | None, observed: str, place: Place
-) -> Outcome:
+def track(writer: StoreWriter, params: TrackParameters, names: Sequence[str], observed: str, place: Place) -> Outcome:
     """Track recordings that a stage has observed, and commit each as a take.
 
     Parameters
@@ -162,8 +160,8 @@ def track(
         The writer of the store.
     params : TrackParameters
         The tracker.
-    names : sequence of str, optional
-        The recordings; all that the stage has observed unless given.
+    names : sequence of str
+        The recordings.
     observed : str
         The stage that has read them, "<pipeline>/<stage>".
     place : Place
@@ -171,8 +169,7 @@ def track(
     """
     store = writer.store
     rows = stored_rows(store, observed)
-    chosen = list(rows) if names is None else names
-    ids = _take_ids(writer, [f"{name}{TRACKED}" for name in chosen])
+    ids = _take_ids(writer, [f"{name}{TRACKED}" for name in names])
     mean = archive_body(store)
     tasks = [
         TrackTask(
@@ -182,7 +179,7 @@ def track(
             ),
             place.run,
         )
-        for name in chosen
+        for name in names
     ]  # fmt: skip
     return _run(writer, place, track_recording, tasks)
 

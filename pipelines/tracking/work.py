@@ -183,11 +183,9 @@ def stabilise_take(task: StabiliseTask) -> Finished:
 
 
 def _settings(params: TrackParameters, subject: Subject) -> TrackSettings:
-    """Return the settings of the tracker; 3D tracks are tracked all at once, and silhouettes alone frame by frame."""
-    settings, observations = params.settings(subject.sigma_px), subject.observed.observations
-    if observations is None or isinstance(observations, Places):
-        return replace(settings, tracker="frames" if observations is None else "take")
-    return settings
+    """Return the settings of the tracker; 3D tracks are always tracked all at once."""
+    settings = params.settings(subject.sigma_px)
+    return replace(settings, tracker="take") if isinstance(subject.observed.observations, Places) else settings
 
 
 def recording_subject(store: Store, found: StoredRecording, mean: ChainBody, sigma_m: float) -> Subject:
@@ -285,6 +283,11 @@ def tracked_row(store: Store, take: str) -> dict[str, Any] | None:
 
 
 def _first(tracker: ChainTracker, name: str) -> Track:
+    if tracker.observed.observations is None:
+        raise KinedexError(
+            f"{name}: silhouettes alone give no first pose; add `keypoints:` of the first frames to the recording, and "
+            "track it with --tracker frames"
+        )
     try:
         return tracker.first()
     except ParameterError as fault:
