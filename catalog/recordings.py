@@ -116,8 +116,15 @@ def load_recordings(path: str | Path) -> RecordingsFile:
     Raises
     ------
     ConfigError
-        The file is wrong; the message names the line, the key and what was expected.
+        There is no such file, or it is wrong; the message names the line, the key and what was expected.
     """
+    path = Path(path)
+    if not path.is_file() or path.suffix.lower() == ".toml":
+        found = "is a folder" if path.is_dir() else "is no YAML" if path.exists() else "no such file"
+        raise ConfigError(
+            path, f"{found}; expected the file of recordings, a YAML file that names calibration, keypoints and rate "
+            "of each: `recordings: {walk: {cameras: calib.toml, keypoints: pose/{camera}/*.json, rate_hz: 60}}`",
+        )  # fmt: skip
     return parse_recordings(load_yaml(path))
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from kinedex.catalog.configs import parse_yaml
-from kinedex.catalog.recordings import parse_recordings
+from kinedex.catalog.recordings import load_recordings, parse_recordings
 from kinedex.ops.errors import ConfigError
 
 GOOD = "recordings:\n  a: {cameras: c.toml, keypoints: 'p/{camera}/*.json', rate_hz: 60%s}\n"
@@ -48,3 +50,12 @@ def test_wrong_files_are_refused_with_line_and_key(text: str, message: str) -> N
 def test_a_name_that_is_not_there_is_refused_with_the_nearest() -> None:
     with pytest.raises(ConfigError, match="no recording is called 'b'; known: a"):
         parse_recordings(parse_yaml(GOOD % "", "r.yaml")).recording("b")
+
+
+def test_a_path_to_something_else_is_refused_with_what_is_expected(tmp_path: Path) -> None:
+    (tmp_path / "calib.toml").write_text("[cam_1]\n")
+    for name, found in (("none.yaml", "no such file"), ("", "is a folder"), ("calib.toml", "is no YAML")):
+        with pytest.raises(
+            ConfigError, match=f"{found}; expected the file of recordings, a YAML file that names calib"
+        ):
+            load_recordings(tmp_path / name)

@@ -185,6 +185,8 @@ def test_a_real_recording_triangulates(balancing: Recording) -> None:
     assert balancing.notes == (
         "keypoints matched to cameras in natural order: cam_01 = cam01, cam_02 = cam02, cam_03 = cam03, cam_04 = cam04",
         "keypoints are those of body-25b",
+        "200 images with several persons: the one whose box of keypoints is largest in the image is tracked (`person: "
+        "largest`); other choices are `most_confident`, and an id, of which the files have none",
     )
     assert (balancing.frames, balancing.counts.images_with_several_persons) == (100, 200)
     points, _ = triangulate(balancing.rays())
