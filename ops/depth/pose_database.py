@@ -22,6 +22,11 @@ LEAST_BONE_M = 1e-4
 DISTANCE_M = 0.05
 """Least distance of two poses of a database, the root mean square over `COMPARED` joints in metres."""
 
+_FAR = ("fingers", "toes", "wrist", "ankle", "elbow", "knee", "headtop")
+_ORDERED = np.array(  # compared joints, those first that differ most: sums of squares end early
+    sorted(COMPARED, key=lambda j: next((k for k, end in enumerate(_FAR) if JOINTS[j].endswith(end)), len(_FAR)))
+)
+
 _ROOT, _NECK = JOINTS.index("root"), JOINTS.index("neck")
 _LSHOULDER, _RSHOULDER = JOINTS.index("lshoulder"), JOINTS.index("rshoulder")
 _LHIP, _RHIP = JOINTS.index("lhip"), JOINTS.index("rhip")
@@ -216,8 +221,8 @@ class PoseThinning:
         return near
 
     def _compared(self, directions: F32) -> F32:
-        poses = place_directions(directions, self.bone_lengths)[:, COMPARED]
-        return np.ascontiguousarray(poses.reshape(len(poses), 3 * len(COMPARED)), np.float32)
+        poses = place_directions(directions, self.bone_lengths)[:, _ORDERED]
+        return np.ascontiguousarray(poses.reshape(len(poses), 3 * len(_ORDERED)), np.float32)
 
     def _grow(self) -> None:
         """Double the room for kept poses, and spread their cells over more lists."""
@@ -260,7 +265,7 @@ def thin_poses(directions: F32, bone_lengths: F64, distance: float = DISTANCE_M)
 
 def _cell_axes() -> F32:
     """Return orthonormal directions, each over the heights or depths of a limb, in which bodies differ much."""
-    compared = [JOINTS[j] for j in COMPARED]
+    compared = [JOINTS[j] for j in _ORDERED]
     arm, leg = ("elbow", "wrist", "fingers"), ("knee", "ankle", "toes")
     groups: list[list[tuple[str, int, float]]] = [
         *([(side + name, axis, 1.0) for name in arm] for side in "lr" for axis in (1, 2)),
