@@ -1,8 +1,8 @@
 """Lookup of poses by five ends: the tree beside a scan with early end, on 25,000 and on 1,000,000 distinct poses.
 
-The poses are those of the synthetic archive, and of real clips where ../shared has them (their number is part of the
-name), with every bone turned by some degrees, so that no two are equal. A frame asks for the ten nearest poses of twelve
-labels. Both must give the same rows, or nothing is reported.
+The poses are those of the synthetic archive, and of real clips where ../shared has them (their number is part of
+the name), with every bone turned by some degrees, so that no two are equal. A frame asks for the ten nearest poses of
+twelve labels. Both must give the same rows, or nothing is reported.
 """
 
 from __future__ import annotations
