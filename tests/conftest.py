@@ -26,7 +26,8 @@ SLOW_SECONDS = 900
 
 
 def pytest_configure() -> None:
-    """Let workers that need the same kernel wait for the one that compiles it."""
+    """Collect garbage less often, and let workers that need the same kernel wait for the one that compiles it."""
+    gc.set_threshold(10_000, 20, 10)
     if "PYTEST_XDIST_WORKER" in os.environ:
         compile_in_one_worker()
 
@@ -35,7 +36,6 @@ def pytest_collection_finish() -> None:
     """Keep the garbage collector away from modules and collected tests, which cost it a quarter of a worker's time."""
     gc.collect()
     gc.freeze()
-    gc.set_threshold(10_000, 20, 10)
 
 
 def pytest_unconfigure() -> None:

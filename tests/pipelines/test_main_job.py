@@ -19,8 +19,8 @@ from kinedex.storage.store.verification import verify
 pytestmark = pytest.mark.slow
 
 
-MINUTES = 15.0
-"""Of synthetic motion: half of what the demo makes unless asked otherwise, as most of its time goes into making it."""
+MINUTES = 10.0
+"""Of synthetic motion: a third of what the demo makes unless asked otherwise, as most of its time is spent on that."""
 
 
 def demo(store: Path, data: Path | None) -> tuple[Outcome, str]:
