@@ -186,7 +186,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m studies.silhouettes", description=__doc__)
     parser.add_argument("data", type=Path, help="folder with hdm05/clips and cameras/simulated")
     parser.add_argument("--actor", choices=ACTORS, help="film this actor of the archive, who then is no part of it")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2], help="of the cameras that are dark")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3], help="of the cameras that are dark")
     parser.add_argument("--guard", type=float, default=1.1, help="of the mean contour shift; inf for none")
     options = parser.parse_args()
     motions = motions_of(options.data, [actor for actor in ACTORS if actor != options.actor])
