@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -113,7 +114,9 @@ def store_archive(store: Store, params: StabiliseParameters, executor: Executor)
         if not found:
             raise KinedexError(
                 f"{store.path} has neither templates nor takes whose class is known, so that nothing can lend priors; "
-                "ingest example clips with a pattern that names their class, or learn templates: kinedex run annotate"
+                "ingest example clips with a pattern that names their class, as in: kinedex ingest "
+                f"{shlex.quote(str(store.path))} CLIPS --set \"ingest.patterns=['(?P<class>[^/]+)/']\". Without an "
+                "archive, `kinedex track` smooths a take and fills its gaps: a recordings file with `track: TAKE`"
             ) from None
         clips = []
     if found:

@@ -139,7 +139,7 @@ def read_recording(file: RecordingsFile, name: str) -> Recording:
     seen = entry.keypoints(notes)
     masks = entry.masks(notes)
     used = [camera for camera in entry.cameras if camera.name in seen or camera.name in masks]
-    check_cameras(file, name, used)
+    check_cameras(file, name, used, notes)
     shift = entry.offsets([camera.name for camera in used])
     keypoints, counts = None, RecordingCounts()
     if seen:

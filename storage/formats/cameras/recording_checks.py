@@ -41,8 +41,8 @@ _SAMPLE = 200  # frames
 _LEAST_POINTS = 20
 
 
-def check_cameras(file: RecordingsFile, name: str, cameras: Sequence[Camera]) -> None:
-    """Refuse cameras that no point can be triangulated from.
+def check_cameras(file: RecordingsFile, name: str, cameras: Sequence[Camera], notes: Sequence[str]) -> None:
+    """Refuse cameras that no point can be triangulated from; notes report how files were matched to cameras.
 
     Raises
     ------
@@ -51,7 +51,8 @@ def check_cameras(file: RecordingsFile, name: str, cameras: Sequence[Camera]) ->
     """
     if len(cameras) < 2:
         listed = cameras[0].name if cameras else "none"
-        raise file.error(name, "cameras", f"one camera with observations ({listed}): tracking needs two or more")
+        more = f"; {'; '.join(notes)}: name cameras in the files as in the calibration" if notes else ""
+        raise file.error(name, "cameras", f"one camera with observations ({listed}): tracking needs two or more{more}")
     centres = np.stack([camera.centre for camera in cameras])
     apart = float(np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
     if apart < _APART_M:

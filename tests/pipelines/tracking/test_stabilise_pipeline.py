@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -159,6 +160,21 @@ def test_the_first_track_reports_that_kernels_are_compiled(tmp_path: Path, monke
     assert runs.are_kernels_compiled()
     monkeypatch.setattr(runs, "solve_band", band)
     assert runs.are_kernels_compiled(), "the takes of this module were tracked"
+
+
+def test_an_archive_without_classes_is_refused_with_ways_out_that_work(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "clips" / "hop").mkdir(parents=True)
+    for name in ("x.asf", "x_bo_hop_1.amc"):
+        shutil.copy(folder / "source" / name, tmp_path / "clips" / "hop" / name)
+    store = tmp_path / "store"
+    kinedex("ingest", store, tmp_path / "clips", "--workers", 1)
+    refused = " ".join(kinedex("stabilise", store, "x_bo_hop_1", code=1).split())
+    assert "neither templates nor takes whose class is known" in refused
+    (tmp_path / "recordings.yaml").write_text("recordings: {again: {track: x_bo_hop_1}}\n")
+    kinedex("track", store, tmp_path / "recordings.yaml", "--executor", "serial")
+    given = re.search(r'--set "(ingest\.patterns=.*?)"', refused)[1]  # type: ignore[index]
+    kinedex("ingest", store, tmp_path / "clips", "--workers", 1, "--set", given)
+    kinedex("stabilise", store, "x_bo_hop_1", "--rounds", 1)
 
 
 def test_a_stabilised_take_is_neither_stabilised_again_nor_replaced_by_that_of_another(folder: Path) -> None:

@@ -78,6 +78,15 @@ def test_one_camera_is_too_few(tmp_path: Path) -> None:
         read(filmed(tmp_path, cameras=cameras()[:1]))
 
 
+def test_names_that_do_not_meet_are_in_the_refusal_of_one_camera(step: Filmed) -> None:
+    for v in (2, 3, 4):
+        (step.folder / "pose" / f"cam_{v}").rename(step.folder / "pose" / f"left_{v}")
+    with pytest.raises(
+        ConfigError, match=r"needs two or more; no keypoints of camera cam_2, cam_3, cam_4; keypoints of"
+    ):
+        read(step)
+
+
 def test_cameras_in_one_place_are_refused(step: Filmed) -> None:
     centre = step.cameras[0].centre
     calibrated(step, [replace(camera, translation=-camera.rotation @ centre) for camera in step.cameras])
