@@ -25,6 +25,9 @@ START, AXIS, INVERSE, RADIUS, GROWTH, MIDDLE, REACH = 0, 3, 6, 7, 8, 9, 12
 
 COLUMNS = 13
 
+BEHIND = 0.4
+"""A place of the surface is out of the camera's sight where the cosine of its normal and the ray is above this."""
+
 _SLACK = 1e-9  # metres by which a bound may be wrong by rounding
 
 
@@ -265,6 +268,40 @@ def nearest_cone(placed: F64, x: float, y: float, z: float, guess: int) -> tuple
         if other < d or (other == d and c < nearest):
             d, s, nearest = other, place, c
     return d, nearest, s
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def seen_side(cone: F64, s: float, x: float, y: float, z: float) -> tuple[float, float, float, float]:
+    """Return the normal of a cone where a camera can see it from the origin, and the distance of a point from there.
+
+    The nearest place of the surface may face away from the camera, which no point of a depth image does: a shank just
+    before its points would fit them with its calf. There the side towards the camera counts, and the point lies behind
+    it.
+
+    Parameters
+    ----------
+    cone : float64 array (13,)
+        A placed cone.
+    s : float
+        The place on its axis that is nearest to the point.
+    x, y, z : float
+        The point in metres.
+
+    Returns
+    -------
+    tuple of (float, float, float, float)
+        The unit vector, and the signed distance in metres; all 0 for a point on the axis.
+    """
+    u, v = x - cone[START] - s * cone[AXIS], y - cone[START + 1] - s * cone[AXIS + 1]
+    w = z - cone[START + 2] - s * cone[AXIS + 2]
+    apart, radius = math.sqrt(u * u + v * v + w * w), cone[RADIUS] + s * cone[GROWTH]
+    if apart <= 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    far = math.sqrt(x * x + y * y + z * z)
+    along = u * x + v * y + w * z
+    if along > BEHIND * far * apart:
+        return -x / far, -y / far, -z / far, -along / far - radius
+    return u / apart, v / apart, w / apart, apart - radius
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -1,8 +1,9 @@
 """Local optimisation of a pose on the points of a depth image by Gauss–Newton (thesis, 8.4.1).
 
 The unknowns of a step are a displacement of the body and a small turn of every pivot. Points of the image pull the
-nearest place of the surface along its normal; samples of the surface that are projected beside the foreground are
-pulled to it. In the printed form all samples are pulled to their points, and nothing else is.
+nearest place of the surface along its normal, or the side towards the camera where that place faces away; samples of
+the surface that are projected beside the foreground are pulled to it. In the printed form all samples are pulled to
+their points, and nothing else is.
 """
 
 from __future__ import annotations
@@ -17,8 +18,6 @@ from numba import njit
 from kinedex.ops.depth.cones import (
     AXIS,
     COLUMNS,
-    GROWTH,
-    RADIUS,
     START,
     ConeBody,
     Cones,
@@ -26,6 +25,7 @@ from kinedex.ops.depth.cones import (
     nearest_cone,
     place_cones,
     place_samples,
+    seen_side,
 )  # fmt: skip
 from kinedex.ops.depth.image_search import DepthView, FrameImage, closest_point, is_hidden, project_samples
 from kinedex.ops.depth.normal_equations import (
@@ -229,24 +229,20 @@ def _fit(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_points(body: FitBody, image: FrameImage, room: FitRoom, pose: F64, sigma: float) -> None:
-    """Add the rows n · dq = d of sampled points of the image and the places of the surface nearest to them."""
+    """Add the rows n · dq = d of sampled points of the image, with the side of the nearest cone that can be seen."""
     points, guesses, placed, root = image.points, room.guesses, room.placed, pose[body.pivots.joints[0]]
     blends, pivots, faces, rigid = body.moving.blends, body.moving.rigid, room.sums.faces, room.sums.rigid
     every = max(1, len(points) // SAMPLED_POINTS)
     first = guesses[0] < 0
-    guess, n = 0, 0
-    for i in range(0, len(points), every):
+    guess = 0
+    for n, i in enumerate(range(0, len(points), every)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        d, guess, s = nearest_cone(placed, x, y, z, guess if first else guesses[n])
+        _, guess, s = nearest_cone(placed, x, y, z, guess if first else guesses[n])
         guesses[n] = guess
-        n += 1
-        apart = d + placed[guess, RADIUS] + s * placed[guess, GROWTH]
-        if apart <= 0.0:
-            continue
+        a, b, c, d = seen_side(placed[guess], s, x, y, z)
         u = placed[guess, START] + s * placed[guess, AXIS]
         v = placed[guess, START + 1] + s * placed[guess, AXIS + 1]
         w = placed[guess, START + 2] + s * placed[guess, AXIS + 2]
-        a, b, c = (x - u) / apart, (y - v) / apart, (z - w) / apart
         ratio = 1.0 + d * d / (sigma * sigma)
         weight = 1.0 / (ratio * ratio)
         if blends[guess] < 0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinedex.ops.depth.cones import ConeBody
+from kinedex.ops.depth.cones import BEHIND, ConeBody
 from kinedex.ops.depth.points import FrameCloud
 from tests.oracles import cone_body
 
@@ -70,6 +70,17 @@ def correspondence(
     return int(number), max(abs(i - u), abs(j - v)), bool(hidden)
 
 
+def seen_side(body: ConeBody, pose: np.ndarray, point: np.ndarray, height: float) -> tuple:
+    """The normal and the distance of the side that the camera sees, the cone, and the place on its axis."""
+    d, cone, s, n = cone_body.distance(body, pose, point, height)
+    ray = point / np.linalg.norm(point)
+    if n @ ray > BEHIND:
+        a, b = cone_body.ends(body, pose)[cone]
+        one, other = body.radii[cone] * height / body.height_m
+        return -ray, (point - a - s * (b - a)) @ -ray - (one + s * (other - one)), cone, s
+    return n, d, cone, s
+
+
 def step(
     body: ConeBody, height: float, matrix: np.ndarray, turn: np.ndarray, pose: np.ndarray, cloud: FrameCloud,
     sigma: float, form: str,
@@ -80,7 +91,7 @@ def step(
     normal[3:, 3:] += np.diag(np.repeat(3 * body.stiffness, 3))
     if form == "best":
         for point in cloud.points[:: max(1, len(cloud.points) // 700)]:
-            d, cone, s, n = cone_body.distance(body, pose, point, height)
+            n, d, cone, s = seen_side(body, pose, point, height)
             row = n @ moves(body, pose, cone, s)
             w = (1 + d * d / sigma**2) ** -2
             normal += w * np.outer(row, row)
