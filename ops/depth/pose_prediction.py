@@ -12,7 +12,7 @@ from kinedex.ops.body.joint_tree import PARENTS
 
 F64 = npt.NDArray[np.float64]
 
-SHARE = 0.6
+SHARE = 0.7
 """Share of the last frame's movement that is added: chosen on clips of two actors, for two cameras."""
 
 

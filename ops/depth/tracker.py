@@ -322,7 +322,7 @@ class Reconstructor:
         row, proposals = -1, _NO_PROPOSALS
         candidates: tuple[Candidate, ...] = ()
         if previous is not None and "local" in self.settings.hypotheses:
-            local = self._fit(self._predicted(previous), self._steps, SIGMA_M)
+            local = self._fit(self._beginning(previous, scene), self._steps, SIGMA_M)
             cost_local = self._cost(local, scene)
             pose, hypothesis = local, "local"
         if previous is None or "database" in self.settings.hypotheses:
@@ -341,11 +341,15 @@ class Reconstructor:
             self._unseen(pose, scene.cloud), previous is None, scene.people,
         )  # fmt: skip
 
-    def _predicted(self, previous: F64) -> F64:
-        """Return the pose that the local optimisation begins with; as printed it is the previous one."""
+    def _beginning(self, previous: F64, scene: _Scene) -> F64:
+        """Return the pose that the local optimisation begins with: the previous one, or that moved on if it costs less.
+
+        As printed it is the previous one.
+        """
         if self._before is None or self.settings.is_printed:
             return previous
-        return predicted_pose(previous, self._before)
+        moved = predicted_pose(previous, self._before)
+        return moved if self._cost(moved, scene) < self._cost(previous, scene) else previous
 
     def _propose(self, scene: _Scene, previous: F64 | None) -> Proposals:
         """Look poses up; also with the lowest extrema as feet where an extremum has jumped."""
