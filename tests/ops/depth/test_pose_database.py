@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import kinedex
 from kinedex.ops.body.joint_tree import JOINTS, PARENTS
 from kinedex.ops.depth.pose_database import (
     PoseThinning,
@@ -18,6 +21,7 @@ from kinedex.ops.depth.pose_database import (
 )
 from kinedex.ops.depth.pose_distance import pose_distance
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.words import NO_WORD
 from tests.ops.depth.cone_bodies import POSE, bone_lengths, random_pose
 from tests.ops.depth.pose_material import BONES, random_directions
 from tests.oracles import pose_lookup as naive
@@ -86,6 +90,22 @@ def test_poses_that_come_in_parts_are_thinned_as_one() -> None:
     assert np.array_equal(np.concatenate(numbers), whole)
     assert parts.count == whole.max() + 1 > 2000
     assert (parts.near(many) >= 0).all()
+
+
+@pytest.mark.slow
+def test_the_clips_of_three_actors_give_the_poses_of_the_design(shared: Path) -> None:
+    takes = {path.stem: kinedex.read(path) for path in (shared / "data/hdm05/clips").glob("*/*.amc")}
+    poses: dict[str, list[np.ndarray]] = {}
+    for name in sorted(takes):
+        order = [takes[name].joints.index(joint) for joint in JOINTS]
+        whole = takes[name].words() != NO_WORD
+        poses.setdefault(name.split("_")[1], []).append(takes[name].positions[whole][:, order].astype(float))
+    bones = np.mean([bone_lengths_of(np.concatenate(own)) for own in poses.values()], axis=0)
+    by_name = {actor: iter(own) for actor, own in poses.items()}
+    directions = np.concatenate([bone_directions(next(by_name[name.split("_")[1]])) for name in sorted(takes)])
+    assert sorted(poses) == ["bd", "bk", "dg"]
+    assert len(directions) == 11_269
+    assert [len(thin_poses(directions, bones, distance).rows) for distance in (0.05, 0.0805)] == [3506, 1572]
 
 
 def test_wrong_arguments_are_named() -> None:
