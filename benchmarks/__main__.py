@@ -9,6 +9,7 @@ from benchmarks import (
     annotating,
     checksums,
     depth,
+    depth_frame,
     depth_lookup,
     indexing,
     keyframes,
@@ -39,6 +40,7 @@ PARTS: dict[str, Callable[[Store], Sequence[Figure]]] = {
     "annotating": annotating.figures,
     "tracking": tracking.figures,
     "depth": depth.figures,
+    "depth_frame": depth_frame.figures,
     "depth_lookup": lambda opened: list(depth_lookup.figures(opened)),
 }
 
