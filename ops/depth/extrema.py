@@ -152,8 +152,7 @@ def tips_first(cloud: FrameCloud, graph: PointGraph, extrema: Extrema, room: Ext
     """Return extrema in another order: first those at the tips of limbs, then the others, each in the order they had.
 
     At a tip, no point that is connected to it within 0.15 m is farther from the source. A knee between source and foot,
-    or a shoulder, takes a place among the first five extrema where a hand hangs at the hip, but is mostly no tip. All
-    five ends are among the first five extrema in 57 % of the frames of set D instead of 46.
+    or a shoulder, takes a place among the first five extrema where a hand hangs at the hip, but is mostly no tip.
 
     Parameters
     ----------

@@ -23,6 +23,12 @@ Bool = npt.NDArray[np.bool_]
 EDGE_M = 0.06
 """Neighbouring points closer than this are joined by an edge."""
 
+FINE_EDGE_M, EDGE_PER_STEP = 0.043, 0.7
+"""The threshold for a sensor of fine steps, and what it grows by with the step of a frame, up to `EDGE_M`."""
+
+STEP_SHARE, STEP_BIN_M, STEP_BINS = 0.2, 0.001, 64
+"""The step of a frame is the value that this share of depth differences is below, counted in bins of a millimetre."""
+
 LEAST_NODES = 12
 """Components of fewer nodes are dropped."""
 
@@ -111,6 +117,27 @@ def graph_room(most: int) -> GraphRoom:
     )
 
 
+def edge_threshold(cloud: FrameCloud) -> float:
+    """Return the distance that neighbouring points of a frame are joined below, by the step of its depths.
+
+    A hand at the hip is a step of some 5 cm from it. Where the sensor resolves this, a lower threshold keeps both
+    apart; disparities of structured light make steps of 2.6 cm at 3 m, two of which must not cut a limb.
+
+    Parameters
+    ----------
+    cloud : FrameCloud
+        The points.
+
+    Returns
+    -------
+    float
+        0.043 m + 0.7 × the 20th percentile of depth differences of horizontal neighbours, zeros excluded; at most
+        `EDGE_M`.
+    """
+    step = _depth_step(cloud.pixels, cloud.depth, np.zeros(STEP_BINS + 1, np.int64))
+    return min(EDGE_M, FINE_EDGE_M + EDGE_PER_STEP * float(step))
+
+
 def build_graph(cloud: FrameCloud, threshold: float = EDGE_M, room: GraphRoom | None = None) -> PointGraph:
     """Return the graph of a frame's points.
 
@@ -148,6 +175,24 @@ def build_graph(cloud: FrameCloud, threshold: float = EDGE_M, room: GraphRoom | 
         components,
         links,
     )
+
+
+@njit(cache=True, nogil=True)
+def _depth_step(pixels: I32, depth: npt.NDArray[np.float32], counts: npt.NDArray[np.int64]) -> float:
+    """Return the bin that a share of the differences of horizontal neighbours is below, in metres; 0 without any."""
+    total = 0
+    for i in range(len(pixels) - 1):
+        u, v = pixels[i, 0], pixels[i, 1]
+        if pixels[i + 1, 1] == v and pixels[i + 1, 0] == u + 1:
+            apart = int(abs(np.float64(depth[v, u + 1]) - np.float64(depth[v, u])) / STEP_BIN_M + 0.5)
+            if apart > 0:
+                counts[min(apart, STEP_BINS)] += 1
+                total += 1
+    below, apart = 0, 0
+    while total > 0 and below <= int(STEP_SHARE * total):
+        apart += 1
+        below += counts[apart]
+    return apart * STEP_BIN_M
 
 
 @njit(cache=True, nogil=True)

@@ -12,7 +12,7 @@ from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.cones import ConeBody, body_distance
 from kinedex.ops.depth.extrema import COUNT, ExtremaRoom, extrema_room, find_source, geodesic_extrema, tips_first
 from kinedex.ops.depth.facing_direction import facing_from_points, point_centre, sample_step
-from kinedex.ops.depth.graph import GraphRoom, build_graph, graph_room
+from kinedex.ops.depth.graph import EDGE_M, GraphRoom, build_graph, edge_threshold, graph_room
 from kinedex.ops.depth.image_search import DepthView
 from kinedex.ops.depth.lookup import JUMP_M, Lookup, Proposals
 from kinedex.ops.depth.persons import nearest_person, restrict_cloud, split_people
@@ -292,11 +292,12 @@ class Reconstructor:
         pixels = self.preparation.shape[0] * self.preparation.shape[1]
         if self._graph is None:
             self._graph = graph_room(pixels)
-        graph = build_graph(cloud, room=self._graph)
+        threshold = EDGE_M if self.settings.is_printed else edge_threshold(cloud)
+        graph = build_graph(cloud, threshold, self._graph)
         people = split_people(cloud, graph)
         if people:
             cloud = restrict_cloud(cloud, people[nearest_person(cloud, people, self._pose)])
-            graph = build_graph(cloud, room=self._graph)
+            graph = build_graph(cloud, threshold, self._graph)
         if self._extrema is None:
             self._extrema = extrema_room(pixels)
         source = find_source(cloud, graph, 0.0) if self.settings.is_printed else find_source(cloud, graph)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinedex.ops.depth.graph import PointGraph, build_graph, graph_room
+from kinedex.ops.depth.graph import PointGraph, build_graph, edge_threshold, graph_room
 from kinedex.ops.depth.points import FrameCloud
 from tests.ops.depth.depth_images import flat_cloud, lattice_cloud, random_cloud
 from tests.oracles import depth_points as oracle
@@ -64,6 +64,18 @@ def test_the_largest_component_is_the_body_and_far_ones_are_not() -> None:
     graph = build_graph(flat_cloud(mask), 0.06)
     assert (graph.components, graph.links) == (3, 1)  # the line of 11 pixels is too small, the last patch too far
     assert graph.body.sum() == 36 + 48
+
+
+def stepped_cloud(step_mm: int, seed: int) -> FrameCloud:
+    """Points whose depths are whole steps of a sensor."""
+    cloud = flat_cloud(np.ones((30, 40), bool))
+    steps = np.random.default_rng(seed).integers(0, 4, cloud.depth.shape)
+    return cloud._replace(depth=(2.0 + 0.001 * step_mm * steps).astype(np.float32))
+
+
+@pytest.mark.parametrize(("step_mm", "expected"), [(0, 0.043), (3, 0.0451), (10, 0.05), (26, 0.06), (90, 0.06)])
+def test_the_threshold_grows_with_the_step_of_the_sensor(step_mm: int, expected: float) -> None:
+    assert np.isclose(edge_threshold(stepped_cloud(step_mm, 1)), expected)
 
 
 @pytest.mark.parametrize("size", [0, 1])
