@@ -278,6 +278,7 @@ def test_json_documents_have_the_keys_of_the_reference(store: Path, source: Path
         "takes list": document("takes", store),
         "export": document("export", store, "-o", tmp_path / "clips"),
         "simulate cameras": document("simulate", "cameras", store, "x_aa_take01", "-o", tmp_path / "film", "--seed=1"),
+        "simulate depth": document("simulate", "depth", store, "x_aa_take01", "-o", tmp_path / "deep", "--seed=1"),
         "search": document("search", store, "example"),
         "search --explain": document("search", store, "example", "--explain"),
         "rank": document("rank", store, "--take", "x_aa_wave_001_120", "--tau", "1"),
