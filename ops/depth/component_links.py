@@ -23,13 +23,16 @@ MOST_LINK_M = 0.5
 TILE_BITS = 3
 """Rows and columns of a block are 2 to this power, in pixels."""
 
+MOST_TILES = 1 << 14 >> TILE_BITS
+"""Tiles beside each other: images have fewer than 2¹⁴ columns."""
+
 
 class LinkRoom(NamedTuple):
     """The arrays that links are found in, for at most N points and K components.
 
     Attributes
     ----------
-    order, keys, counts : int32 array (N,), (2, N), (N + 1,)
+    order, keys, counts : int32 array (N,), (2, N), at least (N + 1,)
         The nodes by component and tile, the tile of each node with a first order, and counts of a sort.
     blocks, firsts : int32 array (N + 1,), (K + 1,)
         Where the nodes of each block begin in the order, and where the blocks of each component begin.
@@ -63,7 +66,7 @@ def link_room(most: int, components: int) -> LinkRoom:
     return LinkRoom(
         np.zeros(most, np.int32),
         np.zeros((2, most), np.int32),
-        np.zeros(most + 1, np.int32),
+        np.zeros(max(most, MOST_TILES) + 1, np.int32),
         np.zeros(most + 1, np.int32),
         np.zeros(components + 1, np.int32),
         np.zeros((most, 2, 3)),

@@ -66,6 +66,14 @@ def test_the_largest_component_is_the_body_and_far_ones_are_not() -> None:
     assert graph.body.sum() == 36 + 48
 
 
+def test_few_points_far_apart_in_a_wide_image_are_sorted() -> None:
+    """There are more columns of tiles than points."""
+    mask = np.zeros((4, 1200), bool)
+    mask[:, 2:6] = mask[:, 40:44] = mask[:, 1190:1194] = True
+    cloud = flat_cloud(mask)
+    assert_graph(cloud, build_graph(cloud), 0.06)
+
+
 def stepped_cloud(step_mm: int, seed: int) -> FrameCloud:
     """Points whose depths are whole steps of a sensor."""
     cloud = flat_cloud(np.ones((30, 40), bool))
