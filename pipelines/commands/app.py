@@ -196,13 +196,14 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
     def guarded(**arguments: Any) -> None:
         from kinedex.pipelines.console.logs import configure_logging
         from kinedex.pipelines.console.terminal import configure_messages
+        from kinedex.storage.ctrl_c import ctrl_c_in_statements
 
         quiet, verbose, log_file = (arguments.pop(name) for name in COMMON_OPTIONS)
         as_json = bool(arguments.get("as_json"))
         configure_messages(quiet=quiet, to_stderr=as_json)
         try:
             configure_logging(quiet=quiet, verbose=verbose, log_file=log_file)
-            with _logged(function.__name__.replace("_", "-")):
+            with _logged(function.__name__.replace("_", "-")), ctrl_c_in_statements():
                 function(**arguments)
         except KinedexError as fault:
             code = _CODES.get(type(fault).__name__, FAILED)

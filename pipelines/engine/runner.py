@@ -25,6 +25,7 @@ from kinedex.pipelines.engine.context import Display, StageContext, feature_set_
 from kinedex.pipelines.engine.executors import Executor, make_executor
 from kinedex.pipelines.engine.plan import FORCED, Planner, Step, make_plan
 from kinedex.pipelines.engine.run_recorder import RunRecorder
+from kinedex.storage.ctrl_c import ctrl_c_in_statements
 from kinedex.storage.lock import Wait
 from kinedex.storage.provenance import kinedex_version, running_command
 from kinedex.storage.snapshot.manifest import PipelineRecord, StageRecord, now
@@ -180,10 +181,11 @@ def run_pipeline(
     steps: list[Step] = []
     try:
         pool.check(store_path)
-        for number in range(len(pipeline.stages)):
-            steps.append(_take_step(run, planner, number))
-            run = run if steps[-1].reason is None else run.begun()
-        _make_current(run)
+        with ctrl_c_in_statements():
+            for number in range(len(pipeline.stages)):
+                steps.append(_take_step(run, planner, number))
+                run = run if steps[-1].reason is None else run.begun()
+            _make_current(run)
     except BaseException as fault:
         pool.abort()
         history.fail(fault)

@@ -16,6 +16,8 @@ import pytest
 
 from kinedex.ops.errors import ParameterError
 from kinedex.storage import interruption
+from kinedex.storage.ctrl_c import ctrl_c_in_statements
+from kinedex.storage.duck import connect, rows
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.interruption import TimeLimitError, abandoned_statements
 from kinedex.storage.sql import queries
@@ -127,6 +129,19 @@ def test_ctrl_c_in_the_prompt_ends_the_statement_and_not_the_prompt(path: Path) 
     assert process.returncode == 0
     assert "Traceback" not in err
     assert b" 42 " in shown
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows sends no SIGINT to one process")
+def test_ctrl_c_in_a_statement_of_the_program_is_a_keyboard_interrupt(store: Store) -> None:
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    try:
+        with pytest.raises(KeyboardInterrupt), ctrl_c_in_statements(), connect() as connection:
+            rows(connection, MANY_ROWS)
+    finally:
+        timer.join()
+        signal.signal(signal.SIGINT, before)
 
 
 def read_until(terminal: int, text: bytes) -> bytes:
