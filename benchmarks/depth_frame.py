@@ -30,7 +30,8 @@ from kinedex.ops.depth.extrema import (
 from kinedex.ops.depth.facing_direction import point_centre
 from kinedex.ops.depth.graph import PointGraph, build_graph, graph_room
 from kinedex.ops.depth.image_search import depth_view
-from kinedex.ops.depth.points import FrameCloud, Preparation, nearest_pixels, ray_table
+from kinedex.ops.depth.nearest_pixels import nearest_pixels
+from kinedex.ops.depth.points import FrameCloud, Preparation, ray_table
 from kinedex.ops.depth.pose_database import bone_directions, bone_lengths_of, thin_poses
 from kinedex.ops.depth.tracker import Reconstructor
 from kinedex.ops.simulation.depth_sensors import SENSORS, UNIT_M
@@ -131,7 +132,7 @@ def _parts(made: Recording) -> dict[str, Callable[[int], object]]:
         "edges, components and links": lambda k: build_graph(made.clouds[k], room=room),
         "source": lambda k: find_source(made.clouds[k], made.graphs[k]),
         "centre of the points": lambda k: point_centre(made.clouds[k].points),
-        "nearest pixels": lambda k: nearest_pixels(made.clouds[k]),
+        "nearest pixels": lambda k: nearest_pixels(made.clouds[k].numbers, made.clouds[k].box, made.clouds[k].room),
     }
 
 

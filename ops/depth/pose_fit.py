@@ -28,6 +28,7 @@ from kinedex.ops.depth.cones import (
     seen_side,
 )  # fmt: skip
 from kinedex.ops.depth.image_search import DepthView, FrameImage, closest_point, is_hidden, project_samples
+from kinedex.ops.depth.nearest_pixels import nearest_pixels
 from kinedex.ops.depth.normal_equations import (
     MovingCones,
     Sums,
@@ -41,7 +42,7 @@ from kinedex.ops.depth.normal_equations import (
     solve,
 )  # fmt: skip
 from kinedex.ops.depth.pivots import Pivots, pivots_of, turn_pose
-from kinedex.ops.depth.points import FrameCloud, nearest_pixels
+from kinedex.ops.depth.points import FrameCloud
 from kinedex.ops.errors import ParameterError
 
 F64 = npt.NDArray[np.float64]
@@ -150,7 +151,9 @@ class PoseFit:
         if not len(cloud.points):
             raise ParameterError("cloud", "a frame with points", "none")
         box = np.array(cloud.box, np.int64)
-        self.image = FrameImage(cloud.points, cloud.pixels, cloud.numbers, nearest_pixels(cloud), box)
+        self.image = FrameImage(
+            cloud.points, cloud.pixels, cloud.numbers, nearest_pixels(cloud.numbers, cloud.box, cloud.room), box
+        )
 
     def fit(
         self,

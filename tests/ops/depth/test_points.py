@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinedex.ops.cameras.projection import distort
-from kinedex.ops.depth.points import FrameCloud, Preparation, choose_stride, nearest_pixels, ray_table
+from kinedex.ops.depth.nearest_pixels import nearest_pixels
+from kinedex.ops.depth.points import FrameCloud, Preparation, choose_stride, ray_table
 from kinedex.ops.errors import ParameterError
 from tests.ops.depth.depth_images import random_cloud, random_image
 from tests.oracles import depth_points as oracle
@@ -121,7 +122,7 @@ def test_a_floor_above_the_camera_is_refused() -> None:
 @given(seed=st.integers(0, 2**32 - 1))
 def test_nearest_pixels_are_the_nearest(seed: int) -> None:
     cloud = random_cloud(seed)
-    nearest, (left, top, right, bottom) = nearest_pixels(cloud), cloud.box
+    nearest, (left, top, right, bottom) = nearest_pixels(cloud.numbers, cloud.box, cloud.room), cloud.box
     for v in range(top, bottom):
         for u in range(left, right):
             assert nearest[v, u] == oracle.nearest(cloud.pixels, u, v)

@@ -1,0 +1,274 @@
+"""The foreground of a depth image, and its noise removed (thesis, Section 8.3.1).
+
+A pixel is foreground if its depth z is above `near`, below `far` and below a limit that background and floor set. Each
+of these conditions holds up to one depth and fails beyond it, so one table of limits, exact to the last bit, stands for
+all of them. What is left is judged in windows of 3 × 3 pixels: contours and flying pixels go, and the others take the
+median of their window.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+I32 = npt.NDArray[np.int32]
+I64 = npt.NDArray[np.int64]
+
+NEAR_M, FAR_M = 0.4, 8.0
+"""Depths of the foreground lie between these, in metres."""
+
+BEFORE_BACKGROUND, BEFORE_BACKGROUND_SHARE = 0.06, 0.015
+"""A foreground pixel is nearer than the background by more than the first, in metres, plus the second times z."""
+
+ABOVE_FLOOR_M = 0.01
+"""Points that are not higher above a known floor belong to it."""
+
+LEAST_NEIGHBOURS, MOST_FROM_MEDIAN_M = 5, 0.10
+"""A pixel stays with as many foreground neighbours of 8, and nearer than this to the median of its window."""
+
+# sensors report whole millimetres: a difference of exactly 0.10 in them is not below 0.10 in float32
+_ROUNDING_M = 1e-6
+
+
+def depth_limits(background: F32 | None, rises: F64, floor_height: float | None, far: float) -> F32:
+    """Return the least depth of each pixel that is no foreground any more.
+
+    Parameters
+    ----------
+    background : float32 array (h, w), optional
+        Depths of the empty scene in metres; 0 where nothing was measured.
+    rises : float64 array (h, w)
+        The Y of each pixel's ray at z = 1.
+    floor_height : float, optional
+        The floor's Y in metres.
+    far : float
+        The greatest depth in metres.
+
+    Returns
+    -------
+    float32 array (h, w)
+        Depths below it pass, and all others fail, with the conditions evaluated in float64.
+    """
+    limits = np.full(rises.shape, far)
+    if floor_height is not None:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            limits = np.where(rises < 0, np.minimum(limits, (floor_height + ABOVE_FLOOR_M) / rises), limits)
+    if background is not None:
+        wall = (background.astype(np.float64) - BEFORE_BACKGROUND) / (1.0 + BEFORE_BACKGROUND_SHARE)
+        limits = np.where(background > 0, np.minimum(limits, wall), limits)
+
+    def passes(z: F32) -> npt.NDArray[np.bool_]:
+        return is_foreground(z, background, rises, floor_height, far)
+
+    bound = np.maximum(limits, 0.0).astype(np.float32)
+    for _ in range(64):  # rounding has moved it by a few steps of float32 at most
+        above = np.nextafter(bound, np.float32(np.inf))
+        below = np.nextafter(bound, np.float32(0.0))
+        moved = np.where(passes(bound), above, np.where((bound > 0) & ~passes(below), below, bound))
+        if np.array_equal(moved, bound):
+            break
+        bound = moved
+    return np.where(np.isnan(rises), np.float32(0.0), bound)
+
+
+def is_foreground(
+    z: F32, background: F32 | None, rises: F64, floor_height: float | None, far: float
+) -> npt.NDArray[np.bool_]:
+    """Return which depths lie before the background, above the floor and nearer than `far`; see `depth_limits`."""
+    depth = z.astype(np.float64)
+    found = depth < far
+    if background is not None:
+        wall = background.astype(np.float64)
+        found &= ~(wall > 0) | (wall - depth > BEFORE_BACKGROUND + BEFORE_BACKGROUND_SHARE * depth)
+    if floor_height is not None:
+        found &= depth * rises > floor_height + ABOVE_FLOOR_M
+    return found
+
+
+def float32_below(value: float) -> np.float32:
+    """Return the greatest float32 that is not above a number."""
+    rounded = np.float32(value)
+    return rounded if float(rounded) <= value else np.nextafter(rounded, np.float32(-np.inf))
+
+
+@njit(cache=True, nogil=True)
+def find_foreground(image: F32, limits: F32, near: np.float32, foreground: F32, runs: I64) -> int:
+    """Copy foreground depths into a padded image, find where they begin and end in each row, and count them.
+
+    Parameters
+    ----------
+    image : float32 array (h, w)
+        Depths in metres; 0 where nothing was measured.
+    limits : float32 array (h, w)
+        See `depth_limits`.
+    near : float32
+        Foreground is farther than this, in metres.
+    foreground : float32 array (h + 2, w + 2)
+        Receives the foreground's depths, 0 elsewhere, within a border of zeros.
+    runs : int64 array (h, 2)
+        Receives the first foreground column of each row, and the one after the last.
+
+    Returns
+    -------
+    int
+        The number of foreground pixels.
+    """
+    height, width = image.shape
+    total = 0
+    for v in range(height):
+        given, limit, kept = image[v], limits[v], foreground[v + 1, 1 : width + 1]
+        count = np.int32(0)
+        for u in range(width):
+            z = given[u]
+            passes = (z > near) & (z < limit[u])
+            kept[u] = z if passes else np.float32(0.0)
+            count += np.int32(passes)
+        left, right = 0, 0
+        if count > 0:
+            total += int(count)
+            right = width
+            while kept[left] == 0:
+                left += 1
+            while kept[right - 1] == 0:
+                right -= 1
+        runs[v, 0], runs[v, 1] = left, right
+    return total
+
+
+@njit(cache=True, nogil=True)
+def remove_noise(
+    foreground: F32, directions: F64, runs: I64, rows: F32,
+    points: F64, pixels: I32, numbers: I32, depth: F32, box: I64,
+) -> int:  # fmt: skip
+    """Clear the former frame's box, number the pixels that stay, set their box, and return how many there are.
+
+    Parameters
+    ----------
+    foreground : float32 array (h + 2, w + 2)
+        The foreground, see `find_foreground`.
+    directions : float64 array (h, w, 3)
+        The place of each pixel at z = 1.
+    runs : int64 array (h, 2)
+        The foreground's columns in each row.
+    rows : float32 array (5, w + 2)
+        Room for the sorted columns and the medians of a row.
+    points : float64 array (h · w, 3)
+        Receives the place of each point in metres.
+    pixels : int32 array (h · w, 2)
+        Receives its column and row.
+    numbers : int32 array (h, w)
+        Receives the point of each pixel; −1 where there is none.
+    depth : float32 array (h, w)
+        Receives the cleaned depths.
+    box : int64 array (4,)
+        The former frame's box; receives that of this frame.
+
+    Returns
+    -------
+    int
+        The number of points.
+    """
+    for v in range(box[1], box[3]):
+        numbers[v, box[0] : box[2]] = -1
+        depth[v, box[0] : box[2]] = 0.0
+    n, first, last = 0, numbers.shape[1], 0
+    for v in range(numbers.shape[0]):
+        left, right, former = runs[v, 0], runs[v, 1], n
+        if left < right:
+            n = _clean_run(foreground, rows, v, left, right, n, directions, points, pixels, depth)
+        for k in range(former, n):
+            numbers[v, pixels[k, 0]] = k
+        if n > former:
+            first, last = min(first, pixels[former, 0]), max(last, pixels[n - 1, 0] + 1)
+    box[:] = 0
+    if n > 0:
+        box[0], box[1], box[2], box[3] = first, pixels[0, 1], last, pixels[n - 1, 1] + 1
+    return n
+
+
+@njit(cache=True, nogil=True)
+def _clean_run(
+    foreground: F32, rows: F32, v: int, left: int, right: int, n: int,
+    directions: F64, points: F64, pixels: I32, depth: F32,
+) -> int:  # fmt: skip
+    """Write the pixels that stay of some columns of a row, after n points, and return the new number of points."""
+    size = right - left + 2
+    lows, middles, highs, counts, medians = (
+        rows[0, :size], rows[1, :size], rows[2, :size], rows[3, :size], rows[4, : size - 2]
+    )  # fmt: skip
+    above, here, below = (
+        foreground[v, left : right + 2], foreground[v + 1, left : right + 2], foreground[v + 2, left : right + 2]
+    )  # fmt: skip
+    _sort_columns(above, here, below, lows, middles, highs, counts)
+    _medians(lows, middles, highs, medians)
+    for i in range(size - 2):
+        z = here[i + 1]
+        kept = int(counts[i] + counts[i + 1] + counts[i + 2])
+        if z == 0 or kept < LEAST_NEIGHBOURS + 1:
+            continue
+        m = medians[i] if kept >= 8 else _sixth(above, here, below, i)
+        far = np.float64(m)
+        if abs(np.float64(z) - far) < MOST_FROM_MEDIAN_M - _ROUNDING_M:
+            u = left + i
+            depth[v, u] = m
+            pixels[n, 0], pixels[n, 1] = u, v
+            points[n, 0] = far * directions[v, u, 0]
+            points[n, 1] = far * directions[v, u, 1]
+            points[n, 2] = far * directions[v, u, 2]
+            n += 1
+    return n
+
+
+@njit(cache=True, nogil=True)
+def _sort_columns(above: F32, here: F32, below: F32, lows: F32, middles: F32, highs: F32, counts: F32) -> None:
+    """Sort the three values of each column, and count those above 0."""
+    for i in range(len(above)):
+        a, b, c = above[i], here[i], below[i]
+        one = np.float32(1.0)
+        none = np.float32(0.0)
+        counts[i] = (one if a > 0 else none) + (one if b > 0 else none) + (one if c > 0 else none)
+        low, high = (a if a < b else b), (b if a < b else a)
+        middle = c if c > low else low
+        lows[i] = low if c > low else c
+        middles[i] = middle if middle < high else high
+        highs[i] = high if middle < high else middle
+
+
+@njit(cache=True, nogil=True)
+def _medians(lows: F32, middles: F32, highs: F32, medians: F32) -> None:
+    """Compute the median of each window of three columns, in which pixels without a depth count as 0."""
+    for i in range(len(medians)):
+        a, b, c = lows[i], lows[i + 1], lows[i + 2]
+        low = a if a > b else b
+        low = low if low > c else c
+        a, b, c = highs[i], highs[i + 1], highs[i + 2]
+        high = a if a < b else b
+        high = high if high < c else c
+        a, b, c = middles[i], middles[i + 1], middles[i + 2]
+        less, more = (a if a < b else b), (b if a < b else a)
+        c = c if c < more else more
+        middle = c if c > less else less
+        less, more = (low if low < middle else middle), (middle if low < middle else low)
+        high = high if high < more else more
+        medians[i] = high if high > less else less
+
+
+@njit(cache=True, nogil=True)
+def _sixth(above: F32, here: F32, below: F32, i: int) -> np.float32:
+    """Return the sixth of the nine values of a window: the lower median of six or seven, zeros before them."""
+    first = second = third = fourth = np.float32(-1.0)  # the four greatest, descending
+    for row in (above, here, below):
+        for k in range(3):
+            value = row[i + k]
+            if value > fourth:
+                fourth = value
+                if fourth > third:
+                    third, fourth = fourth, third
+                if third > second:
+                    second, third = third, second
+                if second > first:
+                    first, second = second, first
+    return fourth

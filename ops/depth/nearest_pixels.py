@@ -1,0 +1,114 @@
+"""The nearest foreground pixel of every pixel: the exact distance transform of the box of the points."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+F64 = npt.NDArray[np.float64]
+I32 = npt.NDArray[np.int32]
+I64 = npt.NDArray[np.int64]
+
+
+class NearestRoom(NamedTuple):
+    """The arrays that nearest points are found in.
+
+    Attributes
+    ----------
+    nearest : int32 array (h, w)
+        The nearest point of each pixel of the box.
+    box : int64 array (4,)
+        The box that `nearest` was filled in.
+    steps : int32 array (h, w)
+        The rows from each pixel to the nearest point of its column.
+    hull : float64 array (3, w)
+        The lower envelope of a row: where each part begins, its column and its squared distance.
+    """
+
+    nearest: I32
+    box: I64
+    steps: I32
+    hull: F64
+
+
+def nearest_pixels(numbers: I32, box: tuple[int, int, int, int], room: NearestRoom | None = None) -> I32:
+    """Return the point of the pixel that is nearest to each pixel of the box.
+
+    Parameters
+    ----------
+    numbers : int32 array (h, w)
+        The point of each pixel; −1 where there is none.
+    box : (int, int, int, int)
+        First column, first row, and the column and row after the last, of all points.
+    room : NearestRoom, optional
+        The room of the recording; None: it is made.
+
+    Returns
+    -------
+    int32 array (h, w)
+        The point, ties to the lowest column, then the lowest row; −1 outside the box, or without points. The next
+        frame of the recording overwrites it.
+    """
+    room = nearest_room(numbers.shape) if room is None else room
+    _nearest(numbers, *box, room)
+    return room.nearest
+
+
+def nearest_room(shape: tuple[int, ...]) -> NearestRoom:
+    """Return room for the nearest points of images of h rows and w columns."""
+    empty = np.zeros(4, np.int64)
+    return NearestRoom(np.full(shape, -1, np.int32), empty, np.zeros(shape, np.int32), np.zeros((3, shape[1])))
+
+
+@njit(cache=True, nogil=True)
+def _nearest(numbers: I32, left: int, top: int, right: int, bottom: int, room: NearestRoom) -> None:
+    """Fill the nearest points: down and up each column, then along each row by the lower envelope of parabolas."""
+    nearest, box, steps = room.nearest, room.box, room.steps
+    for v in range(box[1], box[3]):
+        nearest[v, box[0] : box[2]] = -1
+    box[0], box[1], box[2], box[3] = left, top, right, bottom
+    far = np.int32(1 << 14)  # above any distance in an image, and its square below 2³¹
+    for v in range(top, bottom):  # steps to the nearest point of the column; negative for one above
+        for u in range(left, right):
+            before = steps[v - 1, u] - 1 if v > top else -far
+            steps[v, u] = 0 if numbers[v, u] >= 0 else max(before, -far)
+    for v in range(bottom - 2, top - 1, -1):
+        for u in range(left, right):
+            after = steps[v + 1, u] + 1 if steps[v + 1, u] >= 0 else far
+            if after < -steps[v, u]:
+                steps[v, u] = after
+    for v in range(top, bottom):
+        _nearest_of_row(numbers, v, left, right, far, steps[v], room.hull, nearest[v])
+
+
+@njit(cache=True, nogil=True)
+def _nearest_of_row(numbers: I32, v: int, left: int, right: int, far: int, steps: I32, hull: F64, nearest: I32) -> None:
+    """Fill the nearest points of a row from those of the columns (Meijster, Roerdink and Hesselink, 2000)."""
+    starts, columns, squares = hull[0], hull[1], hull[2]
+    count = 0
+    for u in range(left, right):
+        if abs(steps[u]) >= far:
+            continue
+        square = np.float64(steps[u]) * np.float64(steps[u])
+        start = np.float64(left)
+        while count > 0:
+            last = columns[count - 1]
+            reach = (u * u - last * last + square - squares[count - 1]) / (2.0 * (u - last))
+            start = np.floor(reach) + 1.0  # the first column that is nearer to this one
+            if start > starts[count - 1]:
+                break
+            count -= 1
+            start = np.float64(left)
+        if count == 0 or start < right:
+            starts[count], columns[count], squares[count] = start, u, square
+            count += 1
+    k = 0
+    for u in range(left, right):
+        while k + 1 < count and starts[k + 1] <= u:
+            k += 1
+        if count > 0:
+            column = int(columns[k])
+            nearest[u] = numbers[v + steps[column], column]
