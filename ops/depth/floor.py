@@ -161,9 +161,10 @@ def upright_turn(up: npt.ArrayLike) -> F64:
         It has no direction.
     """
     x, y, z = _unit(up)
-    if y < -1 + 1e-12:
+    aside = x * x + z * z
+    if y < 0 and aside < 1e-300:
         return np.diag([1.0, -1.0, -1.0])
-    share = 1 / (1 + y)
+    share = 1 / (1 + y) if y >= 0 else (1 - y) / aside  # the same, where 1 + y would lose its digits
     return np.array([[1 - x * x * share, -x, -x * z * share], [x, y, z], [-x * z * share, -z, 1 - z * z * share]])
 
 

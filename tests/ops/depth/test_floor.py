@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from kinedex.ops.body.axisangle import matrices
@@ -79,6 +79,7 @@ def test_the_plane_is_the_largest_of_those_that_plain_loops_try() -> None:
 
 
 @given(st.lists(st.floats(-1, 1), min_size=3, max_size=3).filter(lambda x: np.linalg.norm(x) > 0.01))
+@example([1e-05, -1.0, 0.0])
 def test_the_upright_turn_is_the_shortest_rotation_to_y(direction: list[float]) -> None:
     turn = upright_turn(direction)
     up = np.array(direction) / np.linalg.norm(direction)
