@@ -63,3 +63,12 @@ def takes_read(store: Store, filters: Mapping[str, str]) -> Reading:
             hasher.update(repr((label, len(own))).encode() + own.tobytes())
         described.append(counted(takes.height, role))
     return Reading(hasher.hexdigest()[:16], ", ".join(described))
+
+
+def hash_of(*parts: object) -> str:
+    """Return a hash of values whose repr determines them, and of arrays."""
+    hasher = hashlib.sha256()
+    for part in parts:
+        content = np.ascontiguousarray(part).tobytes() if isinstance(part, np.ndarray) else repr(part).encode()
+        hasher.update(len(content).to_bytes(8, "little") + content)
+    return hasher.hexdigest()[:32]

@@ -28,7 +28,7 @@ from kinedex.pipelines.ingestion.take_names import Naming, TakeNames, file_names
 from kinedex.storage.formats.motion.reader import Reader, ReadSettings
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body, readers_by_ending
 from kinedex.storage.formats.motion.sources import Scan, SourceFile, path_groups
-from kinedex.storage.snapshot.schemas import TRACK_FORMAT
+from kinedex.storage.snapshot.schemas import RECORDED_FORMATS
 from kinedex.storage.store.verification import damaged_frames
 from kinedex.storage.store.writer import StoreWriter
 
@@ -148,7 +148,7 @@ class _Comparison:
         self.root = found.motions[0].root
         rows = writer.store.take_rows.to_pylist()
         self.files = KnownFiles(rows)
-        self.tracks = [row["name"] for row in rows if row["format"] == TRACK_FORMAT]
+        self.tracks = [row["name"] for row in rows if row["format"] in RECORDED_FORMATS]
         self.known: dict[str, KnownFile] = {}
         self.places: set[tuple[str, str]] = set()
         self.contents = {motion.path: FileContent(motion) for motion in found.motions}

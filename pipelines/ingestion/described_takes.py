@@ -10,7 +10,7 @@ from typing import Any
 
 from kinedex.pipelines.ingestion.known_files import KnownFiles, Row
 from kinedex.storage.formats.motion.sources import Scan, path_groups
-from kinedex.storage.snapshot.schemas import TRACK_FORMAT, TakeColumn
+from kinedex.storage.snapshot.schemas import RECORDED_FORMATS, TakeColumn
 
 EVERYWHERE = ("actor", "class", "clip")
 """The columns of every store that patterns and tables fill."""
@@ -127,7 +127,7 @@ def rows_below(rows: Sequence[Row], found: Scan, root: str) -> list[Row]:
     root : str
         The source root.
     """
-    here = [row for row in rows if row["source_root"] == root and row["format"] != TRACK_FORMAT]
+    here = [row for row in rows if row["source_root"] == root and row["format"] not in RECORDED_FORMATS]
     known = KnownFiles(rows)
     moved = (known.at_place(motion) for motion in found.motions)
     return here + [row for file in moved if file is not None and file.root != root for row in file.rows]

@@ -10,7 +10,7 @@ from typing import Any
 
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.sources import SourceFile, checksum
-from kinedex.storage.snapshot.schemas import TRACK_FORMAT
+from kinedex.storage.snapshot.schemas import RECORDED_FORMATS
 
 Row = dict[str, Any]
 
@@ -131,7 +131,7 @@ class KnownFiles:
 
     def __init__(self, rows: Iterable[Row]) -> None:
         places: dict[tuple[str, str], list[Row]] = {}
-        for row in (row for row in rows if row["format"] != TRACK_FORMAT):
+        for row in (row for row in rows if row["format"] not in RECORDED_FORMATS):
             places.setdefault((row["source_root"], row["source"]), []).append(row)
         self._at = {place: KnownFile(*place, tuple(those)) for place, those in places.items()}
         self._with_path: dict[str, list[KnownFile]] = {}

@@ -22,9 +22,9 @@ from kinedex.pipelines.engine.context import Display
 from kinedex.pipelines.engine.executors import make_executor
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.ingestion.file_batches import read_batch
+from kinedex.pipelines.recordings.stored_results import stages_of_takes
 from kinedex.pipelines.repair.pipeline_files import ingest_settings, known_stages, pipeline_text
 from kinedex.pipelines.repair.sources import Sources
-from kinedex.pipelines.tracking.stored_results import stages_of_tracks
 from kinedex.storage.disk import TEMPORARY, sync_file, whole_file, write_errors
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
@@ -369,7 +369,7 @@ class _Work:
             self._keep(part.path, "the part of frames is damaged", held, part.sha256)
         self.quarantine.takes += lost
         self.quarantine.write()
-        self.tracking |= stages_of_tracks(writer.store, {take.take_id for take in lost})
+        self.tracking |= stages_of_takes(writer.store, {take.take_id for take in lost})
         writer.drop_takes([take.take_id for take in lost])
         for take in lost:
             self.say(f"take {take.name} is lost: {take.why}")

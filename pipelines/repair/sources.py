@@ -17,10 +17,10 @@ from kinedex.pipelines.ingestion.described_takes import described_columns
 from kinedex.pipelines.ingestion.file_batches import Batch, Task
 from kinedex.pipelines.ingestion.parameters import IngestParameters
 from kinedex.pipelines.ingestion.quality import stored_figures
-from kinedex.pipelines.tracking.stored_results import command_of_track
+from kinedex.pipelines.recordings.stored_results import command_of_take
 from kinedex.storage.formats.motion.sources import Scan, SourceFile, checksum, path_groups, scan
 from kinedex.storage.repair.quarantine import LostTake
-from kinedex.storage.snapshot.schemas import TRACK_FORMAT
+from kinedex.storage.snapshot.schemas import RECORDED_FORMATS
 from kinedex.storage.store.store import Store
 
 
@@ -101,10 +101,10 @@ class Sources:
     def _task(self, row: Mapping[str, Any]) -> tuple[int, Task]:
         """Return the task that reads a take again, with the number of the settings; a KinedexError if none can."""
         path = Path(row["source_root"]) / row["source"]
-        if row["format"] == TRACK_FORMAT:
+        if row["format"] in RECORDED_FORMATS:
             raise KinedexError(
                 "no motion file holds it, but its stage makes it again, or "
-                f"`{command_of_track(self.store, row['take_id'])}`"
+                f"`{command_of_take(self.store, row['take_id'])}`"
             )
         found, motions = self._scan(row["source_root"])
         motion = motions.get(row["source"])

@@ -15,11 +15,11 @@ from kinedex.catalog.kinematics import load_kinematic_chain
 from kinedex.ops.body.kinematic_chain import ChainBody, forward
 from kinedex.ops.tracking.rays import LEAST_CONFIDENCE
 from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.recordings.stored_results import earlier_rows
 from kinedex.pipelines.report.motions import embed, pack, script_json
 from kinedex.pipelines.report.page_environment import page_environment
 from kinedex.pipelines.tracking.recordings import StoredRecording, stored_recording
 from kinedex.pipelines.tracking.result_tables import stored_poses
-from kinedex.pipelines.tracking.stored_results import earlier_rows
 from kinedex.pipelines.tracking.track_evaluation import LIMBS, poses_of
 from kinedex.pipelines.tracking.work import ESTIMATE
 from kinedex.storage.snapshot.schemas import result_schema

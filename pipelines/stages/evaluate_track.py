@@ -11,13 +11,12 @@ from rich.table import Table
 
 from kinedex.pipelines.console.tables import plain_text
 from kinedex.pipelines.engine.context import StageContext
-from kinedex.pipelines.engine.digests import Reading, files_digest
+from kinedex.pipelines.engine.digests import Reading, files_digest, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.recordings.stored_results import earlier_rows
 from kinedex.pipelines.tracking.recordings import stored_rows
-from kinedex.pipelines.tracking.stored_results import earlier_rows
 from kinedex.pipelines.tracking.track_evaluation import compared, metrics_table, poses_of, truth_reference
 from kinedex.pipelines.tracking.tracked_takes import STABILISED, TRACKED
-from kinedex.pipelines.tracking.work import hash_of
 from kinedex.storage.store.store import Store
 
 

@@ -39,7 +39,7 @@ from kinedex.storage.formats.motion.reader_table import READERS, motion_endings
 from kinedex.storage.formats.motion.sources import Scan, scan
 from kinedex.storage.remedies import repair
 from kinedex.storage.snapshot.manifest_files import read_newest, versions
-from kinedex.storage.snapshot.schemas import TRACK_FORMAT, TakeColumn, column_problem
+from kinedex.storage.snapshot.schemas import RECORDED_FORMATS, TakeColumn, column_problem
 from kinedex.storage.store.compaction import compact
 from kinedex.storage.store.store import Store
 from kinedex.storage.store.verification import damaged_frames
@@ -169,7 +169,7 @@ def _describe(
     writer.restate_takes(pa.Table.from_pylist(plan.restated, schema=schema))
     moved = {row["take_id"]: row for row in plan.restated}
     rows = [moved.get(row["take_id"], row) for row in writer.store.take_rows.to_pylist()]
-    read = [row for row in rows if row["format"] != TRACK_FORMAT and row["take_id"] not in dropped]
+    read = [row for row in rows if row["format"] not in RECORDED_FORMATS and row["take_id"] not in dropped]
     here = [row for row in read if row["source_root"] == params.root]
     joined = metadata.join(here, params.root, writer.columns)
     changed = [

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from kinedex.catalog.recordings import load_recordings
 from kinedex.pipelines.engine.context import StageContext
-from kinedex.pipelines.engine.digests import Reading
+from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.stage import Stage
+from kinedex.pipelines.recordings.runs import Place
 from kinedex.pipelines.tracking.parameters import ObserveParameters
 from kinedex.pipelines.tracking.recordings import files_stamp
-from kinedex.pipelines.tracking.runs import Place, observe
-from kinedex.pipelines.tracking.work import hash_of
+from kinedex.pipelines.tracking.runs import observe
 from kinedex.storage.store.store import Store
 
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.context import StageContext
-from kinedex.pipelines.engine.digests import Reading
+from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.reconstruction.parameters import PoseDatabaseParameters
 from kinedex.pipelines.reconstruction.pose_database import (
@@ -17,7 +17,6 @@ from kinedex.pipelines.reconstruction.pose_database import (
     read_pose_database,
     take_tables,
 )
-from kinedex.pipelines.tracking.work import hash_of
 from kinedex.storage.store.store import Store
 
 

@@ -6,15 +6,15 @@ from typing import ClassVar
 
 from kinedex.catalog.classes import class_files
 from kinedex.pipelines.engine.context import StageContext
-from kinedex.pipelines.engine.digests import Reading, files_digest
+from kinedex.pipelines.engine.digests import Reading, files_digest, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.recordings.runs import Place, renew_index
+from kinedex.pipelines.recordings.stored_results import are_takes_there, earlier_rows
 from kinedex.pipelines.templates.learning import read_templates
 from kinedex.pipelines.templates.training import TemplateParameters, training_material
 from kinedex.pipelines.tracking.parameters import StabiliseParameters, TrackParameters
-from kinedex.pipelines.tracking.runs import Archive, Place, renew_index, stabilise
-from kinedex.pipelines.tracking.stored_results import are_tracks_there, earlier_rows
+from kinedex.pipelines.tracking.runs import Archive, stabilise
 from kinedex.pipelines.tracking.tracked_takes import STABILISED
-from kinedex.pipelines.tracking.work import hash_of
 from kinedex.storage.store.store import Store
 
 
@@ -40,7 +40,7 @@ class Stabilise(Stage[StabiliseParameters]):
 
     def is_current(self, store: Store) -> bool:
         """Return whether all stabilised takes are in the store."""
-        return are_tracks_there(store, "stabilise")
+        return are_takes_there(store, "tracks", "stabilise")
 
     def run(self, context: StageContext, params: StabiliseParameters) -> dict[str, object]:
         """Stabilise the takes that are new or changed, each committed whole."""

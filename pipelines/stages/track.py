@@ -6,14 +6,14 @@ from typing import ClassVar
 
 from kinedex.catalog.recordings import load_recordings
 from kinedex.pipelines.engine.context import StageContext
-from kinedex.pipelines.engine.digests import Reading
+from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.recordings.runs import Place, renew_index
+from kinedex.pipelines.recordings.stored_results import are_takes_there
 from kinedex.pipelines.tracking.bodies import archive_body
 from kinedex.pipelines.tracking.parameters import ObserveParameters, TrackParameters
-from kinedex.pipelines.tracking.runs import Place, renew_index, track
-from kinedex.pipelines.tracking.stored_results import are_tracks_there
-from kinedex.pipelines.tracking.work import hash_of
-from kinedex.storage.snapshot.schemas import TRACK_FORMAT
+from kinedex.pipelines.tracking.runs import track
+from kinedex.storage.snapshot.schemas import RECORDED_FORMATS
 from kinedex.storage.store.store import Store
 
 
@@ -26,13 +26,13 @@ class Track(Stage[TrackParameters]):
 
     def reading(self, params: TrackParameters, store: Store) -> Reading:
         """Return a digest of the bodies of the archive, which lend lengths that no camera shows."""
-        takes = [row for row in store.take_rows.to_pylist() if row["format"] != TRACK_FORMAT]
+        takes = [row for row in store.take_rows.to_pylist() if row["format"] not in RECORDED_FORMATS]
         known = sorted((row["name"], row["checksum"], row["recipe"]) for row in takes)
         return Reading(hash_of(known, archive_body(store).offsets), "")
 
     def is_current(self, store: Store) -> bool:
         """Return whether all tracks are in the store."""
-        return are_tracks_there(store, "track")
+        return are_takes_there(store, "tracks", "track")
 
     def run(self, context: StageContext, params: TrackParameters) -> dict[str, object]:
         """Track the recordings that are new or changed, each committed whole."""

@@ -11,7 +11,7 @@ from kinedex.ops.body.pose_fit import measured_body
 from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
 from kinedex.ops.tracking.body_estimate import estimate_body, mean_body
 from kinedex.storage.snapshot.parts import joint_positions
-from kinedex.storage.snapshot.schemas import TRACK_FORMAT
+from kinedex.storage.snapshot.schemas import RECORDED_FORMATS
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
@@ -84,7 +84,7 @@ def archive_body(store: Store) -> ChainBody:
     rows = store.take_rows.select(["name", "actor", "format", "frames"]).to_pylist()
     longest: dict[str, tuple[int, str]] = {}
     for row in rows:
-        if row["format"] != TRACK_FORMAT:
+        if row["format"] not in RECORDED_FORMATS:
             key = row["actor"] or ""
             longest[key] = max(longest.get(key, (0, "")), (row["frames"], row["name"]))
     bodies = []

@@ -19,7 +19,7 @@ from kinedex.catalog.configs import config_path
 from kinedex.catalog.keypoint_sets import load_keypoint_set
 from kinedex.catalog.recordings import CameraRecording, RecordingsFile, load_recordings
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.pipelines.tracking.tracked_takes import Provenance
+from kinedex.pipelines.recordings.recorded_takes import Provenance
 from kinedex.storage.formats.cameras.recording import Recording, RecordingCounts, read_recording, recording_files
 from kinedex.storage.formats.motion.sources import checksum
 from kinedex.storage.snapshot.schemas import result_schema

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TypeVar
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 from kinedex.catalog.classes import load_classes
 from kinedex.catalog.recordings import load_recordings
@@ -14,7 +12,9 @@ from kinedex.ops.priors.motion import Motion
 from kinedex.ops.priors.stabilise import LOGICAL
 from kinedex.ops.tracking.band import solve_band
 from kinedex.pipelines.console.wording import counted
-from kinedex.pipelines.engine.executors import Executor
+from kinedex.pipelines.engine.digests import hash_of
+from kinedex.pipelines.recordings.runs import Outcome, Place, is_compiled, run_tasks, take_ids_of
+from kinedex.pipelines.recordings.stored_results import earlier_rows, put_beside
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
 from kinedex.pipelines.tracking.archive_motions import PosesOfArchive, archive_motions, archive_poses, poses_table
 from kinedex.pipelines.tracking.bodies import archive_body
@@ -26,90 +26,24 @@ from kinedex.pipelines.tracking.recordings import (
     remarks_of,
     stored_rows,
 )
-from kinedex.pipelines.tracking.stored_results import earlier_rows, put_beside
 from kinedex.pipelines.tracking.tracked_takes import (
     TRACKED,
-    declare_track_columns,
-    put_tracks,
-    refuse_names,
     stabilised_name,
 )
 from kinedex.pipelines.tracking.work import (
-    Finished,
     StabiliseTask,
     TrackTask,
-    hash_of,
     stabilise_take,
     track_recording,
     tracked_row,
 )
-from kinedex.storage.index.builder import build_index
-from kinedex.storage.lock import Wait
-from kinedex.storage.store.store import Store, open_store
-from kinedex.storage.store.verification import damaged_frames
+from kinedex.storage.store.store import Store
 from kinedex.storage.store.writer import StoreWriter
-
-Task = TypeVar("Task", TrackTask, StabiliseTask)
-
 
 NO_LOCOMOTION = (
     "no class has `locomotion: true`, so the prior of a foot that moves to the front is absent; a class file gives it: "
     "--classes FILE, `classes:` of a pipeline"
 )
-COMPILING = "kernels are compiled, once after an installation or update: this takes a minute or two"
-
-
-@dataclass(frozen=True)
-class Place:
-    """The place of a run: where its results belong, and how it reports.
-
-    Attributes
-    ----------
-    stage : str
-        The stage, "<pipeline>/<stage>".
-    run : str
-        Id of the run.
-    executor : Executor
-        Spreads recordings and takes over workers.
-    say : callable
-        Shows a line.
-    code : str
-        A hash of the sources that run, for reuse; empty for none.
-    anew : bool
-        All is done again.
-    """
-
-    stage: str
-    run: str
-    executor: Executor
-    say: Callable[[str], None]
-    code: str = ""
-    anew: bool = False
-
-    def reusable(self, store: Store, kind: str, key: str) -> dict[str, str]:
-        """Return the values of a column of earlier rows of this stage with their fingerprints."""
-        if self.anew or not self.code:
-            return {}
-        return {str(row[key]): str(row["fingerprint"]) for row in earlier_rows(store, kind, self.stage)}
-
-
-@dataclass
-class Outcome:
-    """The outcome of a run.
-
-    Attributes
-    ----------
-    names : list of str
-        The recordings or takes, those that stayed as they were among them.
-    unchanged : list of str
-        Those that stayed as they were.
-    remarks : list of str
-        Sentences about what was left out.
-    """
-
-    names: list[str] = field(default_factory=list)
-    unchanged: list[str] = field(default_factory=list)
-    remarks: list[str] = field(default_factory=list)
 
 
 def observe(writer: StoreWriter, params: ObserveParameters, place: Place) -> Outcome:
@@ -169,7 +103,7 @@ def track(writer: StoreWriter, params: TrackParameters, names: Sequence[str], ob
     """
     store = writer.store
     rows = stored_rows(store, observed)
-    ids = _take_ids(writer, [f"{name}{TRACKED}" for name in names])
+    ids = take_ids_of(writer, [f"{name}{TRACKED}" for name in names])
     mean = archive_body(store)
     tasks = [
         TrackTask(
@@ -181,7 +115,7 @@ def track(writer: StoreWriter, params: TrackParameters, names: Sequence[str], ob
         )
         for name in names
     ]  # fmt: skip
-    return _run(writer, place, track_recording, tasks)
+    return run_tasks(writer, place, "tracks", track_recording, tasks, are_kernels_compiled)
 
 
 def _named(store: Store, row: dict[str, object]) -> list[object]:
@@ -241,7 +175,7 @@ def stabilise(
     _refuse_stabilised(store, takes)
     settings = {take: params.settings(_is_silhouettes_only(store, take), store.rate_hz) for take in takes}
     motions, remarks = _motions(writer, params, archive, place, any(LOGICAL in one.kinds for one in settings.values()))
-    mean, ids = archive_body(store), _take_ids(writer, map(stabilised_name, takes))
+    mean, ids = archive_body(store), take_ids_of(writer, map(stabilised_name, takes))
     lent = hash_of(*(part for motion in motions for part in _motion_parts(motion)))
     chosen = (params.model_dump(exclude={"takes"}), tracker.model_dump())
     rows = {row["name"]: row for row in store.take_rows.to_pylist()}
@@ -256,7 +190,7 @@ def stabilise(
                 hash_of(place.code, chosen, lent, follows, mean.offsets), place.run,
             )
         )  # fmt: skip
-    done = _run(writer, place, stabilise_take, tasks)
+    done = run_tasks(writer, place, "tracks", stabilise_take, tasks, are_kernels_compiled)
     done.remarks += remarks
     return done
 
@@ -324,41 +258,6 @@ def _motion_parts(motion: Motion) -> Iterable[object]:
         yield from (motion.poses.means, motion.poses.spreads, motion.poses.tilts)
 
 
-def _take_ids(writer: StoreWriter, names: Iterable[str]) -> dict[str, int]:
-    """Return the ids of takes that are to be made, by their names."""
-    takes = list(names)
-    declare_track_columns(writer)
-    refuse_names(writer.store, takes)
-    return writer.assign_take_ids(takes)
-
-
-def _run(writer: StoreWriter, place: Place, work: Callable[[Task], Finished], tasks: Sequence[Task]) -> Outcome:
-    """Do the tasks whose takes are not up to date, and commit each take with its results."""
-    before = place.reusable(writer.store, "tracks", "take")
-    damaged = {take for part in damaged_frames(writer.store) for take in part.live}
-    live = set(writer.manifest.live_takes) - damaged
-    unchanged = [one.take for one in tasks if before.get(one.take) == one.fingerprint and one.take_id in live]
-    if len(unchanged) < len(tasks) and not are_kernels_compiled():
-        place.say(COMPILING)
-    for finished in place.executor.map(work, [one for one in tasks if one.take not in unchanged]):
-        ids = put_tracks(writer, [finished.track])
-        for kind, table in finished.tables.items():
-            put_beside(
-                writer, kind, [table], stage=place.stage, run=place.run, column="take_id", gone=list(ids.values())
-            )
-        writer.commit()
-        place.say(finished.line)
-    return Outcome([one.take for one in tasks], unchanged)
-
-
 def are_kernels_compiled() -> bool:
     """Return whether the kernels of the tracker are on disk; True where Python runs them as they are."""
-    statistics = getattr(solve_band, "stats", None)
-    return statistics is None or any(Path(statistics.cache_path).glob(f"*{solve_band.__name__}-*.nbi"))
-
-
-def renew_index(path: Path, wait: Wait) -> None:
-    """Build the index of the takes as they are now."""
-    store = open_store(path, at="newest")
-    if store.manifest.live_takes:
-        build_index(store, wait=wait)
+    return is_compiled(solve_band)

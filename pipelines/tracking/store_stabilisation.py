@@ -17,11 +17,12 @@ from kinedex.pipelines.engine.context import Display
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.engine.runner import new_run_id
 from kinedex.pipelines.engine.stage import load_stage
+from kinedex.pipelines.recordings.runs import Outcome, Place, renew_index
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips, learn_templates
 from kinedex.pipelines.templates.stored_templates import stored_templates
 from kinedex.pipelines.templates.training import TemplateParameters, training_material
 from kinedex.pipelines.tracking.parameters import StabiliseParameters, TrackParameters
-from kinedex.pipelines.tracking.runs import Archive, Outcome, Place, renew_index, require_takes, stabilise
+from kinedex.pipelines.tracking.runs import Archive, require_takes, stabilise
 from kinedex.pipelines.tracking.tracked_takes import stabilised_name
 from kinedex.storage.lock import NO_WAIT, Wait
 from kinedex.storage.snapshot.schemas import result_schema

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow as pa
 
 from kinedex.catalog.kinematics import load_kinematic_chain, load_surface
 from kinedex.ops.body.capsules import body_capsules
@@ -26,13 +24,15 @@ from kinedex.ops.tracking.views import camera_view
 from kinedex.ops.words import U64
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.ingestion.analysis import analyse
+from kinedex.pipelines.recordings.recorded_takes import Provenance
+from kinedex.pipelines.recordings.runs import Finished
 from kinedex.pipelines.tracking.bodies import body_of_places, take_body, take_joints
 from kinedex.pipelines.tracking.chain_tracker import ChainTracker, Observed, TrackSettings, keypoint_sigma
 from kinedex.pipelines.tracking.parameters import TrackParameters
 from kinedex.pipelines.tracking.recordings import StoredRecording, stored_recording
 from kinedex.pipelines.tracking.result_tables import TRACK_KINDS, TrackResult
-from kinedex.pipelines.tracking.tracked_takes import Provenance, observed_frames, track_body
 from kinedex.pipelines.tracking.tracked_takes import Track as TrackedTake
+from kinedex.pipelines.tracking.tracked_takes import observed_frames
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
@@ -65,25 +65,6 @@ class Subject:
     actor: str | None = None
     remarks: tuple[str, ...] = ()
     sigma_px: float = SIGMA_PX
-
-
-@dataclass(frozen=True, eq=False)
-class Finished:
-    """A track with its results.
-
-    Attributes
-    ----------
-    track : Track
-        The take to put into the store.
-    tables : dict of str to pyarrow.Table
-        Its results by kind.
-    line : str
-        A sentence that reports it.
-    """
-
-    track: TrackedTake
-    tables: dict[str, pa.Table]
-    line: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +149,7 @@ def stabilise_take(task: StabiliseTask) -> Finished:
 
     def words(current: Track) -> U64:
         placed = _take(task.take, subject, current.poses, task.fingerprint)
-        return analyse(track_body(placed, task.store.feature_set), task.store.feature_set, task.store.rate_hz)[2]
+        return analyse(placed.joints(task.store.feature_set), task.store.feature_set, task.store.rate_hz)[2]
 
     done = stabilise(tracker, _first(tracker, task.of), words, task.motions, task.priors)
     rows = tuple(row for one in done.rounds for row in one.rows)
@@ -314,7 +295,7 @@ def _finished(
     task: TrackTask | StabiliseTask, result: TrackResult, subject: Subject, kinds: Sequence[str], line: str
 ) -> Finished:
     take = _take(task.take, subject, result.poses, task.fingerprint, _warnings(result))
-    return Finished(take, {kind: result.table(kind, task.run) for kind in kinds}, line)
+    return Finished(take, {kind: result.table(kind, task.run) for kind in kinds}, (line,))
 
 
 def _warnings(result: TrackResult) -> list[str]:
@@ -355,12 +336,3 @@ def filled_gaps(observed: Observed) -> str:
     known: npt.NDArray[np.bool_] = np.all(np.isfinite(observed.observations.places), axis=2)
     gaps = int((~known[:, known.any(axis=0)]).any(axis=1).sum())
     return f"; gaps in {counted(gaps, 'frame')} filled" if gaps else ""
-
-
-def hash_of(*parts: object) -> str:
-    """Return a hash of values whose repr determines them, and of arrays."""
-    hasher = hashlib.sha256()
-    for part in parts:
-        content = np.ascontiguousarray(part).tobytes() if isinstance(part, np.ndarray) else repr(part).encode()
-        hasher.update(len(content).to_bytes(8, "little") + content)
-    return hasher.hexdigest()[:32]

@@ -58,8 +58,11 @@ _TAKES = _fields(
 groups of the source pattern, each of which is a declared column, too (`TakeColumn`). `known` is a mask of the features
 that the body has joints for, with the bits of the word; null stands for all."""
 
-TRACK_FORMAT = "track"
-"""The `format` of takes that were tracked or stabilised: no motion file holds them, and an ingest passes them over."""
+TRACK_FORMAT, DEPTH_FORMAT = "track", "depth"
+"""The `format` of takes that were tracked or stabilised, and of those that were reconstructed from depth images."""
+
+RECORDED_FORMATS = (TRACK_FORMAT, DEPTH_FORMAT)
+"""The formats of takes of recordings: no motion file holds them, and an ingest passes them over."""
 
 COLUMN_TYPES = {
     "VARCHAR": pa.string(),

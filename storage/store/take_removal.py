@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from kinedex.ops.errors import KinedexError
-from kinedex.storage.snapshot.schemas import TRACK_FORMAT
+from kinedex.storage.snapshot.schemas import RECORDED_FORMATS
 from kinedex.storage.store.store import Store
 from kinedex.storage.store.writer import StoreWriter
 
@@ -70,7 +70,7 @@ def planned_removal(store: Store, names: Sequence[str] = (), where: str | None =
     by_file: dict[tuple[str, str], set[str]] = defaultdict(set)
     tracks = set()
     for row in store.take_rows.select(["name", "format", "source_root", "source"]).to_pylist():
-        if row["format"] == TRACK_FORMAT:
+        if row["format"] in RECORDED_FORMATS:
             tracks.add(row["name"])
         else:
             by_file[row["source_root"], row["source"]].add(row["name"])

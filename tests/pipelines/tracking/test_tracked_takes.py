@@ -13,8 +13,9 @@ from typer.testing import CliRunner
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.commands.cli import app
+from kinedex.pipelines.recordings.recorded_takes import put_takes
 from kinedex.pipelines.stages.ingest import Ingest
-from kinedex.pipelines.tracking.tracked_takes import observed_frames, put_tracks, stabilised_name
+from kinedex.pipelines.tracking.tracked_takes import observed_frames, stabilised_name
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.snapshot.schemas import TRACK_FORMAT
 from kinedex.storage.store.garbage_collection import collect
@@ -59,7 +60,7 @@ def folder(archive: Path, tmp_path: Path) -> Path:
 def put(path: Path, *tracks: object) -> Store:
     opened = open_store(path, at="newest")
     with StoreWriter.open(path, opened.feature_set) as writer:
-        put_tracks(writer, tracks)  # type: ignore[arg-type]
+        put_takes(writer, tracks)  # type: ignore[arg-type]
         writer.commit()
     return open_store(path, at="newest")
 

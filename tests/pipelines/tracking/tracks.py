@@ -11,9 +11,10 @@ from kinedex.ops.body.pose_fit import fit_poses, measured_body
 from kinedex.ops.simulation.recording import Setup
 from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
+from kinedex.pipelines.recordings.recorded_takes import Provenance
 from kinedex.pipelines.simulation.camera_recordings import Request, simulate_cameras
 from kinedex.pipelines.stages.ingest import Ingest
-from kinedex.pipelines.tracking.tracked_takes import Provenance, Track
+from kinedex.pipelines.tracking.tracked_takes import Track
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import context, write_archive

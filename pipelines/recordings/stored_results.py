@@ -1,4 +1,4 @@
-"""Results of tracking stages: rows of takes and recordings that stay when others are put beside them."""
+"""Results of stages that make takes of recordings: rows of some stay when those of others are put beside them."""
 
 from __future__ import annotations
 
@@ -67,30 +67,40 @@ def earlier_rows(store: Store, kind: str, stage: str) -> list[dict[str, object]]
         return []  # repair removes them, and the stage makes all of them again
 
 
-def stages_of_tracks(store: Store, take_ids: Collection[int]) -> set[str]:
-    """Return the stages that have made tracks, "<pipeline>/<stage>"."""
-    stages = {part.stage for part in store.manifest.results.get("tracks", ())}
+MADE_KINDS = ("tracks", "reconstructions")
+"""The kinds of results that have a row for each take of a recording."""
+
+
+def stages_of_takes(store: Store, take_ids: Collection[int]) -> set[str]:
+    """Return the stages that have made takes of recordings, "<pipeline>/<stage>"."""
     return {
-        stage for stage in stages if any(row["take_id"] in take_ids for row in earlier_rows(store, "tracks", stage))
+        part.stage
+        for kind in MADE_KINDS
+        for part in store.manifest.results.get(kind, ())
+        if any(row["take_id"] in take_ids for row in earlier_rows(store, kind, part.stage))
     }
 
 
-def command_of_track(store: Store, take_id: int) -> str:
-    """Return the command that makes a track again."""
-    for part in store.manifest.results.get("tracks", ()):
-        for row in (row for rows in store.result_pieces("tracks", [part]) for row in rows.to_pylist()):
-            if row["take_id"] == take_id and row["track_of"] is not None:
-                return f"kinedex stabilise {shlex.quote(str(store.path))} {shlex.quote(row['track_of'])}"
-    return f"kinedex track {shlex.quote(str(store.path))} RECORDINGS"
+def command_of_take(store: Store, take_id: int) -> str:
+    """Return the command that makes a take of a recording again."""
+    path = shlex.quote(str(store.path))
+    for kind in MADE_KINDS:
+        for rows in store.result_pieces(kind, store.manifest.results.get(kind, ())):
+            for row in (row for row in rows.to_pylist() if row["take_id"] == take_id):
+                if kind == "reconstructions":
+                    return f"kinedex reconstruct {path} RECORDINGS"
+                if row["track_of"] is not None:
+                    return f"kinedex stabilise {path} {shlex.quote(row['track_of'])}"
+    return f"kinedex track {path} RECORDINGS"
 
 
-def are_tracks_there(store: Store, kind: str) -> bool:
-    """Return whether all takes that stages of a kind have made are in the store."""
+def are_takes_there(store: Store, kind: str, uses: str) -> bool:
+    """Return whether all takes are in the store that stages of a kind have made, by their rows of a kind of results."""
     live = set(store.manifest.live_takes)
     records = store.manifest.stages
     stages = {
         part.stage
-        for part in store.manifest.results.get("tracks", ())
-        if part.stage in records and records[part.stage].summary.get("uses") == kind
+        for part in store.manifest.results.get(kind, ())
+        if part.stage in records and records[part.stage].summary.get("uses") == uses
     }
-    return all(row["take_id"] in live for stage in stages for row in earlier_rows(store, "tracks", stage))
+    return all(row["take_id"] in live for stage in stages for row in earlier_rows(store, kind, stage))

@@ -1,0 +1,191 @@
+"""Takes that are made of recordings: how they enter the store, beside those that were read from motion files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.words import NO_WORD
+from kinedex.pipelines.ingestion.analysis import analyse, blind, known_features
+from kinedex.pipelines.ingestion.described_takes import group_values
+from kinedex.pipelines.ingestion.quality import declarable_figures, judged, stored_figures
+from kinedex.storage.formats.motion.reader import Body
+from kinedex.storage.snapshot.parts import FramesWriter
+from kinedex.storage.snapshot.schemas import RECORDED_FORMATS, TakeColumn, column_problem
+from kinedex.storage.store.store import Store
+from kinedex.storage.store.writer import StoreWriter
+
+RECORDED_COLUMNS = {
+    "recording": TakeColumn("VARCHAR", "file", meaning="the recording that the take was made of"),
+    "cameras": TakeColumn("VARCHAR[]", "file", meaning="the cameras of that recording"),
+}
+"""The declared columns of takes in a store with takes of recordings."""
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """The origin of a take of a recording: the files that it follows from.
+
+    Attributes
+    ----------
+    root : str
+        The folder of the main file: the recordings file, or the motion file of a 3D track.
+    source : str
+        That file, relative to the folder.
+    checksum : str
+        A hash of the contents of all files of the recording.
+    size : int
+        Their size in bytes.
+    mtime_ns : int
+        Time of the latest change of one of them, in nanoseconds since 1970.
+    recording : str, optional
+        The name of the recording; None for a take that was stabilised without one.
+    cameras : tuple of str
+        The names of its cameras.
+    """
+
+    root: str
+    source: str
+    checksum: str
+    size: int
+    mtime_ns: int
+    recording: str | None = None
+    cameras: tuple[str, ...] = ()
+
+
+class RecordedTake(Protocol):
+    """A take of a recording, before it is in the store: its name, origin and joints."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+
+    @property
+    def format(self) -> str:
+        """Its format, one of `RECORDED_FORMATS`."""
+
+    @property
+    def provenance(self) -> Provenance:
+        """Its origin."""
+
+    @property
+    def recipe(self) -> str:
+        """A hash of all that it follows from besides its files."""
+
+    @property
+    def actor(self) -> str | None:
+        """The actor, if known."""
+
+    def joints(self, features: FeatureSet) -> Body:
+        """Return its joints as those of a motion file, in the order of a feature set."""
+
+
+def put_takes(writer: StoreWriter, takes: Sequence[RecordedTake]) -> dict[str, int]:
+    """Add takes of recordings to a store, each whole in place of an earlier one; nothing is committed.
+
+    Parameters
+    ----------
+    writer : StoreWriter
+        The writer of the store.
+    takes : sequence of RecordedTake
+        The takes, whose names differ.
+
+    Returns
+    -------
+    dict of str to int
+        The id of each take by its name.
+
+    Raises
+    ------
+    KinedexError
+        A take of a motion file has the name of one, or a column of the user's that of `RECORDED_COLUMNS`.
+    """
+    if not takes:
+        return {}
+    refuse_names(writer.store, [take.name for take in takes])
+    declare_recorded_columns(writer)
+    ids = writer.assign_take_ids(take.name for take in takes)
+    features, rate_hz = writer.manifest.feature_set, writer.manifest.rate_hz
+    figures = stored_figures(writer.columns)
+    rows = []
+    with FramesWriter(writer.path, features, rate_hz) as frames:
+        for take in sorted(takes, key=lambda take: ids[take.name]):
+            body = take.joints(features)
+            analysed = analyse(body, features, rate_hz)
+            frames.add(ids[take.name], *analysed)
+            rows.append(_row(take, ids[take.name], body, analysed[2], features, rate_hz, figures))
+        part = frames.close()
+    writer.add_takes(pa.Table.from_pylist(rows, schema=writer.takes_schema), part)
+    return ids
+
+
+def refuse_names(store: Store, names: Sequence[str]) -> None:
+    """Raise a KinedexError if a take of a motion file has one of the names."""
+    rows = store.take_rows.select(["name", "format", "source_root", "source"]).to_pylist()
+    for row in rows:
+        if row["name"] in names and row["format"] not in RECORDED_FORMATS:
+            raise KinedexError(
+                f"the store has a take '{row['name']}' already, from {row['source_root']}/{row['source']}, and that "
+                "of a recording would have this name; name the recording otherwise, or remove the take: "
+                f"kinedex takes remove {store.path} {row['name']}"
+            )
+
+
+def declare_recorded_columns(writer: StoreWriter) -> None:
+    """Declare the columns of takes of recordings; a KinedexError reports a column of the user's with such a name."""
+    for name, column in RECORDED_COLUMNS.items():
+        if (problem := column_problem(name, column, writer.columns)) is not None:
+            raise KinedexError(
+                f"{writer.path}: takes of recordings need the column '{name}', and {problem}; ingest the motion files "
+                "into a new store with another name of that column"
+            )
+    writer.declare_columns(RECORDED_COLUMNS)
+    writer.declare_columns(declarable_figures(writer.columns)[0])
+
+
+def _row(
+    take: RecordedTake,
+    take_id: int,
+    body: Body,
+    words: npt.NDArray[np.uint64],
+    features: FeatureSet,
+    rate_hz: float,
+    figures: frozenset[str],
+) -> dict[str, Any]:
+    known, origin = known_features(features, body), take.provenance
+    columns, doubts = judged(body, features.joints, figures)
+    return (
+        columns
+        | group_values({} if take.actor is None else {"actor": take.actor})
+        | {
+            "take_id": take_id,
+            "name": take.name,
+            "source": origin.source,
+            "source_root": origin.root,
+            "checksum": origin.checksum,
+            "source_bytes": origin.size,
+            "source_mtime_ns": origin.mtime_ns,
+            "format": take.format,
+            "skeleton": body.skeleton,
+            "skeleton_source": None,
+            "recipe": take.recipe,
+            "unit": body.unit,
+            "source_rate_hz": body.rate_hz,
+            "source_frames": body.frames,
+            "rate_hz": rate_hz,
+            "frames": len(words),
+            "seconds": body.frames / body.rate_hz,
+            "invalid_frames": int(np.count_nonzero(words == NO_WORD)),
+            "warnings": [*body.warnings, *blind(features, body), *doubts],
+            "recording": origin.recording,
+            "cameras": list(origin.cameras),
+            "known": None if known == features.every_bit else known,
+        }
+    )

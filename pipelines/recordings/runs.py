@@ -1,0 +1,182 @@
+"""Runs over many recordings and takes: each is put into the store as soon as it is done, unchanged ones stay."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+import pyarrow as pa
+
+from kinedex.pipelines.engine.executors import Executor
+from kinedex.pipelines.recordings.recorded_takes import (
+    RecordedTake,
+    declare_recorded_columns,
+    put_takes,
+    refuse_names,
+)
+from kinedex.pipelines.recordings.stored_results import earlier_rows, put_beside
+from kinedex.storage.index.builder import build_index
+from kinedex.storage.lock import Wait
+from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.verification import damaged_frames
+from kinedex.storage.store.writer import StoreWriter
+
+COMPILING = "kernels are compiled, once after an installation or update: this takes a minute or two"
+
+
+@dataclass(frozen=True)
+class Place:
+    """The place of a run: where its results belong, and how it reports.
+
+    Attributes
+    ----------
+    stage : str
+        The stage, "<pipeline>/<stage>".
+    run : str
+        Id of the run.
+    executor : Executor
+        Spreads recordings and takes over workers.
+    say : callable
+        Shows a line.
+    code : str
+        A hash of the sources that run, for reuse; empty for none.
+    anew : bool
+        All is done again.
+    """
+
+    stage: str
+    run: str
+    executor: Executor
+    say: Callable[[str], None]
+    code: str = ""
+    anew: bool = False
+
+    def reusable(self, store: Store, kind: str, key: str) -> dict[str, str]:
+        """Return the values of a column of earlier rows of this stage with their fingerprints."""
+        if self.anew or not self.code:
+            return {}
+        return {str(row[key]): str(row["fingerprint"]) for row in earlier_rows(store, kind, self.stage)}
+
+
+@dataclass
+class Outcome:
+    """The outcome of a run.
+
+    Attributes
+    ----------
+    names : list of str
+        The recordings or takes, those that stayed as they were among them.
+    unchanged : list of str
+        Those that stayed as they were.
+    remarks : list of str
+        Sentences about what was left out.
+    """
+
+    names: list[str] = field(default_factory=list)
+    unchanged: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class Finished:
+    """A take of a recording with its results.
+
+    Attributes
+    ----------
+    take : RecordedTake
+        The take to put into the store.
+    tables : dict of str to pyarrow.Table
+        Its results by kind.
+    lines : tuple of str
+        Sentences that report it.
+    """
+
+    take: RecordedTake
+    tables: dict[str, pa.Table]
+    lines: tuple[str, ...]
+
+
+class Task(Protocol):
+    """The work that makes one take."""
+
+    @property
+    def take(self) -> str:
+        """The name of the take."""
+
+    @property
+    def take_id(self) -> int:
+        """Its id."""
+
+    @property
+    def fingerprint(self) -> str:
+        """A hash of all that it follows from."""
+
+
+AnyTask = TypeVar("AnyTask", bound=Task)
+
+
+def take_ids_of(writer: StoreWriter, names: Iterable[str]) -> dict[str, int]:
+    """Return the ids of takes that are to be made, by their names."""
+    takes = list(names)
+    declare_recorded_columns(writer)
+    refuse_names(writer.store, takes)
+    return writer.assign_take_ids(takes)
+
+
+def run_tasks(
+    writer: StoreWriter,
+    place: Place,
+    kind: str,
+    work: Callable[[AnyTask], Finished],
+    tasks: Sequence[AnyTask],
+    are_kernels_compiled: Callable[[], bool],
+) -> Outcome:
+    """Do the tasks whose takes are not up to date, and commit each take with its results.
+
+    Parameters
+    ----------
+    writer : StoreWriter
+        The writer of the store.
+    place : Place
+        Where the results belong.
+    kind : str
+        The kind of results that has a row with `fingerprint` for each take.
+    work : callable
+        Makes the take of a task, in any process.
+    tasks : sequence of Task
+        The tasks.
+    are_kernels_compiled : callable
+        Returns whether the kernels that `work` needs are on disk.
+    """
+    before = place.reusable(writer.store, kind, "take")
+    damaged = {take for part in damaged_frames(writer.store) for take in part.live}
+    live = set(writer.manifest.live_takes) - damaged
+    unchanged = [one.take for one in tasks if before.get(one.take) == one.fingerprint and one.take_id in live]
+    if len(unchanged) < len(tasks) and not are_kernels_compiled():
+        place.say(COMPILING)
+    for finished in place.executor.map(work, [one for one in tasks if one.take not in unchanged]):
+        ids = put_takes(writer, [finished.take])
+        for name, table in finished.tables.items():
+            put_beside(
+                writer, name, [table], stage=place.stage, run=place.run, column="take_id", gone=list(ids.values())
+            )
+        writer.commit()
+        for line in finished.lines:
+            place.say(line)
+    return Outcome([one.take for one in tasks], unchanged)
+
+
+def is_compiled(kernel: object) -> bool:
+    """Return whether a kernel is on disk; True where Python runs it as it is."""
+    statistics = getattr(kernel, "stats", None)
+    name = getattr(kernel, "__name__", "")
+    return statistics is None or any(Path(statistics.cache_path).glob(f"*{name}-*.nbi"))
+
+
+def renew_index(path: Path, wait: Wait) -> None:
+    """Build the index of the takes as they are now."""
+    store = open_store(path, at="newest")
+    if store.manifest.live_takes:
+        build_index(store, wait=wait)
