@@ -49,6 +49,8 @@ class Proposals(NamedTuple):
         Their rows in the database.
     costs : float64 array (C,)
         Their costs (thesis, Eq. 8.6, with root mean squares).
+    ends : float64 array (C,)
+        Root mean square distances of their ends from the extrema in metres.
     origins : int64 array (C,)
         The map that each was found by.
     maps : int64 array (M, 5)
@@ -60,6 +62,7 @@ class Proposals(NamedTuple):
     poses: F64
     rows: I64
     costs: F64
+    ends: F64
     origins: I64
     maps: I64
     sums: F64
@@ -149,6 +152,7 @@ class Lookup:
             self._poses[:found].copy(),
             self._rows[chosen, places],
             self._costs[chosen, places],
+            np.sqrt(self._squares[chosen, places].astype(np.float64) / len(END_EFFECTORS)),
             chosen,
             self._maps[:maps].copy(),
             self._sums[:maps].copy(),

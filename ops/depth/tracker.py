@@ -21,7 +21,7 @@ from kinedex.ops.depth.pose_database import facing_of, place_directions
 from kinedex.ops.depth.pose_fit import PRINTED_STEPS, RETRIEVED_SIGMA_M, SIGMA_M, STEPS, Form, PoseFit
 from kinedex.ops.depth.pose_index import PoseIndex
 from kinedex.ops.depth.pose_prediction import predicted_pose
-from kinedex.ops.depth.vote import cost_of
+from kinedex.ops.depth.vote import PoseCost, cost_of
 from kinedex.ops.errors import ParameterError
 
 Bool = npt.NDArray[np.bool_]
@@ -98,12 +98,15 @@ class Candidate(NamedTuple):
         The map of `Proposals.maps` that it was found by.
     cost : float
         Its cost in the vote after the trial steps; NaN where there was no trial.
+    ends : float
+        The root mean square distance of its ends from the extrema in metres.
     """
 
     row: int
     lookup_cost: float
     map: int
     cost: float
+    ends: float
 
 
 class FrameResult(NamedTuple):
@@ -142,6 +145,10 @@ class FrameResult(NamedTuple):
     people : int
         The number of people in the frame, of whom the one nearest to the last pose is tracked, and at a start the one
         nearest to the middle of the image.
+    parts : tuple of PoseCost or None
+        The costs of the local hypothesis and of the database's with their parts; None for one that there is none of.
+    box : tuple of int
+        The first column and row of the person's pixels, and the column and row after the last, of the strided image.
     """
 
     pose: F64
@@ -163,6 +170,8 @@ class FrameResult(NamedTuple):
     unseen: Bool
     started: bool
     people: int
+    parts: tuple[PoseCost | None, PoseCost | None]
+    box: tuple[int, int, int, int]
 
     @property
     def cost(self) -> float:
@@ -284,7 +293,7 @@ class Reconstructor:
         return FrameResult(
             np.full((len(JOINTS), 3), np.nan), None, np.nan, np.nan, -1, None, None, np.full((COUNT, 3), np.nan),
             nowhere, nowhere, len(cloud.points), 0, 0, np.empty((0, 5), np.int64), np.empty(0), (),
-            np.ones(len(JOINTS), np.bool_), started, 0,
+            np.ones(len(JOINTS), np.bool_), started, 0, (None, None), cloud.box,
         )  # fmt: skip
 
     def _look(self, cloud: FrameCloud) -> _Scene:
@@ -319,12 +328,14 @@ class Reconstructor:
         """Fit both hypotheses, and take the one of least cost; the local one at equal costs."""
         local = database = pose = None
         cost_local = cost_database = np.nan
+        parts: list[PoseCost | None] = [None, None]
         hypothesis: Hypothesis | None = None
         row, proposals = -1, _NO_PROPOSALS
         candidates: tuple[Candidate, ...] = ()
         if previous is not None and "local" in self.settings.hypotheses:
             local = self._fit(self._beginning(previous, scene), self._steps, SIGMA_M)
-            cost_local = self._cost(local, scene)
+            parts[0] = cost = self._cost(local, scene)
+            cost_local = cost.total
             pose, hypothesis = local, "local"
         if previous is None or "database" in self.settings.hypotheses:
             proposals = self._propose(scene, previous)
@@ -332,7 +343,8 @@ class Reconstructor:
             if trial is not None:
                 row = int(proposals.rows[best])
                 database = self._fit(trial, self._steps, RETRIEVED_SIGMA_M)
-                cost_database = self._cost(database, scene)
+                parts[1] = cost = self._cost(database, scene)
+                cost_database = cost.total
                 if not cost_local <= cost_database:
                     pose, hypothesis = database, "database"
         return FrameResult(
@@ -340,6 +352,7 @@ class Reconstructor:
             local, database, _padded(scene.extrema), scene.facing, scene.centre, len(scene.cloud.points),
             scene.components, scene.links, proposals.maps, proposals.sums, candidates,
             self._unseen(pose, scene.cloud), previous is None, scene.people,
+            (parts[0], parts[1]), scene.cloud.box,
         )  # fmt: skip
 
     def _beginning(self, previous: F64, scene: _Scene) -> F64:
@@ -350,7 +363,7 @@ class Reconstructor:
         if self._before is None or self.settings.is_printed:
             return previous
         moved = predicted_pose(previous, self._before)
-        return moved if self._cost(moved, scene) < self._cost(previous, scene) else previous
+        return moved if self._cost(moved, scene).total < self._cost(previous, scene).total else previous
 
     def _propose(self, scene: _Scene, previous: F64 | None) -> Proposals:
         """Look poses up; also with the lowest extrema as feet where an extremum has jumped."""
@@ -366,20 +379,22 @@ class Reconstructor:
         poses, costs = list(proposals.poses), [np.nan] * len(proposals.poses)
         if len(poses) > 1:
             poses = [self._fit(pose, TRIAL_STEPS, (RETRIEVED_SIGMA_M[0],) * 2) for pose in poses]
-            costs = [self._cost(pose, scene) for pose in poses]
+            costs = [self._cost(pose, scene).total for pose in poses]
         best = int(np.argmin(costs)) if len(poses) > 1 else len(poses) - 1
         candidates = tuple(
-            Candidate(int(row), float(cost), int(origin), float(trial))
-            for row, cost, origin, trial in zip(proposals.rows, proposals.costs, proposals.origins, costs, strict=True)
+            Candidate(int(row), float(cost), int(origin), float(trial), float(ends))
+            for row, cost, origin, trial, ends in zip(
+                proposals.rows, proposals.costs, proposals.origins, costs, proposals.ends, strict=True
+            )
         )
         return candidates, best, poses[best] if poses else None
 
     def _fit(self, pose: F64, steps: int, sigma: tuple[float, float]) -> F64:
         return self._poses.fit(pose, steps, sigma, self.settings.form)
 
-    def _cost(self, pose: F64, scene: _Scene) -> float:
+    def _cost(self, pose: F64, scene: _Scene) -> PoseCost:
         """Return the cost of a pose in the vote (thesis, Eq. 8.7 to 8.9)."""
-        return cost_of(self._poses, pose, scene.extrema, self.settings.form).total
+        return cost_of(self._poses, pose, scene.extrema, self.settings.form)
 
     def _unseen(self, pose: F64 | None, cloud: FrameCloud) -> Bool:
         """Return the joints whose cones are nearest to no point."""
@@ -392,7 +407,7 @@ class Reconstructor:
 
 
 _NO_PROPOSALS = Proposals(
-    np.empty((0, len(JOINTS), 3)), np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64),
+    np.empty((0, len(JOINTS), 3)), np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0, np.int64),
     np.empty((0, 5), np.int64), np.empty(0),
 )  # fmt: skip
 
