@@ -124,6 +124,7 @@ BUILT_IN = {
     "report_stabilised": "kinedex.pipelines.stages.report_stabilised:ReportStabilised",
     "evaluate_track": "kinedex.pipelines.stages.evaluate_track:EvaluateTrack",
     "pose_database": "kinedex.pipelines.stages.pose_database:PoseDatabase",
+    "reconstruct": "kinedex.pipelines.stages.reconstruct:Reconstruct",
 }
 """The built-in stages, in the form of entry points."""
 

@@ -22,7 +22,7 @@ from kinedex.ops.depth.pose_database import PoseThinning, bone_directions, bone_
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.digests import hash_of
 from kinedex.storage.snapshot.parts import joint_positions
-from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.snapshot.schemas import DEPTH_FORMAT, result_schema
 from kinedex.storage.store.store import Store
 
 F32 = npt.NDArray[np.float32]
@@ -134,7 +134,7 @@ def mean_bones(takes: Sequence[TakePoses]) -> F64:
 
 
 def listed_takes(store: Store, where: str, code: str) -> list[TakePoses]:
-    """Return the takes that a filter selects, by name, without poses and bones.
+    """Return the takes that a filter selects, by name, without poses and bones; takes made from depth lend none.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def listed_takes(store: Store, where: str, code: str) -> list[TakePoses]:
             f"made of all {len(JOINTS)} named joints; ingest the archive with a feature set that lists them"
         )
     chosen = set(store.takes(where)["name"].to_list())
-    rows = [row for row in store.take_rows.to_pylist() if row["name"] in chosen]
+    rows = [row for row in store.take_rows.to_pylist() if row["name"] in chosen and row["format"] != DEPTH_FORMAT]
     return [
         TakePoses(
             row["take_id"], row["name"], row["actor"], row["frames"],

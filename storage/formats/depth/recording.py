@@ -150,6 +150,25 @@ def read_recording(file: DepthRecordingsFile, name: str) -> DepthRecording:
     )  # fmt: skip
 
 
+def recording_files(file: DepthRecordingsFile, name: str) -> list[tuple[str, Path]]:
+    """Return the files that a recording is read from, each with the key that names it; its truth is none of them.
+
+    Raises
+    ------
+    ConfigError
+        A key names no file; the message names file, line and key.
+    """
+    entry = _Entry(file, name, file.entry(name))
+    listed = file.folder / entry.given.depth
+    found = [("depth", path) for path in entry.frame_files().files]
+    if listed.suffix.lower() == ".txt":
+        found.append(("depth", listed))
+    for key, value in (("camera", entry.given.camera), ("background", entry.given.background)):
+        if value is not None and (key, value) not in (("background", AUTO), ("background", NONE)):
+            found.append((key, entry.path(key, value)))
+    return found
+
+
 @dataclass(frozen=True)
 class _Entry:
     """A recording's entry in its file."""

@@ -1,0 +1,277 @@
+"""Takes that were reconstructed from depth recordings, and the tables of their results."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from kinedex.catalog.depth_placement import FLIP, Placement
+from kinedex.catalog.features import FeatureSet
+from kinedex.ops.body.gaps import fill_gaps
+from kinedex.ops.body.joint_tree import JOINTS
+from kinedex.ops.depth.tracker import Candidate, FrameResult
+from kinedex.ops.depth.vote import PoseCost
+from kinedex.pipelines.reconstruction.parameters import ReconstructParameters
+from kinedex.pipelines.reconstruction.recording_tracks import (
+    BACKWARD,
+    DIRECTIONS,
+    FORWARD,
+    PersonBones,
+    RecordingTrack,
+    Scene,
+)
+from kinedex.pipelines.recordings.recorded_takes import Provenance
+from kinedex.storage.formats.motion.points import root_orientation
+from kinedex.storage.formats.motion.reader import SHORT_GAP_S, Body
+from kinedex.storage.snapshot.schemas import DEPTH_FORMAT, result_schema
+
+Bool = npt.NDArray[np.bool_]
+F64 = npt.NDArray[np.float64]
+
+RECONSTRUCTED = "_reconstructed"
+"""The end of the name of a take that was reconstructed from a recording."""
+
+RECONSTRUCTION_KINDS = ("reconstructions", "reconstruction_frames", "depth_votes")
+"""The kinds of results of a reconstructed take."""
+
+SKELETON = "depth"
+"""The name of the body of reconstructed takes, in the place of a skeleton mapping's."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReconstructedTake:
+    """A take that was reconstructed from a depth recording.
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    provenance : Provenance
+        Its origin.
+    poses : float64 array (T, 24, 3)
+        The joints in the world in metres; NaN without a person.
+    rate_hz : float
+        Frames per second.
+    recipe : str
+        A hash of all that it follows from besides its files.
+    warnings : tuple of str
+        Reservations about it.
+    actor : str, optional
+        The actor.
+    """
+
+    name: str
+    provenance: Provenance
+    poses: F64
+    rate_hz: float
+    recipe: str
+    warnings: tuple[str, ...] = ()
+    actor: str | None = None
+
+    @property
+    def format(self) -> str:
+        """The format of its take."""
+        return DEPTH_FORMAT
+
+    def joints(self, features: FeatureSet) -> Body:
+        """Return its joints as those of a motion file; gaps of up to 0.1 s are closed along straight lines."""
+        places, _, _ = fill_gaps(self.poses.transpose(1, 2, 0), round(SHORT_GAP_S * self.rate_hz))
+        nowhere = np.full(places.shape[1:], np.nan)
+        positions = np.stack([places[JOINTS.index(one)] if one in JOINTS else nowhere for one in features.joints])
+        valid: Bool = np.all(np.isfinite(places), axis=(0, 1))
+        warnings = list(self.warnings)
+        return Body(
+            positions=positions,
+            orientation=root_orientation(positions, features.joints, valid, warnings),
+            rate_hz=self.rate_hz,
+            unit="metre",
+            skeleton=SKELETON,
+            unknown=tuple(one for one in features.joints if one not in JOINTS),
+            warnings=tuple(warnings),
+            valid=None if valid.all() else valid,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ReconstructionResult:
+    """A reconstructed take with all that its results follow from.
+
+    Attributes
+    ----------
+    take_id : int
+        Id of the take.
+    take, recording : str
+        Its name, and that of the recording.
+    params : ReconstructParameters
+        The parameters.
+    track : RecordingTrack
+        The tracked recording.
+    scene : Scene
+        The camera.
+    bones : PersonBones
+        The bones of the person.
+    origins : sequence of (str, int)
+        Take and frame of each pose of the database.
+    rate_hz : float
+        Frames per second.
+    first_frame : int
+        Number of the first frame in the files.
+    remarks : sequence of tuple of str
+        The remarks on each frame.
+    sentences : tuple of str
+        Remarks about the take.
+    fingerprint : str
+        A hash of all that it follows from.
+    """
+
+    take_id: int
+    take: str
+    recording: str
+    params: ReconstructParameters
+    track: RecordingTrack
+    scene: Scene
+    bones: PersonBones
+    origins: Sequence[tuple[str, int]]
+    rate_hz: float
+    first_frame: int
+    remarks: Sequence[tuple[str, ...]]
+    sentences: tuple[str, ...]
+    fingerprint: str
+
+    @property
+    def poses(self) -> F64:
+        """The joints (T, 24, 3) in the world; NaN without a person."""
+        return self.scene.placement.in_world(self.track.poses)
+
+    def table(self, kind: str, run: str) -> pa.Table:
+        """Return the rows of one kind of results."""
+        rows = {
+            "reconstructions": self._reconstruction,
+            "reconstruction_frames": self._frames,
+            "depth_votes": self._votes,
+        }[kind]()
+        own = {"run": run, "take_id": self.take_id, "take": self.take}
+        return pa.Table.from_pylist([own | row for row in rows], schema=result_schema(kind))
+
+    def _reconstruction(self) -> list[dict[str, Any]]:
+        placement, params = self.scene.placement, self.params
+        settings = params.settings(self.rate_hz)
+        return [
+            {
+                "recording": self.recording,
+                "form": params.form,
+                "direction": "both" if params.both_ways else "forward",
+                "hypotheses": list(settings.hypotheses),
+                "candidates": settings.candidates,
+                "stride": self.scene.stride,
+                "body_from": self.bones.origin,
+                "height_m": self.bones.height_m,
+                "joints": list(JOINTS),
+                "bone_lengths": self.bones.lengths.tolist(),
+                "floor_m": None if placement.floor_height is None else -placement.floor_height,
+                "turn": camera_turn(placement).ravel().tolist(),
+                "place": placement.place.tolist(),
+                "rate_hz": self.rate_hz,
+                "source_frames": len(self.track.chosen),
+                "unseen_frames": int(np.isnan(self.track.poses).any(axis=(1, 2)).sum()),
+                "first_frame": self.first_frame,
+                "remarks": list(self.sentences),
+                "fingerprint": self.fingerprint,
+            }
+        ]
+
+    def _frames(self) -> list[dict[str, Any]]:
+        poses = self.poses
+        chosen = self.track.chosen.tolist()
+        rows = []
+        for t, (result, way) in enumerate(zip(self.track.results, chosen, strict=True)):
+            row: dict[str, Any] = {
+                "source_frame": t,
+                "direction": DIRECTIONS[way],
+                "remarks": list(self.remarks[t]),
+                "unseen": list(JOINTS),
+            }
+            if result is not None:
+                row |= self._frame(result, poses[t])
+            rows.append(row)
+        return rows
+
+    def _frame(self, result: FrameResult, pose: F64) -> dict[str, Any]:
+        placement = self.scene.placement
+        take, frame = (None, None) if result.row < 0 else self.origins[result.row]
+        is_seen = result.hypothesis is not None
+        return {
+            "hypothesis": result.hypothesis,
+            "cost_local": _number(result.cost_local),
+            "cost_database": _number(result.cost_database),
+            "archive_take": take,
+            "archive_frame": frame,
+            "points": result.points,
+            "components": result.components,
+            "links": result.links,
+            "maps": len(result.maps),
+            "facing": (placement.rotation @ result.facing).tolist() if is_seen else None,
+            "centre": placement.in_world(result.centre).tolist() if is_seen else None,
+            "extrema": placement.in_world(result.extrema).ravel().tolist() if is_seen else None,
+            "unseen": [JOINTS[j] for j in np.flatnonzero(result.unseen)],
+            "joints": pose.ravel().tolist() if is_seen else None,
+        }
+
+    def _votes(self) -> list[dict[str, Any]]:
+        rows = []
+        for t, way in enumerate(self.track.chosen.tolist()):
+            for direction in (FORWARD, BACKWARD)[: len(self.track.directions)]:
+                result = self.track.directions[direction][t]
+                if result is not None:
+                    own = {"source_frame": t, "direction": DIRECTIONS[direction]}
+                    rows += [own | row for row in self._hypotheses(result, direction == way)]
+        return rows
+
+    def _hypotheses(self, result: FrameResult, is_taken: bool) -> list[dict[str, Any]]:
+        """Return a row for the local hypothesis, and for each candidate of the database."""
+        local, database = result.parts
+        rows: list[dict[str, Any]] = []
+        if local is not None:
+            winner = is_taken and result.hypothesis == "local"
+            rows.append({"hypothesis": "local", "winner": winner, "cost": local.total, **_parts(local)})
+        for number, one in enumerate(result.candidates, 1):
+            is_fitted = database is not None and one.row == result.row
+            row = self._candidate(result, number, one)
+            row["winner"] = is_taken and is_fitted and result.hypothesis == "database"
+            if is_fitted and database is not None:
+                row |= {"cost": database.total, **_parts(database)}
+            rows.append(row)
+        return rows
+
+    def _candidate(self, result: FrameResult, number: int, one: Candidate) -> dict[str, Any]:
+        take, frame = self.origins[one.row]
+        return {
+            "hypothesis": "database",
+            "candidate": number,
+            "archive_take": take,
+            "archive_frame": frame,
+            "ends": (result.maps[one.map] + 1).tolist(),
+            "ends_m": _number(float(result.sums[one.map])),
+            "distance_m": one.ends,
+            "lookup_cost": one.lookup_cost,
+            "trial_cost": _number(one.cost),
+        }
+
+
+def camera_turn(placement: Placement) -> F64:
+    """Return the rotation (3, 3) from the camera's axes (x right, y down, z forward) to the world."""
+    turn: F64 = placement.rotation @ placement.turn * FLIP
+    return turn
+
+
+def _parts(cost: PoseCost) -> dict[str, float]:
+    return {"surface": cost.surface, "extrema": cost.extrema, "points": cost.points}
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,274 @@
+"""A depth recording tracked frame by frame, forwards and backwards, with the bones of a take or estimated ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.bodies import load_body
+from kinedex.catalog.depth_cameras import DepthCamera
+from kinedex.catalog.depth_placement import Placement, placement_of
+from kinedex.ops.body.joint_tree import JOINTS
+from kinedex.ops.depth.background import behind_share
+from kinedex.ops.depth.bidirectional import choose_directions
+from kinedex.ops.depth.cones import ConeBody
+from kinedex.ops.depth.image_search import DepthView, depth_view
+from kinedex.ops.depth.points import Preparation, choose_stride, ray_table
+from kinedex.ops.depth.size_estimate import SECONDS, estimate_size
+from kinedex.ops.depth.tracker import LEAST_POINTS, FrameResult, Reconstructor, TrackerSettings
+from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.pipelines.reconstruction.pose_database import PoseDatabase
+from kinedex.storage.formats.depth.recording import DepthRecording
+from kinedex.storage.formats.depth.recording_checks import MOST_BEHIND
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+STRIDE_FRAMES = 10
+"""The stride is chosen by so many frames."""
+
+_COARSE_PX = 160  # the width of images in which a person is looked for at first
+
+FORWARD, BACKWARD = 0, 1
+DIRECTIONS = ("forward", "backward")
+"""The names of the directions in results."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A camera that is ready for frames.
+
+    Attributes
+    ----------
+    placement : Placement
+        Its place in the world.
+    preparation : Preparation
+        Makes points of frames.
+    view : DepthView
+        The camera for kernels.
+    stride : int
+        Every how many rows and columns a pixel is used.
+    """
+
+    placement: Placement
+    preparation: Preparation
+    view: DepthView
+    stride: int
+
+
+@dataclass(frozen=True, eq=False)
+class PersonBones:
+    """The bones that a person is tracked with.
+
+    Attributes
+    ----------
+    origin : str
+        The take that they are of, or "estimate".
+    lengths : float64 array (24,)
+        Metres.
+    height_m : float
+        The standing height.
+    """
+
+    origin: str
+    lengths: F64
+    height_m: float
+
+
+class RecordingTrack(NamedTuple):
+    """A tracked recording of T frames.
+
+    Attributes
+    ----------
+    directions : tuple of tuple of FrameResult or None
+        The results of each direction in order of time, forward first; None in frames without an image.
+    chosen : int64 array (T,)
+        The number of the direction that each frame is taken from.
+    moved : tuple of int
+        Frames that contradict the background: the camera has moved.
+    missing : tuple of int
+        Frames without an image, damaged ones among them.
+    """
+
+    directions: tuple[tuple[FrameResult | None, ...], ...]
+    chosen: I64
+    moved: tuple[int, ...]
+    missing: tuple[int, ...]
+
+    @property
+    def results(self) -> list[FrameResult | None]:
+        """The results that are taken."""
+        return [self.directions[way][t] for t, way in enumerate(self.chosen.tolist())]
+
+    @property
+    def poses(self) -> F64:
+        """The poses (T, 24, 3) in the axes of the placement; NaN without a person."""
+        return poses_of(self.results)
+
+
+def poses_of(results: Iterable[FrameResult | None]) -> F64:
+    """Return the poses (T, 24, 3) of results; NaN without an image or a person."""
+    nobody = np.full((len(JOINTS), 3), np.nan)
+    return np.array([nobody if one is None else one.pose for one in results]).reshape(-1, len(JOINTS), 3)
+
+
+def make_scene(camera: DepthCamera, background: F32 | None, placement: Placement, stride: int) -> Scene:
+    """Return a camera that is ready for frames.
+
+    Raises
+    ------
+    ParameterError
+        The camera stands on the floor or below it.
+    """
+    rays = ray_table(camera.matrix, camera.distortion, camera.size, stride)
+    preparation = Preparation(rays, background, placement.turn, placement.floor_height, stride=stride)
+    view = depth_view(camera.matrix, camera.distortion, placement.turn, stride)
+    return Scene(placement, preparation, view, stride)
+
+
+def first_images(recording: DepthRecording, placement: Placement, count: int) -> list[F32]:
+    """Return so many images, from the first frame on that shows a person; fewer where the recording ends before.
+
+    Raises
+    ------
+    KinedexError
+        No frame shows a person.
+    """
+    camera = recording.camera
+    coarse = make_scene(camera, recording.background, placement, max(1, camera.size[0] // _COARSE_PX))
+    found: list[F32] = []
+    for t in range(len(recording.frames)):
+        image = recording.frames[t]
+        if image is None:
+            continue
+        if not found and len(coarse.preparation.prepare(image).points) * coarse.stride**2 < LEAST_POINTS:
+            continue
+        found.append(image)
+        if len(found) == count:
+            break
+    if not found:
+        raise KinedexError(
+            f"recording '{recording.name}': no frame shows a person, who takes at least {LEAST_POINTS} pixels before "
+            "the background; are `background` and `depth_unit_m` right? `background: auto` measures it in the frames"
+        )
+    return found
+
+
+def scene_of(recording: DepthRecording, stride: int | None) -> Scene:
+    """Return the camera of a recording, ready for its frames.
+
+    Parameters
+    ----------
+    recording : DepthRecording
+        The recording.
+    stride : int, optional
+        Every how many rows and columns a pixel is used; chosen by the first frames that show a person unless given.
+
+    Raises
+    ------
+    KinedexError
+        No frame shows a person, or the camera cannot stand where its file has it.
+    """
+    camera, background = recording.camera, recording.background
+    placement = placement_of(camera, background)
+    try:
+        if stride is None:
+            images = first_images(recording, placement, STRIDE_FRAMES)
+            stride = choose_stride(
+                images, camera.matrix, camera.distortion, background, placement.turn, placement.floor_height
+            )
+        return make_scene(camera, background, placement, stride)
+    except ParameterError as fault:
+        raise KinedexError(f"recording '{recording.name}', camera: {fault}") from None
+
+
+def estimated_bones(
+    recording: DepthRecording, scene: Scene, database: PoseDatabase, settings: TrackerSettings
+) -> PersonBones:
+    """Return the mean bones of the archive in proportion to the size of the person.
+
+    Raises
+    ------
+    KinedexError
+        Nobody is found in the first second.
+    """
+    images = first_images(recording, scene.placement, max(1, round(SECONDS * recording.rate_hz)))
+    try:
+        found = estimate_size(
+            load_body(), database.mean_bones, database.directions, scene.preparation, scene.view, images, settings
+        )
+    except ParameterError as fault:
+        raise KinedexError(
+            f"recording '{recording.name}', body: the size cannot be estimated ({fault}); name a take of the person: "
+            "`body: <take>`"
+        ) from None
+    return PersonBones("estimate", found.bone_lengths, found.height)
+
+
+def reconstructor_of(
+    body: ConeBody, bones: PersonBones, database: PoseDatabase, scene: Scene, settings: TrackerSettings
+) -> Reconstructor:
+    """Return a tracker of a person before a camera."""
+    return Reconstructor(body, bones.lengths, database.directions, scene.preparation, scene.view, settings)
+
+
+def track_recording(
+    recording: DepthRecording, tracker: Reconstructor, *, both_ways: bool, is_empty_room: bool
+) -> RecordingTrack:
+    """Track a recording.
+
+    Parameters
+    ----------
+    recording : DepthRecording
+        The recording.
+    tracker : Reconstructor
+        The tracker; it starts anew.
+    both_ways : bool
+        Track backwards, too, and take each frame from one of the two.
+    is_empty_room : bool
+        True where the background is an image of the empty room: frames much of which lies behind it are not used.
+    """
+    moved: set[int] = set()
+    missing: set[int] = set()
+
+    def images(order: Iterable[int]) -> Iterable[tuple[int, F32 | None]]:
+        for t in order:
+            image = None if t in moved or t in missing else recording.frames[t]
+            if image is None:
+                missing.update({t} - moved)
+            elif is_empty_room and _contradicts(image, recording.background):
+                moved.add(t)
+                image = None
+            yield t, image
+
+    frames = range(len(recording.frames))
+    tracks = [_results(tracker, images(frames))]
+    if both_ways:
+        tracks.append(_results(tracker, images(reversed(frames)))[::-1])
+    chosen = np.zeros(len(frames), np.int64)
+    if both_ways:
+        costs = np.array([[np.nan if one is None else one.cost for one in track] for track in tracks]).T
+        chosen = choose_directions(poses_of(tracks[FORWARD]), poses_of(tracks[BACKWARD]), costs)
+    return RecordingTrack(tuple(map(tuple, tracks)), chosen, tuple(sorted(moved)), tuple(sorted(missing)))
+
+
+def _contradicts(image: F32, background: F32 | None) -> bool:
+    return background is not None and behind_share(image, background) > MOST_BEHIND
+
+
+def _results(tracker: Reconstructor, images: Iterable[tuple[int, F32 | None]]) -> list[FrameResult | None]:
+    """Return the results of images in their order; both hypotheses' poses are dropped, for they fill the memory."""
+    tracker.restart()
+    found: list[FrameResult | None] = []
+    for _, image in images:
+        if image is None:
+            tracker.skip()
+            found.append(None)
+        else:
+            found.append(tracker.step(image)._replace(local=None, database=None))
+    return found

@@ -1,0 +1,47 @@
+"""Stage reconstruct: recordings of a depth camera become takes, with the archive's poses as memory."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from kinedex.catalog.depth_recordings import load_depth_recordings
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.digests import Reading, hash_of
+from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.reconstruction.parameters import ReconstructParameters
+from kinedex.pipelines.reconstruction.runs import chosen_recordings, named_bodies, reconstruct, take_digest
+from kinedex.pipelines.reconstruction.work import files_stamp
+from kinedex.pipelines.recordings.runs import Place, renew_index
+from kinedex.pipelines.recordings.stored_results import are_takes_there
+from kinedex.storage.store.store import Store
+
+
+class Reconstruct(Stage[ReconstructParameters]):
+    """Recordings of a depth camera become takes, with the archive's poses as memory (thesis, Section 8.4)."""
+
+    name = "reconstruct"
+    parameters = ReconstructParameters
+    inputs: ClassVar = {"poses": Input("pose_database")}
+
+    def reading(self, params: ReconstructParameters, store: Store) -> Reading:
+        """Return a digest of the takes that lend bones; those that lend poses count by the pose database."""
+        return Reading(take_digest(store, list(named_bodies(params).values())), "")
+
+    def external_digest(self, params: ReconstructParameters, store: Store | None) -> str:
+        """Return a hash of the recordings' settings, and of their files by path, size and time."""
+        file = load_depth_recordings(params.recordings)
+        return hash_of(*(files_stamp(file, name) for name in chosen_recordings(params)))
+
+    def is_current(self, store: Store) -> bool:
+        """Return whether all reconstructed takes are in the store."""
+        return are_takes_there(store, "reconstructions", "reconstruct")
+
+    def run(self, context: StageContext, params: ReconstructParameters) -> dict[str, object]:
+        """Reconstruct the recordings that are new or changed, each committed whole."""
+        place = Place(context.key(), context.run, context.executor, context.say, context.code, context.anew)
+        with context.writer() as writer:
+            done = reconstruct(writer, params, context.key(context.inputs["poses"]), place)
+        renew_index(context.store_path, context.wait)
+        if done.unchanged:
+            context.say(f"unchanged: {len(done.unchanged)} of {len(done.names)}")
+        return {"takes": done.names, "unchanged": len(done.unchanged)}
