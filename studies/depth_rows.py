@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import permutations
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +12,7 @@ from kinedex.catalog.bodies import load_body
 from kinedex.ops.depth.bidirectional import choose_directions
 from kinedex.ops.depth.image_search import DepthView, depth_view
 from kinedex.ops.depth.points import Preparation, choose_stride, ray_table
-from kinedex.ops.depth.pose_distance import COMPARED, END_EFFECTORS
+from kinedex.ops.depth.pose_distance import COMPARED, are_ends_found
 from kinedex.ops.depth.size_estimate import estimate_size
 from kinedex.ops.depth.tracker import FrameResult, Reconstructor, TrackerSettings
 from studies.depth_set import RATE_HZ, Archive, Filmed
@@ -21,9 +20,6 @@ from studies.depth_set import RATE_HZ, Archive, Filmed
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
-
-FOUND_M = 0.2
-"""An end of the body is found where an extremum is nearer to it than this."""
 
 BODY = load_body()
 LOCAL = TrackerSettings(hypotheses=("local",))
@@ -67,12 +63,6 @@ def errors_cm(poses: F64, truth: F64) -> F64:
     return found
 
 
-def all_ends_found(extrema: F64, truth: F64) -> bool:
-    """Return whether five extrema (5, 3) are near the five ends of a body (24, 3), one to one."""
-    near = np.linalg.norm(extrema[None] - truth[END_EFFECTORS][:, None], axis=2) < FOUND_M
-    return any(all(near[end, one] for end, one in enumerate(order)) for order in permutations(range(5)))
-
-
 def prepared(one: Filmed) -> tuple[Preparation, DepthView]:
     """Return the preparation and the camera of a recording, whose floor is known by the camera's pose."""
     camera, background = one.camera, one.background
@@ -109,13 +99,13 @@ def tracked(one: Filmed, archive: Archive, bones: F64, settings: TrackerSettings
 
 def _tracked(results: Sequence[FrameResult], truth: F64) -> Tracked:
     poses = np.array([result.pose for result in results])
-    found = [all_ends_found(result.extrema[:5], joints) for result, joints in zip(results, truth, strict=True)]
+    found = are_ends_found(np.array([result.extrema[:5] for result in results]), truth)
     return Tracked(
         poses,
         np.array([result.cost for result in results]),
         errors_cm(poses, truth),
         np.array([result.hypothesis == "database" for result in results]),
-        np.array(found),
+        found,
     )
 
 

@@ -9,10 +9,10 @@ import pytest
 
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.pose_database import bone_lengths_of
-from kinedex.ops.depth.pose_distance import END_EFFECTORS
+from kinedex.ops.depth.pose_distance import END_EFFECTORS, are_ends_found
 from studies import depth_set
 from studies.depth import BOTH, FORWARD, METHODS, OWN, PROTOTYPE, aims, cell, class_table, table
-from studies.depth_rows import Tracked, all_ends_found, both_ways, errors_cm
+from studies.depth_rows import Tracked, both_ways, errors_cm
 from studies.depth_set import Clip, Film, film_set
 from tests.bodies import STANDING
 
@@ -27,9 +27,8 @@ def track(errors: list[float], found: bool = True) -> Tracked:
 
 def test_five_ends_are_found_one_to_one() -> None:
     ends = STILL[END_EFFECTORS]
-    assert all_ends_found(ends[::-1] + 0.1, STILL)
-    assert not all_ends_found(ends[[0, 0, 2, 3, 4]], STILL)
-    assert not all_ends_found(np.full((5, 3), np.nan), STILL)
+    extrema = np.stack([ends[::-1] + 0.1, ends[[0, 0, 2, 3, 4]], np.full((5, 3), np.nan)])
+    assert are_ends_found(extrema, np.stack([STILL] * 3)).tolist() == [True, False, False]
 
 
 def test_a_frame_without_a_pose_is_off_by_the_height_of_the_person() -> None:

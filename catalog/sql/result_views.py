@@ -409,6 +409,7 @@ fingerprint    VARCHAR    hash of all that its directions follow from""",
         "Takes that were reconstructed from depth recordings, one row each.",
         f"""{_TAKE}
 recording    VARCHAR    the recording that it comes from
+file    VARCHAR    the recordings file
 form    VARCHAR    best, or printed: the thesis's
 direction    VARCHAR    both or forward in time
 hypotheses    VARCHAR[]    those that took part: local, database
@@ -486,6 +487,7 @@ winner    BOOLEAN    true for the pose that the take has""",
 reference    VARCHAR    the truth: a take, or a file
 scope    VARCHAR    all, take or joint (or marker)
 name    VARCHAR    which joint or marker; all for the others
+offset_m    DOUBLE[]    place of a marker in the axes of the body part of its joint; NULL for joints
 mean_m    DOUBLE    mean distance in metres
 std_m    DOUBLE    standard deviation over the frames
 median_m    DOUBLE    median over the frames

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import permutations
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +20,33 @@ UNCOMPARED = ("lclavicle", "rclavicle", "belly", "head")
 
 COMPARED = np.array([k for k, name in enumerate(JOINTS) if name not in UNCOMPARED])
 """The J = 20 joints of distances and errors."""
+
+
+FOUND_M = 0.2
+"""An end of the body is found where an extremum is nearer to it than this."""
+
+
+def are_ends_found(extrema: F64, poses: F64) -> npt.NDArray[np.bool_]:
+    """Return whether the five ends of bodies have an extremum each, one to one (thesis, Section 8.5.1).
+
+    Parameters
+    ----------
+    extrema : float64 array (T, 5, 3)
+        The first five geodesic extrema of each frame in metres; NaN where there are fewer.
+    poses : float64 array (T, 24, 3)
+        The true joints in the same axes.
+
+    Returns
+    -------
+    bool array (T,)
+        True where all five ends are nearer than `FOUND_M` to an extremum of their own.
+    """
+    apart = np.linalg.norm(extrema[:, None] - poses[:, END_EFFECTORS, None], axis=3)
+    near = apart < FOUND_M
+    found = np.zeros(len(poses), np.bool_)
+    for order in permutations(range(len(END_EFFECTORS))):
+        found |= near[:, np.arange(len(order)), order].all(axis=1)
+    return found
 
 
 def pose_distance(pose: F64, others: F64) -> F64:

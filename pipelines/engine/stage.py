@@ -125,6 +125,7 @@ BUILT_IN = {
     "evaluate_track": "kinedex.pipelines.stages.evaluate_track:EvaluateTrack",
     "pose_database": "kinedex.pipelines.stages.pose_database:PoseDatabase",
     "reconstruct": "kinedex.pipelines.stages.reconstruct:Reconstruct",
+    "evaluate_reconstruction": "kinedex.pipelines.stages.evaluate_reconstruction:EvaluateReconstruction",
 }
 """The built-in stages, in the form of entry points."""
 

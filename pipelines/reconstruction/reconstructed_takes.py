@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -164,6 +165,7 @@ class ReconstructionResult:
         return [
             {
                 "recording": self.recording,
+                "file": os.path.abspath(params.recordings),
                 "form": params.form,
                 "direction": "both" if params.both_ways else "forward",
                 "hypotheses": list(settings.hypotheses),

@@ -10,7 +10,7 @@ from kinedex.ops.body.kinematic_chain import ChainBody
 from kinedex.ops.body.pose_fit import measured_body
 from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
 from kinedex.ops.tracking.body_estimate import estimate_body, mean_body
-from kinedex.storage.snapshot.parts import joint_positions
+from kinedex.pipelines.recordings.truth import take_places
 from kinedex.storage.snapshot.schemas import RECORDED_FORMATS
 from kinedex.storage.store.store import Store
 
@@ -43,11 +43,7 @@ def usual_body() -> ChainBody:
 
 def take_joints(store: Store, take: str) -> F64:
     """Return the joints (J, 3, T) of the kinematic chain in a take of the store, NaN where one is not known."""
-    rows = store.frames(take)
-    places = joint_positions(rows, store.feature_set.joints).astype(np.float64)
-    at = {name: places[j] for j, name in enumerate(store.feature_set.joints)}
-    nowhere = np.full(places.shape[1:], np.nan)
-    return np.stack([at.get(name, nowhere) for name in load_kinematic_chain().joints])
+    return take_places(store, take, load_kinematic_chain().joints)
 
 
 def take_body(store: Store, take: str, where: str) -> ChainBody:

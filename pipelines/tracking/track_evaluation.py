@@ -18,13 +18,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from kinedex.catalog.kinematics import load_kinematic_chain
-from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.body.kinematic_chain import ChainBody, forward
-from kinedex.ops.body.resample import resample
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.tracking.bodies import take_joints
+from kinedex.pipelines.recordings.truth import at_rate, read_truth
 from kinedex.pipelines.tracking.result_tables import stored_poses
-from kinedex.storage.formats.motion.reader_table import motion_endings, read_body
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
@@ -79,18 +76,10 @@ def truth_reference(store: Store, truth: str, folder: Path, recording: str | Non
     KinedexError
         It is neither.
     """
-    if truth in store.take_ids:
-        return Reference(truth, take_joints(store, truth), store.rate_hz)
-    file = folder / Path(truth).expanduser()
-    if not file.is_file() or file.suffix.lower() not in motion_endings():
-        raise KinedexError(
-            f"truth '{truth}' is neither a take of the store nor a motion file ({file}); give one of them, or null"
-        )
-    joints = load_kinematic_chain().joints
-    body = read_body(file, None, load_mappings("auto", joints), joints)
-    known = np.array([joint not in body.estimated for joint in joints])
-    places = np.where(known[:, None, None], body.positions, np.nan)
-    return Reference(str(truth), places, body.rate_hz, _failures(file.parent / FAILURES, recording))
+    found = read_truth(store, truth, folder, load_kinematic_chain().joints)
+    is_take = truth in store.take_ids
+    failures = () if is_take else _failures((folder / Path(truth).expanduser()).parent / FAILURES, recording)
+    return Reference(found.name, found.joints, found.rate_hz, failures)
 
 
 def _failures(file: Path, recording: str | None) -> tuple[tuple[int, int], ...]:
@@ -125,10 +114,7 @@ def compared(row: dict[str, Any], poses: pa.Table, reference: Reference) -> list
     chain = load_kinematic_chain()
     body = ChainBody(chain, np.array(row["body"], np.float64).reshape(-1, 3))
     own, _ = forward(body, stored_poses(poses, len(chain.nodes)))
-    known = reference.joints
-    if reference.rate_hz != row["rate_hz"]:
-        turns = np.tile(np.array([[1.0], [0.0], [0.0], [0.0]]), known.shape[2])
-        known = resample(known, turns, reference.rate_hz, row["rate_hz"]).positions
+    known = at_rate(reference.joints, reference.rate_hz, row["rate_hz"])
     frames = min(own.shape[2], known.shape[2])
     order = [chain.joint(name) for name in LIMBS]
     gaps = 1000.0 * np.linalg.norm(own[order, :, :frames] - known[order, :, :frames], axis=1)

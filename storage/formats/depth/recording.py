@@ -169,6 +169,17 @@ def recording_files(file: DepthRecordingsFile, name: str) -> list[tuple[str, Pat
     return found
 
 
+def recording_truth(file: DepthRecordingsFile, name: str) -> str | Path | None:
+    """Return the truth of a recording: a take of the store, a file, or None.
+
+    Raises
+    ------
+    ConfigError
+        The file is not there; the message names file, line and key.
+    """
+    return _Entry(file, name, file.entry(name)).truth()
+
+
 @dataclass(frozen=True)
 class _Entry:
     """A recording's entry in its file."""

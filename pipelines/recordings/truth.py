@@ -1,0 +1,87 @@
+"""The truth that takes of recordings are compared with: a take of the store, or a motion file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.skeletons.mappings import load_mappings
+from kinedex.ops.body.resample import resample
+from kinedex.ops.errors import KinedexError
+from kinedex.storage.formats.motion.reader import ReadSettings
+from kinedex.storage.formats.motion.reader_table import motion_endings, read_body
+from kinedex.storage.snapshot.parts import joint_positions
+from kinedex.storage.store.store import Store
+
+F64 = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """The places of joints over time, as somebody else knows them.
+
+    Attributes
+    ----------
+    name : str
+        Its name: a take, or a file.
+    joints : float64 array (J, 3, T)
+        Joints in metres, NaN where one is not known.
+    rate_hz : float
+        Frames per second.
+    """
+
+    name: str
+    joints: F64
+    rate_hz: float
+
+
+def take_places(store: Store, take: str, joints: tuple[str, ...]) -> F64:
+    """Return joints (J, 3, T) of a take of the store, NaN where one is not known."""
+    places = joint_positions(store.frames(take), store.feature_set.joints).astype(np.float64)
+    at = {name: places[j] for j, name in enumerate(store.feature_set.joints)}
+    nowhere = np.full(places.shape[1:], np.nan)
+    return np.stack([at.get(name, nowhere) for name in joints])
+
+
+def read_truth(store: Store, truth: str, folder: Path, joints: tuple[str, ...], rate_hz: float | None = None) -> Truth:
+    """Return the truth of a recording.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    truth : str
+        A take of the store, or a motion file of any format, with joints as positions or angles.
+    folder : Path
+        The folder that relative paths start from.
+    joints : tuple of str
+        The joints, in the order of the result; estimated ones are not known.
+    rate_hz : float, optional
+        Frames per second of a file that does not state them.
+
+    Raises
+    ------
+    KinedexError
+        It is neither.
+    """
+    if truth in store.take_ids:
+        return Truth(truth, take_places(store, truth, joints), store.rate_hz)
+    file = folder / Path(truth).expanduser()
+    if not file.is_file() or file.suffix.lower() not in motion_endings():
+        raise KinedexError(
+            f"truth '{truth}' is neither a take of the store nor a motion file ({file}); give one of them, or null"
+        )
+    body = read_body(file, None, load_mappings("auto", joints), joints, ReadSettings(rate_hz=rate_hz))
+    known = np.array([joint not in body.estimated for joint in joints])
+    return Truth(str(truth), np.where(known[:, None, None], body.positions, np.nan), body.rate_hz)
+
+
+def at_rate(places: F64, source_rate_hz: float, rate_hz: float) -> F64:
+    """Return places (J, 3, T) at another rate."""
+    if source_rate_hz == rate_hz:
+        return places
+    turns = np.tile(np.array([[1.0], [0.0], [0.0], [0.0]]), places.shape[2])
+    return resample(places, turns, source_rate_hz, rate_hz).positions

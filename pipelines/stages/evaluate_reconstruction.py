@@ -1,0 +1,116 @@
+"""Stage evaluate_reconstruction: reconstructed takes compared with the truth, where there is one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pyarrow as pa
+import pyarrow.compute as pc
+from pydantic import BaseModel, ConfigDict, Field
+from rich import box
+from rich.table import Table
+
+from kinedex.catalog.depth_recordings import load_depth_recordings
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.console.tables import plain_text
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.digests import Reading, files_digest, hash_of
+from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.reconstruction.reconstruction_errors import (
+    Comparison,
+    compare,
+    error_rows,
+    errors_table,
+    stored_reconstruction,
+)
+from kinedex.pipelines.recordings.stored_results import earlier_rows
+from kinedex.storage.formats.depth.recording import recording_truth
+from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.store.store import Store
+
+
+class Params(BaseModel):
+    """The parameters of the stage `evaluate_reconstruction`."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    truth: str | None = Field(
+        None,
+        description="a take, or a motion file, that all takes are compared with; that of the recording unless given",
+    )
+
+
+class EvaluateReconstruction(Stage[Params]):
+    """Reconstructed takes compared with the truth, where there is one (thesis, Eq. 8.10)."""
+
+    name = "evaluate_reconstruction"
+    parameters = Params
+    inputs: ClassVar = {"reconstructions": Input("reconstruct")}
+
+    def external_digest(self, params: Params, store: Store | None) -> str:
+        """Return a hash of the files of truth, and of what the recordings say about them."""
+        parts = store.manifest.results.get("reconstructions", ()) if store is not None else ()
+        stages = sorted({part.stage for part in parts})
+        rows = [row for stage in stages for row in earlier_rows(store, "reconstructions", stage)] if store else []
+        stated, files = [], {Path(params.truth).expanduser()} if params.truth else set()
+        for path, name in sorted({(str(row["file"]), str(row["recording"])) for row in rows}):
+            try:
+                file = load_depth_recordings(path)
+                entry, truth = file.entry(name), recording_truth(file, name)
+            except KinedexError:
+                continue  # the recording is gone, and so is its truth
+            stated.append((path, name, entry.model_dump(include={"truth", "truth_pose", "markers"})))
+            files |= {truth} if isinstance(truth, Path) else set()
+        return hash_of(stated, files_digest(sorted(file for file in files if file.is_file())))
+
+    def reading(self, params: Params, store: Store) -> Reading:
+        """Return a digest of all takes, any of which can be the truth."""
+        rows = store.take_rows.to_pylist()
+        return Reading(hash_of(sorted((row["name"], row["checksum"], row["recipe"]) for row in rows)), "")
+
+    def run(self, context: StageContext, params: Params) -> dict[str, object]:
+        """Compare every take whose truth is known, and store the figures."""
+        store = context.open()
+        stage = context.key(context.inputs["reconstructions"])
+        found: list[Comparison] = []
+        without = []
+        for row in earlier_rows(store, "reconstructions", stage):
+            parts = [part for part in store.manifest.results["reconstruction_frames"] if part.stage == stage]
+            pieces = store.result_pieces("reconstruction_frames", parts)
+            own = [piece.filter(pc.equal(piece.column("take_id"), row["take_id"])) for piece in pieces]
+            frames = pa.concat_tables([result_schema("reconstruction_frames").empty_table(), *own])
+            file = load_depth_recordings(str(row["file"]))
+            compared = compare(store, stored_reconstruction(row, frames), file, params.truth)
+            if compared is None:
+                without.append(row["take"])
+            else:
+                found.append(compared)
+        rows = error_rows(found)
+        context.put_results(reconstruction_errors=errors_table(rows, context.run))
+        if found:
+            context.terminal.show(_table(rows))
+        else:
+            context.say("no truth is known: set `truth` of the recording, or of this stage, to a take or a motion file")
+        takes = {row["take"]: round(row["mean_m"], 5) for row in rows if row["scope"] == "take"}
+        return {"takes": takes, "without_truth": without}
+
+
+def _table(rows: list[dict[str, Any]]) -> Table:
+    """Return a row for each take, and one for all of them."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    columns = ["take", "mean cm", "median", "90 %", "off by > 10 cm", "five ends", "frames", "unseen"]
+    for column in columns:
+        table.add_column(column, justify="left" if column == "take" else "right")
+    for row in rows:
+        if row["scope"] in ("take", "all") and row["frames"]:
+            rate = row["rate_five_ends"]
+            table.add_row(
+                plain_text(row.get("take") or "all"),
+                *(f"{100 * row[name]:.1f}" for name in ("mean_m", "median_m", "p90_m")),
+                f"{row['over_10cm']:.1%}",
+                "–" if rate is None else f"{rate:.0%}",
+                str(row["frames"]),
+                str(row["unseen_frames"]),
+            )
+    return table
