@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from kinedex.pipelines.api.picture import Picture
     from kinedex.pipelines.api.pipeline import ingest, run_pipeline
     from kinedex.pipelines.api.query import Query
+    from kinedex.pipelines.api.reconstruction import Reconstructor, reconstruct
     from kinedex.pipelines.api.store import Store, open_store
     from kinedex.pipelines.api.take import Take
     from kinedex.pipelines.api.template import Difference, Template
@@ -51,6 +52,7 @@ __all__ = [
     "ParameterError",
     "Picture",
     "Query",
+    "Reconstructor",
     "SourceError",
     "Store",
     "StoreError",
@@ -64,6 +66,7 @@ __all__ = [
     "load_feature_set",
     "open_store",
     "read",
+    "reconstruct",
     "run_pipeline",
     "stabilise",
     "track",
@@ -81,6 +84,7 @@ _HOMES = {
     "ParameterError": "ops.errors",
     "Picture": "pipelines.api.picture",
     "Query": "pipelines.api.query",
+    "Reconstructor": "pipelines.api.reconstruction",
     "SourceError": "ops.errors",
     "Store": "pipelines.api.store",
     "StoreError": "ops.errors",
@@ -93,6 +97,7 @@ _HOMES = {
     "load_feature_set": "catalog.features",
     "open_store": "pipelines.api.store",
     "read": "pipelines.api.new_takes",
+    "reconstruct": "pipelines.api.reconstruction",
     "run_pipeline": "pipelines.api.pipeline",
     "stabilise": "pipelines.api.tracking",
     "track": "pipelines.api.tracking",

@@ -21,6 +21,7 @@ from kinedex.pipelines.commands import (  # noqa: F401
     pipelines,
     queries,
     ranking,
+    reconstruction,
     reports,
     simulate,
     tables,

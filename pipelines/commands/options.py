@@ -155,3 +155,11 @@ def assignments_of(pairs: list[str] | None) -> dict[str, str]:
             raise KinedexError(f"--set {pair}: expected NAME=VALUE")
         result[name] = value
     return result
+
+
+def interval_of(text: str) -> tuple[int, int]:
+    """Return the frames of an interval such as 100:160."""
+    start, colon, stop = text.strip().partition(":")
+    if not (colon and start.isdecimal() and stop.isdecimal() and int(start) < int(stop)):
+        raise typer.BadParameter(f"--frames {text}: expected the first frame and the one after the last, as 0:60")
+    return int(start), int(stop)

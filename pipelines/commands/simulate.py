@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from kinedex.pipelines.commands.app import TRACK, command, group
-from kinedex.pipelines.commands.options import AtOption, JsonOption, StorePath, WhereOption
+from kinedex.pipelines.commands.options import AtOption, JsonOption, StorePath, WhereOption, interval_of
 from kinedex.pipelines.commands.output import print_json, print_message, print_path
 from kinedex.pipelines.commands.store_access import open_for_reading
 
@@ -63,14 +63,6 @@ def cameras(
     print_path(made.folder / RECORDINGS)
 
 
-def _interval(text: str) -> tuple[int, int]:
-    """Return the frames of an interval such as 100:160."""
-    start, colon, stop = text.strip().partition(":")
-    if not (colon and start.isdecimal() and stop.isdecimal() and int(start) < int(stop)):
-        raise typer.BadParameter(f"--frames {text}: expected the first frame and the one after the last, as 0:60")
-    return int(start), int(stop)
-
-
 @command(of=simulate)
 def depth(
     store: StorePath,
@@ -100,7 +92,7 @@ def depth(
     from kinedex.pipelines.console.wording import counted
     from kinedex.pipelines.simulation.depth_recordings import RECORDINGS, Request, simulate_depth
 
-    interval = None if frames is None else _interval(frames)
+    interval = None if frames is None else interval_of(frames)
     request = Request(tuple(takes or ()), where, seed, camera, body, azimuth, interval)
     made = simulate_depth(open_for_reading(store, at), request, output, Terminal().progress)
     if as_json:

@@ -19,7 +19,7 @@ PEOPLE, CUT, LYING, TURNED = "several people", "cut off", "lying", "turned away"
 
 REMARKS = {
     MISSING: "{frames} without an image, missing or damaged: {numbers}",
-    MOVED: "much lies behind the background in {frames}, which are not used; did the camera move? {numbers}",
+    MOVED: "the camera seems to have moved, since much lies behind the background; {frames} not used: {numbers}",
     NOBODY: "nobody is seen in {frames}: {numbers}",
     PEOPLE: "several people are seen in {frames}, and the one nearest to the last pose is tracked: {numbers}",
     CUT: "the image's border cuts the body off in {frames}, where joints are guessed: {numbers}",

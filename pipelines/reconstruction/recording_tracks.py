@@ -131,6 +131,16 @@ def make_scene(camera: DepthCamera, background: F32 | None, placement: Placement
     return Scene(placement, preparation, view, stride)
 
 
+def looked_through(camera: DepthCamera, background: F32 | None, placement: Placement) -> Scene:
+    """Return a camera with few pixels, which a person is looked for in."""
+    return make_scene(camera, background, placement, max(1, camera.size[0] // _COARSE_PX))
+
+
+def shows_person(coarse: Scene, image: F32) -> bool:
+    """Return whether an image shows a person to a camera with few pixels."""
+    return len(coarse.preparation.prepare(image).points) * coarse.stride**2 >= LEAST_POINTS
+
+
 def first_images(recording: DepthRecording, placement: Placement, count: int) -> list[F32]:
     """Return so many images, from the first frame on that shows a person; fewer where the recording ends before.
 
@@ -139,14 +149,11 @@ def first_images(recording: DepthRecording, placement: Placement, count: int) ->
     KinedexError
         No frame shows a person.
     """
-    camera = recording.camera
-    coarse = make_scene(camera, recording.background, placement, max(1, camera.size[0] // _COARSE_PX))
+    coarse = looked_through(recording.camera, recording.background, placement)
     found: list[F32] = []
     for t in range(len(recording.frames)):
         image = recording.frames[t]
-        if image is None:
-            continue
-        if not found and len(coarse.preparation.prepare(image).points) * coarse.stride**2 < LEAST_POINTS:
+        if image is None or (not found and not shows_person(coarse, image)):
             continue
         found.append(image)
         if len(found) == count:

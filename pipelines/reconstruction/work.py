@@ -15,7 +15,7 @@ from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.pose_database import bone_lengths_of
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.console.wording import counted
-from kinedex.pipelines.reconstruction.frame_remarks import MISSING, NOBODY, frame_remarks, remark_sentences
+from kinedex.pipelines.reconstruction.frame_remarks import frame_remarks, remark_sentences
 from kinedex.pipelines.reconstruction.parameters import ESTIMATE, ReconstructParameters
 from kinedex.pipelines.reconstruction.pose_database import PoseDatabase, read_pose_database
 from kinedex.pipelines.reconstruction.reconstructed_takes import (
@@ -32,7 +32,7 @@ from kinedex.pipelines.reconstruction.recording_tracks import (
 )
 from kinedex.pipelines.recordings.recorded_takes import Provenance
 from kinedex.pipelines.recordings.runs import Finished
-from kinedex.storage.formats.depth.recording import DepthRecording, read_recording, recording_files
+from kinedex.storage.formats.depth.recording import CAMERA_MOVED, DepthRecording, read_recording, recording_files
 from kinedex.storage.formats.motion.sources import checksum
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
@@ -86,6 +86,7 @@ def reconstruct_recording(task: ReconstructTask) -> Finished:
     params = task.params
     file = load_depth_recordings(params.recordings)
     recording = read_recording(file, task.recording)
+    of_frames = recording.frames.notes()  # all frames are read below, and more is known of them
     database = stored_database(task.store, task.database)
     settings = params.settings(recording.rate_hz)
     scene = scene_of(recording, params.stride)
@@ -101,7 +102,8 @@ def reconstruct_recording(task: ReconstructTask) -> Finished:
         raise KinedexError(f"recording '{task.recording}': no pose was found in any of its {len(track.chosen)} frames")
     remarks = frame_remarks(track, scene, bones.height_m)
     doubts = (*_damaged(recording), *remark_sentences(remarks))
-    notes = (*recording.notes, *scene.placement.notes)
+    kept = (note for note in recording.notes if note not in of_frames and not note.endswith(CAMERA_MOVED))
+    notes = (*kept, *scene.placement.notes)
     result = ReconstructionResult(
         task.take_id, task.take, task.recording, params, track, scene, bones, database.origins, recording.rate_hz,
         recording.frames.first, remarks, (*notes, *doubts), task.fingerprint,
@@ -196,10 +198,10 @@ def _damaged(recording: DepthRecording) -> list[str]:
 def _line(result: ReconstructionResult) -> str:
     frames = len(result.track.chosen)
     lent = sum(one is not None and one.hypothesis == "database" for one in result.track.results)
-    unseen = sum(bool({MISSING, NOBODY} & set(own)) for own in result.remarks)
+    unseen = sum(one is None or one.hypothesis is None for one in result.track.results)
     parts = [
         f"{result.recording}: {counted(frames, 'frame')} as {result.take}",
         f"{result.bones.height_m:.2f} m tall ({result.bones.origin})",
         f"the archive lent {lent / frames:.0%} of the poses",
     ]
-    return ", ".join([*parts, *([f"{unseen} without a person"] if unseen else [])])
+    return ", ".join([*parts, *([f"{unseen} without a pose"] if unseen else [])])

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from rich import box
 from rich.table import Table
 
-from kinedex.catalog.depth_recordings import load_depth_recordings
+from kinedex.catalog.depth_recordings import DepthRecordingsFile, load_depth_recordings
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.console.tables import plain_text
 from kinedex.pipelines.engine.context import StageContext
@@ -80,12 +80,12 @@ class EvaluateReconstruction(Stage[Params]):
             pieces = store.result_pieces("reconstruction_frames", parts)
             own = [piece.filter(pc.equal(piece.column("take_id"), row["take_id"])) for piece in pieces]
             frames = pa.concat_tables([result_schema("reconstruction_frames").empty_table(), *own])
-            file = load_depth_recordings(str(row["file"]))
-            compared = compare(store, stored_reconstruction(row, frames), file, params.truth)
-            if compared is None:
+            file = _file_of(row)
+            known = None if file is None else compare(store, stored_reconstruction(row, frames), file, params.truth)
+            if known is None:
                 without.append(row["take"])
             else:
-                found.append(compared)
+                found.append(known)
         rows = error_rows(found)
         context.put_results(reconstruction_errors=errors_table(rows, context.run))
         if found:
@@ -94,6 +94,14 @@ class EvaluateReconstruction(Stage[Params]):
             context.say("no truth is known: set `truth` of the recording, or of this stage, to a take or a motion file")
         takes = {row["take"]: round(row["mean_m"], 5) for row in rows if row["scope"] == "take"}
         return {"takes": takes, "without_truth": without}
+
+
+def _file_of(row: dict[str, Any]) -> DepthRecordingsFile | None:
+    """Return the recordings file of a take; None where the recording is there no more."""
+    if not Path(row["file"]).is_file():
+        return None
+    file = load_depth_recordings(row["file"])
+    return file if row["recording"] in file.recordings else None
 
 
 def _table(rows: list[dict[str, Any]]) -> Table:

@@ -47,6 +47,9 @@ SAMPLE = 10
 MOST_BACKGROUND_BYTES = 1 << 28
 """Memory for the frames that a background is measured in; of longer recordings evenly spaced frames are used."""
 
+CAMERA_MOVED = "much lies behind the background; did the camera move?"
+"""The end of the note on frames that contradict the background."""
+
 _MOST_TRIES = 50
 _YAML = (".yaml", ".yml")
 _MOST_OFF_PX = 1.0
@@ -338,7 +341,7 @@ class _Entry:
                 "background", f"lies before {min(moved.values()):.0%} or more of the pixels in all {len(moved)} frames "
                 "that were compared: the camera moved, or it is of another room; write `background: auto`",
             )  # fmt: skip
-        return f"frames {listed}: much lies behind the background; did the camera move?" if moved else ""
+        return f"frames {listed}: {CAMERA_MOVED}" if moved else ""
 
     def unit_error(self, fault: str) -> ConfigError:
         """Return the error on a unit, at the key that states it or can: in the camera's YAML, or in the recording."""

@@ -1,0 +1,85 @@
+"""Commands of reconstruction from depth: reconstruct."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from kinedex.pipelines.commands.app import TRACK, command
+from kinedex.pipelines.commands.options import (
+    ExecutorOption,
+    ForceOption,
+    JsonOption,
+    SetOption,
+    StorePath,
+    WaitOption,
+    WorkersOption,
+    assignments_of,
+    interval_of,
+)
+from kinedex.pipelines.commands.output import print_json, show_outcome, show_table
+
+_STAGE = "depth/reconstruct"
+
+
+@command(TRACK)
+def reconstruct(
+    store: StorePath,
+    recordings: Annotated[Path, typer.Argument(help="YAML file: name of a recording → depth images, camera, rate.")],
+    only: Annotated[
+        list[str] | None,
+        typer.Option("--only", metavar="NAME", help="Only this recording; may be repeated."),
+    ] = None,
+    body: Annotated[
+        str, typer.Option(metavar="TAKE", help="A take of the person whose bone lengths count; or estimate.")
+    ] = "estimate",
+    form: Annotated[str, typer.Option(help="best; printed: as the thesis has it.")] = "best",
+    explain: Annotated[
+        bool, typer.Option("--explain", help="List what was tried in each frame, at what cost.")
+    ] = False,
+    frames: Annotated[
+        str | None, typer.Option(metavar="A:B", help="Explain frames A to B of each recording, without B.")
+    ] = None,
+    assign: SetOption = None,
+    force: ForceOption = None,
+    executor: ExecutorOption = "processes",
+    workers: WorkersOption = None,
+    wait: WaitOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Make takes of recordings by a depth camera.
+
+    A recording becomes the take NAME_reconstructed, with poses of the store as memory. This is the pipeline `depth`.
+    Recordings that are unchanged stay as they are.
+    """
+    import json
+
+    from kinedex.pipelines.engine.runner import run_pipeline
+    from kinedex.pipelines.reconstruction.explanations import explained_votes
+    from kinedex.storage.store.store import open_store
+
+    if frames is not None and not explain:
+        raise typer.BadParameter("--frames chooses what --explain lists; a recording is always reconstructed whole")
+    interval = None if frames is None else interval_of(frames)
+    assignments = {
+        "recordings": str(recordings), "reconstruct.body": body, "reconstruct.form": form, **assignments_of(assign)
+    }  # fmt: skip
+    if only:
+        assignments["reconstruct.only"] = json.dumps(only)
+    outcome = run_pipeline(
+        "depth", store, assignments=assignments, executor=executor, workers=workers, force=frozenset(force or ()),
+        wait_seconds=wait or 0.0,
+    )  # fmt: skip
+    if not explain:
+        show_outcome(outcome, store, as_json)
+        return
+    takes = outcome.summaries["reconstruct"]["takes"]
+    assert isinstance(takes, list)
+    votes = explained_votes(open_store(store, at="newest"), _STAGE, takes, interval)
+    if as_json:
+        print_json({"store": store, "takes": takes, "votes": votes.to_pylist()})
+        return
+    show_outcome(outcome, store)
+    show_table(votes, "table", None)

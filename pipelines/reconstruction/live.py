@@ -1,0 +1,171 @@
+"""A person followed frame by frame before a camera that is read elsewhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.bodies import load_body
+from kinedex.catalog.depth_cameras import DepthCamera
+from kinedex.catalog.depth_placement import Placement, placement_of
+from kinedex.ops.body.joint_tree import JOINTS
+from kinedex.ops.depth.points import choose_stride
+from kinedex.ops.depth.pose_database import DISTANCE_M
+from kinedex.ops.depth.pose_fit import Form
+from kinedex.ops.depth.size_estimate import LIMITS_M
+from kinedex.ops.depth.tracker import FrameResult, Reconstructor, TrackerSettings
+from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.pipelines.reconstruction.pose_database import (
+    PoseDatabase,
+    build_pose_database,
+    listed_takes,
+    read_pose_database,
+)
+from kinedex.pipelines.reconstruction.recording_tracks import (
+    PersonBones,
+    looked_through,
+    make_scene,
+    reconstructor_of,
+    shows_person,
+)
+from kinedex.pipelines.reconstruction.work import take_bones
+from kinedex.storage.formats.depth.camera_file import read_camera
+from kinedex.storage.formats.depth.frames import read_frame
+from kinedex.storage.store.store import Store, open_store
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+
+USUAL_HZ = 30.0
+"""Frames per second of a camera that does not state them."""
+
+
+def newest_database(store: Store) -> PoseDatabase:
+    """Return the newest pose database of a store; without one, that of its takes with a class, which is not stored.
+
+    Raises
+    ------
+    KinedexError
+        No take lends a pose.
+    """
+    parts = sorted(store.manifest.results.get("pose_takes", ()), key=lambda part: part.run, reverse=True)
+    for stage in dict.fromkeys(part.stage for part in parts):
+        found = read_pose_database(store, stage)
+        if found is not None and len(found.directions):
+            return found
+    takes = listed_takes(store, "class IS NOT NULL", "")
+    if not takes:
+        raise KinedexError(
+            f"{store.path}: there is no pose database, and no take with a class that lends poses; "
+            f"`kinedex reconstruct {store.path} RECORDINGS --set pose_database.where=true` makes one of all takes"
+        )
+    return build_pose_database(store, takes, DISTANCE_M, None, lambda line: None)
+
+
+def bones_of(store: Store, database: PoseDatabase, body: str | float | None) -> PersonBones:
+    """Return the bones of a take, the mean ones in proportion to a height in metres, or the mean ones.
+
+    Raises
+    ------
+    KinedexError
+        The store has no such take, or the height is no person's.
+    """
+    if isinstance(body, str):
+        return take_bones(store, body, "body")
+    mean, model = database.mean_bones, load_body()
+    usual = model.standing_height(mean)
+    height_m = usual if body is None else float(body)
+    if not LIMITS_M[0] <= height_m <= LIMITS_M[1]:
+        raise ParameterError("body", f"a take, or a height from {LIMITS_M[0]:g} to {LIMITS_M[1]:g} m", body)
+    return PersonBones("mean" if body is None else "height", mean * (height_m / usual), height_m)
+
+
+@dataclass(eq=False)
+class LiveTracker:
+    """A person before a camera.
+
+    Attributes
+    ----------
+    camera : DepthCamera
+        The camera.
+    background : float32 array (H, W) or None
+        The empty room in metres.
+    placement : Placement
+        The place of the camera.
+    bones : PersonBones
+        The bones of the person.
+    database : PoseDatabase
+        The poses.
+    settings : TrackerSettings
+        The choices of the tracker.
+    stride : int or None
+        Every how many rows and columns a pixel is used; None until a frame shows a person.
+    """
+
+    camera: DepthCamera
+    background: F32 | None
+    placement: Placement
+    bones: PersonBones
+    database: PoseDatabase
+    settings: TrackerSettings
+    stride: int | None = None
+
+    def __post_init__(self) -> None:
+        self._coarse = looked_through(self.camera, self.background, self.placement)
+        self._tracker: Reconstructor | None = None
+
+    @classmethod
+    def open(
+        cls,
+        path: Path,
+        camera_file: Path,
+        body: str | float | None = None,
+        background: str | Path | npt.ArrayLike | None = None,
+        rate_hz: float | None = None,
+        form: Form = "best",
+        stride: int | None = None,
+    ) -> LiveTracker:
+        """Return a tracker with the poses of a store; see `kinedex.Reconstructor`."""
+        camera = read_camera(camera_file)
+        room: F32 | None = None
+        if isinstance(background, str | Path):
+            room = read_frame(Path(background), camera)
+        elif background is not None:
+            room = camera.depths(np.asarray(background))
+        with open_store(path, at="newest") as store:
+            database = newest_database(store)
+            bones = bones_of(store, database, body)
+        settings = TrackerSettings(
+            form, candidates=1 if form == "printed" else TrackerSettings.candidates,
+            rate_hz=rate_hz or camera.rate_hz or USUAL_HZ,
+        )  # fmt: skip
+        return cls(camera, room, placement_of(camera, room), bones, database, settings, stride)
+
+    def step(self, values: npt.NDArray[np.generic]) -> tuple[FrameResult | None, F64]:
+        """Return the result of the next frame, and its pose in the world; NaN without a person."""
+        image = self.camera.depths(values)
+        if self._tracker is None and not self._begin(image):
+            return None, np.full((len(JOINTS), 3), np.nan)
+        assert self._tracker is not None
+        result = self._tracker.step(image)
+        return result, self.placement.in_world(result.pose)
+
+    def skip(self, frames: int) -> None:
+        """Pass over frames that are missing."""
+        if self._tracker is not None:
+            self._tracker.skip(frames)
+
+    def _begin(self, image: F32) -> bool:
+        """Make the tracker as soon as a frame shows a person; return whether there is one."""
+        if not shows_person(self._coarse, image):
+            return False
+        camera, placement = self.camera, self.placement
+        self.stride = self.stride or choose_stride(
+            [image], camera.matrix, camera.distortion, self.background, placement.turn, placement.floor_height
+        )
+        scene = make_scene(camera, self.background, placement, self.stride)
+        self._tracker = reconstructor_of(load_body(), self.bones, self.database, scene, self.settings)
+        return True
