@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,8 @@ RECONSTRUCTED = "_reconstructed"
 
 RECONSTRUCTION_KINDS = ("reconstructions", "reconstruction_frames", "depth_votes")
 """The kinds of results of a reconstructed take."""
+
+_PIECE_ROWS = 5000
 
 SKELETON = "depth"
 """The name of the body of reconstructed takes, in the place of a skeleton mapping's."""
@@ -151,46 +154,47 @@ class ReconstructionResult:
 
     def table(self, kind: str, run: str) -> pa.Table:
         """Return the rows of one kind of results."""
-        rows = {
+        rows: Iterator[dict[str, Any]] = {
             "reconstructions": self._reconstruction,
             "reconstruction_frames": self._frames,
             "depth_votes": self._votes,
         }[kind]()
         own = {"run": run, "take_id": self.take_id, "take": self.take}
-        return pa.Table.from_pylist([own | row for row in rows], schema=result_schema(kind))
+        schema = result_schema(kind)
+        pieces = [schema.empty_table()]
+        while some := [own | row for row in islice(rows, _PIECE_ROWS)]:
+            pieces.append(pa.Table.from_pylist(some, schema=schema))
+        return pa.concat_tables(pieces)
 
-    def _reconstruction(self) -> list[dict[str, Any]]:
+    def _reconstruction(self) -> Iterator[dict[str, Any]]:
         placement, params = self.scene.placement, self.params
         settings = params.settings(self.rate_hz)
-        return [
-            {
-                "recording": self.recording,
-                "file": os.path.abspath(params.recordings),
-                "form": params.form,
-                "direction": "both" if params.both_ways else "forward",
-                "hypotheses": list(settings.hypotheses),
-                "candidates": settings.candidates,
-                "stride": self.scene.stride,
-                "body_from": self.bones.origin,
-                "height_m": self.bones.height_m,
-                "joints": list(JOINTS),
-                "bone_lengths": self.bones.lengths.tolist(),
-                "floor_m": None if placement.floor_height is None else -placement.floor_height,
-                "turn": camera_turn(placement).ravel().tolist(),
-                "place": placement.place.tolist(),
-                "rate_hz": self.rate_hz,
-                "source_frames": len(self.track.chosen),
-                "unseen_frames": int(np.isnan(self.track.poses).any(axis=(1, 2)).sum()),
-                "first_frame": self.first_frame,
-                "remarks": list(self.sentences),
-                "fingerprint": self.fingerprint,
-            }
-        ]
+        yield {
+            "recording": self.recording,
+            "file": os.path.abspath(params.recordings),
+            "form": params.form,
+            "direction": "both" if params.both_ways else "forward",
+            "hypotheses": list(settings.hypotheses),
+            "candidates": settings.candidates,
+            "stride": self.scene.stride,
+            "body_from": self.bones.origin,
+            "height_m": self.bones.height_m,
+            "joints": list(JOINTS),
+            "bone_lengths": self.bones.lengths.tolist(),
+            "floor_m": None if placement.floor_height is None else -placement.floor_height,
+            "turn": camera_turn(placement).ravel().tolist(),
+            "place": placement.place.tolist(),
+            "rate_hz": self.rate_hz,
+            "source_frames": len(self.track.chosen),
+            "unseen_frames": int(np.isnan(self.track.poses).any(axis=(1, 2)).sum()),
+            "first_frame": self.first_frame,
+            "remarks": list(self.sentences),
+            "fingerprint": self.fingerprint,
+        }
 
-    def _frames(self) -> list[dict[str, Any]]:
+    def _frames(self) -> Iterator[dict[str, Any]]:
         poses = self.poses
         chosen = self.track.chosen.tolist()
-        rows = []
         for t, (result, way) in enumerate(zip(self.track.results, chosen, strict=True)):
             row: dict[str, Any] = {
                 "source_frame": t,
@@ -200,8 +204,7 @@ class ReconstructionResult:
             }
             if result is not None:
                 row |= self._frame(result, poses[t])
-            rows.append(row)
-        return rows
+            yield row
 
     def _frame(self, result: FrameResult, pose: F64) -> dict[str, Any]:
         placement = self.scene.placement
@@ -224,15 +227,13 @@ class ReconstructionResult:
             "joints": pose.ravel().tolist() if is_seen else None,
         }
 
-    def _votes(self) -> list[dict[str, Any]]:
-        rows = []
+    def _votes(self) -> Iterator[dict[str, Any]]:
         for t, way in enumerate(self.track.chosen.tolist()):
             for direction in (FORWARD, BACKWARD)[: len(self.track.directions)]:
                 result = self.track.directions[direction][t]
                 if result is not None:
                     own = {"source_frame": t, "direction": DIRECTIONS[direction]}
-                    rows += [own | row for row in self._hypotheses(result, direction == way)]
-        return rows
+                    yield from (own | row for row in self._hypotheses(result, direction == way))
 
     def _hypotheses(self, result: FrameResult, is_taken: bool) -> list[dict[str, Any]]:
         """Return a row for the local hypothesis, and for each candidate of the database."""

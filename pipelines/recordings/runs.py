@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Protocol, TypeVar
 
 import pyarrow as pa
 
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.recordings.recorded_takes import (
     RecordedTake,
@@ -149,6 +152,11 @@ def run_tasks(
         The tasks.
     are_kernels_compiled : callable
         Returns whether the kernels that `work` needs are on disk.
+
+    Raises
+    ------
+    KinedexError
+        Something is wrong with a task; those of the other tasks are in the store.
     """
     before = place.reusable(writer.store, kind, "take")
     damaged = {take for part in damaged_frames(writer.store) for take in part.live}
@@ -156,7 +164,11 @@ def run_tasks(
     unchanged = [one.take for one in tasks if before.get(one.take) == one.fingerprint and one.take_id in live]
     if len(unchanged) < len(tasks) and not are_kernels_compiled():
         place.say(COMPILING)
-    for finished in place.executor.map(work, [one for one in tasks if one.take not in unchanged]):
+    faults: list[str] = []
+    for finished in place.executor.map(partial(_attempt, work), [one for one in tasks if one.take not in unchanged]):
+        if isinstance(finished, str):
+            faults.append(finished)
+            continue
         ids = put_takes(writer, [finished.take])
         for name, table in finished.tables.items():
             put_beside(
@@ -165,7 +177,21 @@ def run_tasks(
         writer.commit()
         for line in finished.lines:
             place.say(line)
+    if faults:
+        raise KinedexError("\n".join([*faults, *([_rest(len(tasks) - len(faults))] if len(tasks) > 1 else [])]))
     return Outcome([one.take for one in tasks], unchanged)
+
+
+def _attempt(work: Callable[[AnyTask], Finished], task: AnyTask) -> Finished | str:
+    """Return what became of a task, or the message of what is wrong with it: the other tasks go on."""
+    try:
+        return work(task)
+    except KinedexError as fault:
+        return str(fault)
+
+
+def _rest(count: int) -> str:
+    return f"the other {counted(count, 'take')} of this run {'is' if count == 1 else 'are'} in the store"
 
 
 def is_compiled(kernel: object) -> bool:

@@ -243,3 +243,16 @@ def test_a_camera_of_ones_own_gives_the_poses_of_the_stage(made: Path) -> None:
 def test_frames_are_listed_as_ranges() -> None:
     assert listed_frames([3, 7, 8, 9, 12]) == "3, 7–9, 12"
     assert listed_frames(list(range(0, 40, 2))).endswith("14 and 12 more ranges")
+
+
+def test_a_recording_that_cannot_be_read_leaves_the_others_their_takes(folder: Path) -> None:
+    (folder / "rec" / FILMED[0] / "camera.yaml").write_text("width: 3\n")
+    camera = folder / "rec" / FILMED[1] / "camera.yaml"
+    camera.write_text(camera.read_text() + "\n# looked at\n")
+    with pytest.raises(kinedex.KinedexError, match=r"camera.yaml(?s:.*)the other 1 take of this run is in the store"):
+        run(folder)
+    rows = open_store(folder / "store", at="newest").result("reconstructions").to_pylist()
+    assert {row["recording"]: row["file"].startswith(str(folder)) for row in rows} == {
+        FILMED[0]: False,
+        FILMED[1]: True,
+    }
