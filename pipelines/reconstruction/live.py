@@ -146,7 +146,10 @@ class LiveTracker:
 
     def step(self, values: npt.NDArray[np.generic]) -> tuple[FrameResult | None, F64]:
         """Return the result of the next frame, and its pose in the world; NaN without a person."""
-        image = self.camera.depths(values)
+        return self.follow(self.camera.depths(values))
+
+    def follow(self, image: F32) -> tuple[FrameResult | None, F64]:
+        """Return the same for a frame that is in metres, along the axis of the camera."""
         if self._tracker is None and not self._begin(image):
             return None, np.full((len(JOINTS), 3), np.nan)
         assert self._tracker is not None
