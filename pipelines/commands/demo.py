@@ -19,7 +19,10 @@ from kinedex.storage.store.store import open_store
 ACTORS, SEED = 5, 2026
 
 FILMED, LEAST_FRAMES = "al", 45
-"""The actor who is filmed in the demo of tracking, in clips of so many frames at least."""
+"""The actor who is filmed in the demos of tracking and depth, in clips of so many frames at least."""
+
+DEPTH_TAKES = 6
+"""So many clips are filmed in the demo of depth."""
 
 
 def run_demo(
@@ -119,6 +122,59 @@ def run_tracking_demo(store: Path, minutes: float, executor: str, workers: int |
         "train": f"class IS NOT NULL AND actor <> '{FILMED}'",
     }
     return run_pipeline("stabilise", store, assignments=settings, **common)
+
+
+def run_depth_demo(store: Path, minutes: float, executor: str, workers: int | None, console: Console) -> Outcome:
+    """Film takes of one actor of a synthetic archive by a depth camera, and reconstruct them with the others' poses.
+
+    Parameters
+    ----------
+    store : Path
+        Directory of the store.
+    minutes : float
+        Minutes of motion in the synthetic archive.
+    executor : str
+        Executor, as for `run_pipeline`.
+    workers : int or None
+        Number of workers, as for `run_pipeline`.
+    console : Console
+        Where messages are printed.
+
+    Raises
+    ------
+    KinedexError
+        A stage fails.
+    """
+    from kinedex.pipelines.simulation.depth_recordings import RECORDINGS, Request, simulate_depth
+
+    terminal = Terminal(console)
+    data = store.parent / f"{store.name}-archive-{minutes:g}min"
+    make_archive(data, minutes, ACTORS, SEED, workers, console)
+    common: dict[str, Any] = {"executor": executor, "workers": workers, "terminal": terminal}
+    run_pipeline("ingest", store, settings={"source": str(data), "ingest.patterns": _patterns()}, **common)
+    recordings = store.parent / f"{store.name}-recordings"
+    if not (recordings / RECORDINGS).is_file():
+        console.print(f"depth recordings of the actor '{FILMED}' in {recordings}", style="bold", markup=False)
+        where = f"actor = '{FILMED}' AND class IS NOT NULL AND frames >= {LEAST_FRAMES}"
+        with open_store(store) as opened:
+            names = [str(name) for name in opened.takes(where).sort("name")["name"].to_list()][:DEPTH_TAKES]
+            made = simulate_depth(opened, Request(tuple(names), seed=SEED), recordings, terminal.progress)
+        console.print(f"    {counted(len(made.recordings), 'recording')}, {made.frames:,} frames", markup=False)
+    console.print(f"store: {store}", markup=False)
+    settings = {
+        "source": str(data),
+        "recordings": str(recordings / RECORDINGS),
+        "pose_database.where": f"class IS NOT NULL AND actor <> '{FILMED}'",
+    }
+    return run_pipeline("reconstruct", store, assignments=settings, **common)
+
+
+def _patterns() -> list[str]:
+    """Return the patterns of the shipped pipelines, which fit the synthetic archive."""
+    from kinedex.catalog.configs import config_path, load_yaml
+
+    found = load_yaml(config_path("pipelines", "reconstruct")).mapping()["settings"]["patterns"]
+    return [str(one) for one in found]
 
 
 def make_archive(

@@ -36,7 +36,7 @@ def demo(
         typer.Argument(
             metavar="STORE",
             help="Directory of the store; created where it is missing.",
-            show_default="build/demo-store; build/tracking-store with --tracking",
+            show_default="build/demo-store; build/tracking-store with --tracking; build/depth-store with --depth",
         ),
     ] = None,
     data: Annotated[
@@ -44,11 +44,16 @@ def demo(
     ] = None,
     minutes: Annotated[
         float | None,
-        typer.Option(min=1, help="Minutes of motion in the synthetic archive.", show_default="30; 3 with --tracking"),
+        typer.Option(
+            min=1, help="Minutes of motion in the synthetic archive.", show_default="30; 3 with --tracking or --depth"
+        ),
     ] = None,
     method: Annotated[str, typer.Option(help="Method of annotation: thesis or best.")] = "thesis",
     tracking: Annotated[
         bool, typer.Option("--tracking", help="Film takes by simulated cameras, track and stabilise them.")
+    ] = False,
+    depth: Annotated[
+        bool, typer.Option("--depth", help="Film takes by a simulated depth camera, and reconstruct them.")
     ] = False,
     executor: ExecutorOption = "processes",
     workers: WorkersOption = None,
@@ -57,14 +62,18 @@ def demo(
 
     The archive is synthetic, and made where it is missing; --data runs the same on an archive of your own.
     """
-    from kinedex.pipelines.commands.demo import run_demo, run_tracking_demo
+    from kinedex.pipelines.commands.demo import run_demo, run_depth_demo, run_tracking_demo
     from kinedex.pipelines.console.terminal import message_console
 
-    if tracking and data is not None:
-        raise typer.BadParameter("--tracking films takes of the synthetic archive; leave out --data")
-    if tracking:
-        store = store or Path("build/tracking-store")
-        show_outcome(run_tracking_demo(store, minutes or 3.0, executor, workers, message_console()), store)
+    if tracking and depth:
+        raise typer.BadParameter("--tracking and --depth are different demos; choose one")
+    if (tracking or depth) and data is not None:
+        name = "--tracking" if tracking else "--depth"
+        raise typer.BadParameter(f"{name} films takes of the synthetic archive; leave out --data")
+    if tracking or depth:
+        store = store or Path("build/tracking-store" if tracking else "build/depth-store")
+        run_filmed = run_tracking_demo if tracking else run_depth_demo
+        show_outcome(run_filmed(store, minutes or 3.0, executor, workers, message_console()), store)
         return
     store = store or Path("build/demo-store")
     show_outcome(run_demo(store, data, minutes or 30.0, executor, workers, message_console(), method), store)

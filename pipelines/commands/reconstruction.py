@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -19,46 +19,50 @@ from kinedex.pipelines.commands.options import (
     assignments_of,
     interval_of,
 )
-from kinedex.pipelines.commands.output import print_json, print_message, show_outcome, show_table
-
-if TYPE_CHECKING:
-    from kinedex.pipelines.reconstruction.followed_folder import FollowedFrame
+from kinedex.pipelines.commands.output import print_json, show_outcome, show_table
 
 _STAGE = "depth/reconstruct"
+
+RecordingsArgument = Annotated[
+    Path | None, typer.Argument(help="YAML file: name of a recording → depth images, camera, rate.")
+]
+FollowOption = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="Reconstruct the frames that are written into this folder.")
+]
+CameraOption = Annotated[Path | None, typer.Option(metavar="FILE", help="Of --follow: the camera.")]
+BackgroundOption = Annotated[Path | None, typer.Option(metavar="FILE", help="Of --follow: the empty room.")]
+IdleOption = Annotated[
+    float | None, typer.Option(min=0.1, metavar="SECONDS", help="Of --follow: end so long after the last frame.")
+]
+OnlyOption = Annotated[
+    list[str] | None, typer.Option("--only", metavar="NAME", help="Only this recording; may be repeated.")
+]
+BodyOption = Annotated[
+    str,
+    typer.Option(
+        metavar="TAKE",
+        help="A take of the person whose bone lengths count; or estimate. Of --follow also the height in metres.",
+    ),
+]
+ExplainOption = Annotated[bool, typer.Option("--explain", help="List what was tried in each frame, at what cost.")]
+FramesOption = Annotated[
+    str | None, typer.Option(metavar="A:B", help="Explain frames A to B of each recording, without B.")
+]
 
 
 @command(TRACK)
 def reconstruct(
     store: StorePath,
-    recordings: Annotated[
-        Path | None, typer.Argument(help="YAML file: name of a recording → depth images, camera, rate.")
-    ] = None,
-    follow: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Reconstruct the frames that are written into this folder.")
-    ] = None,
-    camera: Annotated[Path | None, typer.Option(metavar="FILE", help="Of --follow: the camera.")] = None,
-    background: Annotated[Path | None, typer.Option(metavar="FILE", help="Of --follow: the empty room.")] = None,
-    idle: Annotated[
-        float | None, typer.Option(min=0.1, metavar="SECONDS", help="Of --follow: end so long after the last frame.")
-    ] = None,
-    only: Annotated[
-        list[str] | None,
-        typer.Option("--only", metavar="NAME", help="Only this recording; may be repeated."),
-    ] = None,
-    body: Annotated[
-        str,
-        typer.Option(
-            metavar="TAKE",
-            help="A take of the person whose bone lengths count; or estimate. Of --follow also the height in metres.",
-        ),
-    ] = "estimate",
+    recordings: RecordingsArgument = None,
+    follow: FollowOption = None,
+    camera: CameraOption = None,
+    background: BackgroundOption = None,
+    idle: IdleOption = None,
+    only: OnlyOption = None,
+    body: BodyOption = "estimate",
     form: Annotated[str, typer.Option(help="best; printed: as the thesis has it.")] = "best",
-    explain: Annotated[
-        bool, typer.Option("--explain", help="List what was tried in each frame, at what cost.")
-    ] = False,
-    frames: Annotated[
-        str | None, typer.Option(metavar="A:B", help="Explain frames A to B of each recording, without B.")
-    ] = None,
+    explain: ExplainOption = False,
+    frames: FramesOption = None,
     assign: SetOption = None,
     force: ForceOption = None,
     executor: ExecutorOption = "processes",
@@ -75,7 +79,9 @@ def reconstruct(
     if follow is not None:
         if camera is None or recordings is not None:
             raise typer.BadParameter("--follow takes frames of a folder, and needs --camera FILE instead of RECORDINGS")
-        _follow(store, follow, camera, background, body, form, idle, as_json)
+        from kinedex.pipelines.commands.live_depth import print_followed
+
+        print_followed(store, follow, camera, background, body, form, idle, as_json)
         return
     if recordings is None:
         raise typer.BadParameter("name the recordings file, or follow a folder: --follow DIR --camera FILE")
@@ -108,58 +114,3 @@ def reconstruct(
         return
     show_outcome(outcome, store)
     show_table(votes, "table", None)
-
-
-def _follow(
-    store: Path, folder: Path, camera: Path, background: Path | None, body: str, form: str, idle: float | None,
-    as_json: bool,
-) -> None:  # fmt: skip
-    """Reconstruct the frames that are written into a folder, and print each."""
-    import json
-
-    from kinedex.pipelines.reconstruction.followed_folder import follow_folder
-    from kinedex.pipelines.reconstruction.live import LiveTracker
-
-    tracker = LiveTracker.open(store, camera, _live_body(body), background, None, _form(form))
-    print_message(f"following {folder}: a person {tracker.bones.height_m:.2f} m tall; Ctrl-C ends")
-    latencies, frames, unseen = [], 0, 0
-    try:
-        for one in follow_folder(tracker, folder, idle):
-            frames, unseen = frames + 1, unseen + (one.hypothesis is None)
-            latencies += [] if one.latency_ms is None else [one.latency_ms]
-            if as_json:
-                typer.echo(json.dumps(one.document()))
-            else:
-                typer.echo(_followed_line(one))
-    except KeyboardInterrupt:
-        pass
-    latencies.sort()
-    shown = ""
-    if latencies:
-        median, most = latencies[len(latencies) // 2], latencies[9 * len(latencies) // 10]
-        shown = f"; latency {median:.1f} ms in the median, at most {most:.1f} ms for nine of ten"
-    print_message(f"{frames:,} frames, {unseen:,} without a person{shown}")
-
-
-def _followed_line(one: FollowedFrame) -> str:
-    if one.fault:
-        return f"{one.number}: damaged: {one.fault}"
-    latency = "" if one.latency_ms is None else f", latency {one.latency_ms:.1f} ms"
-    missing = f", {one.skipped} missing before" if one.skipped else ""
-    pose = "nobody" if one.hypothesis is None else f"{one.hypothesis}, cost {100 * one.cost:.1f} cm"
-    return f"{one.number}: {pose}, {one.work_ms:.1f} ms{latency}{missing}"
-
-
-def _live_body(body: str) -> str | float | None:
-    if body == "estimate":
-        return None
-    try:
-        return float(body)
-    except ValueError:
-        return body
-
-
-def _form(text: str) -> Literal["best", "printed"]:
-    if text not in ("best", "printed"):
-        raise typer.BadParameter(f"--form {text}: expected best or printed")
-    return "printed" if text == "printed" else "best"
