@@ -33,6 +33,7 @@ TEXTS = {str(page.relative_to(DOCS)): page.read_text(encoding="utf-8") for page 
 GUIDES = (
     "tutorial.md",
     "tracking.md",
+    "depth.md",
     "accuracy.md",
     "keyframe-learning.md",
     "thesis.md",

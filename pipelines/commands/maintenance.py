@@ -53,9 +53,18 @@ def inspect(
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Picture (PNG) of a few frames to write; none unless given.")
     ] = None,
+    camera: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Camera of a depth image: show foreground, graph and extrema.")
+    ] = None,
+    background: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="With --camera: the depth image of the empty room.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show what a motion file holds; draw a few frames on request."""
+    """Show what a motion file, or with --camera a depth image, holds; draw it on request."""
+    if camera is not None:
+        _inspect_depth(file, camera, background, picture, as_json)
+        return
     from kinedex.pipelines.console.terminal import make_console
     from kinedex.pipelines.inspection.inspection import inspect_file, show, write_picture
     from kinedex.storage.formats.motion.reader import ReadSettings
@@ -73,6 +82,24 @@ def inspect(
         show(found, make_console(), features)
     if found.fault is not None:
         raise found.fault
+
+
+def _inspect_depth(file: Path, camera: Path, background: Path | None, picture: Path | None, as_json: bool) -> None:
+    """Show what is found in a depth image."""
+    from kinedex.pipelines.console.terminal import make_console
+    from kinedex.pipelines.inspection.depth_frame import frame_facts, inspect_depth_frame, write_frame_picture
+    from kinedex.pipelines.inspection.inspection import show
+
+    found = inspect_depth_frame(file, camera, background)
+    facts = frame_facts(found)
+    if picture is not None:
+        write_frame_picture(found, picture)
+        facts.add("picture", str(picture))
+    if as_json:
+        listed = [{"name": name, "value": text} for name, text in facts.lines]
+        print_json({"file": file, "facts": listed, "features": None, "picture": picture})
+    else:
+        show(facts, make_console())
 
 
 def finding_document(one: Finding) -> dict[str, object]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from PIL import Image
 from typer.testing import CliRunner
 
 import kinedex
@@ -278,3 +279,37 @@ def test_frames_that_are_written_into_a_folder_are_followed(made: Path, tmp_path
     assert lines[3]["joints"] is None
     assert "--camera" in command("reconstruct", made / "store", "--follow", live, code=2)
     assert "name the recordings file" in command("reconstruct", made / "store", code=2)
+
+
+def test_a_depth_frame_is_inspected_and_drawn(made: Path, tmp_path: Path) -> None:
+    home = made / "rec" / FILMED[0]
+    given = ("--camera", home / "camera.yaml", "--background", home / "background.png")
+    output = command("inspect", home / "depth" / "000003.png", *given, "--picture", tmp_path / "frame.png", "--json")
+    facts = {one["name"]: one["value"] for one in json.loads(output[output.index("{") :])["facts"]}
+    assert facts["image"].startswith("176 × 144 pixels")
+    assert facts["extrema"].startswith("1: pixel (")
+    with Image.open(tmp_path / "frame.png") as picture:
+        assert picture.size == (4 * 176, 4 * 144)
+        assert len(picture.getcolors(1 << 20) or ()) > 20
+
+
+def test_the_printed_form_goes_forward_with_one_candidate(folder: Path) -> None:
+    run(folder, **{"reconstruct.only": [FILMED[0]], "reconstruct.form": "printed", "reconstruct.direction": "both"})
+    store = open_store(folder / "store", at="newest")
+    row = next(row for row in store.result("reconstructions").to_pylist() if row["recording"] == FILMED[0])
+    assert (row["form"], row["direction"], row["candidates"]) == ("printed", "forward", 1)
+    votes = store.sql(f"FROM depth_votes WHERE take = '{row['take']}'").to_pylist()
+    assert {one["candidate"] for one in votes} == {None, 1}
+    assert all(one["points"] in (None, 0.0) for one in votes)
+
+
+@pytest.mark.slow
+def test_workers_change_no_row(folder: Path) -> None:
+    tables = []
+    for executor in ("serial", "processes"):
+        given = {"recordings": str(folder / "rec" / "recordings.yaml")}
+        run_pipeline("depth", folder / "store", settings=given, executor=executor, workers=2, force=["reconstruct"])
+        store = open_store(folder / "store", at="newest")
+        found = [store.result(kind).drop_columns(["run"]) for kind in ("reconstruction_frames", "depth_votes")]
+        tables.append([table.sort_by([("take", "ascending"), ("source_frame", "ascending")]) for table in found])
+    assert [one.to_pylist() for one in tables[0]] == [one.to_pylist() for one in tables[1]]

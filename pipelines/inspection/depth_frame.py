@@ -1,0 +1,179 @@
+"""Inspection of one frame of a depth camera: what is foreground, its graph and its geodesic extrema, as a picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, ImageDraw
+
+from kinedex.catalog.depth_cameras import DepthCamera
+from kinedex.catalog.depth_placement import Placement, placement_of
+from kinedex.ops.depth.extrema import Extrema, extrema_room, find_source, geodesic_extrema, tips_first
+from kinedex.ops.depth.graph import PointGraph, build_graph
+from kinedex.ops.depth.points import FrameCloud, choose_stride
+from kinedex.ops.depth.tracker import LEAST_POINTS
+from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.inspection.inspection import Inspection
+from kinedex.pipelines.reconstruction.recording_tracks import make_scene
+from kinedex.pipelines.report.palette import CLASS_COLOURS
+from kinedex.storage.disk import whole_file
+from kinedex.storage.formats.depth.camera_file import read_camera
+from kinedex.storage.formats.depth.frames import read_frame
+
+F32 = npt.NDArray[np.float32]
+U8 = npt.NDArray[np.uint8]
+
+LEAST_WIDTH = 640
+"""Pictures of smaller images are enlarged by a whole number."""
+
+_TINT, _FAR_GREY = 0.65, 215
+
+
+@dataclass(frozen=True, eq=False)
+class InspectedFrame:
+    """A frame with what was found in it.
+
+    Attributes
+    ----------
+    camera : DepthCamera
+        The camera.
+    image : float32 array (H, W)
+        Depths in metres.
+    stride : int
+        Every how many rows and columns a pixel is used.
+    placement : Placement
+        The place of the camera.
+    cloud : FrameCloud
+        The foreground's points.
+    graph : PointGraph
+        Their graph.
+    source : int
+        The source of extrema, −1 without a body.
+    extrema : Extrema or None
+        The extrema, tips of limbs first; None without a body.
+    """
+
+    camera: DepthCamera
+    image: F32
+    stride: int
+    placement: Placement
+    cloud: FrameCloud
+    graph: PointGraph
+    source: int
+    extrema: Extrema | None
+
+
+def inspect_depth_frame(
+    file: Path, camera_file: Path, background: Path | None = None, stride: int | None = None
+) -> InspectedFrame:
+    """Prepare a frame of a depth camera as the tracker does.
+
+    Parameters
+    ----------
+    file : Path
+        An image or a cloud.
+    camera_file : Path
+        The camera.
+    background : Path, optional
+        The empty room; unless given all that is measured is foreground.
+    stride : int, optional
+        Every how many rows and columns a pixel is used; the least with at most 6,000 points unless given.
+
+    Raises
+    ------
+    KinedexError
+        A file cannot be read, or is of another camera.
+    """
+    camera = read_camera(camera_file)
+    image = read_frame(file, camera)
+    room = None if background is None else read_frame(background, camera)
+    placement = placement_of(camera, room)
+    stride = stride or choose_stride(
+        [image], camera.matrix, camera.distortion, room, placement.turn, placement.floor_height
+    )
+    scene = make_scene(camera, room, placement, stride)
+    cloud = scene.preparation.prepare(image)
+    graph = build_graph(cloud)
+    source = find_source(cloud, graph) if len(cloud.points) else -1
+    extrema = _extrema(cloud, graph, source) if source >= 0 else None
+    return InspectedFrame(camera, image, stride, placement, cloud, graph, source, extrema)
+
+
+def _extrema(cloud: FrameCloud, graph: PointGraph, source: int) -> Extrema:
+    room = extrema_room(len(cloud.points))
+    return tips_first(cloud, graph, geodesic_extrema(graph, source, room=room), room)
+
+
+def frame_facts(found: InspectedFrame) -> Inspection:
+    """Return the facts about a frame."""
+    facts, image, cloud = Inspection(), found.image, found.cloud
+    seen = image[image > 0]
+    width, height = found.camera.size
+    facts.add("image", f"{width} × {height} pixels, {len(seen) / image.size:.0%} of them measured")
+    if len(seen):
+        facts.add("depths", f"{seen.min():.2f} to {seen.max():.2f} m, {np.median(seen):.2f} m in the median")
+    facts.add_all("camera", found.placement.notes or ("its file states where it stands",))
+    points = counted(len(cloud.points), "point")
+    few = f"; fewer than {LEAST_POINTS}: nobody" if len(cloud.points) < LEAST_POINTS else ""
+    facts.add("foreground", f"{points}, every {found.stride}. row and column{few}")
+    links = counted(found.graph.links, "link")
+    body = counted(int(found.graph.body.sum()), "point")
+    facts.add("graph", f"{counted(found.graph.components, 'component')}, {links}; the body has {body}")
+    if found.extrema is not None:
+        texts = []
+        for number, (node, away) in enumerate(zip(found.extrema.nodes, found.extrema.distances, strict=True), 1):
+            u, v = (cloud.pixels[node] * found.stride).tolist()
+            x, y, z = cloud.points[node].tolist()
+            texts.append(f"{number}: pixel ({u}, {v}), at {x:.2f} {y:.2f} {z:.2f} m, {away:.2f} m along the body")
+        facts.add_all("extrema", texts)
+    return facts
+
+
+def frame_picture(found: InspectedFrame) -> U8:
+    """Return the picture (H, W, 3) of a frame: depths in grey, components in colours, extrema with their numbers."""
+    image = found.image
+    grey = np.zeros(image.shape)
+    seen = image > 0
+    if seen.any():
+        low, high = np.percentile(image[seen], [1, 99])
+        share = np.clip((image - low) / max(float(high - low), 1e-6), 0.0, 1.0)
+        grey[seen] = 255 - (255 - 40) * share[seen]
+    picture = np.repeat(np.minimum(grey, _FAR_GREY)[..., None], 3, axis=2)
+    labels = np.full(image.shape, -2)
+    u, v = found.cloud.pixels.T * found.stride
+    for down in range(found.stride):
+        for across in range(found.stride):
+            labels[np.minimum(v + down, image.shape[0] - 1), np.minimum(u + across, image.shape[1] - 1)] = (
+                found.graph.labels
+            )
+    for label in np.unique(labels[labels >= -1]).tolist():
+        colour = "#808080" if label < 0 else CLASS_COLOURS[label % len(CLASS_COLOURS)][1]
+        tint = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)])
+        own = labels == label
+        picture[own] = (1 - _TINT) * picture[own] + _TINT * tint
+    return picture.round().astype(np.uint8)
+
+
+def write_frame_picture(found: InspectedFrame, path: Path) -> None:
+    """Write the picture of a frame as PNG."""
+    times = max(1, -(-LEAST_WIDTH // found.camera.size[0]))
+    picture = Image.fromarray(np.repeat(np.repeat(frame_picture(found), times, axis=0), times, axis=1))
+    draw = ImageDraw.Draw(picture)
+
+    def place(node: int) -> tuple[float, float]:
+        u, v = found.cloud.pixels[node] * found.stride * times + times / 2
+        return float(u), float(v)
+
+    if found.extrema is not None:
+        x, y = place(found.source)
+        draw.line([(x - 6, y), (x + 6, y)], "white", 2)
+        draw.line([(x, y - 6), (x, y + 6)], "white", 2)
+        for number, node in enumerate(found.extrema.nodes.tolist(), 1):
+            x, y = place(node)
+            draw.ellipse([x - 4, y - 4, x + 4, y + 4], "#ffffff" if number <= 5 else None, "#000000", 1)
+            draw.text((x + 6, y - 6), str(number), "#ffffff", stroke_width=1, stroke_fill="#000000")
+    with whole_file(path) as unfinished:
+        picture.save(unfinished, "PNG")
