@@ -126,6 +126,7 @@ BUILT_IN = {
     "pose_database": "kinedex.pipelines.stages.pose_database:PoseDatabase",
     "reconstruct": "kinedex.pipelines.stages.reconstruct:Reconstruct",
     "evaluate_reconstruction": "kinedex.pipelines.stages.evaluate_reconstruction:EvaluateReconstruction",
+    "report_reconstruction": "kinedex.pipelines.stages.report_reconstruction:ReportReconstruction",
 }
 """The built-in stages, in the form of entry points."""
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -16,21 +15,13 @@ import kinedex
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.commands.cli import app
-from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
 from kinedex.pipelines.reconstruction.frame_remarks import listed_frames
-from kinedex.pipelines.simulation.depth_recordings import Request, simulate_depth
-from kinedex.pipelines.stages.index import Index
-from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.formats.depth.camera_file import read_camera
 from kinedex.storage.formats.depth.png import read_depth_png, write_depth_png
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
-from tests.pipelines.archives import context, write_archive
-
-PATTERNS = [r"x_(?P<actor>[a-z]+)_(?P<class>hop|sway)_(?P<clip>\d)"]
-FILMED = "x_al_hop_1", "x_bo_hop_1"
-FRAMES = 8
+from tests.pipelines.reconstruction.recordings import FILMED, FRAMES, edit_recordings, filmed_by_depth
 
 
 def command(*arguments: object, code: int = 0) -> str:
@@ -48,14 +39,7 @@ def run(folder: Path, **settings: object) -> Outcome:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with an archive of four clips, recordings of two of them, and their takes."""
     folder = tmp_path_factory.mktemp("reconstruction")
-    clips = {f"x_{actor}_{name}_1.amc": 80 for actor in ("al", "bo") for name in ("hop", "sway")}
-    source = write_archive(folder / "source", clips)
-    Ingest().run(context(folder / "store"), Ingest.parameters(source=str(source), patterns=PATTERNS))
-    Index().run(context(folder / "store", "index"), Index.parameters())
-    with open_store(folder / "store", at="newest") as store:
-        request = Request(FILMED, None, 3, "tof_small", interval=(0, FRAMES))
-        simulate_depth(store, request, folder / "rec", Terminal().progress)
-    _edit(folder, lambda entries: [entry.update(body=name) for name, entry in entries.items()])
+    filmed_by_depth(folder)
     run(folder)
     return folder
 
@@ -65,13 +49,6 @@ def folder(made: Path, tmp_path: Path) -> Path:
     """A copy of it."""
     shutil.copytree(made, tmp_path, dirs_exist_ok=True)
     return tmp_path
-
-
-def _edit(folder: Path, change: object) -> None:
-    path = folder / "rec" / "recordings.yaml"
-    content = yaml.safe_load(path.read_text())
-    change(content["recordings"])  # type: ignore[operator]
-    path.write_text(yaml.safe_dump(content))
 
 
 def frames_of(store: Store, name: str) -> list[dict[str, object]]:
@@ -124,7 +101,7 @@ def test_what_is_unchanged_stays_and_what_has_changed_is_done_again(folder: Path
     done = run(folder).summaries["reconstruct"]
     assert done == {**done, "unchanged": 1, "takes": [f"{name}_reconstructed" for name in FILMED]}
     before = open_store(folder / "store", at="newest").result("reconstructions").to_pylist()
-    _edit(folder, lambda entries: entries[FILMED[0]].pop("truth"))
+    edit_recordings(folder, lambda entries: entries[FILMED[0]].pop("truth"))
     done = run(folder)
     assert "reconstruct" in done.skipped
     assert len(done.summaries["evaluate_reconstruction"]["without_truth"]) == 1
@@ -158,13 +135,13 @@ def test_markers_are_judged_where_they_sit_on_their_body_part(folder: Path) -> N
         entries[name].update(truth="markers.csv", markers={"KNEE": "lknee"}, truth_pose=pose)
         del entries[FILMED[1]]
 
-    _edit(folder, change)
+    edit_recordings(folder, change)
     run(folder)
     rows = open_store(folder / "store", at="newest").result("reconstruction_errors").to_pylist()
     (marker,) = [row for row in rows if row["name"] == "KNEE"]
     assert marker["mean_m"] < 1e-6
     assert np.linalg.norm(marker["offset_m"]) < 1e-6
-    _edit(folder, lambda entries: entries[name].update(markers={"KNE": "lknee"}))
+    edit_recordings(folder, lambda entries: entries[name].update(markers={"KNE": "lknee"}))
     with pytest.raises(kinedex.KinedexError, match=r"recordings.yaml:\d+: .*no marker 'KNE'; did you mean 'KNEE'"):
         run(folder)
 
@@ -178,7 +155,7 @@ def test_odd_frames_are_reported_and_the_others_go_on(folder: Path) -> None:
     (home / "depth" / "000003.png").write_bytes(b"no image")
     write_depth_png(home / "depth" / "000004.png", room, 0.001)
     write_depth_png(home / "depth" / "000005.png", np.where(room > 0, room + 1.0, 0), 0.001)
-    _edit(folder, lambda entries: entries[name].update(rate_hz=15))
+    edit_recordings(folder, lambda entries: entries[name].update(rate_hz=15))
     run(folder, **{"reconstruct.only": [name]})
     store = open_store(folder / "store", at="newest")
     remarks = [one["remarks"] for one in frames_of(store, name)]
@@ -218,7 +195,7 @@ def test_the_command_explains_frames(folder: Path) -> None:
     ],
 )
 def test_wrong_recordings_are_refused_with_the_key(folder: Path, change: dict[str, str], message: str) -> None:
-    _edit(folder, lambda entries: entries[FILMED[0]].update(change))
+    edit_recordings(folder, lambda entries: entries[FILMED[0]].update(change))
     with pytest.raises(kinedex.KinedexError) as fault:
         run(folder, **{"reconstruct.only": FILMED[0:1]})
     assert message in str(fault.value)
