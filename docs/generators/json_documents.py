@@ -165,7 +165,7 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         "takes": "names of the takes",
         "files": "`source_root` and `source` of the files that ingests pass over from then on",
         "returning": "names of the takes that the next ingest brings back, since other takes of their file stay",
-        "tracks": "names of those that were tracked or stabilised, which no motion file holds",
+        "tracks": "names of those that were made of recordings, which no motion file holds",
         "labels": "number of their labels, which stay",
     },
     "takes readmit": {

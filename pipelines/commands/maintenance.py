@@ -61,7 +61,10 @@ def inspect(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show what a motion file, or with --camera a depth image, holds; draw it on request."""
+    """Show what a motion file or depth image holds; draw it.
+
+    A depth image needs --camera; the picture then shows its foreground, graph and extrema.
+    """
     if camera is not None:
         _inspect_depth(file, camera, background, picture, as_json)
         return

@@ -28,7 +28,7 @@ class Removal:
     returning : tuple of str
         Names of the takes that the next ingest brings back, because other takes of their file stay.
     tracks : tuple of str
-        Names of the takes that were tracked or stabilised; no motion file holds them.
+        Names of the takes that were made of recordings; no motion file holds them.
     labels : int
         Number of labels of these takes, which stay in the store.
     """
