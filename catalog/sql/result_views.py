@@ -415,6 +415,7 @@ direction    VARCHAR    both or forward in time
 hypotheses    VARCHAR[]    those that took part: local, database
 candidates    INTEGER    poses of the database that were tried in a frame
 stride    INTEGER    every how many rows and columns of the images a pixel was used
+smooth_hz    DOUBLE    frequency above which motion was damped; NULL where it was not
 body_from    VARCHAR    origin of the bones: a take, or estimate
 height_m    DOUBLE    standing height in metres
 joints    VARCHAR[]    the joints, in the order of `bone_lengths` and of `joints` in `reconstruction_frames`

@@ -64,6 +64,11 @@ class ReconstructParameters(BaseModel):
         description="every how many rows and columns a pixel is used; the least with at most 6,000 points unless given",
     )  # fmt: skip
 
+    smooth_hz: float | None = Field(
+        None, gt=0, le=1000, description="poses are smoothed over time: motion of this frequency keeps 0.7 of its "
+        "amplitude; not at all unless given",
+    )  # fmt: skip
+
     @property
     def both_ways(self) -> bool:
         """True where recordings are tracked backwards, too."""

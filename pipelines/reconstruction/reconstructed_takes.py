@@ -16,6 +16,7 @@ from kinedex.catalog.depth_placement import FLIP, Placement
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.body.gaps import fill_gaps
 from kinedex.ops.body.joint_tree import JOINTS
+from kinedex.ops.depth.low_pass import low_pass
 from kinedex.ops.depth.tracker import Candidate, FrameResult
 from kinedex.ops.depth.vote import PoseCost
 from kinedex.pipelines.reconstruction.parameters import ReconstructParameters
@@ -149,8 +150,9 @@ class ReconstructionResult:
 
     @property
     def poses(self) -> F64:
-        """The joints (T, 24, 3) in the world; NaN without a person."""
-        return self.scene.placement.in_world(self.track.poses)
+        """The joints (T, 24, 3) in the world, smoothed if that is wanted; NaN without a person."""
+        places = self.scene.placement.in_world(self.track.poses)
+        return places if self.params.smooth_hz is None else low_pass(places, self.rate_hz, self.params.smooth_hz)
 
     def table(self, kind: str, run: str) -> pa.Table:
         """Return the rows of one kind of results."""
@@ -177,6 +179,7 @@ class ReconstructionResult:
             "hypotheses": list(settings.hypotheses),
             "candidates": settings.candidates,
             "stride": self.scene.stride,
+            "smooth_hz": params.smooth_hz,
             "body_from": self.bones.origin,
             "height_m": self.bones.height_m,
             "joints": list(JOINTS),

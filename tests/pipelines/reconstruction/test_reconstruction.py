@@ -275,6 +275,7 @@ def test_the_printed_form_goes_forward_with_one_candidate(folder: Path) -> None:
     store = open_store(folder / "store", at="newest")
     row = next(row for row in store.result("reconstructions").to_pylist() if row["recording"] == FILMED[0])
     assert (row["form"], row["direction"], row["candidates"]) == ("printed", "forward", 1)
+    assert row["smooth_hz"] is None
     votes = store.sql(f"FROM depth_votes WHERE take = '{row['take']}'").to_pylist()
     assert {one["candidate"] for one in votes} == {None, 1}
     assert all(one["points"] in (None, 0.0) for one in votes)
@@ -290,3 +291,28 @@ def test_workers_change_no_row(folder: Path) -> None:
         found = [store.result(kind).drop_columns(["run"]) for kind in ("reconstruction_frames", "depth_votes")]
         tables.append([table.sort_by([("take", "ascending"), ("source_frame", "ascending")]) for table in found])
     assert [one.to_pylist() for one in tables[0]] == [one.to_pylist() for one in tables[1]]
+
+
+def test_smoothed_takes_move_less_between_frames(folder: Path) -> None:
+    def steps() -> float:
+        frames = frames_of(open_store(folder / "store", at="newest"), FILMED[0])
+        places = np.array([one["joints"] for one in frames]).reshape(FRAMES, len(JOINTS), 3)
+        return float(np.linalg.norm(np.diff(places, 2, axis=0), axis=2).mean())
+
+    rough = steps()
+    run(folder, **{"reconstruct.only": [FILMED[0]], "reconstruct.smooth_hz": 3})
+    assert steps() < 0.5 * rough
+
+
+def test_a_second_person_is_reported_and_the_first_one_stays(folder: Path) -> None:
+    home = folder / "rec" / FILMED[0]
+    camera = read_camera(home / "camera.yaml")
+    path = home / "depth" / "000006.png"
+    image = read_depth_png(path, camera).copy()
+    image[40:110, 146:172] = 2.3  # somebody stands beside
+    write_depth_png(path, image, 0.001)
+    before = frames_of(open_store(folder / "store"), FILMED[0])[6]
+    run(folder, **{"reconstruct.only": [FILMED[0]]})
+    after = frames_of(open_store(folder / "store", at="newest"), FILMED[0])[6]
+    assert after["remarks"] == ["several people"]
+    assert np.allclose(after["joints"][:3], before["joints"][:3], atol=0.1)  # not beside, 1 m away

@@ -1,0 +1,77 @@
+"""A low-pass filter of poses over time that keeps the lengths of bones."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.body.joint_tree import JOINTS, PARENTS
+from kinedex.ops.errors import ParameterError
+
+F64 = npt.NDArray[np.float64]
+
+_REACH = 4.0  # standard deviations beyond which a frame has no weight
+
+
+def low_pass(poses: F64, rate_hz: float, cutoff_hz: float) -> F64:
+    """Smooth poses by a Gaussian over time, without delay; each bone keeps its length in every frame.
+
+    A motion of the frequency `cutoff_hz` keeps 1/√2 of its amplitude. Frames without a pose stay so, and what lies
+    beyond one has no weight: nothing is carried over a gap.
+
+    Parameters
+    ----------
+    poses : float64 array (T, 24, 3)
+        Joints in metres; NaN in frames without a pose.
+    rate_hz : float
+        Frames per second.
+    cutoff_hz : float
+        The frequency that is damped to 1/√2.
+
+    Returns
+    -------
+    float64 array (T, 24, 3)
+        The smoothed poses.
+
+    Raises
+    ------
+    ParameterError
+        The frequency is not positive.
+    """
+    if not cutoff_hz > 0:
+        raise ParameterError("cutoff_hz", "positive", cutoff_hz)
+    sigma = np.sqrt(np.log(2.0)) / (2.0 * np.pi * cutoff_hz) * rate_hz
+    reach = int(np.ceil(_REACH * sigma))
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    smooth = poses.copy()
+    seen = np.isfinite(poses).all(axis=(1, 2))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], seen, [False]]).astype(np.int8)))
+    for start, stop in edges.reshape(-1, 2).tolist():
+        smooth[start:stop] = _smoothed(poses[start:stop], weights, reach)
+    return _with_lengths(smooth, poses)
+
+
+def _smoothed(poses: F64, weights: F64, reach: int) -> F64:
+    """Return the weighted means of frames, over those that there are."""
+    total, mass = np.zeros_like(poses), np.zeros(len(poses))
+    for shift, weight in zip(range(-reach, reach + 1), weights.tolist(), strict=True):
+        low, high = max(0, -shift), min(len(poses), len(poses) - shift)
+        if low < high:
+            total[low:high] += weight * poses[low + shift : high + shift]
+            mass[low:high] += weight
+    means: F64 = total / mass[:, None, None]
+    return means
+
+
+def _with_lengths(smooth: F64, poses: F64) -> F64:
+    """Return smoothed poses whose bones have the lengths of the poses, along the smoothed directions."""
+    found = smooth.copy()
+    for joint in range(len(JOINTS)):
+        parent = int(PARENTS[joint])
+        if parent < 0:
+            continue
+        along, own = smooth[:, joint] - smooth[:, parent], poses[:, joint] - poses[:, parent]
+        lengths, wanted = np.linalg.norm(along, axis=1), np.linalg.norm(own, axis=1)
+        scale = np.where(lengths > 1e-9, wanted / np.where(lengths > 1e-9, lengths, 1.0), 0.0)
+        found[:, joint] = found[:, parent] + np.where(np.isnan(wanted), np.nan, scale)[:, None] * along
+    return found
