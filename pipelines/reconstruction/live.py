@@ -39,6 +39,8 @@ from kinedex.storage.store.store import Store, open_store
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 
+_DRAWN_M, _DRAWN_PX = 2.5, 160  # the distance of a drawn figure, and the width of its image
+
 USUAL_HZ = 30.0
 """Frames per second of a camera that does not state them."""
 
@@ -142,7 +144,21 @@ class LiveTracker:
             form, candidates=1 if form == "printed" else TrackerSettings.candidates,
             rate_hz=rate_hz or camera.rate_hz or USUAL_HZ,
         )  # fmt: skip
-        return cls(camera, room, placement_of(camera, room), bones, database, settings, stride)
+        made = cls(camera, room, placement_of(camera, room), bones, database, settings, stride)
+        made.load_kernels()
+        return made
+
+    def load_kernels(self) -> None:
+        """Track a drawn figure for two frames, so that no frame of the camera waits until kernels are loaded."""
+        camera, placement = self.camera, Placement(np.eye(3), None, np.eye(3), np.zeros(3))
+        stride = max(1, camera.size[0] // _DRAWN_PX)
+        a, b = camera.rays[..., 0] * _DRAWN_M, camera.rays[..., 1] * _DRAWN_M
+        image = np.where((a / 0.3) ** 2 + (b / 0.9) ** 2 < 1.0, np.float32(_DRAWN_M), np.float32(0.0))
+        tracker = reconstructor_of(
+            load_body(), self.bones, self.database, make_scene(camera, None, placement, stride), self.settings
+        )
+        for _ in range(2):
+            tracker.step(image)
 
     def step(self, values: npt.NDArray[np.generic]) -> tuple[FrameResult | None, F64]:
         """Return the result of the next frame, and its pose in the world; NaN without a person."""
