@@ -113,7 +113,7 @@ def remove(
     if planned.tracks:
         print_message(
             f"{few(planned.tracks)}: no motion file holds {'it' if len(planned.tracks) == 1 else 'them'}; the pipeline "
-            "that tracked a recording makes its take again, unless the recording is taken out of the recordings file"
+            "that reads its recording makes its take again, unless the recording is taken out of the recordings file"
         )
     if not accept:
         print_message("nothing was changed: --accept removes them")

@@ -32,8 +32,10 @@ FINEST_M = 0.002
 UNSEEN = -32_768
 """The number that stands for an unknown coordinate."""
 
+PACKED_STEP = 2
+"""Every second frame is embedded, 15 per second; the player interpolates."""
+
 _TOGETHER = 16  # takes that are read at once
-_STEP = 2  # every second frame: 15 per second; the player interpolates
 _MOST = 32_000
 
 Embed = Literal["auto", "all", "none"] | list[str]
@@ -155,7 +157,7 @@ class Motions:
         for take, start, stop, frames in examples:
             place = found._find(take, start, stop)
             assert place is not None
-            near.append((place, tuple(np.diff(start + frames[::_STEP], prepend=0).tolist())))
+            near.append((place, tuple(np.diff(start + frames[::PACKED_STEP], prepend=0).tolist())))
         return replace(found, near=tuple(near))
 
 
@@ -251,7 +253,7 @@ def pack(
     total : int or None
         Frames of the take; None for those of `positions`.
     """
-    kept = np.asarray(positions, np.float64)[:, :, ::_STEP]
+    kept = np.asarray(positions, np.float64)[:, :, ::PACKED_STEP]
     known = np.isfinite(kept)
     largest = float(np.abs(kept[known]).max()) if known.any() else 0.0
     unit_m = max(FINEST_M, largest / _MOST)
@@ -260,7 +262,9 @@ def pack(
     steps = np.diff(rows, axis=1, prepend=np.int16(0))  # int16 wraps around, as that of the player does
     data = base64.b64encode(zlib.compress(steps.astype("<i2").tobytes(), 9)).decode("ascii")
     frames = positions.shape[2]
-    return Motion(take, first, frames, frames if total is None else total, _STEP, rate_hz / _STEP, unit_m, data)
+    return Motion(
+        take, first, frames, frames if total is None else total, PACKED_STEP, rate_hz / PACKED_STEP, unit_m, data
+    )
 
 
 def motions_json(motions: Motions | None) -> Markup:

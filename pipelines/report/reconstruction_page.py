@@ -17,6 +17,7 @@ from kinedex.pipelines.reconstruction.frame_remarks import REMARKS
 from kinedex.pipelines.recordings.stored_results import earlier_rows
 from kinedex.pipelines.report.motions import embed, script_json
 from kinedex.pipelines.report.page_environment import page_environment
+from kinedex.pipelines.report.person_points import MOST_BYTES, packed_points
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
@@ -118,15 +119,30 @@ def reconstruction_page(store: Store, stage: str, evaluation: str | None, title:
     order = sorted(rows, key=lambda take: (-worst[take], -float(np.nanmean(_costs(frames[take]))), take))[:most]
     motions = embed(store, order, "all")
     shown = [_shown(store, rows[take], frames[take], errors) for take in order]
+    clouds = _clouds(store, [rows[take] for take in order])
     whole = next((row for row in errors if row["scope"] == "all" and row["frames"]), None)
     return (
         page_environment({"counted": counted})
         .get_template("reconstruction.html.j2")
         .render(
             title=title, takes=shown, total=len(rows), motions=motions, scripts=True, whole=whole, votes=VOTES,
-            motions_json=script_json(asdict(motions)), most_cm=100 * MOST_COST_M,
+            motions_json=script_json({**asdict(motions), "clouds": clouds}), most_cm=100 * MOST_COST_M,
         )
     )  # fmt: skip
+
+
+def _clouds(store: Store, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return the points of the first takes, as far as a page has room for them."""
+    found: list[dict[str, Any]] = []
+    room = MOST_BYTES
+    for row in rows:
+        cloud = packed_points(row, store.take_frames[row["take_id"]], store.rate_hz)
+        if cloud is not None:
+            room -= len(cloud["data"])
+            if room < 0:
+                break
+            found.append(cloud)
+    return found
 
 
 def _frames_of(store: Store, stage: str, take: str) -> list[dict[str, Any]]:

@@ -6,12 +6,12 @@
 // figure that moves by itself.
 // Every svg.plot of a [data-take] shows a playhead; data-left and data-width, in percent, place a take within a plot.
 // data-one and data-other are the captions of an interval and of what stands beside it. Where #motions has rays, a box
-// draws them: lines from the cameras to the places that they saw.
+// draws them: lines from the cameras to the places that they saw. Where it has clouds, points of a depth camera are drawn.
 // The document gets the event "playhead" (detail: take, frame, seconds) at every picture, and "playend" on close.
 (() => {
   const source = document.getElementById("motions"), player = document.getElementById("player");
   if (!source || !player || !window.DecompressionStream) return;
-  const { joints, parents, motions, near = [], rays = [] } = JSON.parse(source.textContent);
+  const { joints, parents, motions, near = [], rays = [], clouds = [] } = JSON.parse(source.textContent);
   for (const one of near) { let sum = 0; one[1] = one[1].map(step => sum += step); }
   const canvas = player.querySelector("canvas"), pen = canvas.getContext("2d"), playerPen = pen;
   const [what, now, play, time, speed, loop, close, wide] =
@@ -33,7 +33,7 @@
 
   async function unpack(motion) {
     if (!motion || motion.rows) return motion;
-    const count = motion.points ? motion.points.length * motion.cameras.length : joints.length;
+    const count = motion.count ?? (motion.points ? motion.points.length * motion.cameras.length : joints.length);
     const bytes = Uint8Array.from(atob(motion.data), letter => letter.charCodeAt(0));
     const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
     const steps = new Int16Array(await new Response(stream).arrayBuffer());
@@ -95,6 +95,8 @@
       }
     }
     if (seen) drawRays(pen, seen, motion, position, onto, colour);
+    const cloud = pen === playerPen ? clouds.find(one => one.rows && one.take === motion.take) : null;
+    if (cloud) drawCloud(pen, cloud, position, onto, colour);
     pen.lineWidth = size / 42;
     pen.lineCap = "round";
     for (const side of ["middle", "left", "right"]) {
@@ -112,6 +114,17 @@
   }
 
   const raysOf = motion => rays.find(one => one.rows && (one.take === motion.take || one.take === playing?.take));
+
+  // The points of a frame have no counterparts in the next one: those of the nearest frame are drawn.
+  function drawCloud(pen, cloud, position, onto, colour) {
+    pen.fillStyle = colour("soft");
+    for (let p = 0; p < cloud.count; p++) {
+      const point = place(cloud, p, Math.round(position));
+      if (!point) continue;
+      const [x, y] = onto(point);
+      pen.fillRect(x - 1.5, y - 1.5, 3, 3);
+    }
+  }
 
   // A ray that passes by its joint at more than 10 cm is drawn in the colour of faults.
   function drawRays(pen, seen, motion, position, onto, colour) {
@@ -188,6 +201,7 @@
     playing = { block, example, facing: 0, take: chosen.take };
     const seen = await unpack(rays.find(one => one.take === chosen.take));
     if (wide) wide.parentElement.hidden = !seen;
+    await unpack(clouds.find(one => one.take === chosen.take));
     if (example) {
       const [one, other] = [heading(example, index(example, partner(block, +block.dataset.start, shown))), heading(shown, index(shown, +block.dataset.start))];
       if (one !== null && other !== null) playing.facing = one - other;

@@ -17,6 +17,8 @@ from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
 from kinedex.pipelines.reconstruction.frame_remarks import listed_frames
+from kinedex.pipelines.report.person_points import POINTS, packed_points
+from kinedex.pipelines.report.reconstruction_page import reconstruction_page
 from kinedex.storage.formats.depth.camera_file import read_camera
 from kinedex.storage.formats.depth.png import read_depth_png, write_depth_png
 from kinedex.storage.store.store import Store, open_store
@@ -316,3 +318,21 @@ def test_a_second_person_is_reported_and_the_first_one_stays(folder: Path) -> No
     after = frames_of(open_store(folder / "store", at="newest"), FILMED[0])[6]
     assert after["remarks"] == ["several people"]
     assert np.allclose(after["joints"][:3], before["joints"][:3], atol=0.1)  # not beside, 1 m away
+
+
+def test_the_page_has_the_points_of_recordings_that_are_there(made: Path) -> None:
+    with open_store(made / "store") as store:
+        row = next(row for row in store.result("reconstructions").to_pylist() if row["recording"] == FILMED[0])
+        found = packed_points(row, FRAMES, store.rate_hz)
+        assert found is not None
+        assert (found["take"], found["frames"], found["count"]) == (row["take"], FRAMES, POINTS)
+        assert packed_points({**row, "file": str(made / "gone.yaml")}, FRAMES, store.rate_hz) is None
+        page = reconstruction_page(store, "depth/reconstruct", "depth/evaluate_reconstruction", "Title <b>", 5)
+    assert '"clouds":[{' in page
+    assert "Title &lt;b&gt;" in page
+    assert page.count('class="lent"') >= 1
+
+
+def test_the_demo_films_the_synthetic_archive_alone(tmp_path: Path) -> None:
+    assert "choose one" in command("demo", tmp_path / "store", "--depth", "--tracking", code=2)
+    assert "leave out --data" in command("demo", tmp_path / "store", "--depth", "--data", tmp_path, code=2)
