@@ -68,6 +68,8 @@ def inspect(
     if camera is not None:
         _inspect_depth(file, camera, background, picture, as_json)
         return
+    if file.suffix.lower() in (".png", ".pcd", ".ply"):
+        raise KinedexError(f"{file}: a depth image or cloud is shown with its camera: --camera FILE")
     from kinedex.pipelines.console.terminal import make_console
     from kinedex.pipelines.inspection.inspection import inspect_file, show, write_picture
     from kinedex.storage.formats.motion.reader import ReadSettings

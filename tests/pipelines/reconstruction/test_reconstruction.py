@@ -267,6 +267,7 @@ def test_a_depth_frame_is_inspected_and_drawn(made: Path, tmp_path: Path) -> Non
     facts = {one["name"]: one["value"] for one in json.loads(output[output.index("{") :])["facts"]}
     assert facts["image"].startswith("176 × 144 pixels")
     assert facts["extrema"].startswith("1: pixel (")
+    assert "--camera FILE" in command("inspect", home / "depth" / "000003.png", code=1)
     with Image.open(tmp_path / "frame.png") as picture:
         assert picture.size == (4 * 176, 4 * 144)
         assert len(picture.getcolors(1 << 20) or ()) > 20
