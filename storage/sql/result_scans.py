@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 
-from kinedex.catalog.sql.result_views import ALL, ORIGIN
+from kinedex.catalog.sql.result_columns import ORIGIN
+from kinedex.catalog.sql.result_views import ALL
 from kinedex.storage import duck
 from kinedex.storage.snapshot.part_records import ResultPart
 from kinedex.storage.snapshot.parts import part_file, read_errors

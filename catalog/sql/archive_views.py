@@ -1,0 +1,59 @@
+"""Views of results: duplicates, and the source files of the archive."""
+
+from __future__ import annotations
+
+from kinedex.catalog.sql.result_columns import SECONDS, TAKE, result_view
+
+ARCHIVE_VIEWS = (
+    result_view(
+        "duplicates",
+        "Takes that hold the same file or motion as a longer take, as `kinedex duplicates` found them last.",
+        f"""{TAKE}
+of_take_id    BIGINT    id of the other take, which is longer, or as long with an earlier name
+of_take    VARCHAR    its name
+same    VARCHAR    file: a copy of the same file; motion: the joints move alike
+{SECONDS}
+share    DOUBLE    share of the take that this range is
+shift_seconds    DOUBLE    time t of the take is t + shift_seconds of the other one
+mirrored    BOOLEAN    true if left and right are exchanged
+distance_mm    DOUBLE    mean distance of the joints around the root""",
+        "SELECT take, of_take, share, mirrored FROM duplicates WHERE share > 0.9 ORDER BY take, of_take LIMIT 10",
+    ),
+    result_view(
+        "skeleton_files",
+        "The skeleton files that takes were read with, as they were when they were last checked.",
+        """source_root    VARCHAR    the folder that was ingested
+source    VARCHAR    the skeleton file, relative to it
+source_bytes    BIGINT    its size
+source_mtime_ns    BIGINT    its time of change, in nanoseconds since 1970
+checksum    VARCHAR    its SHA-256""",
+        "SELECT t.name, t.skeleton_source, s.checksum FROM takes AS t JOIN skeleton_files AS s "
+        "ON (s.source_root, s.source) = (t.source_root, t.skeleton_source) ORDER BY t.name LIMIT 10",
+        stages="ingest",
+    ),
+    result_view(
+        "source_files",
+        "All files below the folder that a stage ingested last, and what became of each.",
+        """source_root    VARCHAR    the folder that was ingested
+source    VARCHAR    the file, relative to it; also a folder that cannot be read
+ending    VARCHAR    its ending in small letters, with the dot
+outcome    VARCHAR    in (the store has its takes), refused, skeleton, metadata, not read, passed over (no motion)
+takes    INTEGER    number of its takes in the store
+reason    VARCHAR    the fault, the way out, or the kind of a file that was passed over""",
+        "SELECT outcome, ending, count(*) AS files FROM source_files GROUP BY ALL ORDER BY files DESC, ending",
+        stages="ingest",
+    ),
+    result_view(
+        "ingest_log",
+        "Source files, or places in them, that could not be read.",
+        """source    VARCHAR    the source file, relative to its root
+stage    VARCHAR    the stage that met it
+error    VARCHAR    kind of error
+message    VARCHAR    the fault, and the way out
+file    VARCHAR    the file that is at fault, where it is another one
+line    INTEGER    its line, where there is one
+logged_at    TIMESTAMP WITH TIME ZONE    when""",
+        "SELECT source, line, message FROM ingest_log ORDER BY source, line",
+        stages="ingest",
+    ),
+)
