@@ -1,0 +1,289 @@
+"""The orientation error between a take and a sensor, and the runs of frames where it is too large.
+
+The error of a frame is the angle of D = q̄_T ∘ q_G ∘ q_I ∘ q̄_L, the turn from the limb of the take to the limb that
+the sensor reports, in the segment's axes (thesis, Eq. 7.16). Its twist is the turn about the limb's long axis, which
+nobody sees in a mesh; its swing is the turn of the long axis itself: cos(e/2) = cos(swing/2) · cos(twist/2).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.inertial.quaternion_kernels import angle, inverse_product, product, product_inverse, row
+from kinedex.ops.inertial.rotations import conjugate, multiply, rotate
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
+
+TAU_DEG = 45.0
+"""The error above which a frame is wrong, as in the thesis."""
+
+LEAST_AUTO_DEG, AUTO_DEVIATIONS, MAD_TO_SIGMA = 15.0, 4.0, 1.4826
+
+
+class Errors(NamedTuple):
+    """The errors of a stream's frames, float64 arrays (T,) in degrees; NaN where a quaternion is unknown."""
+
+    degrees: F64
+    swing: F64
+    twist: F64
+
+
+def errors(sensor: F64, track: F64, q_global: F64, q_mount: F64, axis: F64) -> Errors:
+    """Compute the error of each frame, with its swing and its twist (thesis, Eq. 7.16).
+
+    Parameters
+    ----------
+    sensor : float64 array (T, 4)
+        Orientations of the sensor at the take's frames, sensor → F_GI.
+    track : float64 array (T, 4)
+        Orientations of the limb, segment → the take's world.
+    q_global : float64 array (4,)
+        F_GI → the take's world.
+    q_mount : float64 array (4,)
+        Sensor → segment.
+    axis : float64 array (3,)
+        The limb's long axis in the segment's axes, of any length but 0.
+
+    Returns
+    -------
+    Errors
+        Degrees, 0 to 180.
+
+    Raises
+    ------
+    ParameterError
+        Shapes do not agree, or the axis has no direction.
+    """
+    if sensor.shape != track.shape or sensor.ndim != 2 or sensor.shape[1] != 4:
+        raise ParameterError("sensor and track", "both of shape (T, 4)", (sensor.shape, track.shape))
+    length = float(np.linalg.norm(axis))
+    if not length > 0.0:
+        raise ParameterError("axis", "a vector that is not 0", np.asarray(axis).tolist())
+    out = np.empty((3, len(sensor)))
+    _errors(
+        np.ascontiguousarray(sensor, np.float64),
+        np.ascontiguousarray(track, np.float64),
+        np.ascontiguousarray(q_global, np.float64),
+        np.ascontiguousarray(q_mount, np.float64),
+        np.asarray(axis, np.float64) / length,
+        out,
+    )
+    return Errors(out[0], out[1], out[2])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _errors(sensor: F64, track: F64, q_global: F64, q_mount: F64, axis: F64, out: F64) -> None:
+    world = (q_global[0], q_global[1], q_global[2], q_global[3])
+    mount = (q_mount[0], q_mount[1], q_mount[2], q_mount[3])
+    a, b, c = axis[0], axis[1], axis[2]
+    degrees = 180.0 / math.pi
+    for k in range(len(sensor)):
+        limb = product_inverse(product(world, row(sensor, k)), mount)
+        turn = inverse_product(row(track, k), limb)
+        w, x, y, z = turn
+        along = x * a + y * b + z * c
+        p, q, r = x - along * a, y - along * b, z - along * c
+        out[0, k] = degrees * angle(turn)
+        out[1, k] = degrees * 2.0 * math.atan2(math.sqrt(p * p + q * q + r * r), math.sqrt(w * w + along * along))
+        out[2, k] = degrees * 2.0 * math.atan2(abs(along), abs(w))
+
+
+def mount_direction(sensor: F64, directions: F64, q_global: F64, weights: F64 | None = None) -> F64:
+    """Return the limb's long axis in the sensor's axes, for limbs of which only that axis is known.
+
+    Parameters
+    ----------
+    sensor : float64 array (T, 4)
+        Orientations of the sensor, sensor → F_GI; NaN where unknown.
+    directions : float64 array (T, 3)
+        Unit vectors along the limb in the take's world; NaN where unknown.
+    q_global : float64 array (4,)
+        F_GI → the take's world, from another limb.
+    weights : float64 array (T,) or None
+        Weights of the frames; None: robust ones, (s²/(s² + e²))² with s = 12° once and 6° six times.
+
+    Returns
+    -------
+    float64 array (3,)
+        A unit vector.
+
+    Raises
+    ------
+    ParameterError
+        No frame is known, or the directions cancel each other.
+    """
+    known = np.isfinite(sensor).all(axis=1) & np.isfinite(directions).all(axis=1)
+    if weights is not None:
+        known &= weights > 0.0
+    if not known.any():
+        raise ParameterError("sensor and directions", "known together in some frame", "none")
+    local = rotate(conjugate(multiply(q_global, sensor[known])), directions[known])
+    if weights is not None:
+        return _unit(np.average(local, axis=0, weights=weights[known]))
+    # the medoid of frames spread evenly is a start that wrong frames do not move
+    some = local[np.linspace(0, len(local) - 1, min(len(local), 300)).astype(np.int64)]
+    apart = np.arccos(np.clip(some @ some.T, -1.0, 1.0))
+    found = some[int(np.minimum(apart, math.radians(15.0)).sum(axis=1).argmin())]
+    for scale_deg in (12.0, 6.0, 6.0, 6.0, 6.0, 6.0, 6.0):
+        e = np.degrees(np.arctan2(np.linalg.norm(np.cross(local, found), axis=1), local @ found))
+        found = _unit(np.average(local, axis=0, weights=(scale_deg**2 / (scale_deg**2 + e**2)) ** 2))
+    return found
+
+
+def _unit(vector: F64) -> F64:
+    length = float(np.linalg.norm(vector))
+    if not length > 1e-9:
+        raise ParameterError("directions", "on one side of the sensor", "directions that cancel each other")
+    return np.asarray(vector / length)
+
+
+def direction_errors(sensor: F64, directions: F64, q_global: F64, direction: F64) -> F64:
+    """Compute the angles between a limb's long axis and the one that the sensor reports, where no more is known.
+
+    Parameters
+    ----------
+    sensor : float64 array (T, 4)
+        Orientations of the sensor, sensor → F_GI.
+    directions : float64 array (T, 3)
+        Unit vectors along the limb in the take's world.
+    q_global : float64 array (4,)
+        F_GI → the take's world.
+    direction : float64 array (3,)
+        The limb's long axis in the sensor's axes; see `mount_direction`.
+
+    Returns
+    -------
+    float64 array (T,)
+        Degrees, 0 to 180: a swing, since the twist is unknown.
+    """
+    reported = rotate(multiply(q_global, sensor), direction)
+    across = np.linalg.norm(np.cross(reported, directions), axis=-1)
+    return np.degrees(np.arctan2(across, np.einsum("ta,ta->t", reported, directions)))
+
+
+def auto_tau(streams: Iterable[tuple[F64, Flags]]) -> float:
+    """Choose τ by the errors themselves: median + 4 robust standard deviations, but not below 15°.
+
+    It fails where half of the frames are wrong.
+
+    Parameters
+    ----------
+    streams : iterable of (float64 array (T,), bool array (T,))
+        Errors in degrees of each limb, and the frames that count.
+
+    Returns
+    -------
+    float
+        Degrees; 15 where no frame counts.
+    """
+    parts = [degrees[valid & np.isfinite(degrees)] for degrees, valid in streams]
+    values = np.concatenate(parts) if parts else np.empty(0)
+    if not len(values):
+        return LEAST_AUTO_DEG
+    median = np.median(values)
+    spread = MAD_TO_SIGMA * np.median(np.abs(values - median))
+    return max(LEAST_AUTO_DEG, float(median + AUTO_DEVIATIONS * spread))
+
+
+@dataclass(frozen=True)
+class RunRules:
+    """Rules that make runs of frames above a threshold; all but τ are off by default, as in the thesis.
+
+    Attributes
+    ----------
+    tau_deg : float
+        A frame is wrong where its error is above τ.
+    low_deg : float or None
+        A run grows on both sides while the error is above this; None: it does not grow.
+    gap_s : float
+        Gaps between runs that are no longer than this are closed.
+    min_s : float
+        Runs shorter than this are dropped.
+    """
+
+    tau_deg: float = TAU_DEG
+    low_deg: float | None = None
+    gap_s: float = 0.0
+    min_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.tau_deg >= 0.0:
+            raise ParameterError("tau_deg", "0 or more", self.tau_deg)
+        if self.low_deg is not None and not 0.0 <= self.low_deg <= self.tau_deg:
+            raise ParameterError("low_deg", f"from 0 to τ ({self.tau_deg:g})", self.low_deg)
+        for name, value in (("gap_s", self.gap_s), ("min_s", self.min_s)):
+            if not (value >= 0.0 and math.isfinite(value)):
+                raise ParameterError(name, "0 or more", value)
+
+
+class Run(NamedTuple):
+    """A run of frames [start, stop), with the largest and the mean error of its frames that count."""
+
+    start: int
+    stop: int
+    peak_deg: float
+    mean_deg: float
+
+
+def runs(degrees: F64, valid: Flags, rate_hz: float, rules: RunRules) -> list[Run]:
+    """Return the runs of frames that are wrong: above τ, grown, gaps closed, short ones dropped, in this order.
+
+    Parameters
+    ----------
+    degrees : float64 array (T,)
+        Errors of the frames.
+    valid : bool array (T,)
+        The frames that count. A run neither starts nor grows in others, but closed gaps may contain some.
+    rate_hz : float
+        Frames per second.
+    rules : RunRules
+        τ and the rest.
+
+    Returns
+    -------
+    list of Run
+        In the order of time.
+    """
+    counted = valid & np.isfinite(degrees)
+    above = counted & (degrees > rules.tau_deg)
+    ranges = flagged_ranges(above)
+    if rules.low_deg is not None:
+        grown = flagged_ranges(counted & (degrees > rules.low_deg))
+        # runs above τ lie in runs above the lower value: those that contain one are kept
+        holds = np.searchsorted(ranges[:, 0], grown[:, 1]) > np.searchsorted(ranges[:, 0], grown[:, 0])
+        ranges = grown[holds]
+    if len(ranges) and rules.gap_s > 0.0:
+        apart = (ranges[1:, 0] - ranges[:-1, 1]) / rate_hz > rules.gap_s * (1.0 + 1e-9)
+        first = np.concatenate([[True], apart])
+        ranges = np.stack([ranges[first, 0], ranges[np.concatenate([apart, [True]]), 1]], axis=1)
+    ranges = ranges[(ranges[:, 1] - ranges[:, 0]) / rate_hz >= rules.min_s * (1.0 - 1e-9)]
+    return [_run(degrees, counted, start, stop) for start, stop in ranges.tolist()]
+
+
+def jump_runs(degrees: F64, jump: Flags) -> list[Run]:
+    """Return the runs of frames in which the take's limb turns faster than anybody; their errors may be NaN."""
+    return [_run(degrees, np.isfinite(degrees), start, stop) for start, stop in flagged_ranges(jump).tolist()]
+
+
+def _run(degrees: F64, counted: Flags, start: int, stop: int) -> Run:
+    values = degrees[start:stop][counted[start:stop]]
+    return Run(start, stop, float(values.max()), float(values.mean())) if len(values) else Run(start, stop, *_NAN)
+
+
+_NAN = (math.nan, math.nan)
+
+
+def flagged_ranges(flags: Flags) -> I64:
+    """Return the ranges [start, stop) of frames whose flag is set, int64 (R, 2)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return edges.reshape(-1, 2).astype(np.int64)

@@ -1,0 +1,64 @@
+"""Products of quaternions for compiled loops: four numbers in, a tuple of four out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy.typing as npt
+from numba import njit
+from numpy import float64
+
+F64 = npt.NDArray[float64]
+Quaternion = tuple[float, float, float, float]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def product(p: Quaternion, q: Quaternion) -> Quaternion:
+    """Return p ∘ q."""
+    a, b, c, d = p
+    w, x, y, z = q
+    return (
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def inverse_product(p: Quaternion, q: Quaternion) -> Quaternion:
+    """Return p̄ ∘ q."""
+    a, b, c, d = p
+    w, x, y, z = q
+    return (
+        a * w + b * x + c * y + d * z,
+        a * x - b * w - c * z + d * y,
+        a * y + b * z - c * w - d * x,
+        a * z - b * y + c * x - d * w,
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def product_inverse(p: Quaternion, q: Quaternion) -> Quaternion:
+    """Return p ∘ q̄."""
+    a, b, c, d = p
+    w, x, y, z = q
+    return (
+        a * w + b * x + c * y + d * z,
+        b * w - a * x - c * z + d * y,
+        c * w - a * y + b * z - d * x,
+        d * w - a * z - b * y + c * x,
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def row(stream: F64, k: int) -> Quaternion:
+    """Return one quaternion of a stream (T, 4)."""
+    return stream[k, 0], stream[k, 1], stream[k, 2], stream[k, 3]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def angle(q: Quaternion) -> float:
+    """Return the angle of a rotation in radians, 0 to π."""
+    w, x, y, z = q
+    return 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))

@@ -1,0 +1,189 @@
+"""Rotations as unit quaternions w x y z, and streams of them over time.
+
+A quaternion maps a local frame to a global one: `rotate(q, v)` is the global vector of a local v. `multiply(p, q)`
+applies q first. Signs do not matter: q and −q are the same rotation.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.body import kinematics, transforms
+from kinedex.ops.errors import ParameterError
+
+F64 = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+LONGEST_GAP_S = 0.05
+"""Between samples that are farther apart than this, nothing is interpolated."""
+
+_SMALL = 1e-12  # the length of the imaginary part below which a rotation vector is twice that part
+
+
+def multiply(p: F64, q: F64) -> F64:
+    """Return p ∘ q, the rotation that turns by q first and by p then.
+
+    Parameters
+    ----------
+    p, q : float64 array (..., 4)
+        Quaternions, whose leading shapes are broadcast.
+
+    Returns
+    -------
+    float64 array (..., 4)
+    """
+    a, b, c, d = p[..., 0], p[..., 1], p[..., 2], p[..., 3]
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    return np.stack(
+        [
+            a * w - b * x - c * y - d * z,
+            a * x + b * w + c * z - d * y,
+            a * y - b * z + c * w + d * x,
+            a * z + b * y - c * x + d * w,
+        ],
+        axis=-1,
+    )
+
+
+def conjugate(q: F64) -> F64:
+    """Return the inverse rotations (..., 4)."""
+    return q * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def rotate(q: F64, v: F64) -> F64:
+    """Turn vectors by rotations.
+
+    Parameters
+    ----------
+    q : float64 array (..., 4)
+        Unit quaternions.
+    v : float64 array (..., 3)
+        Vectors; leading shapes are broadcast.
+
+    Returns
+    -------
+    float64 array (..., 3)
+    """
+    axis = q[..., 1:]
+    twice = 2.0 * np.cross(axis, v)
+    return np.asarray(v + q[..., :1] * twice + np.cross(axis, twice))
+
+
+def exp(v: F64) -> F64:
+    """Return the rotations (..., 4) by |v| radians about v (..., 3)."""
+    v = np.asarray(v, np.float64)
+    angle = np.sqrt(np.einsum("...a,...a->...", v, v))[..., None]
+    # sinc is sin(πx)/(πx), and 1 at 0
+    return np.concatenate([np.cos(0.5 * angle), 0.5 * np.sinc(angle / (2.0 * np.pi)) * v], axis=-1)
+
+
+def log(q: F64) -> F64:
+    """Return the rotation vectors (..., 3) in radians, at most π long, of unit quaternions (..., 4).
+
+    Thesis, Eq. 7.10, with the sign that it lacks: without it a quaternion with a negative real part gives the long way
+    round.
+    """
+    q = np.where(q[..., :1] < 0.0, -q, q)
+    imaginary = q[..., 1:]
+    sine = np.sqrt(np.einsum("...a,...a->...", imaginary, imaginary))[..., None]
+    small = sine < _SMALL
+    ratio = 2.0 * np.arctan2(sine, q[..., :1]) / np.where(small, 1.0, sine)
+    return np.where(small, 2.0, ratio) * imaginary
+
+
+def distance_deg(p: F64, q: F64) -> F64:
+    """Return the angles (...) in degrees, 0 to 180, by which rotations p and q (..., 4) differ.
+
+    Thesis, Eq. 7.2, by the arctangent: the arccosine loses half of the digits near 0.
+    """
+    between = multiply(conjugate(p), q)
+    sine = np.sqrt(np.einsum("...a,...a->...", between[..., 1:], between[..., 1:]))
+    return np.degrees(2.0 * np.arctan2(sine, np.abs(between[..., 0])))
+
+
+def matrix(q: F64) -> F64:
+    """Return the rotation matrices (..., 3, 3) of quaternions (..., 4)."""
+    return transforms.rotations(q)
+
+
+def from_matrix(matrices: F64) -> F64:
+    """Return the unit quaternions (..., 4) of rotation matrices (..., 3, 3)."""
+    rows = np.ascontiguousarray(matrices, np.float64).reshape(-1, 9).T
+    return np.ascontiguousarray(kinematics.quaternions(rows).T).reshape(*matrices.shape[:-2], 4)
+
+
+def continuous(q: F64) -> F64:
+    """Return a stream (T, 4) with signs such that neighbours lie in the same half of the sphere; NaN frames stay."""
+    known = np.flatnonzero(np.isfinite(q).all(axis=1))
+    turned = np.array(q, np.float64)
+    if len(known) > 1:
+        row = turned[known]
+        opposite = np.einsum("ta,ta->t", row[1:], row[:-1]) < 0.0
+        turned[known[1:]] *= np.where(np.cumsum(opposite) % 2, -1.0, 1.0)[:, None]
+    return turned
+
+
+def interpolate(times: F64, quaternions: F64, at: F64, longest_gap_s: float = LONGEST_GAP_S) -> tuple[F64, Flags]:
+    """Interpolate a stream at other times, along the shorter arc.
+
+    Parameters
+    ----------
+    times : float64 array (T,)
+        Seconds, ascending.
+    quaternions : float64 array (T, 4)
+        Unit quaternions; NaN where nothing was measured.
+    at : float64 array (N,)
+        The wanted times in seconds.
+    longest_gap_s : float
+        Seconds between two known samples beyond which nothing between them is known.
+
+    Returns
+    -------
+    tuple[float64 array (N, 4), bool array (N,)]
+        The quaternions, and whether each is known; NaN where it is not: outside the stream and in gaps.
+
+    Raises
+    ------
+    ParameterError
+        Shapes do not agree, or times descend.
+    """
+    if quaternions.shape != (len(times), 4):
+        raise ParameterError("quaternions", f"of shape ({len(times)}, 4), one for each time", quaternions.shape)
+    if len(times) > 1 and not (np.diff(times) >= 0.0).all():
+        raise ParameterError("times", "ascending", "times that run back")
+    known = np.isfinite(quaternions).all(axis=1) & np.isfinite(times)
+    times, quaternions = times[known], quaternions[known]
+    result = np.full((len(at), 4), np.nan)
+    if not len(times):
+        return result, np.zeros(len(at), bool)
+    after = np.minimum(np.searchsorted(times, at), len(times) - 1)
+    before = np.where(times[after] == at, after, np.maximum(after - 1, 0))
+    gap = times[after] - times[before]
+    valid = (at >= times[0]) & (at <= times[-1]) & (gap <= longest_gap_s * (1.0 + 1e-9))
+    share = np.divide(at - times[before], gap, out=np.zeros(len(at)), where=gap > 0.0)
+    mixed = transforms.slerp(quaternions[before[valid]], quaternions[after[valid]], share[valid])
+    result[valid] = mixed / np.sqrt(np.einsum("ta,ta->t", mixed, mixed))[:, None]
+    return result, valid
+
+
+def angular_speed(times: F64, quaternions: F64) -> tuple[F64, F64]:
+    """Return the speeds of turning between neighbouring frames.
+
+    Parameters
+    ----------
+    times : float64 array (T,)
+        Seconds, ascending.
+    quaternions : float64 array (T, 4)
+        Unit quaternions; NaN where unknown.
+
+    Returns
+    -------
+    tuple[float64 array (T − 1,), float64 array (T − 1,)]
+        The times in the middle between two frames, and radians per second; NaN beside an unknown frame.
+    """
+    turns = log(multiply(conjugate(quaternions[:-1]), quaternions[1:]))
+    steps = np.diff(times)
+    speeds = np.full(len(steps), np.nan)
+    np.divide(np.sqrt(np.einsum("ta,ta->t", turns, turns)), steps, out=speeds, where=steps > 0.0)
+    return 0.5 * (times[1:] + times[:-1]), speeds
