@@ -1,0 +1,421 @@
+"""The calibration of sensors on limbs: the mount q_L of each and the inertial world q_G (thesis, Section 7.4).
+
+The model is q_I = q̄_G ∘ q_T ∘ q_L (Eq. 7.5): q_I sensor → inertial world, q_T segment → the take's world, q_L sensor
+→ segment, q_G inertial world → the take's. The thesis solves it by the method of Park and Martin (Eqs. 7.9 to 7.14),
+which every wrong frame spoils. Here guesses from few frames compete (`hypotheses`), and reweighted fits follow, in
+which wrong frames lose their weight. A fit needs one pass over the frames: the sum of w · (q_Gᵀ A q_L)² over frames,
+with the 4 × 4 matrix A of a frame, depends on them by 136 sums only.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.inertial.drift import HeadingDrift, fit_drift, heading_deg
+from kinedex.ops.inertial.hypotheses import UPRIGHT, Unit, best_world, world_guesses, worlds_of_mount
+from kinedex.ops.inertial.observability import least_eigenvalues, refusal, warning
+from kinedex.ops.inertial.quaternion_kernels import row
+from kinedex.ops.inertial.rotations import distance_deg, multiply, rotate
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
+
+SCALES_DEG = (12.0, 6.0, 6.0, 6.0, 6.0, 6.0, 6.0)
+"""The error s of each reweighted fit at which a frame has a quarter of its weight: w = (s²/(s² + e²))²."""
+
+STILL_DEG, MOST_STEPS = 1e-6, 30
+DRIFT_ROUNDS = 3
+INLIER_DEG, TILTED_DEG = 15.0, 3.0
+
+
+@dataclass(frozen=True)
+class Stream:
+    """A stream is one sensor in one recording, beside the limb that it is worn on.
+
+    Attributes
+    ----------
+    limb : str
+        Streams of the same limb share the mount q_L.
+    take : str
+        The take, for messages.
+    times : float64 array (T,)
+        Seconds of the take.
+    sensor : float64 array (T, 4)
+        Orientations of the sensor at these times, sensor → F_GI; NaN where unknown.
+    track : float64 array (T, 4)
+        Orientations of the limb, segment → the take's world; NaN where unknown.
+    valid : bool array (T,)
+        The frames that may be fitted.
+    """
+
+    limb: str
+    take: str
+    times: F64
+    sensor: F64
+    track: F64
+    valid: Flags
+
+    def __post_init__(self) -> None:
+        count = len(self.times)
+        shapes = (self.sensor.shape, self.track.shape, self.valid.shape)
+        if shapes != ((count, 4), (count, 4), (count,)):
+            raise ParameterError("sensor, track and valid", f"of shapes ({count}, 4), ({count}, 4), ({count},)", shapes)
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a calibration assumes.
+
+    Attributes
+    ----------
+    shared : bool
+        All streams have one inertial world q_G, which needs a magnetometer; else each stream has its own.
+    vertical_known : bool
+        The take's Y axis is gravity's vertical, so that q_G is a turn about it; else all of q_G is fitted.
+    drift : bool
+        The heading of each stream drifts slowly, and is corrected.
+    seed : int
+        The seed of the guesses.
+    """
+
+    shared: bool = True
+    vertical_known: bool = True
+    drift: bool = False
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class StreamFit:
+    """The calibration of a stream.
+
+    Attributes
+    ----------
+    q_global, q_mount : float64 array (4,)
+        F_GI → the take's world, and sensor → segment.
+    drift : HeadingDrift
+        The correction of the sensor's heading.
+    frames : int
+        The frames that were fitted.
+    inliers : float
+        The share of them with an error below 15°.
+    median_deg : float
+        The median error of those.
+    observability : float
+        The least eigenvalue of the normal matrix of q_G and q_L; 0 where a direction is free.
+    tilt_deg : float
+        The angle between the inertial world's vertical and the take's; 0 where the vertical is known.
+    refused : str
+        The reason for which the mount cannot be found; empty where it is.
+    warning : str
+        What makes the result doubtful; empty where nothing does.
+    """
+
+    q_global: F64
+    q_mount: F64
+    drift: HeadingDrift
+    frames: int
+    inliers: float
+    median_deg: float
+    observability: float
+    tilt_deg: float
+    refused: str
+    warning: str
+
+
+class _Fit(NamedTuple):
+    """The rotations of a calibration: of each world (G, 4), of each mount (M, 4), and the weight of each frame."""
+
+    worlds: F64
+    mounts: F64
+    weights: list[F64]
+
+
+class _Held(NamedTuple):
+    """Rotations that are given: q_G of all streams, and q_L by the position of the mount."""
+
+    world: F64 | None
+    mounts: Mapping[int, F64]
+
+
+def calibrate(
+    streams: Sequence[Stream],
+    options: Options = Options(),
+    *,
+    mounts: Mapping[str, F64] | None = None,
+    world: F64 | None = None,
+) -> list[StreamFit]:
+    """Find the mounts and the inertial worlds of streams that one wearing of sensors has.
+
+    Parameters
+    ----------
+    streams : sequence of Stream
+        All takes of a wearing, or one take. Streams of one limb share q_L.
+    options : Options
+        What is assumed.
+    mounts : mapping of str to float64 array (4,), optional
+        q_L of limbs that is known from another take; the others are fitted.
+    world : float64 array (4,), optional
+        q_G that is known from another take; with `shared` only.
+
+    Returns
+    -------
+    list of StreamFit
+        One for each stream; `refused` tells where the movements do not determine the mount.
+
+    Raises
+    ------
+    ParameterError
+        No streams, a given world without `shared`, or a stream without a frame that may be fitted.
+    """
+    if not streams:
+        raise ParameterError("streams", "one or more", "none")
+    if world is not None and not options.shared:
+        raise ParameterError("world", "None where every stream has its own inertial world", world.tolist())
+    limbs = sorted({stream.limb for stream in streams})
+    held = _Held(world, {limbs.index(limb): mount for limb, mount in (mounts or {}).items() if limb in limbs})
+    known = [_known_frames(stream) for stream in streams]
+    drifts = [HeadingDrift.none() for _ in streams]
+    rounds = DRIFT_ROUNDS if options.drift else 1
+    for _ in range(rounds):
+        parts = [
+            (drift.corrected(stream.times[frames], stream.sensor[frames]), stream.track[frames])
+            for stream, frames, drift in zip(streams, known, drifts, strict=True)
+        ]
+        units, unit_of = _units(streams, parts, limbs, options.shared)
+        fit = _reweighted(units, _start(units, options, held), options.vertical_known, held)
+        if options.drift:
+            drifts = [
+                _drift_on_top(drifts[s], stream.times[known[s]], parts[s], fit, units[unit_of[s]])
+                for s, stream in enumerate(streams)
+            ]
+    return _results(streams, known, drifts, units, unit_of, fit, options, held)
+
+
+def _known_frames(stream: Stream) -> I64:
+    """Return the frames of a stream that may be fitted."""
+    finite = np.isfinite(stream.sensor).all(axis=1) & np.isfinite(stream.track).all(axis=1)
+    frames = np.flatnonzero(stream.valid & finite)
+    if not len(frames):
+        raise ParameterError(
+            f"{stream.take}: {stream.limb}", "known by take and sensor together in some frame", "no such frame"
+        )
+    return frames
+
+
+def _units(
+    streams: Sequence[Stream], parts: Sequence[tuple[F64, F64]], limbs: Sequence[str], shared: bool
+) -> tuple[list[Unit], list[int]]:
+    """Lay the frames of streams with the same mount and world end to end; return the unit of each stream, too."""
+    keys = [(limbs.index(stream.limb), 0 if shared else s) for s, stream in enumerate(streams)]
+    units = []
+    for key in sorted(set(keys)):
+        own = [part for part, other in zip(parts, keys, strict=True) if other == key]
+        sensor, track = (np.ascontiguousarray(np.concatenate(rows), np.float64) for rows in zip(*own, strict=True))
+        units.append(Unit(sensor, track, *key))
+    return units, [sorted(set(keys)).index(key) for key in keys]
+
+
+def _start(units: Sequence[Unit], options: Options, held: _Held) -> _Fit:
+    """Find the first q_G of each world and q_L of each mount, by guesses that compete."""
+    spread = [unit.spread() for unit in units]
+    worlds = np.tile([1.0, 0.0, 0.0, 0.0], (1 + max(unit.world for unit in units), 1))
+    mounts = np.tile([1.0, 0.0, 0.0, 0.0], (1 + max(unit.mount for unit in units), 1))
+    for mount, value in held.mounts.items():
+        mounts[mount] = value
+    for world in sorted({unit.world for unit in units}):
+        members = [i for i, unit in enumerate(units) if unit.world == world]
+        given = [held.mounts.get(units[i].mount) for i in members]
+        guesses = _guesses([spread[i] for i in members], given, options, held.world)
+        sizes = [len(units[i].sensor) for i in members]
+        worlds[world], found, _ = best_world([spread[i] for i in members], sizes, guesses, given)
+        for i, mount in zip(members, found, strict=True):
+            mounts[units[i].mount] = mount
+    if not options.shared:
+        _reconcile(units, spread, worlds, mounts, options, held)
+    return _Fit(worlds, mounts, [])
+
+
+def _guesses(units: Sequence[Unit], given: Sequence[F64 | None], options: Options, world: F64 | None) -> F64:
+    """Return the guesses (C, 4) of one q_G from all units that share it."""
+    if world is not None:
+        return world[None]
+    parts = [
+        world_guesses(unit, options.vertical_known, options.seed)
+        if mount is None
+        else worlds_of_mount(unit, mount, options.vertical_known)
+        for unit, mount in zip(units, given, strict=True)
+    ]
+    guesses = np.unique(np.concatenate(parts), axis=0)
+    # where nothing turns about two axes, the limbs are refused; any world serves until then
+    return guesses if len(guesses) else UPRIGHT[:1]
+
+
+def _reconcile(
+    units: Sequence[Unit], spread: Sequence[Unit], worlds: F64, mounts: F64, options: Options, held: _Held
+) -> None:
+    """Choose one mount for units that share it and have worlds of their own: the one that costs all of them least."""
+    for mount in range(len(mounts)):
+        members = [i for i, unit in enumerate(units) if unit.mount == mount]
+        if len(members) < 2 or mount in held.mounts:
+            continue
+        least = math.inf
+        for i in members:
+            # the mount that this unit alone suggests
+            _, (guess,), _ = best_world([spread[i]], [1], worlds[units[i].world][None], [None])
+            found = [
+                best_world(
+                    [spread[j]],
+                    [len(units[j].sensor)],
+                    worlds_of_mount(spread[j], guess, options.vertical_known),
+                    [guess],
+                )
+                for j in members
+            ]
+            cost = sum(cost for *_, cost in found)
+            if cost < least:
+                least, mounts[mount] = cost, guess
+                for j, (world, *_) in zip(members, found, strict=True):
+                    worlds[units[j].world] = world
+
+
+def _reweighted(units: Sequence[Unit], start: _Fit, vertical_known: bool, held: _Held) -> _Fit:
+    """Fit all rotations again and again, with weights by the errors before."""
+    worlds, mounts = start.worlds.copy(), start.mounts.copy()
+    weights = [np.empty(len(unit.sensor)) for unit in units]
+    for scale in SCALES_DEG:
+        sums = np.empty((len(units), 16, 16))
+        for i, unit in enumerate(units):
+            _sums(unit.sensor, unit.track, worlds[unit.world], mounts[unit.mount], scale, weights[i], sums[i])
+        _alternate(units, sums, worlds, mounts, vertical_known, held)
+    return _Fit(worlds, mounts, weights)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sums(sensor: F64, track: F64, world: F64, mount: F64, scale_deg: float, weights: F64, out: F64) -> None:
+    """Sum w A ⊗ A over frames, with q_Gᵀ A q_L the real part of the frame's turn between q_G ∘ q_I and q_T ∘ q_L."""
+    degrees = 2.0 * 180.0 / math.pi
+    square = scale_deg * scale_deg
+    upper = np.zeros((16, 16))
+    own = np.empty(16)
+    for k in range(len(sensor)):
+        a, b, c, d = row(sensor, k)
+        w, x, y, z = row(track, k)
+        # the derivatives of q_G ∘ q_I by the parts of q_G, and of q_T ∘ q_L by those of q_L
+        left = ((a, b, c, d), (-b, a, -d, c), (-c, d, a, -b), (-d, -c, b, a))
+        right = ((w, x, y, z), (-x, w, z, -y), (-y, -z, w, x), (-z, y, -x, w))
+        for i in range(4):
+            p = left[i]
+            for j in range(4):
+                q = right[j]
+                own[4 * i + j] = p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
+        cosine = 0.0
+        for i in range(4):
+            for j in range(4):
+                cosine += world[i] * own[4 * i + j] * mount[j]
+        error = degrees * math.acos(min(abs(cosine), 1.0))
+        weight = square / (square + error * error)
+        weight *= weight
+        weights[k] = weight
+        for i in range(16):
+            scaled = weight * own[i]
+            for j in range(i, 16):
+                upper[i, j] += scaled * own[j]
+    for i in range(16):
+        for j in range(i, 16):
+            out[i, j] = upper[i, j]
+            out[j, i] = upper[i, j]
+
+
+def _alternate(units: Sequence[Unit], sums: F64, worlds: F64, mounts: F64, vertical_known: bool, held: _Held) -> None:
+    """Fit q_G and q_L in turn, each the first eigenvector with the other one fixed, until no q_L moves."""
+    # (i, j), (k, l) → (i, k), (j, l): one product with the other rotation's squares then gives a 4 × 4 matrix
+    by_mount = sums.reshape(-1, 4, 4, 4, 4).transpose(0, 1, 3, 2, 4).reshape(-1, 16, 16)
+    by_world = np.ascontiguousarray(by_mount.transpose(0, 2, 1))
+    world_of = np.array([unit.world for unit in units])
+    mount_of = np.array([unit.mount for unit in units])
+    free = np.array([mount not in held.mounts for mount in range(len(mounts))])
+    for _ in range(MOST_STEPS):
+        if held.world is None:
+            worlds[:] = _first_eigenvectors(by_mount, mounts[mount_of], world_of, len(worlds), vertical_known)
+        found = _first_eigenvectors(by_world, worlds[world_of], mount_of, len(mounts), False)
+        moved = distance_deg(mounts, found)[free]
+        mounts[free] = found[free]
+        if not (moved > STILL_DEG).any():
+            break
+
+
+def _first_eigenvectors(sums: F64, others: F64, group: I64, groups: int, upright: bool) -> F64:
+    """Return the first eigenvectors (groups, 4) of the units' matrices, summed by group; in the upright plane alone."""
+    squares = (others[:, :, None] * others[:, None, :]).reshape(-1, 16, 1)
+    each = (sums @ squares).reshape(-1, 4, 4)
+    total = np.zeros((groups, 4, 4))
+    np.add.at(total, group, each)
+    if upright:
+        return np.linalg.eigh(UPRIGHT @ total @ UPRIGHT.T)[1][:, :, -1] @ UPRIGHT
+    return np.linalg.eigh(total)[1][:, :, -1]
+
+
+def _drift_on_top(drift: HeadingDrift, times: F64, part: tuple[F64, F64], fit: _Fit, unit: Unit) -> HeadingDrift:
+    """Return the drift of a stream with what is left of it after the last correction added."""
+    left = fit_drift(times, heading_deg(*part, fit.worlds[unit.world], fit.mounts[unit.mount]))
+    if not len(left.times) or not len(drift.times):
+        return left if len(left.times) else drift
+    return HeadingDrift(left.times, left.degrees + drift.at(left.times))
+
+
+def _results(
+    streams: Sequence[Stream],
+    known: Sequence[I64],
+    drifts: Sequence[HeadingDrift],
+    units: Sequence[Unit],
+    unit_of: Sequence[int],
+    fit: _Fit,
+    options: Options,
+    held: _Held,
+) -> list[StreamFit]:
+    """Judge a fit: the errors of each stream, and what its movements determine."""
+    takes = {limb: {stream.take for stream in streams if stream.limb == limb} for limb in {s.limb for s in streams}}
+    values = least_eigenvalues(units, fit.worlds, fit.weights, options.vertical_known)
+    level = least_eigenvalues(units, fit.worlds, fit.weights, True)
+    results = []
+    for s, stream in enumerate(streams):
+        unit = units[unit_of[s]]
+        world, mount = fit.worlds[unit.world], fit.mounts[unit.mount]
+        frames = known[s]
+        sensor = drifts[s].corrected(stream.times[frames], stream.sensor[frames])
+        degrees = distance_deg(multiply(world, sensor), multiply(stream.track[frames], mount))
+        near = degrees < INLIER_DEG
+        own = 1.0 if unit.mount in held.mounts or held.world is not None else values[unit.mount]
+        shared = max(values[other.mount] for other in units if other.world == unit.world)
+        tilt = 0.0 if options.vertical_known else _tilt_deg(world)
+        several = len(takes[stream.limb]) > 1
+        results.append(
+            StreamFit(
+                q_global=world,
+                q_mount=mount,
+                drift=drifts[s],
+                frames=len(frames),
+                inliers=float(near.mean()),
+                median_deg=float(np.median(degrees[near])) if near.any() else math.nan,
+                observability=own,
+                tilt_deg=tilt,
+                refused=refusal(stream.limb, max(own, shared), level[unit.mount], options.vertical_known, several),
+                warning=warning(stream.limb, max(own, shared), tilt, TILTED_DEG),
+            )
+        )
+    return results
+
+
+def _tilt_deg(world: F64) -> float:
+    """Return the angle between the inertial world's vertical and the take's."""
+    up = rotate(world, np.array([0.0, 0.0, 1.0]))
+    return math.degrees(math.atan2(math.hypot(float(up[0]), float(up[2])), float(up[1])))

@@ -1,0 +1,211 @@
+"""First guesses of a calibration, which wrong frames do not move: many from few frames each, and the best of them.
+
+A *unit* is the frames of one limb whose sensor has one mount and one inertial world: one sensor in one recording, or in
+several with `shared`. Only frames spread evenly are compared, at most `MOST_FRAMES` of each unit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from kinedex.ops.inertial.quaternion_kernels import inverse_product, product, row
+from kinedex.ops.inertial.rotations import conjugate, exp, from_matrix, log, multiply
+
+F64 = npt.NDArray[np.float64]
+
+MOST_FRAMES, TRIPLES = 300, 300
+LEAST_CROSS = 0.02
+"""Two turns of a limb are about different axes where the cross product of their rotation vectors is longer."""
+
+BEST = 5
+"""The number of guesses of each unit that compete over all units with the same inertial world."""
+
+EVERY = 6
+"""A mount is guessed at every sixth of the frames that are compared."""
+
+CLIP_DEG = 15.0
+"""Errors count at most so much: a wrong frame costs the same, however wrong it is."""
+
+Z_TO_Y = np.array([math.sqrt(0.5), -math.sqrt(0.5), 0.0, 0.0])
+"""The turn from Z up to Y up: with the vertical known, q_G is this after a turn about Z."""
+
+UPRIGHT = np.stack([Z_TO_Y, multiply(Z_TO_Y, np.array([0.0, 0.0, 0.0, 1.0]))])
+"""The plane (2, 4) of the quaternions q_G that map Z to Y."""
+
+
+class Unit(NamedTuple):
+    """The frames of a limb whose sensor has one mount and one inertial world.
+
+    Attributes
+    ----------
+    sensor, track : float64 array (n, 4)
+        Orientations of the sensor and of the limb, all of them known.
+    mount, world : int
+        The positions of its q_L and its q_G among those of the calibration.
+    """
+
+    sensor: F64
+    track: F64
+    mount: int
+    world: int
+
+    def spread(self) -> Unit:
+        """Return the unit with at most `MOST_FRAMES` frames, spread evenly."""
+        count = len(self.sensor)
+        if count <= MOST_FRAMES:
+            return self
+        frames = np.linspace(0, count - 1, MOST_FRAMES).astype(np.int64)
+        return self._replace(sensor=self.sensor[frames], track=self.track[frames])
+
+
+def upright(q: F64) -> F64:
+    """Return the nearest rotations (..., 4) that map Z to Y; a rotation at right angles to all of them becomes one."""
+    shares = q @ UPRIGHT.T
+    length = np.sqrt(np.einsum("...a,...a->...", shares, shares))[..., None]
+    lost = length < 1e-9
+    shares = np.where(lost, [1.0, 0.0], shares / np.where(lost, 1.0, length))
+    return shares @ UPRIGHT
+
+
+def world_guesses(unit: Unit, vertical_known: bool, seed: int) -> F64:
+    """Guess q_G from a unit: the best of many triples of frames, and turns about the vertical where it is known.
+
+    Parameters
+    ----------
+    unit : Unit
+        Spread frames.
+    vertical_known : bool
+        Whether Z of the inertial world is Y of the take's.
+    seed : int
+        The same seed draws the same triples.
+
+    Returns
+    -------
+    float64 array (C, 4)
+        None where the vertical is not known and no triple has turns about two axes.
+    """
+    s, t, u = np.random.default_rng(seed).integers(0, len(unit.sensor), (3, TRIPLES))
+    own, other = _turns(unit.sensor, s, t, u), _turns(unit.track, s, t, u)
+    apart = np.linalg.norm(np.cross(other[0], other[1]), axis=1) >= LEAST_CROSS
+    guesses = np.empty((0, 4))
+    if apart.any():
+        s = s[apart]
+        mounts = _alignment(own[:, apart], other[:, apart])
+        worlds = multiply(multiply(unit.track[s], mounts), conjugate(unit.sensor[s]))
+        if vertical_known:
+            worlds = upright(worlds)
+            mounts = multiply(conjugate(unit.track[s]), multiply(worlds, unit.sensor[s]))
+        costs = np.empty(len(worlds))
+        _pair_costs(unit.sensor, unit.track, worlds, mounts, costs)
+        guesses = worlds[np.argsort(costs, kind="stable")[:BEST]]
+    if vertical_known:
+        turns = exp(np.arange(72)[:, None] * np.array([0.0, 0.0, math.radians(5.0)]))
+        guesses = np.concatenate([guesses, multiply(Z_TO_Y, turns)])
+    return guesses
+
+
+def _turns(stream: F64, s: npt.NDArray[np.int64], t: npt.NDArray[np.int64], u: npt.NDArray[np.int64]) -> F64:
+    """Return the rotation vectors (2, H, 3) from frames s to frames t and u, in local axes."""
+    start = conjugate(stream[s])
+    return np.stack([log(multiply(start, stream[t])), log(multiply(start, stream[u]))])
+
+
+def _alignment(own: F64, other: F64) -> F64:
+    """Return the rotations (H, 4) that best turn pairs of vectors (2, H, 3) into others; never a reflection."""
+    left, _, right = np.linalg.svd(np.einsum("pha,phb->hab", other, own))
+    left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
+    return from_matrix(left @ right)
+
+
+def best_world(
+    units: Sequence[Unit], frames: Sequence[int], guesses: F64, held: Sequence[F64 | None]
+) -> tuple[F64, F64, float]:
+    """Let guesses of q_G compete over all units that share it.
+
+    Parameters
+    ----------
+    units : sequence of Unit
+        Spread frames.
+    frames : sequence of int
+        The number of all frames of each unit, which its cost is multiplied by.
+    guesses : float64 array (C, 4)
+        Guesses of q_G.
+    held : sequence of (float64 array (4,) or None)
+        The mount of each unit where it is known.
+
+    Returns
+    -------
+    tuple[float64 array (4,), float64 array (U, 4), float]
+        The best q_G, the mount of each unit with it, and its cost.
+    """
+    total = np.zeros(len(guesses))
+    mounts = np.empty((len(units), len(guesses), 4))
+    for i, unit in enumerate(units):
+        costs = np.empty(len(guesses))
+        own = held[i]
+        if own is None:
+            _mount_costs(unit.sensor, unit.track, guesses, mounts[i], costs)
+        else:
+            mounts[i] = own
+            _pair_costs(unit.sensor, unit.track, guesses, mounts[i], costs)
+        total += frames[i] * costs
+    best = int(total.argmin())
+    return guesses[best], mounts[:, best], float(total[best])
+
+
+def worlds_of_mount(unit: Unit, mount: F64, vertical_known: bool) -> F64:
+    """Return guesses (C, 4) of q_G from single frames of a unit whose mount is known."""
+    some = slice(None, None, EVERY)
+    worlds = multiply(multiply(unit.track[some], mount), conjugate(unit.sensor[some]))
+    return upright(worlds) if vertical_known else worlds
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _pair_costs(sensor: F64, track: F64, worlds: F64, mounts: F64, costs: F64) -> None:
+    """Compute the mean clipped error of each pair of q_G and q_L over all frames, in degrees."""
+    degrees = 2.0 * 180.0 / math.pi
+    near = math.cos(0.5 * CLIP_DEG * math.pi / 180.0)
+    for h in range(len(worlds)):
+        total = 0.0
+        for k in range(len(sensor)):
+            a = product(row(worlds, h), row(sensor, k))
+            b = product(row(track, k), row(mounts, h))
+            cosine = abs(a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3])
+            total += CLIP_DEG if cosine <= near else degrees * math.acos(min(cosine, 1.0))
+        costs[h] = total / len(sensor)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mount_costs(sensor: F64, track: F64, worlds: F64, mounts: F64, costs: F64) -> None:
+    """Find for each q_G the mount of a single frame that has the least mean clipped distance to those of all."""
+    degrees = 2.0 * 180.0 / math.pi
+    near = math.cos(0.5 * CLIP_DEG * math.pi / 180.0)
+    count = len(sensor)
+    local = np.empty((count, 4))
+    for h in range(len(worlds)):
+        for k in range(count):
+            v = inverse_product(row(track, k), product(row(worlds, h), row(sensor, k)))
+            local[k, 0], local[k, 1], local[k, 2], local[k, 3] = v
+        least = np.inf
+        for i in range(0, count, EVERY):
+            total = 0.0
+            for k in range(count):
+                cosine = abs(
+                    local[i, 0] * local[k, 0]
+                    + local[i, 1] * local[k, 1]
+                    + local[i, 2] * local[k, 2]
+                    + local[i, 3] * local[k, 3]
+                )
+                total += CLIP_DEG if cosine <= near else degrees * math.acos(min(cosine, 1.0))
+                if total >= least:
+                    break
+            if total < least:
+                least = total
+                mounts[h] = local[i]
+        costs[h] = least / count
