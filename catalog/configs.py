@@ -27,6 +27,7 @@ KINDS = {
     "kinematics": "kinematic chain",
     "keypoints": "keypoint set",
     "bodies": "body for depth images",
+    "sensors": "file of sensors",
     "bodies/filmed": "body before simulated depth cameras",
     "pipelines": "pipeline",
 }

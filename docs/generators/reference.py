@@ -92,6 +92,11 @@ PARTS = {
         ("`clothes`", "kinedex.catalog.filmed_bodies", "_Clothes"),
         ("`errors`", "kinedex.catalog.filmed_bodies", "_Errors"),
     ),
+    "sensors": (
+        ("", "kinedex.catalog.sensorsets", "SensorEntries"),
+        ("`units`", "kinedex.catalog.sensorsets", "Units"),
+        ("`columns`", "kinedex.catalog.sensorsets", "Columns"),
+    ),
     "pipelines": (
         ("", "kinedex.pipelines.engine.config", "_PipelineFile"),
         ("a `Stage`", "kinedex.pipelines.engine.config", "_StageEntry"),
@@ -114,6 +119,8 @@ WHERE = {
     "bodies": "The body that is fitted to depth images: round cones between the 24 named joints, and pivots.",
     "bodies/filmed": "`kinedex simulate depth --body`: flesh, clothes and errors of a body before a simulated depth "
     "camera. Every key is explained in [`first.yaml`](../configs/bodies/filmed/first.yaml).",
+    "sensors": "`read_imu.sensors`, `kinedex inspect --sensors`: which limb wears which sensor, and what the files of "
+    "sensors do not state.",
     "pipelines": "`kinedex run`. Every shipped pipeline is listed above.",
 }
 

@@ -1,0 +1,1 @@
+"""Files of inertial sensors: accelerations, angular velocities, magnetic fields and orientations."""

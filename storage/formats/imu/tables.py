@@ -1,0 +1,340 @@
+"""Tables of sensor data by the names of their columns: CSV with one or more header rows, Parquet and HDF5.
+
+The names that are known without a description are those of kinedex and their common relatives: `acc_x`, `accel x`,
+`gyro.y`, `Magnetometer Z (uT)`, `q_w`, `quat_x`, `q0`, with the name of a sensor before them where there are several
+(`left_sensor/acc_x`), and `time_s`, `time (ms)`, `t`. A file of sensors names any others (`columns:`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from kinedex.catalog.sensorsets import Columns
+from kinedex.ops.errors import SourceError, did_you_mean
+from kinedex.storage.formats.imu.number_rows import cells_of, number_rows, separator_of, text_lines
+from kinedex.storage.formats.imu.signals import UNITS, Given, RawSensor, unit_name
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+MOST_SENSORS = 1_000
+"""Sensors of a file."""
+
+MOST_ROWS = 50_000_000
+"""Rows of a table."""
+
+_MOST_HEADER_ROWS = 6
+_WORDS = {
+    "acc": "accelerometer|acceleration|accelero|accel|acc",
+    "gyr": "gyroscope|angular ?velocity|angularvelocity|gyro|gyr",
+    "mag": "magnetometer|magnetic ?field|magneticfield|magneto|mag",
+    "orientation": "orientation|quaternion|quat|q",
+}
+_CHANNEL = re.compile(
+    r"(?:(?P<sensor>.*?)[\s/._:-]+)??(?:"
+    + "|".join(f"(?P<{channel}>{words})" for channel, words in _WORDS.items())
+    + r")[\s/._:-]*(?P<axis>[wxyz0-3]|element)[\s/._:-]*(?P<unit>[(\[].*[)\]])?",
+    re.IGNORECASE,
+)
+_TIME = re.compile(r"(?:time|timestamp|t)(?:[\s_]?(?P<unit>s|ms|us|µs|ns|sec|seconds|[(\[].*[)\]]))?", re.IGNORECASE)
+_OTHERS = ("free", "lin", "linear", "user", "global", "world")
+"""Words before a channel that is not what a sensor reads."""
+
+_AXES = {"acc": "xyz", "gyr": "xyz", "mag": "xyz", "orientation": "wxyz"}
+
+
+@dataclass
+class Layout:
+    """The columns of a table that count.
+
+    Attributes
+    ----------
+    channels : dict of str to dict
+        Sensor ("" for the only one) → channel → its columns, in the order of its axes.
+    time, sensor : int or None
+        The columns of times and of sensors' names.
+    units : dict of str to dict
+        Sensor → quantity → unit, as the header states it.
+    time_unit : str
+        The unit of times; empty where the header does not state it.
+    """
+
+    channels: dict[str, dict[str, list[int]]] = field(default_factory=dict)
+    time: int | None = None
+    sensor: int | None = None
+    units: dict[str, dict[str, str]] = field(default_factory=dict)
+    time_unit: str = ""
+
+    def columns(self) -> list[int]:
+        """Return the columns of numbers, in the order of channels, then times."""
+        found = [place for parts in self.channels.values() for places in parts.values() for place in places]
+        return found + ([] if self.time is None else [self.time])
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Return True for a table: by its ending, or by its first bytes."""
+    return path.suffix.lower() in (".csv", ".txt", ".tsv", ".parquet") or head.startswith(b"PAR1")
+
+
+def read(path: Path, given: Given) -> list[RawSensor]:
+    """Read the sensors of a table.
+
+    Raises
+    ------
+    SourceError
+        The file is no such table; the message names the line or the column.
+    """
+    with path.open("rb") as file:
+        parquet = file.read(4) == b"PAR1"
+    return _parquet(path, given) if parquet or path.suffix.lower() == ".parquet" else _csv(path, given)
+
+
+def layout_of(path: Path, header: Sequence[str], given: Given) -> Layout:
+    """Return the columns that count, by their names or by the file of sensors.
+
+    Raises
+    ------
+    SourceError
+        No column, or not every axis of a channel, is there.
+    """
+    columns = given.sensor_set.entries.columns
+    layout = _known(path, header) if columns is None else _named(path, header, columns)
+    if not layout.channels:
+        raise SourceError(
+            path, "has no columns of a sensor; expected acc_x, acc_y, acc_z, gyr_x … or `columns:` in a file of "
+            f"sensors (`--set sensors=FILE.yaml`), got {', '.join(header[:12])[:300]}",
+        )  # fmt: skip
+    if len(layout.channels) > MOST_SENSORS:
+        raise SourceError(path, f"has {len(layout.channels)} sensors, and {MOST_SENSORS} are read at most")
+    return layout
+
+
+def _known(path: Path, header: Sequence[str]) -> Layout:
+    """Return the columns with names that are known."""
+    layout, found = Layout(), dict[tuple[str, str], dict[str, int]]()
+    for place, name in enumerate(header):
+        plain = name.strip()
+        if plain.lower() in ("sensor", "sensor_id", "sensor_name", "device") and layout.sensor is None:
+            layout.sensor = place
+        elif layout.time is None and (time := _TIME.fullmatch(plain)):
+            layout.time = place
+            layout.time_unit = unit_name(time["unit"] or "", "time") or ""
+        elif (match := _CHANNEL.fullmatch(plain)) and (match["sensor"] or "").lower() not in _OTHERS:
+            channel = next(key for key in _WORDS if match[key])
+            axis = match["axis"].lower()
+            if channel == "orientation" and axis in "0123":
+                axis = "wxyz"[int(axis)]
+            sensor = match["sensor"] or ""
+            if axis not in _AXES[channel]:
+                continue
+            if axis in found.setdefault((sensor, channel), {}):
+                raise SourceError(path, f"has two columns for {channel} {axis} of one sensor: see '{plain}'")
+            found[sensor, channel][axis] = place
+            if match["unit"] and channel != "orientation":
+                unit = unit_name(match["unit"], channel)
+                if unit is None:
+                    known = ", ".join(UNITS[channel])
+                    raise SourceError(path, f"column '{plain}' has a unit that is unknown; known: {known}")
+                layout.units.setdefault(sensor, {})[channel] = unit
+    for (sensor, channel), axes in found.items():
+        missing = [axis for axis in _AXES[channel] if axis not in axes]
+        if missing:
+            have = ", ".join(f"'{header[place]}'" for place in axes.values())
+            raise SourceError(path, f"has {have} and lacks {channel} {', '.join(missing)}")
+        layout.channels.setdefault(sensor, {})[channel] = [axes[axis] for axis in _AXES[channel]]
+    return layout
+
+
+def _named(path: Path, header: Sequence[str], columns: Columns) -> Layout:
+    """Return the columns that a file of sensors names."""
+    places = {name.strip(): place for place, name in reversed(list(enumerate(header)))}
+
+    def place(name: str, key: str) -> int:
+        if name not in places:
+            raise SourceError(path, f"has no column '{name}' (columns.{key}){did_you_mean(name, places)}")
+        return places[name]
+
+    layout = Layout()
+    layout.time = None if columns.time is None else place(columns.time, "time")
+    layout.sensor = None if columns.sensor is None else place(columns.sensor, "sensor")
+    for channel, axes in _AXES.items():
+        names = columns.names(channel)
+        if not names:
+            continue
+        if len(names) != len(axes):
+            raise SourceError(path, f"columns.{channel} must name {len(axes)} columns, for {', '.join(axes)}")
+        for sensor in _sensors(names[0], places):
+            found = [place(name.replace("{sensor}", sensor), channel) for name in names]
+            layout.channels.setdefault(sensor, {})[channel] = found
+    return layout
+
+
+def _sensors(pattern: str, names: Iterable[str]) -> list[str]:
+    """Return the sensors that a pattern with {sensor} finds among names, in their order; "" for one without it."""
+    if "{sensor}" not in pattern:
+        return [""]
+    before, _, after = pattern.partition("{sensor}")
+    wanted = re.compile(re.escape(before) + "(.+?)" + re.escape(after))
+    return list(dict.fromkeys(match[1] for name in names if (match := wanted.fullmatch(name))))
+
+
+def _csv(path: Path, given: Given) -> list[RawSensor]:
+    lines = text_lines(path)
+    rows, body, separator = _header_rows(path, lines, given)
+    header, units = _joined(rows)
+    layout = layout_of(path, header, given)
+    for sensor, parts in layout.channels.items():
+        for channel, places in parts.items():
+            if channel != "orientation" and (unit := unit_name(units[places[0]], channel)):
+                layout.units.setdefault(sensor, {})[channel] = unit
+    if layout.time is not None and (unit := unit_name(units[layout.time], "time")):
+        layout.time_unit = unit
+    wanted = layout.columns()
+    texts = [] if layout.sensor is None else [layout.sensor]
+    table = number_rows(path, lines, body, separator, header, wanted, texts)
+    columns = dict(zip(wanted, table.numbers.T, strict=True))
+    return sensors_of(path, layout, given, columns, table.texts[0] if texts else None, table.lines)
+
+
+def _header_rows(path: Path, lines: Sequence[str], given: Given) -> tuple[list[list[str]], int, str]:
+    """Return the cells of the rows before the numbers, the index of the first row of numbers, and the separator."""
+    wanted = given.sensor_set.entries.header_rows
+    rows: list[list[str]] = []
+    separator = ""
+    for i, line in enumerate(lines):
+        if not line.strip() or (not rows and re.fullmatch(r"sep=.", line.strip(), re.IGNORECASE)):
+            continue
+        separator = separator or separator_of(line)
+        cells = cells_of(line, separator)
+        if len(rows) == wanted or (wanted is None and _numeric(cells, separator)):
+            break
+        rows.append(cells)
+        if len(rows) > _MOST_HEADER_ROWS and wanted is None:
+            raise SourceError(
+                path, f"has no row of numbers in its first {len(rows)} rows; state `header_rows:` in a file of sensors "
+                "if these are names of columns", line=i + 1,
+            )  # fmt: skip
+    else:
+        raise SourceError(path, "has no rows of numbers")
+    if not rows:
+        raise SourceError(path, "has no header with the names of its columns, such as time_s,acc_x,acc_y,acc_z", line=1)
+    return rows, i, separator
+
+
+def _numeric(cells: Sequence[str], separator: str) -> bool:
+    """Return True for a row of which half of the cells or more are numbers."""
+    filled = [cell for cell in cells if cell]
+    return 2 * sum(_is_number(cell, separator) for cell in filled) >= max(1, len(filled))
+
+
+def _is_number(cell: str, separator: str) -> bool:
+    try:
+        float(cell if separator == "," else cell.replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def _joined(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[str]]:
+    """Return the name of each column, all header rows with "/" between, and its unit where the last row has units."""
+    width = max(map(len, rows))
+    padded = [[*row, *[""] * (width - len(row))] for row in rows]
+    units = [""] * width
+    if len(rows) > 1 and all(any(unit_name(cell, of) is not None for of in UNITS) for cell in padded[-1]):
+        units = padded.pop()
+    return ["/".join(cell for cell in column if cell) for column in zip(*padded, strict=True)], units
+
+
+def _parquet(path: Path, given: Given) -> list[RawSensor]:
+    try:
+        with pq.ParquetFile(path) as file:
+            if file.metadata.num_rows > MOST_ROWS:
+                raise SourceError(path, f"has {file.metadata.num_rows:,} rows, and {MOST_ROWS:,} are read at most")
+            header = file.schema_arrow.empty_table().flatten().column_names
+            layout = layout_of(path, header, given)
+            places = [*layout.columns(), *([] if layout.sensor is None else [layout.sensor])]
+            wanted = {header[i] for i in places} | {header[i].rpartition(".")[0] for i in places}
+            tops = [name for name in file.schema_arrow.names if name in wanted]
+            table = file.read(columns=tops).flatten()
+            columns = {i: _numbers(path, table, header[i]) for i in layout.columns()}
+            names = None
+            if layout.sensor is not None:
+                names = [str(name) for name in table.column(header[layout.sensor]).to_pylist()]
+    except SourceError:
+        raise
+    except (OSError, pa.ArrowException, ValueError, TypeError, KeyError, IndexError) as fault:
+        raise SourceError(path, f"cannot be read as Parquet: {str(fault)[:200]}") from None
+    return sensors_of(path, layout, given, columns, names)
+
+
+def _numbers(path: Path, table: pa.Table, name: str) -> F64:
+    """Return a column as numbers, NaN for a cell without one."""
+    column = table.column(name)
+    kind = column.type
+    if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_null(kind)):
+        raise SourceError(path, f"column '{name}' must hold numbers, got {kind}")
+    column.validate(full=True)
+    found: F64 = column.cast(pa.float64()).to_numpy()
+    return found
+
+
+def sensors_of(
+    path: Path, layout: Layout, given: Given, columns: Mapping[int, F64], names: Sequence[str] | None = None,
+    lines: I64 | None = None,
+) -> list[RawSensor]:  # fmt: skip
+    """Return the sensors of a table.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    layout : Layout
+        Its columns.
+    given : Given
+        What the user states.
+    columns : mapping of int to float64 array (rows,)
+        The numbers of each column.
+    names : sequence of str, optional
+        The sensor of each row.
+    lines : int64 array (rows,), optional
+        The line of each row.
+
+    Raises
+    ------
+    SourceError
+        The table has both a column of sensors and columns of several ones, or a row without a time.
+    """
+    if names is not None and list(layout.channels) != [""]:
+        raise SourceError(path, "has a column of sensors and also columns of several sensors; one of them is enough")
+    unit = given.sensor_set.unit("time") or layout.time_unit or "s"
+    times = None if layout.time is None else columns[layout.time] * UNITS["time"][unit]
+    keys = list(layout.channels)
+    chosen: dict[str, tuple[str, I64 | slice]] = {key or path.stem: (key, slice(None)) for key in keys}
+    if names is not None:
+        chosen = {name: ("", rows) for name, rows in _rows_by_name(path, names).items()}
+    found = []
+    for name, (key, rows) in chosen.items():
+        sensor = RawSensor(name, units=dict(layout.units.get(key, {})), times=None if times is None else times[rows])
+        for channel, places in layout.channels[key].items():
+            setattr(sensor, channel, np.stack([columns[place] for place in places], axis=1)[rows])
+        sensor.lines = None if lines is None else lines[rows]
+        found.append(sensor)
+    return found
+
+
+def _rows_by_name(path: Path, names: Sequence[str]) -> dict[str, I64]:
+    """Return name → its rows, in the order in which the names begin."""
+    rows: dict[str, list[int]] = {}
+    for row, name in enumerate(names):
+        rows.setdefault(name, []).append(row)
+    if len(rows) > MOST_SENSORS:
+        raise SourceError(path, f"has {len(rows)} sensors, and {MOST_SENSORS} are read at most")
+    return {name: np.array(places) for name, places in rows.items()}
