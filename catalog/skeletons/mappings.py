@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from kinedex.catalog.configs import Located, config_names, config_path, load_yaml
 from kinedex.catalog.skeletons.evidence import Evidence
+from kinedex.catalog.skeletons.limb_sources import LimbEntry, limb_sources
 from kinedex.catalog.skeletons.recognition.landmarks import Landmarks
 from kinedex.catalog.skeletons.recognition.names import LONGEST_PREFIX, Vocabulary
 from kinedex.catalog.skeletons.recognition.points import recognise_points
@@ -85,6 +86,7 @@ class _SkeletonFile(BaseModel):
     order: list[str] = Field(default_factory=list)
     screen: bool | None = None
     aliases: dict[str, list[str]] = Field(default_factory=dict)
+    limbs: dict[str, LimbEntry] = Field(default_factory=dict)
     joints: dict[str, Any]  # see `_mix`
 
 
@@ -384,7 +386,10 @@ def parse_skeleton(located: Located, joints: tuple[str, ...]) -> SkeletonMapping
     return SkeletonMapping(
         name=parsed.name,
         path=located.path,
-        digest=hashlib.sha256(json.dumps(parsed.model_dump(), sort_keys=True).encode()).hexdigest()[:16],
+        # no take depends on `limbs`
+        digest=hashlib.sha256(json.dumps(parsed.model_dump(exclude={"limbs"}), sort_keys=True).encode()).hexdigest()[
+            :16
+        ],
         format=parsed.format,
         unit_m=None if unit_m == "guess" else float(unit_m),
         axes=axes,
@@ -396,6 +401,7 @@ def parse_skeleton(located: Located, joints: tuple[str, ...]) -> SkeletonMapping
         order=tuple(parsed.order),
         aliases={name: tuple(others) for name, others in parsed.aliases.items()},
         screen=parsed.format == "c3d" and parsed.screen is not False,
+        limbs=limb_sources(located, parsed.limbs, parsed.format, joints),
     )
 
 

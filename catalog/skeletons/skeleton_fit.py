@@ -11,6 +11,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.catalog.skeletons.limb_sources import LimbSource
 from kinedex.ops.errors import SourceError, did_you_mean
 
 F64 = npt.NDArray[np.float64]
@@ -96,6 +97,8 @@ class SkeletonMapping:
         If True, the vertical axis that a file states replaces the mapping's own.
     only : str, optional
         Regular expression that a file's name or the name of a node must contain for the mapping to be detected.
+    limbs : Mapping[str, LimbSource]
+        Nodes, markers and axes of limbs where these do not follow from the joints.
     """
 
     name: str
@@ -112,6 +115,7 @@ class SkeletonMapping:
     screen: bool = False
     aliases: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     only: str | None = None
+    limbs: Mapping[str, LimbSource] = field(default_factory=dict)
 
     def is_for(self, source: str | Path, nodes: Iterable[str]) -> bool:
         """Return whether the mapping may be detected in a file: whether it is of those that the mapping is made for."""

@@ -54,6 +54,7 @@ PARTS = {
         ("a `Mix`, which stands for a joint", "kinedex.catalog.skeletons.mappings", "_Mix"),
         ("`Aside`", "kinedex.catalog.skeletons.mappings", "_Aside"),
         ("`Root`", "kinedex.catalog.skeletons.mappings", "_Root"),
+        ("a `LimbEntry`, which stands for a limb", "kinedex.catalog.skeletons.limb_sources", "LimbEntry"),
     ),
     "names": (
         ("names of nodes", "kinedex.catalog.skeletons.recognition.names", "_VocabularyFile"),

@@ -74,7 +74,7 @@ def segment_orientation(markers: F64) -> SegmentFit:
     """
     if markers.ndim != 3 or markers.shape[1] < 3 or markers.shape[2] != 3:
         raise ParameterError("markers", "of shape (frames, 3 or more markers, 3)", markers.shape)
-    seen = np.isfinite(markers).all(axis=2)
+    seen = np.logical_and.reduce(np.isfinite(markers), axis=2)
     whole = seen.all(axis=1)
     if not whole.any():
         raise ParameterError("markers", "seen together in one frame at least", f"none of {len(markers)} frames")

@@ -6,7 +6,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import ClassVar
 
-from kinedex.catalog.skeletons.mappings import Format, Mappings
+from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.amc import AmcFile
 from kinedex.storage.formats.motion.asf import INCH_M, Skeleton, read_asf
@@ -46,10 +46,7 @@ class AcclaimReader(Reader):
         SourceError
             Either file is damaged, or no mapping fits; the error names file and line of the first fault.
         """
-        skeleton = _skeleton_of(file)
-        fit = mappings.detect(Path(skeleton.path), "acclaim", skeleton.bones)
-        if fit.mapping.unit_m not in (None, INCH_M):
-            skeleton = _skeleton_of(file, fit.mapping.unit_m)
+        skeleton, fit = fitted_skeleton(file, mappings)
         motion = AmcFile(file.path, skeleton, file.data)
         positions, matrices = posed(motion, skeleton.nodes, 0, fit, joints)
         refuse_far(file.path, positions, joints, fit.unknown)
@@ -63,6 +60,21 @@ class AcclaimReader(Reader):
             warnings=motion.warnings,
             evidence=recognition_evidence(fit),
         )
+
+
+def fitted_skeleton(file: MotionFile, mappings: Mappings) -> tuple[Skeleton, Fit]:
+    """Return the skeleton of an AMC file, in the unit of the mapping that fits it, and this mapping.
+
+    Raises
+    ------
+    SourceError
+        The skeleton is damaged or not given, or no mapping fits.
+    """
+    skeleton = _skeleton_of(file)
+    fit = mappings.detect(Path(skeleton.path), "acclaim", skeleton.bones)
+    if fit.mapping.unit_m not in (None, INCH_M):
+        skeleton = _skeleton_of(file, fit.mapping.unit_m)
+    return skeleton, fit
 
 
 def _skeleton_of(file: MotionFile, unit_m: float = INCH_M) -> Skeleton:

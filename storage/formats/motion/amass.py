@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -162,21 +162,10 @@ class AmassReader(Reader):
             The file is damaged, no mapping fits, no rate is known, or there is no body model.
         """
         path = file.path
-        poses = parse_amass(path)
-        if settings.body_model is None:
-            raise SourceError(
-                path,
-                "holds the joint angles of a body (AMASS, SMPL); the places of its joints at rest are in a body model, "
-                "which may not come with kinedex: give `body_model`, your model.npz of SMPL-H or a table of its joints "
-                "at rest; docs/formats.md explains it",
-            )
-        model = load_body_model(settings.body_model, poses.gender)
+        poses, model, rest, fit, reasons = fitted_poses(file, mappings, joints, settings)
         warnings: list[str] = []
-        rest = model.rest(poses.shape)
         if poses.shape.any() and not model.shapes.shape[2]:
             warnings.append("the figure has the shape of the body model; that of the file (betas) is not used")
-        fit = mappings.detect(path, "amass", {name: i for i, name in enumerate(model.names)})
-        fit, reasons = _upright(poses, model, rest, fit, joints)
         positions, turned = _posed(poses, model, rest, fit, joints)
         unit_m = fit.mapping.unit_m or 1.0
         positions *= unit_m
@@ -197,6 +186,39 @@ class AmassReader(Reader):
             warnings=tuple(warnings),
             evidence=(*reasons, *recognition_evidence(fit)),
         )
+
+
+class FittedPoses(NamedTuple):
+    """The angles of a file, the body that they turn, its joints at rest (J, 3), its mapping, and why it is upright."""
+
+    poses: Poses
+    model: BodyModel
+    rest: F64
+    fit: Fit
+    reasons: tuple[str, ...]
+
+
+def fitted_poses(file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> FittedPoses:
+    """Read the angles of a file with the body model of the settings, and find the mapping of its joints.
+
+    Raises
+    ------
+    SourceError
+        The file is damaged, no mapping fits, or there is no body model.
+    """
+    path = file.path
+    poses = parse_amass(path)
+    if settings.body_model is None:
+        raise SourceError(
+            path,
+            "holds the joint angles of a body (AMASS, SMPL); the places of its joints at rest are in a body model, "
+            "which may not come with kinedex: give `body_model`, your model.npz of SMPL-H or a table of its joints "
+            "at rest; docs/formats.md explains it",
+        )
+    model = load_body_model(settings.body_model, poses.gender)
+    rest = model.rest(poses.shape)
+    fit = mappings.detect(path, "amass", {name: i for i, name in enumerate(model.names)})
+    return FittedPoses(poses, model, rest, *_upright(poses, model, rest, fit, joints))
 
 
 def _is_pickle_of_angles(path: Path) -> bool:
@@ -231,14 +253,20 @@ def _posed(poses: Poses, model: BodyModel, rest: F64, fit: Fit, joints: tuple[st
     positions, turned = np.empty((len(joints), 3, frames)), np.empty((9, frames))
     for start in range(0, frames, _AT_ONCE):
         part = slice(start, start + _AT_ONCE)
-        given = poses.turns[part]
-        turns = np.zeros((len(given), len(model.names), 3))
-        for i, name in enumerate(model.names):
-            if name in poses.names:
-                turns[:, i] = given[:, poses.names.index(name)]
+        turns = model_turns(poses, model, part)
         places, turned[:, part] = axisangle.forward(rest, model.parents, turns, poses.places[part])
         positions[:, :, part] = fit.apply(places, joints)
     return positions, turned
+
+
+def model_turns(poses: Poses, model: BodyModel, part: slice) -> F64:
+    """Return the rotation vectors (K, J, 3) of all joints of a model in a part of the frames; 0 for those not given."""
+    given = poses.turns[part]
+    turns = np.zeros((len(given), len(model.names), 3))
+    for i, name in enumerate(model.names):
+        if name in poses.names:
+            turns[:, i] = given[:, poses.names.index(name)]
+    return turns
 
 
 def parse_amass(path: Path) -> Poses:

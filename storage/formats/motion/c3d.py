@@ -9,7 +9,13 @@ from kinedex.storage.formats.motion.c3d_layout import read_layout
 from kinedex.storage.formats.motion.c3d_markers import frames_bytes, labels_of, parse_c3d
 from kinedex.storage.formats.motion.mapped_body import recognition_warnings
 from kinedex.storage.formats.motion.points import body_of_points, points_bytes
-from kinedex.storage.formats.motion.points_reader import bodies_of, evidence_of, points_of_person, upright
+from kinedex.storage.formats.motion.points_reader import (
+    FittedPoints,
+    bodies_of,
+    evidence_of,
+    points_of_person,
+    upright,
+)
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, Body, Extent, MotionFile, Reader, ReadSettings
 
 
@@ -43,9 +49,20 @@ class C3dReader(Reader):
             The file contradicts itself or its size, it holds several persons and none is asked for, no body is
             recognised, or no frame is whole.
         """
+        markers, fit, warnings = self.fitted(file, mappings, settings)
+        return body_of_points(markers, markers.names, fit, joints, settings, warnings)
+
+    def fitted(self, file: MotionFile, mappings: Mappings, settings: ReadSettings) -> FittedPoints:
+        """Read the markers of a C3D file, and recognise the body.
+
+        Raises
+        ------
+        SourceError
+            The file contradicts itself or its size, it holds several persons and none is asked for, or no body is
+            recognised.
+        """
         markers = points_of_person(parse_c3d(file.path), file.person)
         evidence = evidence_of(markers, markers.up)
         fit = mappings.detect(file.path, "c3d", markers.places(), evidence).upright(markers.up)
         warnings = [*markers.warnings, *recognition_warnings(fit)]
-        fit = upright(fit, evidence, warnings)
-        return body_of_points(markers, markers.names, fit, joints, settings, warnings)
+        return FittedPoints(markers, upright(fit, evidence, warnings), warnings)

@@ -9,7 +9,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -325,22 +325,13 @@ def body_of_figure(
     SourceError
         No mapping fits, the unit cannot be guessed, or a joint is absurdly far away.
     """
-    sampled = np.unique(np.linspace(0, figure.frames - 1, SAMPLED_FRAMES).round().astype(np.int64))
-    places, _ = figure.poses.at(sampled, [])
-    evidence = _evidence(figure, places)
-    fit = mappings.detect(path, "bvh", {name: i for i, name in enumerate(figure.names)}, evidence)
     warnings = list(figure.warnings)
     rate_hz = settings.rate_of(figure.rate_hz, warnings)
-    bones = _lost_bones(figure, fit, places)
+    figure, fit, positions, turned, upturned, bones = fitted_figure(path, figure, mappings, joints)
     if bones:
-        named = ", ".join(figure.names[bone.members[0]] for bone in bones)
-        warnings.append(f"bones {named} have no length in the file; mapping '{fit.mapping.name}' gives them one")
-        rest = figure.rest.copy()
-        for bone in bones:
-            rest[list(bone.members)] += bone.way
-        figure = replace(figure, rest=rest)
-    positions, turned = _posed(figure, fit, joints, bones)
-    fit, upturned = (fit, ()) if figure.upright else turned_upright(fit, figure.rest, positions, joints)
+        warnings.append(
+            f"bones {', '.join(bones)} have no length in the file; mapping '{fit.mapping.name}' gives them one"
+        )
     found = [*recognition_evidence(fit), *upturned]
     unit = to_metres(path, positions, 1.0, joints, warnings, found, stated=True)
     refuse_far(path, positions, joints, fit.unknown)
@@ -355,6 +346,58 @@ def body_of_figure(
         estimated=tuple(fit.estimated),
         confidence=fit.confidence,
         evidence=(*figure.evidence, *found),
+    )
+
+
+class FittedFigure(NamedTuple):
+    """A figure with its skeleton mapping.
+
+    Attributes
+    ----------
+    figure : Figure
+        The figure, with a length for bones that lack one.
+    fit : Fit
+        The mapping, turned where another axis than its own is up.
+    positions : float64 array (J, 3, T)
+        The named joints in metres.
+    turned : float64 array (9, T)
+        Rotations of the root from its rest pose, row by row.
+    upturned : tuple of str
+        The reasons to turn the mapping.
+    bones : tuple of str
+        The bones that have got a length.
+    """
+
+    figure: Figure
+    fit: Fit
+    positions: F64
+    turned: F64
+    upturned: tuple[str, ...]
+    bones: tuple[str, ...]
+
+
+def fitted_figure(path: Path, figure: Figure, mappings: Mappings, joints: tuple[str, ...]) -> FittedFigure:
+    """Return a figure with the mapping that fits its nodes.
+
+    Raises
+    ------
+    SourceError
+        No mapping fits, and no body is recognised.
+    """
+    sampled = np.unique(np.linspace(0, figure.frames - 1, SAMPLED_FRAMES).round().astype(np.int64))
+    places, _ = figure.poses.at(sampled, [])
+    evidence = _evidence(figure, places)
+    fit = mappings.detect(path, "bvh", {name: i for i, name in enumerate(figure.names)}, evidence)
+    bones = _lost_bones(figure, fit, places)
+    if bones:
+        rest = figure.rest.copy()
+        for bone in bones:
+            rest[list(bone.members)] += bone.way
+        figure = replace(figure, rest=rest)
+    positions, turned = _posed(figure, fit, joints, bones)
+    fit, upturned = (fit, ()) if figure.upright else turned_upright(fit, figure.rest, positions, joints)
+    return FittedFigure(
+        figure, fit, positions, turned, upturned, tuple(figure.names[bone.members[0]] for bone in bones)
     )
 
 

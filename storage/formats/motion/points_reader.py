@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar, TypeVar
+from typing import ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -30,6 +30,14 @@ SURE_UP = 0.75
 
 LEAST_POINTS = 10
 """A subject of fewer points is a thing that was recorded beside the person: a box, a racket, a wand."""
+
+
+class FittedPoints(NamedTuple):
+    """The points of a file with the mapping that fits them, and reservations about both."""
+
+    points: Points
+    fit: Fit
+    warnings: list[str]
 
 
 class PointsReader(Reader):
@@ -81,13 +89,24 @@ class PointsReader(Reader):
         SourceError
             The file is damaged, the body is not recognised, no frame is whole, or no rate is known.
         """
+        points, fit, warnings = self.fitted(file, mappings, settings)
+        return body_of_points(points, points.names, fit, joints, settings, warnings)
+
+    def fitted(self, file: MotionFile, mappings: Mappings, settings: ReadSettings) -> FittedPoints:
+        """Read the points of a file, and recognise the body.
+
+        Raises
+        ------
+        SourceError
+            The file is damaged, or the body is not recognised.
+        """
         points = self.points(file, settings)
         evidence = evidence_of(points, self.up)
         fit = mappings.detect(file.path, "positions", points.places(), evidence)
         warnings = [*points.warnings, *recognition_warnings(fit)]
         if "positions" not in mappings.forced:
             fit = upright(fit, evidence, warnings)
-        return body_of_points(points, points.names, fit, joints, settings, warnings)
+        return FittedPoints(points, fit, warnings)
 
 
 def evidence_of(points: Points, up: str | None = None) -> Evidence:

@@ -12,7 +12,13 @@ from kinedex.catalog.skeletons.recognition.points import recognise_points
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.mapped_body import recognition_warnings
 from kinedex.storage.formats.motion.points import Points, body_of_points, points_bytes
-from kinedex.storage.formats.motion.points_reader import bodies_of, evidence_of, points_of_person, upright
+from kinedex.storage.formats.motion.points_reader import (
+    FittedPoints,
+    bodies_of,
+    evidence_of,
+    points_of_person,
+    upright,
+)
 from kinedex.storage.formats.motion.position_files import is_positions_csv, parse_positions, positions_extent, trc_head
 from kinedex.storage.formats.motion.reader import Body, Extent, MotionFile, Reader, ReadSettings
 
@@ -45,6 +51,17 @@ class PositionsReader(Reader):
         SourceError
             The file is damaged, no mapping fits, no frame is whole, or no rate is known.
         """
+        points, fit, warnings = self.fitted(file, mappings, settings)
+        return body_of_points(points, points.names, fit, joints, settings, warnings)
+
+    def fitted(self, file: MotionFile, mappings: Mappings, settings: ReadSettings) -> FittedPoints:
+        """Read a file of joint positions, and recognise the body.
+
+        Raises
+        ------
+        SourceError
+            The file is damaged, or no mapping fits.
+        """
         points = points_of_person(parse_positions(file.path), file.person)
         warnings = list(points.warnings)
         if not points.names:
@@ -56,7 +73,7 @@ class PositionsReader(Reader):
         warnings += recognition_warnings(fit)
         if "positions" not in mappings.forced:
             fit = upright(fit, evidence, warnings)
-        return body_of_points(points, points.names, fit, joints, settings, warnings)
+        return FittedPoints(points, fit, warnings)
 
     def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
         """Return the subjects of the labels of a TRC file that have the landmarks of a body, if they are several."""

@@ -1,0 +1,185 @@
+"""The segments of a body at the rate of its source: the turns of nodes, or the markers, that belong to limbs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.skeletons.limb_nodes import limb_markers, limb_nodes
+from kinedex.catalog.skeletons.mappings import Mappings
+from kinedex.catalog.skeletons.skeleton_fit import Fit
+from kinedex.ops.body import axisangle, kinematics
+from kinedex.storage.formats.motion.acclaim import AcclaimReader, fitted_skeleton
+from kinedex.storage.formats.motion.amass import AmassReader, fitted_poses, model_turns
+from kinedex.storage.formats.motion.amc import AmcFile
+from kinedex.storage.formats.motion.bvh import BvhReader, fitted_person
+from kinedex.storage.formats.motion.bvh_parser import BvhFile
+from kinedex.storage.formats.motion.c3d import C3dReader
+from kinedex.storage.formats.motion.figures import AT_ONCE, FigureReader, fitted_figure
+from kinedex.storage.formats.motion.mapped_body import Motion
+from kinedex.storage.formats.motion.points_reader import PointsReader
+from kinedex.storage.formats.motion.positions import PositionsReader
+from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings
+from kinedex.storage.formats.motion.reader_table import reader_of
+
+F64 = npt.NDArray[np.float64]
+
+_FRAMES_AT_ONCE = 4096
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """A body and what its source knows of the turns of its limbs.
+
+    Attributes
+    ----------
+    body : Body
+        The named joints at the source rate.
+    turns : dict of str to float64 array (T, 4)
+        Limb → unit quaternions w x y z, from a frame fixed in the limb to the world (Y up).
+    markers : dict of str to float64 array (T, M, 3)
+        Limb → places of its markers in metres, Y up; NaN where one was not seen.
+    ends : dict of str to tuple of str
+        Limb → the joints of its long axis, where the mapping names others than the limb's own.
+    """
+
+    body: Body
+    turns: dict[str, F64] = field(default_factory=dict)
+    markers: dict[str, F64] = field(default_factory=dict)
+    ends: dict[str, tuple[str, str]] = field(default_factory=dict)
+
+
+def read_segments(
+    file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings, limbs: Iterable[str]
+) -> Segments:
+    """Read a motion file as a body, with the turns or the markers of limbs.
+
+    Readers of plugins, and files of joint positions alone, give the body without either.
+
+    Parameters
+    ----------
+    file : MotionFile
+        The file.
+    mappings : Mappings
+        Skeleton mappings in which the file's nodes are looked up.
+    joints : tuple of str
+        The named joints, in the order of the body.
+    settings : ReadSettings
+        Settings of the user.
+    limbs : iterable of str
+        The limbs that are wanted.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read; the error names the place of the first fault.
+    """
+    reader = reader_of(file.path)
+    body = reader.read(file, mappings, joints, settings)
+    wanted = set(limbs)
+    if isinstance(reader, (C3dReader, PositionsReader, PointsReader)):
+        fitted = reader.fitted(file, mappings, settings)
+        # the unit of the body is in words: metres, and perhaps a remark
+        scale = float(body.unit.split()[0])
+        markers = {
+            limb: np.ascontiguousarray(
+                scale * np.einsum("ab,mbt->tma", fitted.fit.mapping.axes, fitted.points.positions[list(places)])
+            )
+            for limb, places in limb_markers(file.path, fitted.fit).items()
+            if limb in wanted
+        }
+        return Segments(body, markers=markers, ends=_ends(fitted.fit))
+    if isinstance(reader, AcclaimReader):
+        return _of_acclaim(file, mappings, body, wanted)
+    if isinstance(reader, BvhReader):
+        return _of_bvh(file, mappings, joints, body, wanted)
+    if isinstance(reader, AmassReader):
+        return _of_amass(file, mappings, joints, settings, body, wanted)
+    if isinstance(reader, FigureReader):
+        return _of_figure(reader, file, mappings, joints, settings, body, wanted)
+    return Segments(body)
+
+
+def _ends(fit: Fit) -> dict[str, tuple[str, str]]:
+    return {limb: source.ends(limb) for limb, source in fit.mapping.limbs.items() if source.axis}
+
+
+def _of_acclaim(file: MotionFile, mappings: Mappings, body: Body, wanted: set[str]) -> Segments:
+    skeleton, fit = fitted_skeleton(file, mappings)
+    nodes = limb_nodes(skeleton.path, fit, [node.parent for node in skeleton.nodes], at_end=True)
+    turned = _node_turns(AmcFile(file.path, skeleton, file.data), skeleton.nodes, nodes, wanted)
+    return Segments(body, _in_world(turned, fit), ends=_ends(fit))
+
+
+def _of_bvh(file: MotionFile, mappings: Mappings, joints: tuple[str, ...], body: Body, wanted: set[str]) -> Segments:
+    motion = BvhFile(file.path, file.data)
+    found = fitted_person(motion, file.person, mappings, joints)
+    nodes = limb_nodes(file.path, found.fit, [node.parent for node in found.nodes], at_end=False)
+    return Segments(body, _in_world(_node_turns(motion, found.nodes, nodes, wanted), found.fit), ends=_ends(found.fit))
+
+
+def _of_amass(
+    file: MotionFile,
+    mappings: Mappings,
+    joints: tuple[str, ...],
+    settings: ReadSettings,
+    body: Body,
+    wanted: set[str],
+) -> Segments:
+    poses, model, _, fit, _ = fitted_poses(file, mappings, joints, settings)
+    nodes = limb_nodes(file.path, fit, model.parents, at_end=False)
+    turned = {limb: np.empty((9, body.frames)) for limb in nodes if limb in wanted}
+    for start in range(0, body.frames, _FRAMES_AT_ONCE):
+        part = slice(start, start + _FRAMES_AT_ONCE)
+        turns = model_turns(poses, model, part)
+        whole: list[F64] = []
+        for joint, parent in enumerate(model.parents):
+            own = axisangle.matrices(turns[:, joint])
+            whole.append(own if parent < 0 else whole[parent] @ own)
+        for limb in turned:
+            turned[limb][:, part] = whole[nodes[limb]].reshape(-1, 9).T
+    return Segments(body, _in_world(turned, fit), ends=_ends(fit))
+
+
+def _of_figure(
+    reader: FigureReader,
+    file: MotionFile,
+    mappings: Mappings,
+    joints: tuple[str, ...],
+    settings: ReadSettings,
+    body: Body,
+    wanted: set[str],
+) -> Segments:
+    found = fitted_figure(file.path, reader.figure(file, settings), mappings, joints)
+    figure = found.figure
+    nodes = limb_nodes(file.path, found.fit, figure.parents, at_end=False)
+    turned = {limb: np.empty((9, figure.frames)) for limb in nodes if limb in wanted}
+    for start in range(0, figure.frames, AT_ONCE):
+        part = np.arange(start, min(start + AT_ONCE, figure.frames))
+        _, turns = figure.poses.at(part, [nodes[limb] for limb in turned])
+        for own, limb in zip(turns, turned, strict=True):
+            turned[limb][:, part] = own
+    return Segments(body, _in_world(turned, found.fit), ends=_ends(found.fit))
+
+
+def _node_turns(
+    motion: Motion, chain: tuple[kinematics.Node, ...], nodes: Mapping[str, int], wanted: set[str]
+) -> dict[str, F64]:
+    """Return the rotations (9, T) of the nodes of limbs, row by row, in the file's axes."""
+    turned = {limb: np.empty((9, motion.frames)) for limb in nodes if limb in wanted}
+    at = 0
+    for channels in motion.blocks():
+        stop = min(at + len(channels), motion.frames)
+        for limb, rows in turned.items():
+            rows[:, at:stop] = kinematics.forward(chain, channels[: stop - at], nodes[limb], ())[1]
+        at = stop
+    return turned
+
+
+def _in_world(turned: Mapping[str, F64], fit: Fit) -> dict[str, F64]:
+    """Return rotations (9, T) in the file's axes as quaternions (T, 4) in the world's, Y up."""
+    axes = fit.mapping.axes
+    return {limb: np.ascontiguousarray(kinematics.quaternions(rows, axes, axes.T).T) for limb, rows in turned.items()}
