@@ -43,9 +43,14 @@ class HeadingDrift:
 
     def corrected(self, times: F64, sensor: F64) -> F64:
         """Return orientations (T, 4) of the sensor, sensor → F_GI, with the drift taken out."""
-        if not len(self.times):
-            return sensor
-        return multiply(exp(np.radians(self.at(times))[:, None] * np.array([0.0, 0.0, 1.0])), sensor)
+        return multiply(self._turns(times), sensor) if len(self.times) else sensor
+
+    def uncorrected(self, times: F64, sensor: F64) -> F64:
+        """Return orientations (T, 4) as a sensor with this drift would report them."""
+        return multiply(conjugate(self._turns(times)), sensor) if len(self.times) else sensor
+
+    def _turns(self, times: F64) -> F64:
+        return exp(np.radians(self.at(times))[:, None] * np.array([0.0, 0.0, 1.0]))
 
 
 def heading_deg(sensor: F64, track: F64, q_global: F64, q_mount: F64) -> F64:

@@ -1,4 +1,4 @@
-"""The calibration of sensors on limbs: the mount q_L of each and the inertial world q_G (thesis, Section 7.4).
+"""The calibration of sensors on limbs: the mount q_L of each and the inertial world q_G (thesis, Section 7.5).
 
 The model is q_I = q̄_G ∘ q_T ∘ q_L (Eq. 7.5): q_I sensor → inertial world, q_T segment → the take's world, q_L sensor
 → segment, q_G inertial world → the take's. The thesis solves it by the method of Park and Martin (Eqs. 7.9 to 7.14),
