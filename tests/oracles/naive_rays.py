@@ -9,50 +9,63 @@ import numpy as np
 from kinedex.ops.simulation.depth_flesh import Surface
 from kinedex.ops.simulation.depth_sensors import DepthSensor
 
+Cone = tuple[float, ...]
 
-def distance(surface: Surface, ends: np.ndarray, point: np.ndarray) -> float:
+
+def cones_of(surface: Surface, ends: np.ndarray) -> list[Cone]:
+    """Return each cone as plain numbers: an end, the axis, both radii, and the folds, whose phase runs with s."""
+    rows = []
+    for (a, b), radii, (height, per_metre, phase) in zip(ends, surface.radii, surface.folds, strict=True):
+        length = math.sqrt(float((b - a) @ (b - a)))
+        rows.append((*a.tolist(), *(b - a).tolist(), *radii.tolist(), height, per_metre * length, phase))
+    return rows
+
+
+def distance(surface: Surface, cones: list[Cone], x: float, y: float, z: float) -> float:
     """Return the signed distance of a point from all cones with their clothes."""
     found = math.inf
-    for (a, b), (ra, rb), (height, per_metre, phase) in zip(ends, surface.radii, surface.folds, strict=True):
-        axis = b - a
-        s = min(max(float((point - a) @ axis) / float(axis @ axis), 0.0), 1.0) if axis.any() else 0.0
-        radius = ra + s * (rb - ra) + height * math.sin(per_metre * s * math.sqrt(float(axis @ axis)) + phase) ** 2
-        found = min(found, float(np.linalg.norm(point - a - s * axis)) - radius)
-    x, y, z = point
+    for ax, ay, az, bx, by, bz, ra, rb, height, per_s, phase in cones:
+        px, py, pz = x - ax, y - ay, z - az
+        square = bx * bx + by * by + bz * bz
+        s = min(max((px * bx + py * by + pz * bz) / square, 0.0), 1.0) if square else 0.0
+        radius = ra + s * (rb - ra) + height * math.sin(per_s * s + phase) ** 2
+        found = min(found, math.hypot(px - s * bx, py - s * by, pz - s * bz) - radius)
     turn = surface.wave_phase
     return found - surface.wave_m * math.sin(40 * x + turn) * math.sin(37 * y + 2 * turn) * math.sin(33 * z)
 
 
-def march(surface: Surface, ends: np.ndarray, way: np.ndarray, end: float) -> float:
+def march(surface: Surface, cones: list[Cone], a: float, b: float, end: float) -> float:
     """Return the depth at which a ray along (a, b, 1) comes within a millimetre; infinity beyond `end`."""
-    z = 0.3
+    z, length = 0.3, math.hypot(a, b, 1.0)
     while z < end:
-        away = distance(surface, ends, z * way)
+        away = distance(surface, cones, z * a, z * b, z)
         if away < 0.001:
             return z
-        z += surface.step * away / float(np.linalg.norm(way))
+        z += surface.step * away / length
     return math.inf
+
+
+def ways(sensor: DepthSensor) -> list[list[tuple[float, float]]]:
+    """Return the (a, b) of the ray of each pixel, by rows."""
+    (width, height), (cx, cy) = sensor.size, sensor.centre
+    across = [(u - cx) / sensor.focal_px for u in range(width)]
+    return [[(a, (v - cy) / sensor.focal_px) for a in across] for v in range(height)]
 
 
 def naive_depth(surface: Surface, ends: np.ndarray, sensor: DepthSensor) -> np.ndarray:
     """Return the depth (H, W) of cones; infinite where a ray meets none."""
-    (width, height), (cx, cy) = sensor.size, sensor.centre
-    ways = [
-        [np.array([(u - cx), (v - cy), sensor.focal_px]) / sensor.focal_px for u in range(width)] for v in range(height)
-    ]
-    return np.array([[march(surface, ends, way, 6.0) for way in row] for row in ways])
+    cones = cones_of(surface, ends)
+    return np.array([[march(surface, cones, a, b, 6.0) for a, b in row] for row in ways(sensor)])
 
 
 def naive_shadow(
     surface: Surface, ends: np.ndarray, sensor: DepthSensor, depth: np.ndarray, baseline: float
 ) -> np.ndarray:
     """Return the pixels (H, W) whose points a projector to the right of the camera does not reach."""
-    (width, height), (cx, cy) = sensor.size, sensor.centre
-    moved = ends - np.array([baseline, 0.0, 0.0])
-    hidden = np.zeros((height, width), bool)
-    for v in range(height):
-        for u in range(width):
-            z = depth[v, u]
-            way = np.array([(u - cx) / sensor.focal_px - baseline / z, (v - cy) / sensor.focal_px, 1.0])
-            hidden[v, u] = march(surface, moved, way, z - 0.01) < math.inf
+    cones = cones_of(surface, ends - np.array([baseline, 0.0, 0.0]))
+    hidden = np.zeros(depth.shape, bool)
+    for v, row in enumerate(ways(sensor)):
+        for u, (a, b) in enumerate(row):
+            z = float(depth[v, u])
+            hidden[v, u] = march(surface, cones, a - baseline / z, b, z - 0.01) < math.inf
     return hidden

@@ -25,6 +25,7 @@ from kinedex.ops.words import NO_WORD
 from tests.ops.depth.cone_bodies import POSE, bone_lengths, random_pose
 from tests.ops.depth.pose_material import BONES, random_directions
 from tests.oracles import pose_lookup as naive
+from tests.plain_python import slow_as_python
 
 DIRECTIONS = random_directions(120)
 
@@ -81,6 +82,7 @@ def test_thinning_keeps_what_a_comparison_with_all_keeps(seed: int, distance: fl
     assert max(apart) <= distance + 1e-6
 
 
+@slow_as_python
 def test_poses_that_come_in_parts_are_thinned_as_one() -> None:
     parts = PoseThinning(BONES, 0.05)
     numbers = [parts.add(DIRECTIONS[:1]), parts.add(DIRECTIONS[1:1]), parts.add(DIRECTIONS[1:])]

@@ -17,6 +17,7 @@ from tests.ops.depth.cone_bodies import BODY, HEIGHT, POSE, bone_lengths, random
 from tests.ops.depth.filmed_cones import LEVEL, MATRIX, film, standing, tilted, view
 from tests.oracles import cone_body
 from tests.oracles import pose_fit as oracle
+from tests.plain_python import slow_as_python
 
 
 def error(pose: np.ndarray, other: np.ndarray) -> float:
@@ -77,6 +78,7 @@ def test_a_step_solves_the_equations_of_all_rows(form: str, turn: np.ndarray) ->
     assert error(found, start) > 0.005
 
 
+@slow_as_python
 def test_disturbed_poses_are_found_again() -> None:
     starts = [random_pose(seed, 5) for seed in range(1, 7)]
     found = [fit_pose(BODY, HEIGHT, view(), start, standing()) for start in starts]
@@ -87,6 +89,7 @@ def test_disturbed_poses_are_found_again() -> None:
         np.testing.assert_allclose(bone_lengths(pose), bone_lengths(POSE), rtol=0, atol=1e-12)
 
 
+@slow_as_python
 def test_the_printed_form_ends_farther_away() -> None:
     start = random_pose(2, 5)
     found = fit_pose(BODY, HEIGHT, view(), start, standing(), 6, form="printed")

@@ -11,6 +11,7 @@ from kinedex.ops.errors import ParameterError
 from tests.ops.depth.cone_bodies import BODY, HEIGHT, POSE, random_pose
 from tests.ops.depth.filmed_cones import LEVEL, MATRIX, film, standing, tilted, view
 from tests.oracles import pose_fit as oracle
+from tests.plain_python import slow_as_python
 
 
 @pytest.mark.parametrize(("turn", "degrees"), [(LEVEL, 5), (tilted(20), 40)])
@@ -25,6 +26,7 @@ def test_the_cost_is_that_of_the_definition(turn: np.ndarray, degrees: float) ->
     assert printed == (pytest.approx(sum(expected[:2])), found.surface, found.extrema, 0.0)
 
 
+@slow_as_python
 def test_the_true_pose_costs_least() -> None:
     fit = PoseFit(BODY, HEIGHT, view())
     fit.look(standing())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given
@@ -20,6 +19,7 @@ from kinedex.ops.words import NO_WORD
 from tests.ops.distances.test_dtw import as_words_with_gaps, feature_weights, quantised, takes_with_gaps, templates
 from tests.ops.ranking.test_ranking import spoiled, walk
 from tests.oracles.paths import start_frames
+from tests.plain_python import slow_as_python
 
 
 def assert_those_of_whole_curves(
@@ -55,7 +55,7 @@ def test_minima_are_those_of_whole_curves(
     assert_those_of_whole_curves(several, as_words_with_gaps(take), taus, ranges)
 
 
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="as plain Python it takes minutes")
+@slow_as_python
 @pytest.mark.parametrize("seed", range(3))
 def test_long_ranges_of_many_words_are_gone_over_in_pieces(seed: int):
     rng = np.random.default_rng(seed)

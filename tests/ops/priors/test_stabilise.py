@@ -21,6 +21,7 @@ from kinedex.ops.tracking.take_tracker import TakeTrack, track_take
 from kinedex.ops.tracking.trust import restart, trust
 from tests.ops.body.test_kinematic_chain import BODY, CHAIN
 from tests.oracles.kinematic_chain import exp
+from tests.plain_python import PLAIN, slow_as_python
 
 FRAMES, FAILS = 40, slice(12, 26)
 FEATURES = load_feature_set("body40")
@@ -98,6 +99,8 @@ TRACKER = failing()
 
 @pytest.fixture(scope="module")
 def without() -> TakeTrack:
+    if PLAIN:
+        pytest.skip("as plain Python it takes minutes")
     return TRACKER.track(squat(0.6), None)
 
 
@@ -134,6 +137,7 @@ def test_without_weight_the_track_is_the_one_without_priors(without: TakeTrack):
     np.testing.assert_allclose(done.track.positions, same.positions, atol=2e-3)
 
 
+@slow_as_python
 def test_a_prior_that_is_the_track_changes_nothing():
     tracker = PlaceTracker(Places(JOINTS, np.full(JOINTS.shape[:2], 0.02)))
     track = tracker.track(TRUTH, None)

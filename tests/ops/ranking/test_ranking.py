@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import numba
 import numpy as np
 import polars as pl
 import pytest
@@ -26,6 +25,7 @@ from kinedex.ops.templates.templates import QuantisedTemplate, learn_soft, quant
 from kinedex.ops.words import NO_WORD, TakeWords
 from tests.ops.distances.test_dtw import as_words_with_gaps, feature_weights, quantised, takes_with_gaps, templates
 from tests.oracles import ranking as naive
+from tests.plain_python import slow_as_python
 
 thresholds = st.sampled_from([0.05, 0.1, 0.3, 0.5, 1.0])
 
@@ -130,7 +130,7 @@ def spoiled(rng: np.random.Generator, words: np.ndarray, bits: int) -> Quantised
     return QuantisedTemplate(masks, (words ^ noise.astype(np.uint64)) & masks)
 
 
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="as plain Python it takes minutes")
+@slow_as_python
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("threshold", [0.02, 0.1, 0.25])
 def test_pruning_loses_no_minimum_and_reports_what_it_skipped(
@@ -156,7 +156,7 @@ def test_pruning_loses_no_minimum_and_reports_what_it_skipped(
         assert pruned.computed < 0.7 * pruned.frames
 
 
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="as plain Python it takes minutes")
+@slow_as_python
 @pytest.mark.parametrize("seed", range(3))
 def test_the_best_hits_are_the_first_of_all_hits(seed: int, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(pruning, "_LEAST_COLUMNS", 1)

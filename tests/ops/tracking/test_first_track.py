@@ -6,7 +6,6 @@ import dataclasses
 import json
 from pathlib import Path
 
-import numba
 import numpy as np
 import polars as pl
 import pytest
@@ -20,8 +19,8 @@ from kinedex.ops.tracking.triangulation import filled, start_from_places, start_
 from kinedex.ops.tracking.trust import interpolated, restart, trust
 from tests.ops.tracking.filmed_bodies import BODY, CHAIN, LIMBS, filmed, joint_places, keypoints, moving_poses
 from tests.oracles.kinematic_chain import exp, log
+from tests.plain_python import slow_as_python
 
-slow_as_python = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="as plain Python it takes minutes")
 POINTS = keypoints()
 HIPS, ELBOW = [CHAIN.nodes.index(name) for name in ("lhip", "rhip")], CHAIN.nodes.index("lelbow")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 
@@ -19,8 +18,8 @@ from kinedex.ops.tracking.take_tracker import connected_triples, smoothness_weig
 from tests.ops.tracking.filmed_bodies import BODY, CHAIN, LIMBS, filmed, joint_places, keypoints, moving_poses
 from tests.oracles import tracking as oracle
 from tests.oracles.kinematic_chain import exp
+from tests.plain_python import PLAIN, slow_as_python
 
-slow_as_python = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="as plain Python it takes minutes")
 POINTS = keypoints()
 
 
@@ -116,7 +115,7 @@ def test_g_and_the_data_part_of_h_are_those_of_the_twin() -> None:
 
 @pytest.mark.parametrize("nodes", [(0, 10, 11), tuple(range(20))])
 def test_the_solution_of_the_band_is_that_of_the_dense_matrix(nodes: tuple[int, ...]) -> None:
-    frames = 3 if numba.config.DISABLE_JIT else 7
+    frames = 3 if PLAIN else 7
     random, triples = np.random.default_rng(0), connected_triples(frames, (2,))
     band = make_band(BODY.arrays, np.array(nodes), random.uniform(1, 3, 48), triples)
     m, size = len(band.coupled), 48
