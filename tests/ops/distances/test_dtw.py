@@ -14,6 +14,7 @@ from kinedex.ops.templates.templates import QuantisedTemplate, Template, quantis
 from kinedex.ops.words import NO_WORD, pack
 from tests.oracles import dtw as naive
 from tests.oracles.paths import best_paths, start_frames
+from tests.plain_python import slow_as_python
 
 FEATURES = 5
 
@@ -219,7 +220,7 @@ def test_no_path_crosses_a_frame_without_a_word(
         assert found.tolist() == [-1 if start is None else start for start in starts]
 
 
-@pytest.mark.parametrize("columns", [1, 2, 37, 64, 65, 300])
+@pytest.mark.parametrize("columns", [1, 2, 37, 64, 65, pytest.param(300, marks=slow_as_python)])
 def test_single_precision_stays_within_its_bound(columns: int):
     rng = np.random.default_rng(columns)
     masks = rng.integers(0, 1 << 40, columns).astype(np.uint64)

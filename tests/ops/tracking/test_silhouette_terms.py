@@ -14,6 +14,7 @@ from kinedex.ops.tracking.silhouette_terms import silhouette_terms, track_take_o
 from kinedex.ops.tracking.take_tracker import TakeTrack, track_take
 from tests.ops.tracking.scene import BODY, CAPSULES, CHAIN
 from tests.ops.tracking.test_frame_tracker import FRAMES, LIMBS, MASKS, POINTS, START, TRUTH, VIEWS, motion, rays
+from tests.plain_python import slow_as_python
 
 SILHOUETTES = Silhouettes(VIEWS, MASKS, CAPSULES)
 STILL = Poses(np.repeat(START.places, FRAMES, axis=0), np.repeat(START.turns, FRAMES, axis=0))
@@ -61,6 +62,7 @@ def test_a_take_is_tracked_on_silhouettes_alone() -> None:
     assert track.costs.max() < 1.5  # the mean way from the contour to the boundary in pixels
 
 
+@slow_as_python
 def test_silhouettes_show_what_keypoints_do_not() -> None:
     seen = rays()
     hidden = [CHAIN.joint(name) for name in ("lknee", "lankle", "ltoes")]
