@@ -10,6 +10,7 @@ from __future__ import annotations
 from kinedex.catalog.sql.annotation_views import ANNOTATION_VIEWS
 from kinedex.catalog.sql.archive_views import ARCHIVE_VIEWS
 from kinedex.catalog.sql.depth_views import DEPTH_VIEWS
+from kinedex.catalog.sql.inertial_views import INERTIAL_VIEWS
 from kinedex.catalog.sql.keyframe_views import KEYFRAME_VIEWS
 from kinedex.catalog.sql.tracking_views import TRACKING_VIEWS
 
@@ -22,4 +23,4 @@ SOURCE_KINDS = ("skeleton_files", "source_files", "ingest_log")
 SAVED_KINDS = ("hits", "duplicates")
 """Results that a command stores, and no pipeline makes."""
 
-RESULT_VIEWS = (*ANNOTATION_VIEWS, *TRACKING_VIEWS, *DEPTH_VIEWS, *KEYFRAME_VIEWS, *ARCHIVE_VIEWS)
+RESULT_VIEWS = (*ANNOTATION_VIEWS, *TRACKING_VIEWS, *DEPTH_VIEWS, *INERTIAL_VIEWS, *KEYFRAME_VIEWS, *ARCHIVE_VIEWS)

@@ -137,7 +137,12 @@ _SQL_TYPES = {
 
 def arrow_type(name: str) -> pa.DataType:
     """Return the Arrow type of a column of a view by the name of its DuckDB type."""
-    return pa.list_(arrow_type(name.removesuffix("[]"))) if name.endswith("[]") else _SQL_TYPES[name]
+    if name.endswith("[]"):
+        return pa.list_(arrow_type(name.removesuffix("[]")))
+    if name.startswith("STRUCT("):
+        parts = (part.split(maxsplit=1) for part in name.removeprefix("STRUCT(").removesuffix(")").split(", "))
+        return pa.struct([(field, arrow_type(kind)) for field, kind in parts])
+    return _SQL_TYPES[name]
 
 
 # A new column of a part of results comes at the end (`ResultPart.columns`).
