@@ -34,7 +34,7 @@ fingerprint    VARCHAR    hash of all that its directions follow from""",
         "Takes that were reconstructed from depth recordings, one row each.",
         f"""{TAKE}
 recording    VARCHAR    the recording that it comes from
-file    VARCHAR    the recordings file
+file    VARCHAR    the recordings file; NULL for a live camera
 form    VARCHAR    best, or printed: the thesis's
 direction    VARCHAR    both or forward in time
 hypotheses    VARCHAR[]    those that took part: local, database

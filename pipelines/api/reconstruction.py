@@ -92,8 +92,8 @@ class Reconstructor:
     camera : str or Path
         The camera's YAML file: width, height, fx, fy, cx, cy, and `up` or `pose` where it is tilted.
     body : str or float, optional
-        A take of the person, whose bone lengths count, or the standing height in metres; the archive's mean body
-        unless given.
+        A take of the person, whose bone lengths count, the standing height in metres, or "estimate": then the first
+        second has the archive's mean body, and the step that ends it takes some seconds. The mean body unless given.
     background : str, Path or array (H, W), optional
         The empty room: a depth image, or depths in metres; unless given all that is measured is the person.
     rate_hz : float, optional
@@ -162,5 +162,11 @@ class Reconstructor:
         return pose
 
     def skip(self, frames: int = 1) -> None:
-        """Pass over frames that are missing; after more than 0.2 s the person is looked for anew."""
+        """Pass over frames that are missing; after more than 0.2 s the person is looked for anew.
+
+        Parameters
+        ----------
+        frames : int, optional
+            The number of missing frames.
+        """
         self._tracker.skip(frames)

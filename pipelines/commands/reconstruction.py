@@ -74,14 +74,15 @@ def reconstruct(
 
     A recording becomes the take NAME_reconstructed, with poses of the store as memory. This is the pipeline `depth`.
     Recordings that are unchanged stay as they are. With --follow the frames that a camera writes are reconstructed as
-    they appear, with the latency of each, until Ctrl-C; --json prints a line with the joints for each.
+    they appear, with the latency of each, until Ctrl-C, and are saved as the take FOLDER_live; --json prints a line
+    with the joints for each.
     """
     if follow is not None:
         if camera is None or recordings is not None:
             raise typer.BadParameter("--follow takes frames of a folder, and needs --camera FILE instead of RECORDINGS")
-        from kinedex.pipelines.commands.live_depth import print_followed
+        from kinedex.pipelines.commands.live_depth import follow_and_save
 
-        print_followed(store, follow, camera, background, body, form, idle, as_json)
+        follow_and_save(store, follow, camera, background, body, form, idle, wait, as_json)
         return
     if recordings is None:
         raise typer.BadParameter("name the recordings file, or follow a folder: --follow DIR --camera FILE")

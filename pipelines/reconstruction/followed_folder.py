@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.catalog.depth_cameras import DepthCamera
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.pipelines.reconstruction.live import LiveTracker
@@ -19,13 +21,17 @@ from kinedex.storage.formats.depth.frame_files import IMAGES, RAW
 from kinedex.storage.formats.depth.frames import read_frame
 from kinedex.storage.formats.depth.png import frame_number
 
+F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 
 POLL_S = 0.004
 """The folder is looked into so often."""
 
 PATIENCE_S = 0.5
-"""A file that cannot be read yet may be so long in writing; then it counts as damaged."""
+"""A file that cannot be read counts as damaged when it has not changed for so long: until then it may be in writing."""
+
+MOST_STEP, STEPS, MOST_JUMP = 5, 3, 100_000
+"""Numbers that rise by more than the first in so many steps do not count frames; no gap is longer than the last."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +53,16 @@ class FollowedFrame:
     work_ms : float
         Time for reading the file and finding the pose, in milliseconds.
     latency_ms : float or None
-        Time from the last change of the file to its pose; None for files that were there before.
+        Time from the last change of the file to its pose; None for files that were there before the first frame, or
+        before the size of the person was estimated.
     skipped : int
         The frames before it that are missing.
     fault : str
         What is wrong with a damaged file; empty otherwise.
+    bytes : int
+        The size of the file.
+    estimated_m : float or None
+        The height of the person, in the frame that ends its estimation.
     """
 
     number: int
@@ -63,6 +74,8 @@ class FollowedFrame:
     latency_ms: float | None
     skipped: int
     fault: str = ""
+    bytes: int = 0
+    estimated_m: float | None = None
 
     def document(self) -> dict[str, Any]:
         """Return it as JSON values."""
@@ -80,10 +93,13 @@ class FollowedFrame:
         }
 
 
-def follow_folder(tracker: LiveTracker, folder: Path, idle_s: float | None = None) -> Iterator[FollowedFrame]:
+def follow_folder(
+    tracker: LiveTracker, folder: Path, idle_s: float | None = None, say: Callable[[str], object] = print
+) -> Iterator[FollowedFrame]:
     """Yield the frames of a folder, those that are there and then new ones, by ascending numbers.
 
-    A file whose number is below that of one that was taken already is passed over.
+    A file without a number in its name, or whose number is not above that of the one before, is passed over; the first
+    of either kind is reported.
 
     Parameters
     ----------
@@ -93,23 +109,35 @@ def follow_folder(tracker: LiveTracker, folder: Path, idle_s: float | None = Non
         The folder that files appear in.
     idle_s : float, optional
         End where no new file has appeared for so long, in seconds; never unless given.
+    say : callable, optional
+        Shows a line about files that are passed over.
 
     Raises
     ------
     KinedexError
-        The folder is not there, or the name of a file has no number.
+        The folder is not there, or the numbers in the names do not count frames.
     """
     if not folder.is_dir():
         raise KinedexError(f"{folder}: no such folder; --follow needs the one that frames are written into")
     begin = time.time()
     last, seen, since = -1, set[str](), time.monotonic()
+    steps: deque[int] = deque(maxlen=STEPS)
+    reported: set[bool] = set()
     while True:
         new = _new_files(folder, seen)
         seen.update(path.name for _, path in new)
         for number, path in new:
-            if number <= last:
+            if number is None or number <= last:
+                if (number is None) not in reported:
+                    reported.add(number is None)
+                    say(f"{path.name} {_reason(number, last)}")
                 continue
-            yield _reconstructed(tracker, path, number, last, begin)
+            if last >= 0:
+                steps.append(number - last)
+                _check_steps(path, steps)
+            one = _reconstructed(tracker, path, number, last, begin)
+            begin = begin if one.estimated_m is None else time.time()  # others have waited for the estimation
+            yield one
             last, since = number, time.monotonic()
         if idle_s is not None and time.monotonic() - since > idle_s:
             return
@@ -117,12 +145,34 @@ def follow_folder(tracker: LiveTracker, folder: Path, idle_s: float | None = Non
             time.sleep(POLL_S)
 
 
-def _new_files(folder: Path, seen: set[str]) -> list[tuple[int, Path]]:
-    """Return number and path of the files that were not seen yet, by number."""
+def _reason(number: int | None, last: int) -> str:
+    if number is None:
+        return "is passed over, as are all files without a number in their names"
+    return f"is passed over, as are all files that come after one with a higher number or the same, here {last}"
+
+
+def _check_steps(path: Path, steps: Sequence[int]) -> None:
+    """Raise a SourceError where the numbers in the names of the last files do not count frames."""
+    if steps[-1] > MOST_JUMP or (len(steps) == STEPS and min(steps) > MOST_STEP):
+        raise SourceError(
+            path, f"the last numbers in the names go up by {steps[-1]}, and must count frames; let the camera "
+            "write depth_000000.png, depth_000001.png, …",
+        )  # fmt: skip
+
+
+def _new_files(folder: Path, seen: set[str]) -> list[tuple[int | None, Path]]:
+    """Return number and path of the files that were not seen yet, by number; those without a number come first."""
     with os.scandir(folder) as entries:
         names = [one.name for one in entries if one.name not in seen]
     paths = [folder / name for name in names if not name.startswith(".") and Path(name).suffix.lower() in IMAGES + RAW]
-    return sorted((frame_number(path), path) for path in paths)
+    return sorted(((_number(path), path) for path in paths), key=lambda one: (-1 if one[0] is None else one[0], one[1]))
+
+
+def _number(path: Path) -> int | None:
+    try:
+        return frame_number(path)
+    except SourceError:
+        return None
 
 
 def _reconstructed(tracker: LiveTracker, path: Path, number: int, last: int, begin: float) -> FollowedFrame:
@@ -130,15 +180,8 @@ def _reconstructed(tracker: LiveTracker, path: Path, number: int, last: int, beg
     if skipped:
         tracker.skip(skipped)
     start = time.perf_counter()
-    image, fault = None, ""
-    while image is None:
-        try:
-            image = read_frame(path, tracker.camera)
-        except SourceError as found:
-            if time.perf_counter() - start > PATIENCE_S:
-                fault = str(found)
-                break
-            time.sleep(POLL_S)
+    image, fault = _read(path, tracker.camera)
+    measuring = tracker.is_measuring
     pose, hypothesis, cost = np.full((len(JOINTS), 3), np.nan), None, float("nan")
     if image is None:
         tracker.skip(1)
@@ -147,9 +190,31 @@ def _reconstructed(tracker: LiveTracker, path: Path, number: int, last: int, beg
         if result is not None:
             hypothesis, cost = result.hypothesis, result.cost
     work_ms = 1000.0 * (time.perf_counter() - start)
-    try:
-        written = path.stat().st_mtime
-    except OSError:
-        written = begin - 1.0  # it is gone already
+    written, size = _written(path) or (begin - 1.0, 0)  # it can be gone already
     latency_ms = 1000.0 * (time.time() - written) if written >= begin else None
-    return FollowedFrame(number, path, pose, hypothesis, cost, work_ms, latency_ms, skipped, fault)
+    estimated_m = tracker.bones.height_m if measuring and not tracker.is_measuring else None
+    return FollowedFrame(number, path, pose, hypothesis, cost, work_ms, latency_ms, skipped, fault, size, estimated_m)
+
+
+def _read(path: Path, camera: DepthCamera) -> tuple[F32 | None, str]:
+    """Return the depths of a file, or what is wrong with it; a file that is still being written is waited for."""
+    state, since = _written(path), time.monotonic()
+    while True:
+        try:
+            return read_frame(path, camera), ""
+        except SourceError as found:
+            now = _written(path)
+            if now != state:
+                state, since = now, time.monotonic()
+            elif time.monotonic() - since > PATIENCE_S:
+                return None, str(found)
+        time.sleep(POLL_S)
+
+
+def _written(path: Path) -> tuple[float, int] | None:
+    """Return the time of the last change of a file, and its size; None where it is gone."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_mtime, found.st_size

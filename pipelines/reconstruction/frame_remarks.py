@@ -54,10 +54,10 @@ def frame_remarks(track: RecordingTrack, scene: Scene, height_m: float) -> list[
     """
     moved, missing = set(track.moved), set(track.missing)
     shape = scene.preparation.shape
-    found = []
+    found: list[tuple[str, ...]] = []
     for t, result in enumerate(track.results):
         if result is None:
-            found.append(tuple(name for name, frames in ((MISSING, missing), (MOVED, moved)) if t in frames))
+            found.append((MISSING if t in missing else MOVED if t in moved else NOBODY,))
         else:
             found.append(tuple(_remarks(result, (int(shape[0]), int(shape[1])), height_m)))
     return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +15,11 @@ from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.points import choose_stride
 from kinedex.ops.depth.pose_database import DISTANCE_M
 from kinedex.ops.depth.pose_fit import Form
-from kinedex.ops.depth.size_estimate import LIMITS_M
+from kinedex.ops.depth.size_estimate import LIMITS_M, SECONDS, estimate_size
 from kinedex.ops.depth.tracker import FrameResult, Reconstructor, TrackerSettings
 from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.pipelines.reconstruction.frame_records import FrameRecords
+from kinedex.pipelines.reconstruction.parameters import ESTIMATE
 from kinedex.pipelines.reconstruction.pose_database import (
     PoseDatabase,
     build_pose_database,
@@ -26,6 +28,8 @@ from kinedex.pipelines.reconstruction.pose_database import (
 )
 from kinedex.pipelines.reconstruction.recording_tracks import (
     PersonBones,
+    Scene,
+    contradicts,
     looked_through,
     make_scene,
     reconstructor_of,
@@ -70,16 +74,18 @@ def newest_database(store: Store) -> PoseDatabase:
 def bones_of(store: Store, database: PoseDatabase, body: str | float | None) -> PersonBones:
     """Return the bones of a take, the mean ones in proportion to a height in metres, or the mean ones.
 
+    The mean ones are also those of a person whose size is still to be estimated.
+
     Raises
     ------
     KinedexError
         The store has no such take, or the height is no person's.
     """
-    if isinstance(body, str):
+    if isinstance(body, str) and body != ESTIMATE:
         return take_bones(store, body, "body")
     mean, model = database.mean_bones, load_body()
     usual = model.standing_height(mean)
-    height_m = usual if body is None else float(body)
+    height_m = usual if body is None or body == ESTIMATE else float(body)
     if not LIMITS_M[0] <= height_m <= LIMITS_M[1]:
         raise ParameterError("body", f"a take, or a height from {LIMITS_M[0]:g} to {LIMITS_M[1]:g} m", body)
     return PersonBones("mean" if body is None else "height", mean * (height_m / usual), height_m)
@@ -105,6 +111,10 @@ class LiveTracker:
         The choices of the tracker.
     stride : int or None
         Every how many rows and columns a pixel is used; None until a frame shows a person.
+    records : FrameRecords or None
+        The results of all frames from the first on; None where they are not kept.
+    moved, missing : list of int
+        Frames that contradict the background, and frames without an image, by their number from 0.
     """
 
     camera: DepthCamera
@@ -114,10 +124,16 @@ class LiveTracker:
     database: PoseDatabase
     settings: TrackerSettings
     stride: int | None = None
+    records: FrameRecords | None = None
+    moved: list[int] = field(default_factory=list)
+    missing: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._coarse = looked_through(self.camera, self.background, self.placement)
         self._tracker: Reconstructor | None = None
+        self._scene: Scene | None = None
+        self._measured: list[F32 | None] | None = None  # the frames that the size is estimated from, if it is
+        self._frames = self._first = 0  # frames so far, and those before the first with a person
 
     @classmethod
     def open(
@@ -129,8 +145,10 @@ class LiveTracker:
         rate_hz: float | None = None,
         form: Form = "best",
         stride: int | None = None,
+        *,
+        keep: bool = False,
     ) -> LiveTracker:
-        """Return a tracker with the poses of a store; see `kinedex.Reconstructor`."""
+        """Return a tracker with the poses of a store, which can record its frames; see `kinedex.Reconstructor`."""
         camera = read_camera(camera_file)
         room: F32 | None = None
         if isinstance(background, str | Path):
@@ -144,7 +162,9 @@ class LiveTracker:
             form, candidates=1 if form == "printed" else TrackerSettings.candidates,
             rate_hz=rate_hz or camera.rate_hz or USUAL_HZ,
         )  # fmt: skip
-        made = cls(camera, room, placement_of(camera, room), bones, database, settings, stride)
+        records = FrameRecords(settings.candidates) if keep else None
+        made = cls(camera, room, placement_of(camera, room), bones, database, settings, stride, records)
+        made._measured = [] if body == ESTIMATE else None
         made.load_kernels()
         return made
 
@@ -160,31 +180,96 @@ class LiveTracker:
         for _ in range(2):
             tracker.step(image)
 
+    @property
+    def scene(self) -> Scene | None:
+        """The camera as frames are seen by; None until a frame shows a person."""
+        return self._scene
+
+    @property
+    def is_measuring(self) -> bool:
+        """True until the size of the person is estimated; a size that is given is not."""
+        return self._measured is not None
+
     def step(self, values: npt.NDArray[np.generic]) -> tuple[FrameResult | None, F64]:
         """Return the result of the next frame, and its pose in the world; NaN without a person."""
         return self.follow(self.camera.depths(values))
 
     def follow(self, image: F32) -> tuple[FrameResult | None, F64]:
         """Return the same for a frame that is in metres, along the axis of the camera."""
+        nobody = None, np.full((len(JOINTS), 3), np.nan)
+        if contradicts(image, self.background):
+            self.moved.append(self._frames)
+            self._pass_over(1)
+            return nobody
         if self._tracker is None and not self._begin(image):
-            return None, np.full((len(JOINTS), 3), np.nan)
+            self._keep(None)
+            return nobody
         assert self._tracker is not None
         result = self._tracker.step(image)
+        self._keep(result)
+        if self._measured is not None:
+            self._measured.append(image)
+            if len(self._measured) >= max(1, round(SECONDS * self.settings.rate_hz)):
+                result = self.measure() or result
         return result, self.placement.in_world(result.pose)
 
     def skip(self, frames: int) -> None:
         """Pass over frames that are missing."""
+        self.missing += range(self._frames, self._frames + frames)
+        self._pass_over(frames)
+
+    def measure(self) -> FrameResult | None:
+        """Estimate the size of the person from the frames so far, and track these anew; return the last result.
+
+        Nothing changes where nobody was seen, or the size is known.
+        """
+        images, self._measured = self._measured, None
+        seen = [image for image in images or () if image is not None]
+        if not seen or self._scene is None:
+            return None
+        body, scene = load_body(), self._scene
+        try:
+            found = estimate_size(
+                body, self.database.mean_bones, self.database.directions, scene.preparation, scene.view, seen,
+                self.settings,
+            )  # fmt: skip
+        except ParameterError:
+            return None
+        self.bones = PersonBones(ESTIMATE, found.bone_lengths, found.height)
+        self._tracker = reconstructor_of(body, self.bones, self.database, scene, self.settings)
+        result = None
+        assert images is not None
+        for t, image in enumerate(images, self._first):
+            if image is None:
+                self._tracker.skip()
+                continue
+            result = self._tracker.step(image)
+            if self.records is not None:
+                self.records[t] = result
+        return result
+
+    def _pass_over(self, frames: int) -> None:
         if self._tracker is not None:
             self._tracker.skip(frames)
+            if self._measured is not None:
+                self._measured += [None] * frames
+        for _ in range(frames):
+            self._keep(None)
+
+    def _keep(self, result: FrameResult | None) -> None:
+        self._frames += 1
+        if self.records is not None:
+            self.records.append(result)
 
     def _begin(self, image: F32) -> bool:
         """Make the tracker as soon as a frame shows a person; return whether there is one."""
         if not shows_person(self._coarse, image):
             return False
         camera, placement = self.camera, self.placement
+        self._first = self._frames
         self.stride = self.stride or choose_stride(
             [image], camera.matrix, camera.distortion, self.background, placement.turn, placement.floor_height
         )
-        scene = make_scene(camera, self.background, placement, self.stride)
-        self._tracker = reconstructor_of(load_body(), self.bones, self.database, scene, self.settings)
+        self._scene = make_scene(camera, self.background, placement, self.stride)
+        self._tracker = reconstructor_of(load_body(), self.bones, self.database, self._scene, self.settings)
         return True

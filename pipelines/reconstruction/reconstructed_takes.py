@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -38,6 +37,9 @@ F64 = npt.NDArray[np.float64]
 
 RECONSTRUCTED = "_reconstructed"
 """The end of the name of a take that was reconstructed from a recording."""
+
+LIVE = "_live"
+"""The end of the name of a take of a live camera; a number follows where there are several of one folder."""
 
 RECONSTRUCTION_KINDS = ("reconstructions", "reconstruction_frames", "depth_votes")
 """The kinds of results of a reconstructed take."""
@@ -112,6 +114,8 @@ class ReconstructionResult:
         Id of the take.
     take, recording : str
         Its name, and that of the recording.
+    file : str or None
+        The recordings file; None for frames of a live camera.
     params : ReconstructParameters
         The parameters.
     track : RecordingTrack
@@ -137,6 +141,7 @@ class ReconstructionResult:
     take_id: int
     take: str
     recording: str
+    file: str | None
     params: ReconstructParameters
     track: RecordingTrack
     scene: Scene
@@ -173,7 +178,7 @@ class ReconstructionResult:
         settings = params.settings(self.rate_hz)
         yield {
             "recording": self.recording,
-            "file": os.path.abspath(params.recordings),
+            "file": self.file,
             "form": params.form,
             "direction": "both" if params.both_ways else "forward",
             "hypotheses": list(settings.hypotheses),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,7 +12,6 @@ import numpy.typing as npt
 from kinedex.catalog.bodies import load_body
 from kinedex.catalog.depth_cameras import DepthCamera
 from kinedex.catalog.depth_placement import Placement, placement_of
-from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.background import behind_share
 from kinedex.ops.depth.bidirectional import choose_directions
 from kinedex.ops.depth.cones import ConeBody
@@ -21,6 +20,7 @@ from kinedex.ops.depth.points import Preparation, choose_stride, ray_table
 from kinedex.ops.depth.size_estimate import SECONDS, estimate_size
 from kinedex.ops.depth.tracker import LEAST_POINTS, FrameResult, Reconstructor, TrackerSettings
 from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.pipelines.reconstruction.frame_records import FrameRecords
 from kinedex.pipelines.reconstruction.pose_database import PoseDatabase
 from kinedex.storage.formats.depth.recording import DepthRecording
 from kinedex.storage.formats.depth.recording_checks import MOST_BEHIND
@@ -85,7 +85,7 @@ class RecordingTrack(NamedTuple):
 
     Attributes
     ----------
-    directions : tuple of tuple of FrameResult or None
+    directions : tuple of FrameRecords
         The results of each direction in order of time, forward first; None in frames without an image.
     chosen : int64 array (T,)
         The number of the direction that each frame is taken from.
@@ -95,26 +95,23 @@ class RecordingTrack(NamedTuple):
         Frames without an image, damaged ones among them.
     """
 
-    directions: tuple[tuple[FrameResult | None, ...], ...]
+    directions: tuple[FrameRecords, ...]
     chosen: I64
     moved: tuple[int, ...]
     missing: tuple[int, ...]
 
     @property
-    def results(self) -> list[FrameResult | None]:
-        """The results that are taken."""
-        return [self.directions[way][t] for t, way in enumerate(self.chosen.tolist())]
+    def results(self) -> Iterator[FrameResult | None]:
+        """The results that are taken, one after the other."""
+        return (self.directions[way][t] for t, way in enumerate(self.chosen.tolist()))
 
     @property
     def poses(self) -> F64:
         """The poses (T, 24, 3) in the axes of the placement; NaN without a person."""
-        return poses_of(self.results)
-
-
-def poses_of(results: Iterable[FrameResult | None]) -> F64:
-    """Return the poses (T, 24, 3) of results; NaN without an image or a person."""
-    nobody = np.full((len(JOINTS), 3), np.nan)
-    return np.array([nobody if one is None else one.pose for one in results]).reshape(-1, len(JOINTS), 3)
+        poses = self.directions[FORWARD].poses
+        for way in range(1, len(self.directions)):
+            poses = np.where((self.chosen == way)[:, None, None], self.directions[way].poses, poses)
+        return poses
 
 
 def make_scene(camera: DepthCamera, background: F32 | None, placement: Placement, stride: int) -> Scene:
@@ -248,34 +245,36 @@ def track_recording(
             image = None if t in moved or t in missing else recording.frames[t]
             if image is None:
                 missing.update({t} - moved)
-            elif is_empty_room and _contradicts(image, recording.background):
+            elif is_empty_room and contradicts(image, recording.background):
                 moved.add(t)
                 image = None
             yield t, image
 
     frames = range(len(recording.frames))
-    tracks = [_results(tracker, images(frames))]
+    tracks = [_results(tracker, images(frames), len(frames))]
     if both_ways:
-        tracks.append(_results(tracker, images(reversed(frames)))[::-1])
+        tracks.append(_results(tracker, images(reversed(frames)), len(frames)))
+        tracks[BACKWARD].reverse()
     chosen = np.zeros(len(frames), np.int64)
     if both_ways:
-        costs = np.array([[np.nan if one is None else one.cost for one in track] for track in tracks]).T
-        chosen = choose_directions(poses_of(tracks[FORWARD]), poses_of(tracks[BACKWARD]), costs)
-    return RecordingTrack(tuple(map(tuple, tracks)), chosen, tuple(sorted(moved)), tuple(sorted(missing)))
+        costs = np.stack([one.costs for one in tracks], axis=1)
+        chosen = choose_directions(tracks[FORWARD].poses, tracks[BACKWARD].poses, costs)
+    return RecordingTrack(tuple(tracks), chosen, tuple(sorted(moved)), tuple(sorted(missing)))
 
 
-def _contradicts(image: F32, background: F32 | None) -> bool:
+def contradicts(image: F32, background: F32 | None) -> bool:
+    """Return whether so much of an image lies behind the empty room that the camera must have moved."""
     return background is not None and behind_share(image, background) > MOST_BEHIND
 
 
-def _results(tracker: Reconstructor, images: Iterable[tuple[int, F32 | None]]) -> list[FrameResult | None]:
-    """Return the results of images in their order; both hypotheses' poses are dropped, for they fill the memory."""
+def _results(tracker: Reconstructor, images: Iterable[tuple[int, F32 | None]], frames: int) -> FrameRecords:
+    """Return the results of images in their order."""
     tracker.restart()
-    found: list[FrameResult | None] = []
+    found = FrameRecords(tracker.settings.candidates, frames)
     for _, image in images:
         if image is None:
             tracker.skip()
             found.append(None)
         else:
-            found.append(tracker.step(image)._replace(local=None, database=None))
+            found.append(tracker.step(image))
     return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -105,8 +106,8 @@ def reconstruct_recording(task: ReconstructTask) -> Finished:
     kept = (note for note in recording.notes if note not in of_frames and not note.endswith(CAMERA_MOVED))
     notes = (*kept, *scene.placement.notes)
     result = ReconstructionResult(
-        task.take_id, task.take, task.recording, params, track, scene, bones, database.origins, recording.rate_hz,
-        recording.frames.first, remarks, (*notes, *doubts), task.fingerprint,
+        task.take_id, task.take, task.recording, os.path.abspath(params.recordings), params, track, scene, bones,
+        database.origins, recording.rate_hz, recording.frames.first, remarks, (*notes, *doubts), task.fingerprint,
     )  # fmt: skip
     take = ReconstructedTake(
         task.take, provenance_of(file, task.recording), result.poses, recording.rate_hz, task.fingerprint, doubts
@@ -197,8 +198,8 @@ def _damaged(recording: DepthRecording) -> list[str]:
 
 def _line(result: ReconstructionResult) -> str:
     frames = len(result.track.chosen)
-    lent = sum(one is not None and one.hypothesis == "database" for one in result.track.results)
-    unseen = sum(one is None or one.hypothesis is None for one in result.track.results)
+    hypotheses = [one and one.hypothesis for one in result.track.results]
+    lent, unseen = hypotheses.count("database"), hypotheses.count(None)
     parts = [
         f"{result.recording}: {counted(frames, 'frame')} as {result.take}",
         f"{result.bones.height_m:.2f} m tall ({result.bones.origin})",

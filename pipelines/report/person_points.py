@@ -43,7 +43,7 @@ def packed_points(row: Mapping[str, Any], frames: int, rate_hz: float) -> dict[s
     dict or None
         What the player reads; None where the recording is there no more.
     """
-    if not Path(row["file"]).is_file():
+    if row["file"] is None or not Path(row["file"]).is_file():
         return None
     try:
         recording = read_recording(load_depth_recordings(row["file"]), row["recording"])

@@ -54,7 +54,7 @@ class EvaluateReconstruction(Stage[Params]):
         stages = sorted({part.stage for part in parts})
         rows = [row for stage in stages for row in earlier_rows(store, "reconstructions", stage)] if store else []
         stated, files = [], {Path(params.truth).expanduser()} if params.truth else set()
-        for path, name in sorted({(str(row["file"]), str(row["recording"])) for row in rows}):
+        for path, name in sorted({(str(row["file"]), str(row["recording"])) for row in rows if row["file"]}):
             try:
                 file = load_depth_recordings(path)
                 entry, truth = file.entry(name), recording_truth(file, name)
@@ -98,7 +98,7 @@ class EvaluateReconstruction(Stage[Params]):
 
 def _file_of(row: dict[str, Any]) -> DepthRecordingsFile | None:
     """Return the recordings file of a take; None where the recording is there no more."""
-    if not Path(row["file"]).is_file():
+    if row["file"] is None or not Path(row["file"]).is_file():
         return None
     file = load_depth_recordings(row["file"])
     return file if row["recording"] in file.recordings else None

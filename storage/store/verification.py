@@ -48,6 +48,7 @@ from kinedex.storage.snapshot.schemas import (
 from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.history import history_problems
 from kinedex.storage.store.pose_checks import pose_problems
+from kinedex.storage.store.reconstruction_checks import reconstruction_problems
 from kinedex.storage.store.report_sums import wrong_files
 
 Kind = Literal[
@@ -91,9 +92,9 @@ def verify(store: Snapshot) -> list[Finding]:
     """Check everything that a version of a store records about its files.
 
     These are every part's size, checksum, row count, schema, takes and order of rows; that the frames of every take
-    are 0, 1, …, as many as its row in takes records; that no take is live twice; that pose databases are whole; older
-    manifests; the checksums of reports; leftover files; the history of runs; the index's checksums, counts and bit
-    slices; and what repairs have set aside.
+    are 0, 1, …, as many as its row in takes records; that no take is live twice; that pose databases are whole, and
+    that the results of takes made from depth agree with each other; older manifests; the checksums of reports; leftover
+    files; the history of runs; the index's checksums, counts and bit slices; and what repairs have set aside.
 
     Parameters
     ----------
@@ -194,7 +195,7 @@ class _Verification:
                     found = self._file("results", result, result_schema(kind)) or self._result_rows(result)
                     sound &= not found
                     yield from found
-        for file, problem in pose_problems(self.store) if sound else ():
+        for file, problem in (*pose_problems(self.store), *reconstruction_problems(self.store)) if sound else ():
             yield self._found("results", file, problem)
 
     def _file(self, kind: Kind, part: AnyPart, schema: pa.Schema) -> list[Finding]:

@@ -238,28 +238,6 @@ def test_a_recording_that_cannot_be_read_leaves_the_others_their_takes(folder: P
     }
 
 
-def test_frames_that_are_written_into_a_folder_are_followed(made: Path, tmp_path: Path) -> None:
-    name = FILMED[0]
-    home, live = made / "rec" / name, tmp_path / "live"
-    live.mkdir()
-    for path in sorted((home / "depth").iterdir()):
-        if path.name != "000002.png":
-            shutil.copy(path, live / path.name)
-    (live / "000004.png").write_bytes(b"no image")
-    (live / "notes.txt").write_text("no frame")
-    given = ("--camera", home / "camera.yaml", "--background", home / "background.png", "--body", name)
-    output = command("reconstruct", made / "store", "--follow", live, *given, "--idle", 0.1, "--json")
-    lines = [json.loads(line) for line in output.splitlines() if line.startswith("{")]
-    assert [(one["frame"], one["skipped"], one["fault"] is not None) for one in lines] == [
-        (0, 0, False), (1, 0, False), (3, 1, False), (4, 0, True), (5, 0, False), (6, 0, False), (7, 0, False),
-    ]  # fmt: skip
-    first = np.array(list(lines[0]["joints"].values())).ravel()
-    assert np.allclose(first, frames_of(open_store(made / "store"), name)[0]["joints"], atol=2e-5)
-    assert lines[3]["joints"] is None
-    assert "--camera" in command("reconstruct", made / "store", "--follow", live, code=2)
-    assert "name the recordings file" in command("reconstruct", made / "store", code=2)
-
-
 def test_a_depth_frame_is_inspected_and_drawn(made: Path, tmp_path: Path) -> None:
     home = made / "rec" / FILMED[0]
     given = ("--camera", home / "camera.yaml", "--background", home / "background.png")

@@ -1,0 +1,222 @@
+"""Checks of takes made from depth: the rows of reconstructions, frames, votes and errors against each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from kinedex.ops.body.joint_tree import JOINTS
+from kinedex.storage.snapshot.part_records import ResultPart
+from kinedex.storage.snapshot.snapshot import Snapshot
+
+I64 = npt.NDArray[np.int64]
+
+_KINDS = ("reconstructions", "reconstruction_frames", "depth_votes")
+_HYPOTHESES, _DIRECTIONS = (None, "local", "database"), ("forward", "backward")
+_COST_M = 1e-9  # two columns hold one cost
+
+
+class _Problem(Exception):
+    """A problem, with the path of the part that has it."""
+
+
+def reconstruction_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
+    """Yield the problems of the results of takes made from depth, each with the part that has it.
+
+    A take must have one row in `reconstructions`, and in `reconstruction_frames` a row for each of its frames; the
+    frame must name the hypothesis of least cost, and have joints where it has one. Each of these frames must have one
+    winner in `depth_votes`, with its hypothesis, direction, cost and origin, and no other frame may have votes. Of an
+    archive take that is in the store, the frame must exist. Errors must be shares and distances of frames that a take
+    has.
+
+    Parameters
+    ----------
+    store : Snapshot
+        A version whose parts are sound as files.
+    """
+    results = store.manifest.results
+    for stage in sorted({part.stage for kind in _KINDS for part in results.get(kind, ())}):
+        parts = {kind: [part for part in results.get(kind, ()) if part.stage == stage] for kind in _KINDS}
+        try:
+            _check_stage(store, parts)
+        except _Problem as found:
+            yield found.args
+    for part in results.get("reconstruction_errors", ()):
+        problem = _errors_problem(pa.concat_tables(store.result_pieces("reconstruction_errors", [part])))
+        if problem:
+            yield part.path, problem
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Columns of a kind of results of a stage, in order of take and frame, with the part that each row is in."""
+
+    parts: Sequence[ResultPart]
+    part: I64
+    columns: dict[str, npt.NDArray[Any]]
+
+    def __getitem__(self, name: str) -> npt.NDArray[Any]:
+        return self.columns[name]
+
+    def problem(self, row: int, text: str) -> _Problem:
+        """Return a problem of a row."""
+        take = self.columns["take"][row]
+        frame = f", frame {self.columns['source_frame'][row]}" if "source_frame" in self.columns else ""
+        return _Problem(self.parts[int(self.part[row])].path, f"take {take}{frame} {text}")
+
+    def where(self, chosen: npt.NDArray[np.bool_]) -> _Rows:
+        """Return the chosen rows."""
+        return _Rows(self.parts, self.part[chosen], {name: values[chosen] for name, values in self.columns.items()})
+
+    def check(self, wrong: npt.NDArray[np.bool_], text: str) -> None:
+        """Raise a problem of the first row where something is wrong."""
+        rows = np.flatnonzero(wrong)
+        if len(rows):
+            raise self.problem(int(rows[0]), text)
+
+
+def _rows(store: Snapshot, kind: str, parts: Sequence[ResultPart], names: Sequence[str], order: Sequence[str]) -> _Rows:
+    """Read columns; texts become objects, and missing numbers NaN or −1."""
+    pieces, numbers = [], []
+    for number, part in enumerate(parts):
+        for piece in store.result_pieces(kind, [part]):
+            if "joints" in names:
+                _check_joints(part, piece)
+                piece = piece.set_column(
+                    piece.schema.get_field_index("joints"), "joints", pc.is_valid(piece.column("joints"))
+                )
+            pieces.append(piece.select(list(names)))
+            numbers.append(np.full(piece.num_rows, number))
+    found = {name: np.empty(0, np.int64) for name in names}
+    if pieces:
+        table = pa.concat_tables(pieces)
+        found = {name: _values(table.column(name)) for name in names}
+    part_of = np.concatenate([np.empty(0, np.int64), *numbers])
+    by = np.lexsort([found[name] for name in reversed(order)])
+    return _Rows(parts, part_of[by], {name: values[by] for name, values in found.items()})
+
+
+def _values(column: pa.ChunkedArray) -> npt.NDArray[Any]:
+    if pa.types.is_integer(column.type):
+        return np.asarray(column.fill_null(-1).to_numpy(), np.int64)
+    return np.asarray(column.to_numpy())
+
+
+def _check_joints(part: ResultPart, piece: pa.Table) -> None:
+    joints = pc.drop_null(piece.column("joints").combine_chunks())
+    lengths = joints.value_lengths().to_numpy(zero_copy_only=False)
+    values = joints.flatten().to_numpy(zero_copy_only=False)
+    if np.any(lengths != 3 * len(JOINTS)) or not np.isfinite(values).all():
+        raise _Problem(part.path, f"has joints that are not {3 * len(JOINTS)} numbers")
+
+
+def _check_stage(store: Snapshot, parts: dict[str, list[ResultPart]]) -> None:
+    """Raise the first problem of the results of a stage."""
+    key, frame = ("take_id", "take"), ("take_id", "source_frame")
+    own = ("hypothesis", "direction", "archive_take", "archive_frame")
+    takes = _rows(store, _KINDS[0], parts[_KINDS[0]], (*key, "source_frames", "unseen_frames"), ("take_id",))
+    costs = ("cost_local", "cost_database", "joints")
+    frames = _rows(store, _KINDS[1], parts[_KINDS[1]], (*key, "source_frame", *own, *costs), frame)
+    votes = _rows(
+        store, _KINDS[2], parts[_KINDS[2]], (*key, "source_frame", *own, "candidate", "cost", "winner"), frame
+    )
+    takes.check(np.diff(takes["take_id"], prepend=-1) == 0, "has two rows")
+    _check_takes(takes, frames)
+    for rows in (frames, votes):
+        _check_origins(store, rows)
+    _check_votes(frames, votes)
+
+
+def _check_takes(takes: _Rows, frames: _Rows) -> None:
+    """Check that takes have all of their frames, and that these agree with themselves."""
+    ids, starts, counts = np.unique(frames["take_id"], return_index=True, return_counts=True)
+    place = np.searchsorted(takes["take_id"], ids)
+    known = (place < len(takes["take_id"])) & (
+        np.append(takes["take_id"], -1)[np.minimum(place, len(takes["take_id"]))] == ids
+    )
+    if not known.all():
+        raise frames.problem(int(starts[~known][0]), "has no row in `reconstructions`")
+    takes.check(~np.isin(takes["take_id"], ids), "has no rows in `reconstruction_frames`")
+    expected = np.arange(len(frames["source_frame"])) - np.repeat(starts, counts)
+    frames.check(frames["source_frame"] != expected, "is there twice, or the one before it is missing")
+    takes.check(takes["source_frames"] != counts, "has more or fewer frames than it counts")
+    seen = frames["joints"].astype(np.bool_)
+    unseen = np.add.reduceat(~seen, starts) if len(starts) else np.empty(0)
+    takes.check(takes["unseen_frames"] != unseen, "has more or fewer frames without a pose than it counts")
+    hypothesis = frames["hypothesis"]
+    frames.check(~np.isin(hypothesis.astype(str), [str(one) for one in _HYPOTHESES]), "has no such hypothesis")
+    frames.check(~np.isin(frames["direction"].astype(str), _DIRECTIONS), "has no such direction")
+    frames.check(seen != _given(hypothesis), "has joints without a hypothesis, or one without joints")
+    local, database = frames["cost_local"].astype(np.float64), frames["cost_database"].astype(np.float64)
+    lent = np.equal(hypothesis, "database")
+    cheaper = np.where(lent, ~(local <= database), ~(database < local))
+    costs = np.where(lent, database, local)
+    frames.check(seen & ~(cheaper & np.isfinite(costs)), "has a hypothesis that does not cost least")
+    frames.check(lent & (frames["archive_frame"] < 0), "has a pose of the archive without its origin")
+
+
+def _check_votes(frames: _Rows, votes: _Rows) -> None:
+    """Check that each frame with a pose has one winner among its votes, which agrees with the frame."""
+    won = votes.where(votes["winner"].astype(np.bool_))
+    posed = frames.where(frames["joints"].astype(np.bool_))
+    shared = min(len(won.part), len(posed.part))
+    same = (won["take_id"][:shared] == posed["take_id"][:shared]) & (
+        won["source_frame"][:shared] == posed["source_frame"][:shared]
+    )
+    if len(won.part) != len(posed.part) or not same.all():
+        first = int(np.append(np.flatnonzero(~same), shared)[0])
+        rows = won if first < len(won.part) else posed
+        raise rows.problem(first, "has no winner among its votes, or more than one, or one without a pose")
+    lent = np.equal(posed["hypothesis"], "database")
+    costs = np.where(lent, posed["cost_database"].astype(np.float64), posed["cost_local"].astype(np.float64))
+    for name in ("hypothesis", "direction"):
+        won.check(np.not_equal(won[name], posed[name]), f"has a winner of another {name} than the frame")
+    won.check(
+        ~(np.abs(won["cost"].astype(np.float64) - costs) < _COST_M), "has a winner of another cost than the frame"
+    )
+    for name in ("archive_take", "archive_frame"):
+        won.check(lent & np.not_equal(won[name], posed[name]), "has a winner of another origin than the frame")
+    numbered = np.equal(votes["hypothesis"], "database") == (votes["candidate"] > 0)
+    votes.check(~numbered, "has a candidate without a number, or a number that is no candidate's")
+
+
+def _check_origins(store: Snapshot, rows: _Rows) -> None:
+    """Check that frames of archive takes exist; takes that the store has no more are passed over."""
+    ids, lengths = store.take_ids, store.take_frames
+    names, at = rows["archive_take"], rows["archive_frame"]
+    named = _given(names)
+    rows.check(named != (at >= 0), "names an archive take without a frame, or a frame without a take")
+    known = {str(name): lengths[ids[name]] for name in set(names[named].tolist()) if name in ids}
+    most = np.array([known.get(name, np.inf) for name in names.tolist()], np.float64)
+    rows.check(named & (at >= most), "names a frame that its archive take does not have")
+
+
+def _given(values: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+    """Return which texts are not NULL."""
+    return np.array([one is not None for one in values.tolist()], np.bool_)
+
+
+def _errors_problem(rows: pa.Table) -> str:
+    """Return the problem of rows of `reconstruction_errors`; empty if they are sound."""
+    found = rows.to_pylist()
+    takes = {row["take_id"]: row for row in found if row["scope"] == "take"}
+    whole = sum(row["frames"] for row in found if row["scope"] == "all")
+    for row in found:
+        name = f"{row['take'] or 'all'}, {row['scope']} {row['name']}"
+        if row["scope"] not in ("all", "take", "joint"):
+            return f"{name}: no such scope"
+        shares = [row[key] for key in ("over_10cm", "rate_five_ends") if row[key] is not None]
+        sizes = [row[key] for key in ("mean_m", "std_m", "median_m", "p90_m") if row[key] is not None]
+        if not all(0 <= share <= 1 for share in shares) or not all(size >= 0 for size in sizes):
+            return f"{name}: has a share beyond 0 and 1, or a distance below 0"
+        if row["scope"] == "joint" and row["frames"] > takes.get(row["take_id"], {"frames": -1})["frames"]:
+            return f"{name}: has more frames than its take"
+    if whole != sum(row["frames"] for row in takes.values()):
+        return "all takes have more or fewer frames than each of them together"
+    return ""
