@@ -12,6 +12,7 @@ from benchmarks import (
     depth_frame,
     depth_lookup,
     indexing,
+    inertial,
     keyframes,
     learning,
     ranking,
@@ -42,6 +43,7 @@ PARTS: dict[str, Callable[[Store], Sequence[Figure]]] = {
     "depth": depth.figures,
     "depth_frame": depth_frame.figures,
     "depth_lookup": lambda opened: list(depth_lookup.figures(opened)),
+    "inertial": lambda _: inertial.figures(),
 }
 
 

@@ -73,7 +73,7 @@ class Stream:
 
 @dataclass(frozen=True)
 class Options:
-    """What a calibration assumes.
+    """The assumptions of a calibration.
 
     Attributes
     ----------

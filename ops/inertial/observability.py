@@ -1,4 +1,4 @@
-"""What the movements of a take determine of a sensor's mount, and the reason where they do not."""
+"""A measure of how far the movements of a take determine a sensor's mount, and the message where they do not."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def refusal(limb: str, value: float, level: float, vertical_known: bool, several
 
 
 def warning(limb: str, value: float, tilt_deg: float, tilted_deg: float) -> str:
-    """Return what makes a limb's mount doubtful; empty where nothing does."""
+    """Return the reasons that make a limb's mount doubtful; empty where nothing does."""
     parts = []
     if value < DOUBTFUL:
         parts.append(f"hardly turns about a second axis (observability {value:.3f}), the mount is doubtful")
