@@ -88,7 +88,7 @@ class SensorEntries(BaseModel):
         ge=SLOWEST_HZ,
         le=FASTEST_HZ,
         allow_inf_nan=False,
-        description="samples per second, in place of the files'",
+        description="samples per second of files that state neither them nor times",
     )
     header_rows: int | None = Field(
         None, ge=1, le=20, description="rows before the numbers of a CSV file, where they look like numbers"

@@ -17,13 +17,13 @@ a limb's name is worn on that limb.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from kinedex.catalog.sensorsets import SensorSet
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.imu import tables
+from kinedex.storage.formats.imu import dot, hdf5, mtmanager, mvnx, opal, tables, xio
 from kinedex.storage.formats.imu.sensor_checks import checked
 from kinedex.storage.formats.imu.signals import ENU, NED, NWU, Given, ImuSensor, RawSensor
 
@@ -32,7 +32,7 @@ __all__ = ["ENU", "FORMATS", "NED", "NWU", "ImuRecording", "ImuSensor", "read_re
 
 @dataclass(frozen=True, eq=False)
 class ImuRecording:
-    """What sensors measured at one time.
+    """The sensors that measured at the same time.
 
     Attributes
     ----------
@@ -42,11 +42,14 @@ class ImuRecording:
         The sensors, in the order of the file.
     format : str
         The format of the file, a key of `FORMATS`.
+    files : dict of str to Path
+        The name of each sensor → its file.
     """
 
     name: str
     sensors: list[ImuSensor]
     format: str
+    files: dict[str, Path]
 
 
 @dataclass(frozen=True)
@@ -69,9 +72,15 @@ class ImuFormat:
 
 
 FORMATS = {
-    "table": ImuFormat("table (CSV, Parquet or HDF5)", tables.recognises, tables.read),
+    "hdf5": ImuFormat("HDF5 (Opal, or by the names of data sets)", hdf5.recognises, hdf5.read),
+    "mvnx": ImuFormat("MVNX (Xsens MVN)", mvnx.recognises, mvnx.read),
+    "mtmanager": ImuFormat("MT Manager TXT (Xsens)", mtmanager.recognises, mtmanager.read),
+    "dot": ImuFormat("DOT CSV (Xsens, Movella)", dot.recognises, dot.read),
+    "opal": ImuFormat("Opal CSV (APDM)", opal.recognises, opal.read),
+    "xio": ImuFormat("x-io CSV (x-IMU3, NGIMU)", xio.recognises, xio.read),
+    "table": ImuFormat("table (CSV or Parquet)", tables.recognises, tables.read),
 }
-"""Name → format; a file is of the first whose reader recognises it."""
+"""Name → format; a file is of the first that recognises it."""
 
 _HEAD = 1 << 16
 
@@ -86,8 +95,7 @@ def read_recording(
     path : path
         The file.
     rate_hz : float, optional
-        Samples per second, for a file that does not state them; of a file that does, the sensor set's or this one is
-        used in the place of the file's.
+        Samples per second, for a file that states neither them nor times.
     sensor_set : SensorSet, optional
         Units, axes, world and columns, where the file does not state them or states them wrongly.
 
@@ -101,13 +109,65 @@ def read_recording(
     SourceError
         The file is damaged, of an unknown format, or contradicts itself; the message names the line or the column.
     """
-    path = Path(path)
+    return read_together([Path(path)], rate_hz=rate_hz, sensor_set=sensor_set)
+
+
+def read_together(
+    paths: Sequence[Path], name: str = "", *, rate_hz: float | None = None, sensor_set: SensorSet | None = None
+) -> ImuRecording:
+    """Read files of sensors that share a clock, such as those of one session of MT Manager.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        The files, at least one.
+    name : str, optional
+        The name of the recording; by default the first file's.
+    rate_hz, sensor_set : optional
+        See `read_recording`.
+
+    Returns
+    -------
+    ImuRecording
+        The sensors of all files, at times that begin with the first sample of any where the clock began elsewhere.
+
+    Raises
+    ------
+    SourceError
+        A file is damaged, or two files have a sensor of the same name.
+    """
     given = Given(rate_hz, sensor_set or SensorSet())
-    name = recognised(path)
-    raw = FORMATS[name].read(path, given)
-    if not raw:
-        raise SourceError(path, "has no sensors")
-    return ImuRecording(path.stem, [checked(path, sensor, given) for sensor in raw], name)
+    raw: list[tuple[Path, RawSensor]] = []
+    formats = []
+    for path in paths:
+        formats.append(recognised(path))
+        raw.extend((path, sensor) for sensor in FORMATS[formats[-1]].read(path, given))
+    seen: dict[str, Path] = {}
+    for path, sensor in raw:
+        if sensor.name in seen:
+            other = "twice" if seen[sensor.name] == path else f"as {seen[sensor.name].name} has"
+            raise SourceError(path, f"has the sensor '{sensor.name}' {other}; sensors of a recording need own names")
+        seen[sensor.name] = path
+    _share_clock([sensor for _, sensor in raw])
+    sensors = [checked(path, sensor, given) for path, sensor in raw]
+    return ImuRecording(name or paths[0].stem, sensors, formats[0], dict(seen))
+
+
+def _share_clock(sensors: Sequence[RawSensor]) -> None:
+    """Let counters and clocks that began elsewhere begin with the first sample of any sensor."""
+    starts: list[int] = []
+    counted = [(sensor, sensor.steps) for sensor in sensors if sensor.steps is not None and len(sensor.steps)]
+    for sensor, steps in counted:
+        start = int(steps[0])
+        if sensor.wrap and starts:  # another sensor's counter may have wrapped before its first sample
+            start += sensor.wrap * round((starts[0] - start) / sensor.wrap)
+        starts.append(start)
+    for (sensor, steps), start in zip(counted, starts, strict=True):
+        sensor.steps = steps - steps[0] + (start - min(starts))
+    timed = [(sensor, sensor.times) for sensor in sensors if sensor.absolute and sensor.times is not None]
+    first = min((float(times[0]) for _, times in timed if len(times)), default=0.0)
+    for sensor, times in timed:
+        sensor.times = times - first
 
 
 def recognised(path: Path) -> str:

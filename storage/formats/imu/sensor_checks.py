@@ -1,4 +1,4 @@
-"""From the samples of a file to a sensor in SI units: units, axes, worlds, times, and what contradicts them."""
+"""From the samples of a file to a sensor in SI units: units, axes, worlds and times, and what contradicts them."""
 
 from __future__ import annotations
 
@@ -9,62 +9,314 @@ import numpy.typing as npt
 
 from kinedex.catalog.sensorsets import FASTEST_HZ, SLOWEST_HZ
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.imu.signals import NWU, UNITS, Given, ImuSensor, RawSensor
+from kinedex.ops.inertial import readings
+from kinedex.ops.inertial.orientation_filter import TO_NORTH_WEST_UP, field_axis
+from kinedex.ops.inertial.rotations import LONGEST_GAP_S, conjugate, exp, from_matrix, multiply, rotate
+from kinedex.storage.formats.imu.signals import (
+    ENU,
+    GRAVITY,
+    NED,
+    NWU,
+    UNITS,
+    Given,
+    ImuSensor,
+    RawSensor,
+)
 
 F64 = npt.NDArray[np.float64]
 
-LONGEST_GAP_S = 0.05
-"""A longer interval without samples is a gap, in which nothing is interpolated."""
+OFF_LENGTH = 0.01
+"""The share by which a quaternion may differ from the length 1."""
+
+OFF_GRAVITY = 0.3
+"""The share by which the median specific force may differ from gravity."""
+
+FASTEST_RAD_S = 70.0
+"""No gyroscope reads more: 4,000 degrees per second."""
 
 _DEFAULT_UNITS = {"acc": "m/s2", "gyr": "rad/s", "mag": "uT"}
+_WORLDS = {"NWU": NWU, "ENU": ENU, "NED": NED}
+_TO_NWU = {NWU: None, ENU: TO_NORTH_WEST_UP, NED: exp(np.array([np.pi, 0.0, 0.0]))}
+_TURNING_RAD_S = 0.1  # slower turning is mostly noise
+_ALIKE = 0.7
+_FEW_TURNS = 20
+_WAY_OUT = "in a file of sensors"
 
 
 def checked(path: Path, raw: RawSensor, given: Given) -> ImuSensor:
     """Return a sensor in SI units, with its orientation in F_GI.
 
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    raw : RawSensor
+        The sensor as the file has it.
+    given : Given
+        What the user states.
+
     Raises
     ------
     SourceError
-        The file contradicts itself.
+        The file contradicts itself, or what the user states.
     """
-    chosen = given.sensor_set
-    rate_hz, times = _times(path, raw, given.rate_hz or chosen.entries.rate_hz)
-    parts: dict[str, F64 | None] = {}
-    for name in ("acc", "gyr", "mag"):
-        values = getattr(raw, name)
-        unit = chosen.unit(name) or raw.units.get(name) or _DEFAULT_UNITS[name]
-        parts[name] = None if values is None else values * UNITS[name][unit]
-    gaps = tuple((float(times[i]), float(times[i + 1])) for i in np.flatnonzero(np.diff(times) > LONGEST_GAP_S))
-    frame = NWU if raw.orientation is not None else ""
-    return ImuSensor(
-        raw.name, times, rate_hz, parts["acc"], parts["gyr"], parts["mag"], raw.orientation, frame, gaps,
-        tuple(raw.warnings),
-    )  # fmt: skip
+    return _Checks(path, raw, given).sensor()
 
 
-def _times(path: Path, raw: RawSensor, given_hz: float | None) -> tuple[float, F64]:
-    """Return samples per second and the time of every sample in seconds."""
-    rate_hz = given_hz or raw.rate_hz
-    if raw.times is None:
+class _Checks:
+    """A sensor while it is checked."""
+
+    def __init__(self, path: Path, raw: RawSensor, given: Given) -> None:
+        self.path, self.raw, self.set = path, raw, given.sensor_set
+        self.warnings = list(raw.warnings)
+        self.given_hz = given.rate_hz or self.set.entries.rate_hz
+
+    def error(self, message: str, row: int | None = None) -> SourceError:
+        """Return an error that names the sensor, and the line of a sample."""
+        where = "" if row is None else self.raw.where(row)
+        line = None if row is None else self.raw.at(row)
+        return SourceError(self.path, f"sensor '{self.raw.name}': {where}{message}", line=line)
+
+    def sensor(self) -> ImuSensor:
+        """Return the sensor."""
+        if not any(part is not None for part in (self.raw.acc, self.raw.gyr, self.raw.mag, self.raw.orientation)):
+            raise self.error("nothing was measured")
+        times, rate_hz = self.times()
+        acc, gyr, mag = (self.channel(name) for name in ("acc", "gyr", "mag"))
+        acc, gyr, mag = (
+            None if part is None else readings.bridge(times, part, LONGEST_GAP_S) for part in (acc, gyr, mag)
+        )
+        orientation = self.unit_quaternions()
+        if orientation is not None:
+            orientation = readings.bridge(times, orientation, LONGEST_GAP_S)
+        if acc is not None and self.set.unit("acc") is None and "acc" not in self.raw.units:
+            acc = acc * self.factor_by_gravity(acc)
+        elif acc is not None:
+            self.check_gravity(acc)
+        self.check_rates(times, acc, gyr, orientation)
+        frame = ""
+        if orientation is not None:
+            frame = self.world(orientation, acc, mag)
+            turn = _TO_NWU[frame]
+            orientation = orientation if turn is None else multiply(turn, orientation)
+        acc, gyr, mag, orientation = self.turned(acc, gyr, mag, orientation)
+        return ImuSensor(
+            self.raw.name, times, rate_hz, acc, gyr, mag, orientation, frame,
+            _gaps(times, (acc, gyr, orientation), mag), tuple(self.warnings),
+        )  # fmt: skip
+
+    def times(self) -> tuple[F64, float]:
+        """Return the time of every sample in seconds, and samples per second."""
+        rate_hz, times = self.raw.rate_hz, self.raw.times
+        if times is None:
+            rate_hz = rate_hz or self.given_hz
+            if rate_hz is None:
+                raise self.error(
+                    f"the file states no rate and no times; state samples per second, --rate or `rate_hz:` {_WAY_OUT}"
+                )
+            self.check_rate(rate_hz)
+            steps = np.arange(self.raw.samples) if self.raw.steps is None else self.raw.steps
+            return np.asarray(steps) / rate_hz, rate_hz
+        unknown = np.flatnonzero(~np.isfinite(times))
+        if len(unknown):
+            raise self.error("has no time", int(unknown[0]))
+        back = np.flatnonzero(~(np.diff(times) > 0))
+        if len(back):
+            row = int(back[0]) + 1
+            raise self.error(
+                f"time must ascend, got {times[row]:.9g} s after {times[row - 1]:.9g} s; cut the file where a new "
+                "recording begins, or leave out `time` of `columns:` and state `rate_hz:` to count samples", row,
+            )  # fmt: skip
+        measured = _measured_rate(times)
+        if rate_hz is not None and measured and abs(measured / rate_hz - 1) > 0.02:
+            self.warnings.append(
+                f"the file states {rate_hz:g} samples per second, and its times make {measured:.5g}; the times are used"
+            )
+        rate_hz = measured or rate_hz or self.given_hz
         if rate_hz is None:
-            raise SourceError(path, "states no rate and no times; give rate_hz, samples per second")
-        steps = np.arange(raw.samples) if raw.steps is None else raw.steps
-        return rate_hz, steps / rate_hz
-    back = np.flatnonzero(~(np.diff(raw.times) > 0))
-    if len(back):
-        row = int(back[0]) + 1
-        raise SourceError(
-            path, f"{raw.where(row)}time must ascend, got {raw.times[row]:.9g} s after {raw.times[row - 1]:.9g} s",
-            line=raw.at(row),
-        )  # fmt: skip
-    if rate_hz is None:
-        lengths = np.diff(raw.times)
-        step = float(np.median(lengths)) if len(lengths) else 0.0
-        counted = float(np.rint(lengths / step).sum()) if step > 0 else 0.0
-        rate_hz = counted / float(raw.times[-1] - raw.times[0]) if counted else 0.0
-    if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
-        raise SourceError(
-            path, f"the times make {rate_hz:.3g} samples per second, and sensors have {SLOWEST_HZ:g} to "
-            f"{FASTEST_HZ:g}; state the unit of times in a file of sensors, as `units: {{time: ms}}`",
-        )  # fmt: skip
-    return rate_hz, raw.times
+            raise self.error("has one sample only, and no rate; state `rate_hz`")
+        self.check_rate(rate_hz)
+        return times, rate_hz
+
+    def check_rate(self, rate_hz: float) -> None:
+        """Refuse a rate that no sensor has."""
+        if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
+            raise self.error(
+                f"its times make {rate_hz:.3g} samples per second, and sensors have {SLOWEST_HZ:g} to {FASTEST_HZ:g}; "
+                f"state the unit of times {_WAY_OUT}, as `units: {{time: ms}}`"
+            )
+
+    def channel(self, name: str) -> F64 | None:
+        """Return readings in SI units; those without a stated unit are taken as such."""
+        values: F64 | None = getattr(self.raw, name)
+        if values is None:
+            return None
+        unit = self.set.unit(name) or self.raw.units.get(name) or _DEFAULT_UNITS[name]
+        return values * UNITS[name][unit]
+
+    def factor_by_gravity(self, acc: F64) -> float:
+        """Return the size of the unit of accelerations, by gravity, where nobody states it."""
+        size = readings.typical_length(acc)
+        for factor in UNITS["acc"].values():
+            if abs(size * factor / GRAVITY - 1) <= OFF_GRAVITY:
+                return factor
+        if np.isfinite(size):
+            raise self.error(
+                f"the median of |acc| is {size:.3g}, which is gravity in no known unit; state `units: {{acc: m/s2}}` "
+                f"or g {_WAY_OUT}, and leave out accelerations without gravity"
+            )
+        return 1.0
+
+    def check_gravity(self, acc: F64) -> None:
+        """Refuse a unit of accelerations that gravity contradicts."""
+        size = readings.typical_length(acc)
+        if not np.isfinite(size) or abs(size / GRAVITY - 1) <= OFF_GRAVITY:
+            return
+        stated = self.set.unit("acc")
+        unit = stated or self.raw.units["acc"]
+        raw = size / UNITS["acc"][unit]
+        other = next(
+            (name for name, factor in UNITS["acc"].items() if abs(raw * factor / GRAVITY - 1) <= OFF_GRAVITY), None
+        )
+        told = f"the median of |acc| is {raw:.3g} {unit}, and gravity is {GRAVITY / UNITS['acc'][unit]:.3g}"
+        if other is not None:
+            raise self.error(f"{told}; state `units: {{acc: {other}}}` {_WAY_OUT}")
+        if stated is None:
+            raise self.error(
+                f"{told}; are these accelerations without gravity? To read them in spite of this, state `units: {{acc: "
+                f"{unit}}}` {_WAY_OUT}"
+            )
+        self.warnings.append(told)
+
+    def unit_quaternions(self) -> F64 | None:
+        """Return the orientations, sensor → world, of length 1; quaternions of zeros are missing."""
+        given = self.raw.orientation
+        if given is None:
+            return None
+        lengths = np.linalg.norm(given, axis=1)
+        quaternions = np.where((lengths == 0)[:, None], np.nan, given)
+        off = np.flatnonzero((lengths > 0) & ~(np.abs(lengths - 1) <= OFF_LENGTH))
+        if len(off):
+            row = int(off[0])
+            raise self.error(
+                f"a quaternion has the length {lengths[row]:.4g}, expected 1 to {OFF_LENGTH:.0%}; are the columns w, "
+                f"x, y and z? Name them {_WAY_OUT}, as `columns: {{orientation: [qw, qx, qy, qz]}}`", row,
+            )  # fmt: skip
+        quaternions = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+        if np.isnan(quaternions).any(axis=1).all():
+            return None
+        turned = self.set.entries.orientation == "world_to_sensor"
+        return conjugate(quaternions) if turned else quaternions
+
+    def check_rates(self, times: F64, acc: F64 | None, gyr: F64 | None, orientation: F64 | None) -> None:
+        """Refuse angular velocities in another unit than stated, and orientations that turn the other way."""
+        if gyr is None:
+            return
+        fastest = float(np.nanmax(np.linalg.norm(gyr, axis=1), initial=0.0))
+        unit = self.set.unit("gyr") or self.raw.units.get("gyr") or _DEFAULT_UNITS["gyr"]
+        if fastest > FASTEST_RAD_S:
+            raise self.wrong_rates(unit, f"gyr reaches {np.degrees(fastest):,.0f} degrees per second")
+        if orientation is not None:
+            self.compare_orientation(times, gyr, orientation, unit)
+        elif acc is not None:
+            _, ratio, turning = readings.compare_with_gravity(times, acc, gyr)
+            if ratio > 5 and ratio * turning > 0.5:
+                raise self.wrong_rates(
+                    unit, f"gyr turns {ratio:.0f} times as fast as gravity does in the sensor's axes"
+                )
+
+    def compare_orientation(self, times: F64, gyr: F64, orientation: F64, unit: str) -> None:
+        """Compare angular velocities with the orientations of the file."""
+        as_read, ratio, turning = readings.compare_with_orientation(times, gyr, orientation)
+        if not turning > _TURNING_RAD_S:
+            return
+        around, _, _ = readings.compare_with_orientation(times, gyr, conjugate(orientation))
+        if around > _ALIKE and around > as_read + 0.2:
+            turned = self.set.entries.orientation == "world_to_sensor"
+            raise self.error(
+                f"the quaternions turn from the world to the sensor: their rate and gyr correlate at {as_read:.2f}, "
+                f"and turned around at {around:.2f}; state `orientation: "
+                f"{'sensor_to_world' if turned else 'world_to_sensor'}` {_WAY_OUT}"
+            )
+        if as_read > _ALIKE and not 0.1 < ratio < 10:
+            raise self.wrong_rates(unit, f"gyr turns {ratio:.3g} times as fast as the file's own quaternions")
+        if as_read < 0.3:
+            self.warnings.append(
+                f"gyr and the rate of the file's own quaternions correlate at {as_read:.2f}: are they of one sensor?"
+            )
+
+    def wrong_rates(self, unit: str, found: str) -> SourceError:
+        """Return an error on the unit of angular velocities, with the unit to try."""
+        other = "deg/s" if unit == "rad/s" else "rad/s"
+        return self.error(f"{found}; its unit is taken as {unit}: state `units: {{gyr: {other}}}` {_WAY_OUT}")
+
+    def world(self, orientation: F64, acc: F64 | None, mag: F64 | None) -> str:
+        """Return the world of the orientations: as the user states, as gravity and the field show, or by the header."""
+        stated = self.set.entries.frame
+        user, header = _WORLDS.get(stated or ""), self.raw.frame
+        shown = _shown_world(orientation, acc, mag)
+        self.check_upright(orientation, acc)
+        found = user or shown or header or NWU
+        if shown is not None and (user or header) not in (shown, "", None):
+            source = "the file of sensors" if user else "the header"
+            self.warnings.append(
+                f"{source} states orientations in {user or header}, and the mean of the field lies as in {shown}; "
+                f"{found} is used"
+            )
+        return found
+
+    def check_upright(self, orientation: F64, acc: F64 | None) -> None:
+        """Warn of orientations in which gravity is not vertical."""
+        if acc is None:
+            return
+        mean = np.nanmedian(rotate(orientation, acc), axis=0)
+        size = float(np.linalg.norm(mean))
+        if size > 0 and abs(mean[2]) < 0.8 * size:
+            tilt = np.degrees(np.arccos(abs(mean[2]) / size))
+            self.warnings.append(
+                f"gravity is {tilt:.0f}° off the vertical of the file's own orientations; do they turn from the sensor "
+                "to the world, with Z up?"
+            )
+
+    def turned(
+        self, acc: F64 | None, gyr: F64 | None, mag: F64 | None, orientation: F64 | None
+    ) -> tuple[F64 | None, F64 | None, F64 | None, F64 | None]:
+        """Return everything in the sensor's axes that the user states."""
+        matrix = self.set.matrix()
+        if matrix is None:
+            return acc, gyr, mag, orientation
+        acc, gyr, mag = (None if part is None else part @ matrix.T for part in (acc, gyr, mag))
+        if orientation is not None:
+            orientation = multiply(orientation, from_matrix(matrix.T))
+        return acc, gyr, mag, orientation
+
+
+def _shown_world(orientation: F64, acc: F64 | None, mag: F64 | None) -> str | None:
+    """Return the world that gravity and the field show; None where they show none."""
+    if acc is not None and np.nanmedian(rotate(orientation, acc)[:, 2]) < -0.5 * GRAVITY:
+        return NED
+    found = field_axis(orientation, mag) if mag is not None else ""
+    return found if found in (NWU, ENU) else None
+
+
+def _measured_rate(times: F64) -> float | None:
+    """Return samples per second by times that may have holes; None for a single sample."""
+    steps = np.diff(times)
+    if not len(steps):
+        return None
+    step = float(np.median(steps))
+    return float(np.rint(steps / step).sum() / (times[-1] - times[0]))
+
+
+def _gaps(times: F64, parts: tuple[F64 | None, ...], mag: F64 | None) -> tuple[tuple[float, float], ...]:
+    """Return the intervals of more than 50 ms in which not everything was measured; the field counts where alone."""
+    known = np.ones(len(times), bool)
+    present = [part for part in parts if part is not None] or [part for part in (mag,) if part is not None]
+    for part in present:
+        known &= np.isfinite(part).all(axis=1)
+    at = times[known]
+    if len(at) == 0:
+        return ((float(times[0]), float(times[-1])),)
+    at = np.concatenate([times[:1], at, times[-1:]])
+    long = np.flatnonzero(np.diff(at) > LONGEST_GAP_S * (1 + 1e-9))
+    return tuple((float(at[i]), float(at[i + 1])) for i in long)

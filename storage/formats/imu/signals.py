@@ -91,12 +91,12 @@ class ImuSensor:
 
 @dataclass(frozen=True)
 class Given:
-    """What the user states about a file.
+    """The statements of the user about a file.
 
     Attributes
     ----------
     rate_hz : float or None
-        Samples per second of a file that does not state them.
+        Samples per second of a file that states neither them nor times.
     sensor_set : SensorSet
         Limbs, units, axes, worlds and columns.
     """
@@ -119,8 +119,12 @@ class RawSensor:
         Quaternions w x y z.
     times : float64 array (T,) or None
         Seconds; None for samples that are counted at the rate.
+    absolute : bool
+        True for times of a clock that began elsewhere; those of a recording begin with its first sample.
     steps : int64 array (T,) or None
         The number of each sample, ascending; None where every sample follows the one before.
+    wrap : int
+        The number that the counter of steps wraps at; 0 for one that does not.
     rate_hz : float or None
         The rate that the file states.
     units : dict of str to str
@@ -139,7 +143,9 @@ class RawSensor:
     mag: F64 | None = None
     orientation: F64 | None = None
     times: F64 | None = None
+    absolute: bool = False
     steps: I64 | None = None
+    wrap: int = 0
     rate_hz: float | None = None
     units: dict[str, str] = field(default_factory=dict)
     frame: str = ""

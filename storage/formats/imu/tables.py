@@ -169,8 +169,9 @@ def _named(path: Path, header: Sequence[str], columns: Columns) -> Layout:
         names = columns.names(channel)
         if not names:
             continue
-        if len(names) != len(axes):
-            raise SourceError(path, f"columns.{channel} must name {len(axes)} columns, for {', '.join(axes)}")
+        if len(names) == 1:  # one data set or structure, with a column for each axis
+            joint = next((sep for sep in "/._" if any(name.endswith(f"{sep}{axes[0]}") for name in places)), "/")
+            names = tuple(f"{names[0]}{joint}{axis}" for axis in axes)
         for sensor in _sensors(names[0], places):
             found = [place(name.replace("{sensor}", sensor), channel) for name in names]
             layout.channels.setdefault(sensor, {})[channel] = found

@@ -1,0 +1,62 @@
+"""CSV files of Xsens DOT (Movella DOT): one sensor a file, lines of settings, then columns by name.
+
+Written from the manual, since no file is given: `sep=,`, `DeviceTag:,…`, `OutputRate:,60Hz`, then PacketCounter,
+SampleTimeFine (µs, which wraps at 2³²), Quat_W … or Euler_X …, FreeAcc_X … or Acc_X …, Gyr_X … (degrees/s), Mag_X …
+Free accelerations have no gravity and are not read. The reader asks for no more than the names of columns.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.imu.number_rows import separator_of, text_lines
+from kinedex.storage.formats.imu.signals import ENU, Given, RawSensor
+from kinedex.storage.formats.imu.xsens_columns import CHANNELS, PACKETS, named_columns, unwrapped
+
+_CLOCK = "SampleTimeFine"
+_WRAP = 1 << 32
+_TICK_S = 1e-6
+_SETTING = re.compile(r'^"?(?P<key>[A-Za-z ]+?)\s*:?"?\s*[,;:\t]\s*"?(?P<value>[^,;\t"]*)')
+_MOST_SETTINGS = 60
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Return True for a text with the columns PacketCounter and SampleTimeFine."""
+    return b"SampleTimeFine" in head and b"PacketCounter" in head and not head.lstrip(b"\xef\xbb\xbf").startswith(b"//")
+
+
+def read(path: Path, given: Given) -> list[RawSensor]:
+    """Read the sensor of a file.
+
+    Raises
+    ------
+    SourceError
+        The file is damaged; the message names line and column.
+    """
+    lines = text_lines(path)
+    first = next((i for i, line in enumerate(lines[:_MOST_SETTINGS]) if _CLOCK in line), None)
+    if first is None:
+        raise SourceError(path, f"has no line with the names of its columns, such as PacketCounter,{_CLOCK}")
+    settings = {}
+    for line in lines[:first]:
+        if found := _SETTING.match(line):
+            settings[found["key"].replace(" ", "").lower()] = found["value"].strip()
+    table = named_columns(path, lines, first, separator_of(lines[first]))
+    sensor = RawSensor(settings.get("devicetag") or path.stem, lines=table.rows.lines)
+    sensor.units, sensor.frame = {"acc": "m/s2", "gyr": "deg/s", "mag": "1"}, ENU
+    for channel, names in CHANNELS.items():
+        setattr(sensor, channel, table.channel(names))
+    sensor.orientation = table.orientation()
+    rate = re.match(r"[0-9.]+", settings.get("outputrate", ""))
+    sensor.rate_hz = float(rate[0]) if rate and rate[0].count(".") < 2 and rate[0] != "." else None
+    clock = table.column(_CLOCK)
+    if np.isfinite(clock).all():
+        ticks = unwrapped(path, clock, table.rows.lines, _WRAP, _CLOCK)
+        sensor.times, sensor.absolute = np.asarray(ticks * _TICK_S, np.float64), True
+    else:
+        sensor.steps = unwrapped(path, table.column("PacketCounter"), table.rows.lines, PACKETS, "PacketCounter")
+    return [sensor]

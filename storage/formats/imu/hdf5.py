@@ -1,0 +1,148 @@
+"""HDF5 files of sensors: those of Opal (APDM), and any other by the names of its data sets.
+
+Opal's are `Sensors/<id>/Accelerometer`, `Gyroscope`, `Magnetometer` and `Time` (µs), `Processed/<id>/Orientation`, and
+the name of a sensor in the attribute `Label 0` of its configuration. Their layout is that of the manual and of other
+people's code, since no file is given; what is missing is not asked for.
+
+Other data sets are columns as in a table: `imu_acc` of three columns is imu_acc/x, imu_acc/y and imu_acc/z. The rate is
+an attribute `sampling_rate`, `sample_rate`, `rate_hz` or `fs` of the file or of a group.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.imu.hdf5_files import SIGNATURE, Hdf5Contents, hdf5_arrays, hdf5_contents
+from kinedex.storage.formats.imu.signals import NWU, Given, RawSensor
+from kinedex.storage.formats.imu.tables import MOST_ROWS, MOST_SENSORS, layout_of, sensors_of
+
+F64 = npt.NDArray[np.float64]
+
+_OPAL = {"acc": ("Accelerometer", "Accelerometers"), "gyr": ("Gyroscope", "Gyroscopes"),
+         "mag": ("Magnetometer", "Magnetometers")}  # fmt: skip
+_OPAL_UNITS = {"acc": "m/s2", "gyr": "rad/s", "mag": "uT"}
+_RATES = ("sampling_rate", "sample_rate", "sample rate", "samplingrate", "rate_hz", "fs")
+_AXES = {3: "xyz", 4: "wxyz"}
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Return True for an HDF5 file."""
+    return head.startswith(SIGNATURE)
+
+
+def read(path: Path, given: Given) -> list[RawSensor]:
+    """Read the sensors of a file.
+
+    Raises
+    ------
+    SourceError
+        The file is damaged, or has no data sets of a sensor.
+    """
+    contents = hdf5_contents(path)
+    devices = [
+        name.split("/")[1]
+        for name in contents.datasets
+        if re.fullmatch(r"Sensors/[^/]+/(Accelerometer|Gyroscope)s?", name)
+    ]
+    if devices and given.sensor_set.entries.columns is None:
+        return _opal(path, contents, list(dict.fromkeys(devices)))
+    return _by_columns(path, contents, given)
+
+
+def _opal(path: Path, contents: Hdf5Contents, devices: list[str]) -> list[RawSensor]:
+    if len(devices) > MOST_SENSORS:
+        raise SourceError(path, f"has {len(devices)} sensors, and {MOST_SENSORS} are read at most")
+    names = {device: _label(contents, device) or device for device in devices}
+    labels = Counter(names.values())
+    found = []
+    for device in devices:
+        label = names[device]
+        sensor = RawSensor(label if labels[label] == 1 else f"{label} {device}", units=dict(_OPAL_UNITS), frame=NWU)
+        wanted = {"times": f"Sensors/{device}/Time", "orientation": f"Processed/{device}/Orientation"}
+        for channel, words in _OPAL.items():
+            places = [f"Sensors/{device}/{word}" for word in words]
+            wanted[channel] = next((place for place in places if place in contents.datasets), places[0])
+        _set(path, sensor, contents, wanted)
+        sensor.rate_hz = _rate(contents, f"Sensors/{device}/Configuration", f"Sensors/{device}", "")
+        if sensor.times is not None:
+            sensor.times, sensor.absolute = sensor.times * 1e-6, True
+        found.append(sensor)
+    return found
+
+
+def _set(path: Path, sensor: RawSensor, contents: Hdf5Contents, wanted: Mapping[str, str]) -> None:
+    """Set the channels and times of a sensor that are there; they must be of one length."""
+    present = {key: name for key, name in wanted.items() if name in contents.datasets}
+    width = {"orientation": 4, "times": None}
+    for key, name in present.items():
+        shape, columns = contents.datasets[name].shape, width.get(key, 3)
+        if shape[1:] != (() if columns is None else (columns,)):
+            raise SourceError(path, f"data set '{name}' must have {columns or 1} columns, got the shape {shape}")
+        if shape[0] > MOST_ROWS or shape[0] != contents.datasets[next(iter(present.values()))].shape[0]:
+            raise SourceError(
+                path, f"data set '{name}' must be as long as the others of its sensor, got {shape[0]:,} rows"
+            )
+    arrays: list[npt.NDArray[Any]] = hdf5_arrays(path, contents, list(present.values()))
+    for key, values in zip(present, arrays, strict=True):
+        setattr(sensor, key, np.asarray(values, np.float64))
+
+
+def _label(contents: Hdf5Contents, device: str) -> str | None:
+    """Return the name of an Opal, of the attribute `Label 0` of one of its groups."""
+    for group in (f"Sensors/{device}/Configuration", f"Sensors/{device}", f"Processed/{device}"):
+        label = contents.attributes.get(group, {}).get("Label 0")
+        if isinstance(label, str) and label.strip():
+            return label.strip()
+    return None
+
+
+def _rate(contents: Hdf5Contents, *groups: str) -> float | None:
+    """Return the samples per second that an attribute of one of some groups states."""
+    for group in groups:
+        for key, value in contents.attributes.get(group, {}).items():
+            if key.lower() in _RATES and isinstance(value, float) and np.isfinite(value) and value > 0:
+                return value
+    return None
+
+
+def _by_columns(path: Path, contents: Hdf5Contents, given: Given) -> list[RawSensor]:
+    """Read the data sets that have the names of columns, all of one length."""
+    header: list[str] = []
+    parts: list[tuple[str, int | None]] = []
+    for name, dataset in contents.datasets.items():
+        if dataset.kind not in "fiub" or not 1 <= len(dataset.shape) <= 2 or len(name) > 500:
+            continue
+        if len(dataset.shape) == 1 or dataset.shape[1] == 1:
+            header.append(name)
+            parts.append((name, None))
+        elif dataset.shape[1] in _AXES:
+            for column, axis in enumerate(_AXES[dataset.shape[1]]):
+                header.append(f"{name}/{axis}")
+                parts.append((name, column))
+    layout = layout_of(path, header, given)
+    if layout.sensor is not None:
+        raise SourceError(path, "has a column of sensors; in HDF5 files each sensor has data sets of its own")
+    names = list(dict.fromkeys(parts[place][0] for place in layout.columns()))
+    lengths = {name: contents.datasets[name].shape[0] for name in names}
+    if len(set(lengths.values())) > 1 or max(lengths.values()) > MOST_ROWS:
+        listed = ", ".join(f"'{name}' {length:,}" for name, length in lengths.items())[:300]
+        raise SourceError(path, f"must have data sets of one length, at most {MOST_ROWS:,} rows, got {listed}")
+    arrays = dict(zip(names, hdf5_arrays(path, contents, names), strict=True))
+    columns = {}
+    for place in layout.columns():
+        name, at = parts[place]
+        values = np.asarray(arrays[name], np.float64).reshape(lengths[name], -1)
+        columns[place] = values[:, at or 0]
+    found = sensors_of(path, layout, given, columns)
+    rate = _rate(contents, "", *sorted({name.rpartition("/")[0] for name in names}), *names)
+    for sensor in found:
+        sensor.rate_hz = rate
+    return found

@@ -1,0 +1,88 @@
+"""The program that opens an HDF5 file apart from kinedex: a damaged file can crash the library that reads it.
+
+It is run by `hdf5_files` as `python hdf5_child.py FILE [NAME…]`. Without names it prints the data sets and attributes
+as JSON, with names it writes these data sets as an NPZ file to its output. A fault is a line on standard error.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+import h5py
+import numpy as np
+
+MOST_NAMES = 20_000
+"""Data sets of a file."""
+
+_MOST_TEXT = 2_000
+
+
+def describe(path: str) -> dict[str, Any]:
+    """Return the data sets of a file, with shape and type, and the attributes of its groups that are short.
+
+    Links and data sets whose numbers are in other files are left out.
+    """
+    datasets: dict[str, Any] = {}
+    attributes: dict[str, Any] = {}
+    with h5py.File(path, "r") as file:
+
+        def note(name: str, item: Any) -> None:
+            if len(datasets) + len(attributes) >= MOST_NAMES:
+                raise ValueError(f"has more than {MOST_NAMES} data sets")
+            if isinstance(item, h5py.Dataset) and not item.is_virtual and item.external is None:
+                fields = list(item.dtype.names or ())
+                kinds = [item.dtype[field].kind for field in fields] or [item.dtype.kind]
+                datasets[name] = {"shape": list(item.shape or ()), "kinds": kinds, "fields": fields}
+            for key in list(item.attrs)[:100]:
+                value = plain(item.attrs, key)
+                if value is not None:
+                    attributes.setdefault(name, {})[key] = value
+
+        note("", file)
+        file.visititems(note)
+    return {"datasets": datasets, "attributes": attributes}
+
+
+def plain(attributes: Any, key: str) -> str | float | None:
+    """Return an attribute that is a short text or one number; None for any other."""
+    if attributes.get_id(key).get_storage_size() > _MOST_TEXT:
+        return None
+    value = attributes[key]
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.reshape(())[()]
+    if isinstance(value, bytes):
+        value = value.decode("utf-8", "replace")
+    if isinstance(value, str):
+        return str(value)[:_MOST_TEXT].rstrip("\0 ")
+    return float(value) if isinstance(value, int | float | np.number) else None
+
+
+def read(path: str, names: list[str]) -> dict[str, Any]:
+    """Return data sets by name, numbers as float64 and integers as int64; "name/field" is a field of a compound."""
+    found = {}
+    with h5py.File(path, "r") as file:
+        for i, name in enumerate(names):
+            parent, _, field = name.rpartition("/")
+            item = file[parent].fields(field)[:] if name not in file else file[name][()]
+            found[str(i)] = np.asarray(item, np.int64 if item.dtype.kind in "iu" else np.float64)
+    return found
+
+
+def main() -> int:
+    """Run the program."""
+    path, names = sys.argv[1], sys.argv[2:]
+    try:
+        if names:
+            np.savez(sys.stdout.buffer, **read(path, names))
+        else:
+            json.dump(describe(path), sys.stdout)
+    except Exception as fault:  # the library has many errors, all of a file that is damaged or strange
+        print(str(fault).splitlines()[0][:300] if str(fault) else type(fault).__name__, file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
