@@ -18,7 +18,7 @@ from kinedex.ops.body.kinematic_chain import forward
 from kinedex.ops.body.pose_fit import fit_poses, measured_body
 from kinedex.ops.depth.pose_distance import COMPARED, END_EFFECTORS, are_ends_found
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.pipelines.recordings.truth import at_rate, read_truth
+from kinedex.pipelines.recordings.truth import Truth, at_rate, read_truth
 from kinedex.storage.formats.depth.recording import recording_truth
 from kinedex.storage.formats.motion.c3d_markers import Markers, parse_c3d
 from kinedex.storage.formats.motion.position_files import parse_positions
@@ -141,10 +141,8 @@ def compare(store: Store, found: Reconstruction, file: DepthRecordingsFile, trut
         return None
     if entry.markers and truth is None:
         return _compare_markers(found, file, Path(given))
-    rate_hz = float(found.row["rate_hz"])
-    known = read_truth(store, str(given), Path(), JOINTS, rate_hz)
-    places = _in_world(at_rate(known.joints, known.rate_hz, rate_hz), entry.truth_pose)
-    poses, own = found.poses, places.transpose(2, 0, 1)
+    known = truth_places(store, file, name, str(given), float(found.row["rate_hz"]), JOINTS)
+    poses, own = found.poses, known.joints.transpose(2, 0, 1)
     count = min(len(poses), len(own))
     gaps = np.linalg.norm(poses[:count, COMPARED] - own[:count, COMPARED], axis=2)
     if not np.isfinite(gaps).any():
@@ -153,6 +151,36 @@ def compare(store: Store, found: Reconstruction, file: DepthRecordingsFile, trut
     names = tuple(JOINTS[j] for j in COMPARED.tolist())
     known_frames: Bool = np.any(np.isfinite(own[:count, COMPARED]), axis=(1, 2))
     return Comparison(found.row, _short(given), names, gaps, known_frames, ends)
+
+
+def truth_places(
+    store: Store, file: DepthRecordingsFile, name: str, truth: str, rate_hz: float, joints: tuple[str, ...]
+) -> Truth:
+    """Return the joints of the truth of a recording in the world, at some rate.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    file : DepthRecordingsFile
+        The file of the recording.
+    name : str
+        Its name.
+    truth : str
+        A take, or a motion file.
+    rate_hz : float
+        Frames per second; also those of a file that does not state them.
+    joints : tuple of str
+        The joints, in the order of the result.
+
+    Raises
+    ------
+    KinedexError
+        The truth cannot be read.
+    """
+    known = read_truth(store, truth, Path(), joints, rate_hz)
+    places = _in_world(at_rate(known.joints, known.rate_hz, rate_hz), file.entry(name).truth_pose)
+    return Truth(known.name, places, rate_hz)
 
 
 def _short(truth: str | Path) -> str:

@@ -160,6 +160,12 @@ class Motions:
             near.append((place, tuple(np.diff(start + frames[::PACKED_STEP], prepend=0).tolist())))
         return replace(found, near=tuple(near))
 
+    def beside(self, motions: Sequence[Motion]) -> Motions:
+        """Return the motions with others of the same time beside them, each a nearest example from its first frame."""
+        first = len(self.motions)
+        near = ((first + i, (0, *[PACKED_STEP] * (-(-one.frames // PACKED_STEP) - 1))) for i, one in enumerate(motions))
+        return replace(self, motions=(*self.motions, *motions), near=(*self.near, *near))
+
 
 def embed(
     store: Store,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,17 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from kinedex.catalog.depth_recordings import load_depth_recordings
+from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.reconstruction.frame_remarks import REMARKS
+from kinedex.pipelines.reconstruction.reconstruction_errors import truth_places
 from kinedex.pipelines.recordings.stored_results import earlier_rows
-from kinedex.pipelines.report.motions import embed, script_json
+from kinedex.pipelines.report.motions import Motion, embed, pack, script_json
 from kinedex.pipelines.report.page_environment import page_environment
 from kinedex.pipelines.report.person_points import MOST_BYTES, packed_points
+from kinedex.pipelines.report.reconstruction_jumps import Jumps, jumps_of
+from kinedex.storage.formats.depth.recording import recording_truth
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
@@ -81,6 +87,10 @@ class ReconstructedOnPage:
         The row of `reconstruction_errors` of the take.
     joints : tuple of dict
         Its rows of joints or markers, the worst first.
+    jumps : Jumps
+        The frames whose pose the archive lent.
+    near : int
+        The place of its truth among the motions beside others; −1 where there is none to be seen.
     """
 
     take: str
@@ -93,6 +103,8 @@ class ReconstructedOnPage:
     lenders: tuple[tuple[str, int], ...]
     errors: Mapping[str, Any] | None
     joints: tuple[Mapping[str, Any], ...]
+    jumps: Jumps
+    near: int
 
 
 def reconstruction_page(store: Store, stage: str, evaluation: str | None, title: str, most: int) -> str:
@@ -118,7 +130,12 @@ def reconstruction_page(store: Store, stage: str, evaluation: str | None, title:
     worst = {take: _mean_error(errors, take) or 0.0 for take in rows}
     order = sorted(rows, key=lambda take: (-worst[take], -float(np.nanmean(_costs(frames[take]))), take))[:most]
     motions = embed(store, order, "all")
-    shown = [_shown(store, rows[take], frames[take], errors) for take in order]
+    truths = _truths(store, [rows[take] for take in order], errors, motions.joints)
+    motions, jumps = motions.beside(list(truths.values())), jumps_of(store, stage, [rows[take] for take in order])
+    near = {take: number for number, take in enumerate(truths)}
+    shown = [
+        _shown(store, rows[take], frames[take], errors, jumps.get(take, Jumps()), near.get(take, -1)) for take in order
+    ]
     clouds = _clouds(store, [rows[take] for take in order])
     whole = next((row for row in errors if row["scope"] == "all" and row["frames"]), None)
     return (
@@ -129,6 +146,27 @@ def reconstruction_page(store: Store, stage: str, evaluation: str | None, title:
             motions_json=script_json({**asdict(motions), "clouds": clouds}), most_cm=100 * MOST_COST_M,
         )
     )  # fmt: skip
+
+
+def _truths(
+    store: Store, rows: Sequence[Mapping[str, Any]], errors: Sequence[Mapping[str, Any]], joints: tuple[str, ...]
+) -> dict[str, Motion]:
+    """Return the motion of each take as the truth has it, where one is known that has joints and is still there."""
+    judged = {row["take"] for row in errors if row["scope"] == "take"}
+    found: dict[str, Motion] = {}
+    for row in (row for row in rows if row["take"] in judged and row["file"] and Path(row["file"]).is_file()):
+        name = str(row["recording"])
+        try:
+            file = load_depth_recordings(row["file"])
+            truth = recording_truth(file, name)
+            if truth is None or file.entry(name).markers:
+                continue
+            known = truth_places(store, file, name, str(truth), store.rate_hz, joints)
+        except KinedexError:
+            continue  # it has changed since takes were compared with it
+        positions = known.joints[:, :, : store.take_frames[row["take_id"]]]
+        found[str(row["take"])] = pack(Path(known.name).name, positions, store.rate_hz)
+    return found
 
 
 def _clouds(store: Store, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -166,7 +204,12 @@ def _mean_error(errors: Sequence[Mapping[str, Any]], take: str) -> float | None:
 
 
 def _shown(
-    store: Store, row: Mapping[str, Any], frames: Sequence[Mapping[str, Any]], errors: Sequence[Mapping[str, Any]]
+    store: Store,
+    row: Mapping[str, Any],
+    frames: Sequence[Mapping[str, Any]],
+    errors: Sequence[Mapping[str, Any]],
+    jumps: Jumps,
+    near: int,
 ) -> ReconstructedOnPage:
     take, total = str(row["take"]), store.take_frames[row["take_id"]]
     costs = np.nan_to_num(_costs(frames)) / MOST_COST_M
@@ -183,7 +226,7 @@ def _shown(
     return ReconstructedOnPage(
         take, row, total, len(frames) / row["rate_hz"], float(np.mean(lent)), bins, lanes,
         tuple(sorted(lenders.items(), key=lambda one: (-one[1], one[0]))[:LENDERS]),
-        next((one for one in own if one["scope"] == "take"), None), tuple(joints),
+        next((one for one in own if one["scope"] == "take"), None), tuple(joints), jumps, near,
     )  # fmt: skip
 
 

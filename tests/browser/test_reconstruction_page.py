@@ -46,3 +46,12 @@ def test_a_click_on_a_lent_interval_plays_it_without_rays(browser: Browser, repo
         expect(page.locator("#player .title")).to_contain_text("_reconstructed · archive lent", timeout=WAIT_MS)
         assert is_drawn(page, "#player canvas")
         expect(page.locator("#player .rays")).to_be_hidden()
+
+
+def test_a_jump_is_played_beside_the_truth(browser: Browser, report: Path) -> None:
+    with opened(browser, report, reduced_motion="reduce") as page:
+        page.locator(".jumps button.see").first.click()
+        title = page.locator("#player .title")
+        expect(title).to_contain_text("jump to x_", timeout=WAIT_MS)
+        expect(title).to_contain_text("beside it x_")
+        assert is_drawn(page, "#player canvas")

@@ -2,7 +2,8 @@
 //
 // Positions lie packed in #motions (pipelines/report/motions.py). An interval is an element with data-start and
 // data-stop, in analysis frames, inside of an element with data-take, or with all three; data-what is its title,
-// data-near its place in the list of nearest examples. A click plays it. A canvas with these attributes is a small
+// data-near its place in the list of nearest examples. Where that shows the same moments, data-near-start is the frame
+// that it begins at, and both are seen from the same side. A click plays it. A canvas with these attributes is a small
 // figure that moves by itself.
 // Every svg.plot of a [data-take] shows a playhead; data-left and data-width, in percent, place a take within a plot.
 // data-one and data-other are the captions of an interval and of what stands beside it. Where #motions has rays, a box
@@ -152,7 +153,7 @@
   // The frame of the nearest example that belongs to a frame of the hit, along the warping path.
   function partner(block, frame, motion) {
     const [, path] = near[block.dataset.near];
-    const position = Math.min(Math.max((frame - block.dataset.start) / motion.step, 0), path.length - 1);
+    const position = Math.min(Math.max((frame - (block.dataset.nearStart ?? block.dataset.start)) / motion.step, 0), path.length - 1);
     const left = Math.floor(position), a = path[left], b = path[Math.min(left + 1, path.length - 1)];
     return a + (b >= a && b - a <= 8 ? (b - a) * (position - left) : 0);
   }
@@ -202,7 +203,7 @@
     const seen = await unpack(rays.find(one => one.take === chosen.take));
     if (wide) wide.parentElement.hidden = !seen;
     await unpack(clouds.find(one => one.take === chosen.take));
-    if (example) {
+    if (example && !block.dataset.nearStart) {
       const [one, other] = [heading(example, index(example, partner(block, +block.dataset.start, shown))), heading(shown, index(shown, +block.dataset.start))];
       if (one !== null && other !== null) playing.facing = one - other;
     }

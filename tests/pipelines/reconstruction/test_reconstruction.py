@@ -310,6 +310,8 @@ def test_the_page_has_the_points_of_recordings_that_are_there(made: Path) -> Non
     assert '"clouds":[{' in page
     assert "Title &lt;b&gt;" in page
     assert page.count('class="lent"') >= 1
+    assert page.count('data-what="jump to ') >= len(FILMED)  # each begins with a pose of the archive
+    assert 'data-near="1" data-near-start="0"' in page
 
 
 def test_the_demo_films_the_synthetic_archive_alone(tmp_path: Path) -> None:
