@@ -26,4 +26,75 @@ fit_mm    DOUBLE    root mean square distance of the markers to their shape; NUL
         "FROM limb_orientations GROUP BY take, limb ORDER BY take, limb",
         stages="limb_orientations break_track",
     ),
+    result_view(
+        "imu_recordings",
+        "The sensors of recordings: the limb that each is worn on, its take, rate and channels, and what is odd.",
+        f"""{TAKE}
+recording    VARCHAR    the recording: sensors that share a clock, of one file or of several files
+sensor    VARCHAR    name of the sensor in its file
+limb    VARCHAR    the limb that it is worn on, such as lshank; NULL where no limb claims it
+file    VARCHAR    its file
+format    VARCHAR    format of the file
+rate_hz    DOUBLE    samples per second
+samples    BIGINT    number of samples
+frame    VARCHAR    the world of the file's own orientations; NULL where they are estimated
+channels    VARCHAR[]    acc, gyr, mag, orientation: those that the file has
+gaps    STRUCT(last_s DOUBLE, next_s DOUBLE)[]    last and next sample of holes above 50 ms, seconds of its clock
+warnings    VARCHAR[]    what is odd""",
+        "SELECT recording, take, sensor, limb, rate_hz, warnings FROM imu_recordings ORDER BY recording, sensor",
+        stages="read_imu",
+    ),
+    result_view(
+        "imu_samples",
+        "The samples of sensors in SI units, with their orientations, from files or estimated.",
+        f"""recording    VARCHAR    the recording
+sensor    VARCHAR    name of the sensor in its file
+sample    BIGINT    number of the sample, from 0
+t    DOUBLE    seconds on the recording's clock
+acc    {VECTOR}    specific force in m/s², in the sensor's axes; NULL where not measured
+gyr    {VECTOR}    angular velocity in rad/s; NULL where not measured
+mag    {VECTOR}    magnetic field, in µT where the file states its unit; NULL where not measured
+orientation    {QUATERNION}    unit quaternion, sensor to X magnetic north, Y west, Z up; NULL where not known""",
+        "SELECT recording, sensor, count(*) AS samples, max(t) - min(t) AS seconds "
+        "FROM imu_samples GROUP BY recording, sensor ORDER BY recording, sensor",
+        stages="read_imu",
+    ),
+    result_view(
+        "sensor_sync",
+        "The clocks of recordings against those of takes: what is added to a take's time to get the sensor's.",
+        f"""{TAKE}
+recording    VARCHAR    the recording
+offset_s    DOUBLE    sensor time = take time + offset_s + ppm / 1e6 * take time; NULL where it was not found
+ppm    DOUBLE    drift of the clock in parts per million
+correlation    DOUBLE    correlation of angular speeds at the best offset, -1 to 1; NULL for a given offset
+next_best    DOUBLE    the largest correlation 0.25 s or farther from it; NULL where there is none
+limbs    INTEGER    number of limbs that were correlated
+refined    BOOLEAN    the offset is that of the least orientation errors; false: of the correlation, or given
+left_out    VARCHAR    the reason for which the take has no offset; NULL where it has one""",
+        "SELECT take, recording, offset_s, correlation, next_best, left_out FROM sensor_sync ORDER BY correlation",
+        stages="synchronise",
+    ),
+    result_view(
+        "sensor_calibration",
+        "The mounts of sensors on limbs and the rotation between the worlds of sensor and take.",
+        f"""{TAKE}
+recording    VARCHAR    the recording
+sensor    VARCHAR    name of the sensor in its file
+limb    VARCHAR    the limb that it is worn on
+basis    VARCHAR    how the limb's orientation is known: full, hinge or none
+q_global    {QUATERNION}    X magnetic north, Y west, Z up to the take's world; NULL where it was not found
+q_mount    {QUATERNION}    sensor to limb; NULL where it was not found, and for basis none
+direction    {VECTOR}    the limb's long axis in the sensor's axes, for basis none
+frames    INTEGER    frames that were fitted
+inliers    DOUBLE    share of them with an error below 15 degrees
+median_deg    DOUBLE    median error of those
+observability    DOUBLE    least eigenvalue of the normal equations; 0 where a direction is free
+tilt_deg    DOUBLE    angle between the verticals of take and sensors, where it was fitted; else 0
+drift    STRUCT(t DOUBLE, degrees DOUBLE)[]    correction of the sensor's heading at knots, seconds of the take
+warning    VARCHAR    what makes the result doubtful; NULL where nothing does
+left_out    VARCHAR    the reason for which the mount was not found; NULL where it was""",
+        "SELECT take, limb, round(inliers, 2) AS inliers, median_deg, observability, left_out "
+        "FROM sensor_calibration ORDER BY median_deg DESC",
+        stages="calibrate_sensors",
+    ),
 )
