@@ -90,6 +90,11 @@ class Sources:
         return found
 
     @property
+    def mappings(self) -> list[Mappings]:
+        """The skeleton mappings of each ingest."""
+        return [reader.mappings for reader in self._readers]
+
+    @property
     def describing(self) -> tuple[str, ...]:
         """The columns of takes that patterns and tables of the user fill."""
         return described_columns(self.store.manifest.columns)

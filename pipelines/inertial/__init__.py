@@ -1,0 +1,1 @@
+"""Limbs of takes, sensors worn on them, and sensors that are simulated."""

@@ -1,0 +1,152 @@
+"""The limbs of stored takes, read again from their sources at the rate of these."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from kinedex.catalog.skeletons.mappings import Mappings
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.engine.digests import hash_of
+from kinedex.pipelines.inertial.limb_motion import TakeLimbs, take_limbs
+from kinedex.pipelines.repair.pipeline_files import ingest_settings, known_stages
+from kinedex.pipelines.repair.sources import Sources
+from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings
+from kinedex.storage.formats.motion.segments import Segments, read_segments
+from kinedex.storage.snapshot.parts import joint_positions
+from kinedex.storage.snapshot.schemas import RECORDED_FORMATS
+from kinedex.storage.store.store import Store
+
+
+@dataclass(frozen=True, eq=False)
+class LimbTask:
+    """A take whose limbs are wanted; it is read in any process.
+
+    Attributes
+    ----------
+    take_id : int
+        Its id.
+    take : str
+        Its name.
+    joints : tuple of str
+        The named joints of the store.
+    limbs : tuple of str
+        The limbs that are wanted.
+    file : MotionFile or None
+        Its source; None for a take of a recording, whose joints are those of the store.
+    mappings : Mappings or None
+        The skeleton mappings that it was read with.
+    settings : ReadSettings or None
+        The settings that it was read with.
+    body : Body or None
+        The joints of a take of a recording.
+    """
+
+    take_id: int
+    take: str
+    joints: tuple[str, ...]
+    limbs: tuple[str, ...]
+    file: MotionFile | None = None
+    mappings: Mappings | None = None
+    settings: ReadSettings | None = None
+    body: Body | None = None
+
+
+def sources_of(store: Store) -> Sources:
+    """Return the sources of the takes of a store, with the settings that they were read with."""
+    return Sources(store, ingest_settings(store.manifest, known_stages(store.path)))
+
+
+def limb_tasks(store: Store, takes: Sequence[str], limbs: tuple[str, ...]) -> list[LimbTask]:
+    """Return what reads the limbs of takes, in the order of the takes.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    takes : sequence of str
+        Names of takes.
+    limbs : tuple of str
+        The limbs that are wanted.
+
+    Raises
+    ------
+    KinedexError
+        The source of a take is gone or was changed; the message names it and the way out.
+    """
+    wanted = set(takes)
+    rows = {row["name"]: row for row in store.take_rows.to_pylist() if row["name"] in wanted}
+    joints = store.feature_set.joints
+    tasks = {
+        name: LimbTask(row["take_id"], name, joints, limbs)
+        for name, row in rows.items()
+        if row["format"] in RECORDED_FORMATS
+    }
+    found = sources_of(store).find([row["take_id"] for name, row in rows.items() if name not in tasks])
+    if found.lost:
+        lost = found.lost[0]
+        more = f" (and {len(found.lost) - 1} more takes)" if len(found.lost) > 1 else ""
+        raise KinedexError(
+            f"take '{lost.name}'{more}: its source {lost.why}, and limbs are read from sources; put the file back, "
+            f"or ingest it as it is now with `kinedex ingest {store.path} {Path(rows[lost.name]['source_root'])}`, or "
+            "leave the take out with `where`"
+        )
+    for batch in found.batches:
+        for one in batch.tasks:
+            skeleton = one.skeleton.absolute if one.skeleton is not None else None
+            file = MotionFile(one.motion.absolute, skeleton, person=one.person or "")
+            tasks[one.name] = LimbTask(one.take_id, one.name, joints, limbs, file, batch.mappings, batch.given)
+    return [tasks[name] for name in takes]
+
+
+def with_stored_body(task: LimbTask, store: Store) -> LimbTask:
+    """Return the task with the joints of the store, for a take of a recording; any other one as it is."""
+    if task.file is not None:
+        return task
+    table = store.frames(task.take).combine_chunks()
+    positions = np.ascontiguousarray(joint_positions(table, task.joints), np.float64)
+    frames = positions.shape[2]
+    unknown = tuple(joint for joint, place in zip(task.joints, positions, strict=True) if np.isnan(place).all())
+    body = Body(positions, np.full((4, frames), np.nan), store.rate_hz, "1 m", "", unknown, ())
+    return replace(task, body=body)
+
+
+def read_limbs(task: LimbTask) -> TakeLimbs:
+    """Return the limbs of a take.
+
+    Raises
+    ------
+    SourceError
+        The source cannot be read.
+    """
+    if task.file is None:
+        assert task.body is not None
+        segments = Segments(task.body)
+    else:
+        assert task.mappings is not None
+        assert task.settings is not None
+        segments = read_segments(task.file, task.mappings, task.joints, task.settings, task.limbs)
+    return take_limbs(segments, task.joints, task.limbs)
+
+
+def reading_digest(store: Store, takes: Sequence[str]) -> str:
+    """Return a hash of all in a store that the limbs of takes follow from: their sources, and what mappings state."""
+    wanted = set(takes)
+    rows = [row for row in store.take_rows.to_pylist() if row["name"] in wanted]
+    return hash_of(
+        [(row["name"], row["checksum"], row["recipe"], row["frames"]) for row in rows],
+        store.rate_hz,
+        [_stated_limbs(mappings) for mappings in sources_of(store).mappings],
+    )
+
+
+def _stated_limbs(mappings: Mappings) -> list[object]:
+    every = [one for group in (mappings.own, mappings.of_format) for some in group.values() for one in some]
+    return [
+        [one.name, limb, source.node, list(source.markers), list(source.axis)]
+        for one in every
+        for limb, source in one.limbs.items()
+    ]

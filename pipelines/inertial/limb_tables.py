@@ -1,0 +1,158 @@
+"""Tables of the results `limb_orientations`, and the limbs of takes from their rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from kinedex.pipelines.inertial.limb_motion import LimbMotion
+from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.store.store import Store
+
+F64 = npt.NDArray[np.float64]
+
+KIND = "limb_orientations"
+
+
+@dataclass(frozen=True, eq=False)
+class StoredLimbs:
+    """The limbs of a take as the store has them.
+
+    Attributes
+    ----------
+    take_id : int
+        Id of the take.
+    take : str
+        Its name.
+    limbs : dict of str to LimbMotion
+        Its limbs by name.
+    """
+
+    take_id: int
+    take: str
+    limbs: dict[str, LimbMotion]
+
+    @property
+    def rate_hz(self) -> float:
+        """Frames per second; 0 for a take of one frame."""
+        times = next(iter(self.limbs.values())).times
+        return float((len(times) - 1) / (times[-1] - times[0])) if len(times) > 1 else 0.0
+
+
+def limb_table(take_id: int, take: str, limbs: Mapping[str, LimbMotion], run: str) -> pa.Table:
+    """Return the rows of a take's limbs, limb by limb, in the order of frames."""
+    schema = result_schema(KIND)
+    tables = [_rows(take_id, take, one, run, schema) for one in limbs.values()]
+    return pa.concat_tables(tables) if tables else schema.empty_table()
+
+
+def _rows(take_id: int, take: str, one: LimbMotion, run: str, schema: pa.Schema) -> pa.Table:
+    frames = len(one.times)
+    columns = {
+        "run": pa.repeat(pa.scalar(run), frames),
+        "take_id": pa.repeat(pa.scalar(take_id, pa.int64()), frames),
+        "take": pa.repeat(pa.scalar(take), frames),
+        "limb": pa.repeat(pa.scalar(one.limb), frames),
+        "source_frame": pa.array(np.arange(frames, dtype=np.int32)),
+        "t": pa.array(one.times),
+        "orientation": struct_array(one.orientation, "wxyz"),
+        "position": struct_array(one.position, "xyz"),
+        "direction": struct_array(one.direction, "xyz"),
+        "basis": pa.repeat(pa.scalar(one.basis), frames),
+        "valid": pa.array(one.valid),
+        "jump": pa.array(one.jump),
+        "fit_mm": _millimetres(one.fit_m, frames),
+    }
+    return pa.table([columns[name] for name in schema.names], schema=schema)
+
+
+def _millimetres(fit_m: F64 | None, frames: int) -> pa.Array:
+    if fit_m is None:
+        return pa.nulls(frames, pa.float64())
+    return pa.array(1000.0 * fit_m, mask=~np.isfinite(fit_m))
+
+
+def struct_array(rows: F64, axes: str) -> pa.Array:
+    """Return rows (T, K) as structures with a field for each axis; rows with a NaN are null."""
+    lost = ~np.isfinite(rows).all(axis=1)
+    parts = [pa.array(np.ascontiguousarray(rows[:, i])) for i in range(len(axes))]
+    return pa.StructArray.from_arrays(parts, names=list(axes), mask=pa.array(lost))
+
+
+def struct_rows(column: pa.ChunkedArray, axes: str) -> F64:
+    """Return structures as rows (T, K), NaN where they are null."""
+    whole = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
+    fields = [pc.struct_field(whole, axis) for axis in axes]  # null where the structure is
+    return np.stack([field.to_numpy(zero_copy_only=False).astype(np.float64) for field in fields], axis=1)
+
+
+def stored_limbs(store: Store, stage: str, takes: Iterable[str] | None = None) -> Iterator[StoredLimbs]:
+    """Yield the limbs of takes that a stage has stored, one take at a time.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    stage : str
+        The stage that has made them, "<pipeline>/<stage>".
+    takes : iterable of str, optional
+        Names of the takes that are wanted; all of the stage unless given.
+    """
+    wanted = None if takes is None else pa.array(sorted(set(takes)), pa.string())
+    parts = [part for part in store.manifest.results.get(KIND, ()) if part.stage == stage]
+    waiting: list[pa.Table] = []
+    for piece in store.result_pieces(KIND, parts):
+        rows = piece if wanted is None else piece.filter(pc.is_in(piece.column("take"), wanted))
+        for own in _by_take(rows):
+            if waiting and _take_id(waiting[0]) != _take_id(own):
+                yield _stored(pa.concat_tables(waiting))
+                waiting = []
+            waiting.append(own)
+    if waiting:
+        yield _stored(pa.concat_tables(waiting))
+
+
+def _take_id(rows: pa.Table) -> int:
+    return int(rows.column("take_id")[0].as_py())
+
+
+def _by_take(rows: pa.Table) -> Iterator[pa.Table]:
+    """Divide rows where the take changes."""
+    ids = rows.column("take_id").to_numpy()
+    for start, stop in _runs(ids):
+        yield rows.slice(start, stop - start)
+
+
+def _runs(values: npt.NDArray[np.int64]) -> list[tuple[int, int]]:
+    edges = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)] if len(values) else []
+    return list(pairwise(edges))
+
+
+def _stored(rows: pa.Table) -> StoredLimbs:
+    names = rows.column("limb").to_pylist()
+    first = {name: place for place, name in reversed(list(enumerate(names)))}
+    limbs = {}
+    for name in sorted(first, key=first.__getitem__):
+        limbs[name] = _limb(name, rows.filter(pc.equal(rows.column("limb"), name)))
+    return StoredLimbs(_take_id(rows), rows.column("take")[0].as_py(), limbs)
+
+
+def _limb(name: str, rows: pa.Table) -> LimbMotion:
+    fit = rows.column("fit_mm")
+    return LimbMotion(
+        name,
+        rows.column("basis")[0].as_py(),
+        rows.column("t").to_numpy(),
+        struct_rows(rows.column("orientation"), "wxyz"),
+        struct_rows(rows.column("position"), "xyz"),
+        struct_rows(rows.column("direction"), "xyz"),
+        rows.column("valid").to_numpy().astype(np.bool_),
+        rows.column("jump").to_numpy().astype(np.bool_),
+        None if fit.null_count == len(fit) else fit.to_numpy() / 1000.0,
+    )
