@@ -1,0 +1,217 @@
+"""What an ideal inertial sensor on a limb reads: turn rates, specific force and magnetic field (thesis, Appendix A).
+
+The inertial world F_GI has X to magnetic north, Y to the west and Z up; the world of a take has Y up. Rates are those
+of the sensor's own axes. Algorithm 5 of the thesis, Im(q_k ∘ q̄_{k−1}), gives rates in global axes; Eq. A.22 is one
+sample late. Both are corrected here.
+"""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass
+from types import ModuleType
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.ops.inertial.rotations import conjugate, continuous, exp, log, multiply, rotate
+
+F64 = npt.NDArray[np.float64]
+
+GRAVITY = np.array([0.0, 0.0, 9.81])
+"""What an accelerometer at rest reads in F_GI, in m/s²."""
+
+Z_TO_Y = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
+"""The turn from a world with Z up to the take's with Y up."""
+
+FIELD_UT, INCLINATION_DEG = 48.255, 64.883
+"""The magnetic field in Saarbrücken (thesis, A.1): strength in µT, and degrees below the horizon."""
+
+CUTOFF_HZ = 15.0
+"""Places and turns of takes are smoothed at this frequency before they are differentiated."""
+
+LEAST_SAMPLES = 8
+"""A quintic spline and a filter need so many samples."""
+
+
+class MissingScipyError(KinedexError):
+    """The package of splines and filters is not installed."""
+
+
+@dataclass(frozen=True, eq=False)
+class SensorMotion:
+    """The true motion of a sensor in F_GI at evenly spaced times.
+
+    Attributes
+    ----------
+    rate_hz : float
+        Samples per second.
+    orientation : float64 array (N, 4)
+        Unit quaternions w x y z, sensor → F_GI.
+    acceleration : float64 array (N, 3)
+        Second derivative of the sensor's place, in m/s², in F_GI.
+    """
+
+    rate_hz: float
+    orientation: F64
+    acceleration: F64
+
+
+def world_turn(heading_deg: float) -> F64:
+    """Return q_G, the turn (4,) from F_GI to a take's world with Y up, with a heading about the vertical."""
+    return multiply(Z_TO_Y, exp(np.array([0.0, 0.0, np.radians(heading_deg)])))
+
+
+def magnetic_field(
+    strength_ut: float = FIELD_UT, inclination_deg: float = INCLINATION_DEG, declination_deg: float = 0.0
+) -> F64:
+    """Return the magnetic field in F_GI (thesis, A.4 to A.7).
+
+    Parameters
+    ----------
+    strength_ut : float, optional
+        Its strength in µT.
+    inclination_deg : float, optional
+        Degrees by which it points below the horizon.
+    declination_deg : float, optional
+        Degrees between X and magnetic north; 0 where X is magnetic north.
+
+    Returns
+    -------
+    float64 array (3,)
+        In µT.
+    """
+    phi, theta = np.radians(inclination_deg), np.radians(declination_deg)
+    return strength_ut * np.array([np.cos(phi) * np.cos(theta), -np.cos(phi) * np.sin(theta), -np.sin(phi)])
+
+
+def sensor_motion(
+    times: F64,
+    position: F64,
+    orientation: F64,
+    at: F64,
+    q_global: F64,
+    q_mount: F64,
+    lever: F64 | None = None,
+    cutoff_hz: float = CUTOFF_HZ,
+) -> SensorMotion:
+    """Return the motion of a sensor that sits on a limb.
+
+    Places are smoothed and interpolated by a quintic spline, turns by a spline of rotations.
+
+    Parameters
+    ----------
+    times : float64 array (T,)
+        Seconds of the limb's frames, evenly spaced.
+    position : float64 array (T, 3)
+        A point of the limb in metres, in the take's world.
+    orientation : float64 array (T, 4)
+        Unit quaternions of the limb, segment → the take's world.
+    at : float64 array (N,)
+        Evenly spaced times within these, at which the sensor samples.
+    q_global : float64 array (4,)
+        F_GI → the take's world.
+    q_mount : float64 array (4,)
+        Sensor → segment.
+    lever : float64 array (3,), optional
+        From the point to the sensor, in metres and in the segment's axes.
+    cutoff_hz : float, optional
+        Frequency at which places and turns are smoothed; no smoothing where the rate is not above twice of it.
+
+    Raises
+    ------
+    ParameterError
+        There are fewer than 8 frames, a frame is not known, or a time lies outside.
+    MissingScipyError
+        The package scipy is not installed.
+    """
+    if len(times) < LEAST_SAMPLES or position.shape != (len(times), 3) or orientation.shape != (len(times), 4):
+        raise ParameterError(
+            "times, position, orientation", f"of {LEAST_SAMPLES} frames or more, (T,), (T, 3) and (T, 4)",
+            (times.shape, position.shape, orientation.shape),
+        )  # fmt: skip
+    if not (np.isfinite(position).all() and np.isfinite(orientation).all()):
+        raise ParameterError("position and orientation", "finite in all frames", "NaN or infinity")
+    if len(at) < 2 or at[0] < times[0] - 1e-9 or at[-1] > times[-1] + 1e-9:
+        raise ParameterError("at", f"two times or more within {times[0]:g} to {times[-1]:g} s", f"{len(at)} times")
+    rate_hz = (len(times) - 1) / (times[-1] - times[0])
+    place = position if lever is None else position + rotate(orientation, lever)
+    place, turned = smooth(place, rate_hz, cutoff_hz), smooth(continuous(orientation), rate_hz, cutoff_hz)
+    turned = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+    inside = np.clip(at, times[0], times[-1])
+    spline = _scipy("interpolate").make_interp_spline(times, place, k=5)
+    acceleration = np.asarray(spline.derivative(2)(inside), np.float64)
+    back = conjugate(q_global)
+    whole = multiply(back, multiply(_interpolated_turns(times, turned, inside), q_mount))
+    return SensorMotion((len(at) - 1) / (at[-1] - at[0]), continuous(whole), rotate(back, acceleration))
+
+
+def _interpolated_turns(times: F64, turned: F64, at: F64) -> F64:
+    """Return rotations by a spline with continuous angular accelerations, w x y z."""
+    transform = _scipy("spatial.transform")
+    spline = transform.RotationSpline(times, transform.Rotation.from_quat(turned[:, [1, 2, 3, 0]]))
+    return np.asarray(spline(at).as_quat(), np.float64)[:, [3, 0, 1, 2]]
+
+
+def smooth(values: F64, rate_hz: float, cutoff_hz: float) -> F64:
+    """Return values (T, K) without what is faster than a frequency: a Butterworth filter of order 2, forth and back.
+
+    Values stay as they are where the rate is not above twice the frequency, or fewer than 8 are given.
+    """
+    if cutoff_hz >= 0.5 * rate_hz or len(values) < LEAST_SAMPLES:
+        return values
+    signal = _scipy("signal")
+    sections = signal.butter(2, cutoff_hz, fs=rate_hz, output="sos")
+    padding = min(len(values) - 1, int(np.ceil(3 * rate_hz / cutoff_hz)))
+    return np.asarray(signal.sosfiltfilt(sections, values, axis=0, padlen=padding), np.float64)
+
+
+def turn_rates(orientation: F64, rate_hz: float) -> F64:
+    """Return what a gyroscope reads: the turn since the sample before, over the time between, in the sensor's axes.
+
+    Integrating the rates gives the orientations back; differences centred on a sample would put a filter half a sample
+    ahead.
+
+    Parameters
+    ----------
+    orientation : float64 array (N, 4)
+        Unit quaternions w x y z, sensor → world.
+    rate_hz : float
+        Samples per second.
+
+    Returns
+    -------
+    float64 array (N, 3)
+        Radians per second; 0 in the first sample.
+    """
+    rates = np.zeros((len(orientation), 3))
+    rates[1:] = log(multiply(conjugate(orientation[:-1]), orientation[1:])) * rate_hz
+    return rates
+
+
+def specific_force(orientation: F64, acceleration: F64) -> F64:
+    """Return what an accelerometer reads (N, 3) in m/s²: acceleration in F_GI and gravity's reaction, in its axes."""
+    return rotate(conjugate(orientation), acceleration + GRAVITY)
+
+
+def field_in_sensor(orientation: F64, field: F64) -> F64:
+    """Return a field in F_GI, (3,) or (N, 3), in the axes of a sensor (N, 3)."""
+    return rotate(conjugate(orientation), np.broadcast_to(field, (len(orientation), 3)))
+
+
+def centred_acceleration(position: F64, rate_hz: float) -> F64:
+    """Return second differences (N, 3) of places (N, 3), centred on each sample; at the ends those beside it."""
+    found = np.empty_like(position)
+    found[1:-1] = (position[2:] - 2.0 * position[1:-1] + position[:-2]) * rate_hz**2
+    found[0], found[-1] = found[1], found[-2]
+    return found
+
+
+def _scipy(part: str) -> ModuleType:
+    try:
+        return importlib.import_module(f"scipy.{part}")
+    except ModuleNotFoundError:
+        raise MissingScipyError(
+            "simulated sensors need the package scipy: install it with `pip install 'kinedex[imu]'`"
+        ) from None
