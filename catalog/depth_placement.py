@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.depth_cameras import DepthCamera
-from kinedex.ops.depth.floor import find_floor, upright_turn
+from kinedex.ops.depth.floor import Floor, find_floor, upright_turn
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -21,6 +21,9 @@ NO_UP = (
     "that points upwards in the camera's axes, to its file, or a background that shows the floor"
 )
 """The warning about a camera that is assumed to be level."""
+
+FLOOR_OFF_M = 0.1
+"""A floor of the background may lie so far from where the camera's pose has it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +74,9 @@ class Placement:
 def placement_of(camera: DepthCamera, background: F32 | None, seed: int = 0) -> Placement:
     """Return the inside axes of a recording.
 
-    With a pose, it determines up and floor. Without one, the largest level plane of the background is the floor, and
-    its normal is up; else the camera's `up` holds; else a level camera without a floor is assumed, and noted.
+    With a pose, it determines up and floor; a floor of the background that lies elsewhere is noted. Without one, the
+    largest level plane of the background is the floor, and its normal is up; else the camera's `up` holds; else a level
+    camera without a floor is assumed, and noted.
 
     Parameters
     ----------
@@ -86,12 +90,10 @@ def placement_of(camera: DepthCamera, background: F32 | None, seed: int = 0) -> 
     upwards = camera.upwards
     if camera.rotation is not None and camera.place is not None and upwards is not None:
         turn = upright_turn(FLIP * upwards)
-        return Placement(turn, -float(camera.place[1]), (camera.rotation.T * FLIP) @ turn.T, camera.place)
-    floor = None
-    if background is not None:
-        seen = background > 0
-        points = np.concatenate([camera.rays[seen], np.ones((int(seen.sum()), 1))], axis=1) * background[seen, None]
-        floor = find_floor(points * FLIP, None if upwards is None else FLIP * upwards, seed)
+        height = -float(camera.place[1])
+        notes = _contradiction(_floor_of(camera, background, seed), height)
+        return Placement(turn, height, (camera.rotation.T * FLIP) @ turn.T, camera.place, notes)
+    floor = _floor_of(camera, background, seed)
     if floor is not None:
         note = (
             f"the floor is {-floor.height:.2f} m below the camera, which is tilted by "
@@ -103,3 +105,22 @@ def placement_of(camera: DepthCamera, background: F32 | None, seed: int = 0) -> 
     if upwards is not None:
         return Placement(upright_turn(FLIP * upwards), None, np.eye(3), np.zeros(3), ("no floor was found",))
     return Placement(np.eye(3), None, np.eye(3), np.zeros(3), (NO_UP,))
+
+
+def _floor_of(camera: DepthCamera, background: F32 | None, seed: int) -> Floor | None:
+    """Return the floor in a background."""
+    if background is None:
+        return None
+    upwards, seen = camera.upwards, background > 0
+    points = np.concatenate([camera.rays[seen], np.ones((int(seen.sum()), 1))], axis=1) * background[seen, None]
+    return find_floor(points * FLIP, None if upwards is None else FLIP * upwards, seed)
+
+
+def _contradiction(floor: Floor | None, height: float) -> tuple[str, ...]:
+    """Return a note where the floor of a background does not lie at the height that the camera's pose gives it."""
+    if floor is None or abs(floor.height - height) <= FLOOR_OFF_M:
+        return ()
+    return (
+        f"in the background the floor lies {-floor.height:.2f} m below the camera, and by its `pose` {-height:.2f} m: "
+        "are fx, fy, `depth_unit_m` and `pose` those of this recording?",
+    )

@@ -8,9 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.depth.pose_database import facing_of
+from kinedex.ops.depth.size_estimate import LIMITS_M, STEP_M
 from kinedex.ops.depth.tracker import FrameResult
 from kinedex.pipelines.console.wording import counted
-from kinedex.pipelines.reconstruction.recording_tracks import RecordingTrack, Scene
+from kinedex.pipelines.reconstruction.parameters import ESTIMATE
+from kinedex.pipelines.reconstruction.recording_tracks import PersonBones, RecordingTrack, Scene
 
 F64 = npt.NDArray[np.float64]
 
@@ -36,6 +38,9 @@ LYING_SHARE = 0.4
 
 TURNED_DEGREES = 45.0
 """A person is turned away who faces farther from the camera."""
+
+MOST_COST_M = 0.1
+"""A body fits badly whose poses cost more in the median; usual are 3 to 6 cm."""
 
 _MOST_RANGES = 8
 
@@ -96,6 +101,33 @@ def remark_sentences(remarks: Sequence[Sequence[str]]) -> list[str]:
         if frames:
             sentences.append(text.format(frames=counted(len(frames), "frame"), numbers=listed_frames(frames)))
     return sentences
+
+
+def fit_remarks(track: RecordingTrack, bones: PersonBones) -> list[str]:
+    """Return sentences on a body that does not fit the points, or whose estimated size is the greatest or least.
+
+    Parameters
+    ----------
+    track : RecordingTrack
+        The tracked recording, with a pose in one frame or more.
+    bones : PersonBones
+        The bones of the person.
+    """
+    found = []
+    costs = np.where(track.chosen == 0, track.directions[0].costs, track.directions[-1].costs)
+    cost = float(np.nanmedian(costs))
+    if cost > MOST_COST_M:
+        found.append(
+            f"the body fits the points badly: half of the poses cost more than {100 * cost:.0f} cm, usual are 3 to 6; "
+            "are fx, fy, `depth_unit_m` and `body` those of this recording, and does nothing but the person stand "
+            "before the background?"
+        )
+    if bones.origin == ESTIMATE and not LIMITS_M[0] + STEP_M < bones.height_m < LIMITS_M[1] - STEP_M:
+        found.append(
+            f"the estimated height of {bones.height_m:.2f} m is at the end of what is tried: are fx, fy and "
+            "`depth_unit_m` those of this recording?"
+        )
+    return found
 
 
 def listed_frames(frames: Sequence[int]) -> str:

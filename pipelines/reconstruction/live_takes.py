@@ -14,7 +14,7 @@ import numpy.typing as npt
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.pipelines.engine.digests import hash_of
 from kinedex.pipelines.engine.runner import new_run_id
-from kinedex.pipelines.reconstruction.frame_remarks import frame_remarks, remark_sentences
+from kinedex.pipelines.reconstruction.frame_remarks import fit_remarks, frame_remarks, remark_sentences
 from kinedex.pipelines.reconstruction.live import LiveTracker
 from kinedex.pipelines.reconstruction.parameters import ReconstructParameters
 from kinedex.pipelines.reconstruction.reconstructed_takes import (
@@ -158,10 +158,11 @@ def _result(live: LiveRecording, take: str, take_id: int) -> ReconstructionResul
     sentences = list(tracker.placement.notes)
     if tracker.camera.rate_hz is None:
         sentences.append(f"the camera's file states no `rate_hz`: {settings.rate_hz:g} frames per second are assumed")
+    sentences += [*remark_sentences(remarks), *fit_remarks(track, tracker.bones)]
     fingerprint = hash_of(hashlib.sha256(live.poses.tobytes()).hexdigest(), params.model_dump(), tracker.bones.lengths)
     return ReconstructionResult(
         take_id, take, live.recording, None, params, track, tracker.scene, tracker.bones, tracker.database.origins,
-        settings.rate_hz, live.first_frame, remarks, (*sentences, *remark_sentences(remarks)), fingerprint,
+        settings.rate_hz, live.first_frame, remarks, tuple(sentences), fingerprint,
     )  # fmt: skip
 
 

@@ -34,6 +34,23 @@ STRIDE_FRAMES = 10
 
 _COARSE_PX = 160  # the width of images in which a person is looked for at first
 
+
+class UnusableRecording(KinedexError):
+    """A recording cannot be reconstructed because of one of its keys.
+
+    Parameters
+    ----------
+    key : str
+        The key in the recordings file.
+    message : str
+        What is wrong.
+    """
+
+    def __init__(self, key: str, message: str) -> None:
+        super().__init__(message)
+        self.key = key
+
+
 FORWARD, BACKWARD = 0, 1
 DIRECTIONS = ("forward", "backward")
 """The names of the directions in results."""
@@ -143,7 +160,7 @@ def first_images(recording: DepthRecording, placement: Placement, count: int) ->
 
     Raises
     ------
-    KinedexError
+    UnusableRecording
         No frame shows a person.
     """
     coarse = looked_through(recording.camera, recording.background, placement)
@@ -156,10 +173,10 @@ def first_images(recording: DepthRecording, placement: Placement, count: int) ->
         if len(found) == count:
             break
     if not found:
-        raise KinedexError(
-            f"recording '{recording.name}': no frame shows a person, who takes at least {LEAST_POINTS} pixels before "
-            "the background; are `background` and `depth_unit_m` right? `background: auto` measures it in the frames"
-        )
+        raise UnusableRecording(
+            "background", f"no frame shows a person, who takes at least {LEAST_POINTS} pixels before the background; "
+            "are background and `depth_unit_m` those of these images?",
+        )  # fmt: skip
     return found
 
 
@@ -175,7 +192,7 @@ def scene_of(recording: DepthRecording, stride: int | None) -> Scene:
 
     Raises
     ------
-    KinedexError
+    UnusableRecording
         No frame shows a person, or the camera cannot stand where its file has it.
     """
     camera, background = recording.camera, recording.background
@@ -188,7 +205,7 @@ def scene_of(recording: DepthRecording, stride: int | None) -> Scene:
             )
         return make_scene(camera, background, placement, stride)
     except ParameterError as fault:
-        raise KinedexError(f"recording '{recording.name}', camera: {fault}") from None
+        raise UnusableRecording("camera", str(fault)) from None
 
 
 def estimated_bones(
@@ -198,7 +215,7 @@ def estimated_bones(
 
     Raises
     ------
-    KinedexError
+    UnusableRecording
         Nobody is found in the first second.
     """
     images = first_images(recording, scene.placement, max(1, round(SECONDS * recording.rate_hz)))
@@ -207,9 +224,8 @@ def estimated_bones(
             load_body(), database.mean_bones, database.directions, scene.preparation, scene.view, images, settings
         )
     except ParameterError as fault:
-        raise KinedexError(
-            f"recording '{recording.name}', body: the size cannot be estimated ({fault}); name a take of the person: "
-            "`body: <take>`"
+        raise UnusableRecording(
+            "body", f"the size cannot be estimated ({fault}); name a take of the person: `body: <take>`"
         ) from None
     return PersonBones("estimate", found.bone_lengths, found.height)
 

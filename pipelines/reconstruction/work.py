@@ -14,9 +14,10 @@ from kinedex.catalog.bodies import load_body
 from kinedex.catalog.depth_recordings import AUTO, NONE, DepthRecordingsFile, load_depth_recordings
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.pose_database import bone_lengths_of
+from kinedex.ops.depth.tracker import TrackerSettings
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.console.wording import counted
-from kinedex.pipelines.reconstruction.frame_remarks import frame_remarks, remark_sentences
+from kinedex.pipelines.reconstruction.frame_remarks import fit_remarks, frame_remarks, remark_sentences
 from kinedex.pipelines.reconstruction.parameters import ESTIMATE, ReconstructParameters
 from kinedex.pipelines.reconstruction.pose_database import PoseDatabase, read_pose_database
 from kinedex.pipelines.reconstruction.reconstructed_takes import (
@@ -26,6 +27,8 @@ from kinedex.pipelines.reconstruction.reconstructed_takes import (
 )
 from kinedex.pipelines.reconstruction.recording_tracks import (
     PersonBones,
+    Scene,
+    UnusableRecording,
     estimated_bones,
     reconstructor_of,
     scene_of,
@@ -90,19 +93,21 @@ def reconstruct_recording(task: ReconstructTask) -> Finished:
     of_frames = recording.frames.notes()  # all frames are read below, and more is known of them
     database = stored_database(task.store, task.database)
     settings = params.settings(recording.rate_hz)
-    scene = scene_of(recording, params.stride)
-    body = recording.body or params.body
-    if body == ESTIMATE:
-        bones = estimated_bones(recording, scene, database, settings)
-    else:
-        bones = take_bones(task.store, body, f"recording '{task.recording}', body")
+    try:
+        scene = scene_of(recording, params.stride)
+        bones = _bones(task, recording, scene, database, settings)
+    except UnusableRecording as fault:
+        raise file.error(task.recording, fault.key, str(fault)) from None
     tracker = reconstructor_of(load_body(), bones, database, scene, settings)
     is_empty_room = file.entry(task.recording).background not in (None, AUTO, NONE)
     track = track_recording(recording, tracker, both_ways=params.both_ways, is_empty_room=is_empty_room)
     if not np.isfinite(track.poses).any():
-        raise KinedexError(f"recording '{task.recording}': no pose was found in any of its {len(track.chosen)} frames")
+        text = (
+            f"no pose was found in any of the {len(track.chosen)} frames: `kinedex inspect` draws what is seen of one"
+        )
+        raise file.error(task.recording, "depth", text)
     remarks = frame_remarks(track, scene, bones.height_m)
-    doubts = (*_damaged(recording), *remark_sentences(remarks))
+    doubts = (*_damaged(recording), *remark_sentences(remarks), *fit_remarks(track, bones))
     kept = (note for note in recording.notes if note not in of_frames and not note.endswith(CAMERA_MOVED))
     notes = (*kept, *scene.placement.notes)
     result = ReconstructionResult(
@@ -114,6 +119,16 @@ def reconstruct_recording(task: ReconstructTask) -> Finished:
     )
     tables = {kind: result.table(kind, task.run) for kind in RECONSTRUCTION_KINDS}
     return Finished(take, tables, (_line(result), *(f"{task.recording}: {text}" for text in (*notes, *doubts))))
+
+
+def _bones(
+    task: ReconstructTask, recording: DepthRecording, scene: Scene, database: PoseDatabase, settings: TrackerSettings
+) -> PersonBones:
+    """Return the bones of the person: of a take, or estimated."""
+    body = recording.body or task.params.body
+    if body == ESTIMATE:
+        return estimated_bones(recording, scene, database, settings)
+    return take_bones(task.store, body, f"recording '{task.recording}', body")
 
 
 def stored_database(store: Store, stage: str) -> PoseDatabase:

@@ -38,6 +38,14 @@ def test_with_a_pose_the_world_is_its_own() -> None:
     assert not found.notes
 
 
+def test_a_floor_that_contradicts_the_pose_is_noted() -> None:
+    posed = camera(rotation=TILT @ LEVEL, place=[0.0, 1.0, 0.0])
+    room = tilted_room(posed)
+    assert placement_of(posed, room).notes == ()
+    (note,) = placement_of(posed, 1.5 * room).notes
+    assert note.startswith("in the background the floor lies 1.50 m below the camera, and by its `pose` 1.00 m: are fx")
+
+
 def test_without_a_pose_the_floor_of_the_background_is_level_and_0() -> None:
     for up in (None, TILT @ [0, -9.81, 0]):
         seen = camera(up=up)

@@ -32,8 +32,10 @@ from kinedex.storage.formats.depth.png import image_size
 from kinedex.storage.formats.depth.raw import open_raw
 from kinedex.storage.formats.depth.recording_checks import (
     intrinsics_note,
+    likely_unit,
     measured_extents,
     moved_frames,
+    other_unit,
     shows_room,
     unit_fault,
 )
@@ -337,6 +339,12 @@ class _Entry:
             moved = moved_frames(images, background)
         listed = ", ".join(map(str, moved))
         if moved and len(moved) == len(images):
+            if background is not None and (factor := other_unit(images, background)):
+                raise self.error(
+                    "depth_unit_m", f"the images lie {factor:.3g} times as far away as the background: is one of "
+                    "them in another unit? `depth_unit_m` of a recording holds for its images; "
+                    f"{likely_unit(1 / factor):g} would fit if they are clouds",
+                )  # fmt: skip
             raise self.error(
                 "background", f"lies before {min(moved.values()):.0%} or more of the pixels in all {len(moved)} frames "
                 "that were compared: the camera moved, or it is of another room; write `background: auto`",

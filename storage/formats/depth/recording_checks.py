@@ -25,6 +25,9 @@ PERSON_M = 0.5, 2.3
 MOST_BEHIND = 0.2
 """With a larger share of the pixels behind the background, the camera has moved."""
 
+OTHER_UNIT = 5.0
+"""Images that lie so many times as far away as the background, or as near, are in another unit."""
+
 MOST_ROOM = 0.5
 """With a larger share of the pixels measured, the images show the room."""
 
@@ -130,6 +133,27 @@ def moved_frames(images: Mapping[int, F32], background: F32) -> dict[int, float]
     """Return the frames in which too much lies behind the background, with its share of the pixels."""
     shares = {frame: behind_share(image, background) for frame, image in images.items()}
     return {frame: share for frame, share in shares.items() if share > MOST_BEHIND}
+
+
+def other_unit(images: Mapping[int, F32], background: F32) -> float | None:
+    """Return how many times as far away images lie as their background, if that is more than rooms differ."""
+    ratios = [
+        np.median(image[both] / background[both])
+        for image in images.values()
+        if (both := _both(image, background)).any()
+    ]
+    factor = float(np.median(ratios)) if ratios else 1.0
+    return factor if factor > OTHER_UNIT or factor < 1 / OTHER_UNIT else None
+
+
+def likely_unit(unit_m: float) -> float:
+    """Return the usual unit that is nearest to one."""
+    return min(UNITS_M, key=lambda one: abs(float(np.log(one / unit_m))))
+
+
+def _both(image: F32, background: F32) -> npt.NDArray[np.bool_]:
+    found: npt.NDArray[np.bool_] = (image > 0) & (background > 0)
+    return found
 
 
 def shows_room(images: Mapping[int, F32]) -> bool:

@@ -203,6 +203,23 @@ def test_wrong_recordings_are_refused_with_the_key(folder: Path, change: dict[st
     assert message in str(fault.value)
 
 
+def test_intrinsics_that_do_not_fit_are_noted_and_a_recording_without_a_person_is_refused(folder: Path) -> None:
+    name, home = FILMED[0], folder / "rec" / FILMED[0]
+    camera = home / "camera.yaml"
+    text = camera.read_text()
+    camera.write_text(text.replace("206.0", "103.0"))
+    run(folder, **{"reconstruct.only": [name]})
+    rows = open_store(folder / "store", at="newest").result("reconstructions").to_pylist()
+    remarks = " ".join(next(row for row in rows if row["recording"] == name)["remarks"])
+    assert "in the background the floor lies 2.20 m below the camera, and by its `pose` 1.10 m: are fx, fy" in remarks
+    assert "the body fits the points badly" in remarks
+    camera.write_text(text)
+    for path in (home / "depth").iterdir():
+        shutil.copy(home / "background.png", path)
+    with pytest.raises(kinedex.KinedexError, match=r"recordings.yaml:\d+: .*background: no frame shows a person"):
+        run(folder, **{"reconstruct.only": [name]})
+
+
 def test_a_camera_of_ones_own_gives_the_poses_of_the_stage(made: Path) -> None:
     name = FILMED[0]
     home = made / "rec" / name

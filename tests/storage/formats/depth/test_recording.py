@@ -269,6 +269,8 @@ def _list(walk: Recorded, text: str) -> None:
          "and the size of a person"),
         (lambda w: write_depth_png(w.folder / "background.png", np.full((24, 32), 0.9)), {},
          "walk.background: lies before .* the camera moved"),
+        (lambda w: write_depth_png(w.folder / "background.png", np.full((24, 32), 0.05)), {},
+         "walk.depth_unit_m: the images lie .* times as far away as the background"),
         (_copy_png, {}, "has the frame number 3, as"),
         (_rename, {}, "go up by 33 in the median, and must count frames"),
         (lambda w: write_depth_png(w.folder / "depth" / "frame_99999.png", w.depths[0]), {},
