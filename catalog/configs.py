@@ -28,6 +28,7 @@ KINDS = {
     "keypoints": "keypoint set",
     "bodies": "body for depth images",
     "sensors": "file of sensors",
+    "imu_grades": "grade of simulated sensors",
     "bodies/filmed": "body before simulated depth cameras",
     "pipelines": "pipeline",
 }

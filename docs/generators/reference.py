@@ -98,6 +98,13 @@ PARTS = {
         ("`units`", "kinedex.catalog.sensorsets", "Units"),
         ("`columns`", "kinedex.catalog.sensorsets", "Columns"),
     ),
+    "imu_grades": (
+        ("", "kinedex.catalog.imu_grades", "GradeFile"),
+        ("a `Channel`", "kinedex.catalog.imu_grades", "Channel"),
+        ("`gaps`", "kinedex.catalog.imu_grades", "Gaps"),
+        ("`clock`", "kinedex.catalog.imu_grades", "ClockErrors"),
+        ("`magnets`", "kinedex.catalog.imu_grades", "Magnets"),
+    ),
     "pipelines": (
         ("", "kinedex.pipelines.engine.config", "_PipelineFile"),
         ("a `Stage`", "kinedex.pipelines.engine.config", "_StageEntry"),
@@ -122,6 +129,8 @@ WHERE = {
     "camera. Every key is explained in [`first.yaml`](../configs/bodies/filmed/first.yaml).",
     "sensors": "`read_imu.sensors`, `kinedex inspect --sensors`: which limb wears which sensor, and what the files of "
     "sensors do not state.",
+    "imu_grades": "`kinedex simulate imu --grade`, `simulate_imu.grade`: the errors of simulated sensors. Those named after "
+    "devices have their source in the file.",
     "pipelines": "`kinedex run`. Every shipped pipeline is listed above.",
 }
 

@@ -1,0 +1,138 @@
+"""Grades of simulated inertial sensors: what errors the readings have, by name or from a file of one's own.
+
+    name: my-sensor
+    source: [data sheet, revision, page]
+    acc: {unit: g, density: 0.0003, bias: 0.02, range: 16, resolution: 0.00048828125}    # unit: m/s2 (default) or g
+    gyr: {density: 0.01, bias: 1.7, walk: 0.003, range: 2000}                     # unit: deg/s (default) or rad/s
+    mag: {density: 0.05, bias: 0.3, resolution: 0.15}                                    # µT
+    gaps: {per_minute: 2, longest_s: 0.1}
+    clock: {offset_s: 2, ppm: 20}
+    magnets: {per_minute: 1, field_ut: 30, seconds: 3}
+    soft_tissue_deg: 2
+
+What a file does not name is 0.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from kinedex.catalog.configs import Located, config_path, load_yaml
+from kinedex.ops.inertial.noise import ChannelErrors, Grade
+
+_Size = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
+
+STANDARD_GRAVITY = 9.80665
+"""Metres per second squared of a g."""
+
+
+class Channel(BaseModel):
+    """The errors of one kind of reading."""
+
+    model_config = ConfigDict(extra="forbid")
+    unit: Literal["m/s2", "g", "deg/s", "rad/s", "uT"] | None = Field(
+        None, description="unit of the numbers: m/s2 or g, deg/s or rad/s, uT; the first of each unless given"
+    )
+    density: _Size = Field(0.0, description="noise density, units per √Hz: white noise of density · √(rate/2)")
+    bias: _Size = Field(0.0, description="standard deviation of the bias at the start")
+    walk: _Size = Field(0.0, description="walk of the bias, units per √s")
+    scale_percent: _Size = Field(0.0, description="standard deviation of the factors' errors in percent")
+    axis_deg: _Size = Field(0.0, description="standard deviation of the angles between axes and case, in degrees")
+    range: _Size = Field(0.0, description="largest reading, beyond which readings are clipped and flagged; 0: none")
+    resolution: _Size = Field(0.0, description="step of the readings; 0: none")
+
+    def errors(self, factor: float) -> ChannelErrors:
+        """Return the errors in the unit of the model, which is so many times that of the file."""
+        return ChannelErrors(
+            factor * self.density, factor * self.bias, factor * self.walk, 0.01 * self.scale_percent, self.axis_deg,
+            factor * self.range, factor * self.resolution,
+        )  # fmt: skip
+
+
+class Gaps(BaseModel):
+    """Losses of samples."""
+
+    model_config = ConfigDict(extra="forbid")
+    per_minute: _Size = Field(0.0, description="gaps in a minute, on average")
+    longest_s: _Size = Field(0.0, description="seconds of the longest gap; they are evenly spread up to it")
+
+
+class ClockErrors(BaseModel):
+    """The clock of a recording."""
+
+    model_config = ConfigDict(extra="forbid")
+    offset_s: _Size = Field(0.0, description="largest offset from the take's time, in seconds, either way")
+    ppm: _Size = Field(0.0, description="standard deviation of the drift in parts per million")
+
+
+class Magnets(BaseModel):
+    """Magnets that pass."""
+
+    model_config = ConfigDict(extra="forbid")
+    per_minute: _Size = Field(0.0, description="passages in a minute, on average")
+    field_ut: _Size = Field(0.0, description="largest field of one in µT")
+    seconds: _Size = Field(0.0, description="duration of one in seconds")
+
+
+class GradeFile(BaseModel):
+    """A grade of sensors as a file has it."""
+
+    model_config = ConfigDict(extra="forbid")
+    name: str
+    description: str = ""
+    source: list[str] = Field(default_factory=list, description="document, revision and page of the numbers")
+    acc: Channel = Channel()
+    gyr: Channel = Channel()
+    mag: Channel = Channel()
+    gaps: Gaps = Gaps()
+    clock: ClockErrors = ClockErrors()
+    magnets: Magnets = Magnets()
+    soft_tissue_deg: _Size = Field(0.0, description="turns of the sensor against the bone, root mean square degrees")
+
+
+_UNITS = {
+    "acc": {"m/s2": 1.0, "g": STANDARD_GRAVITY},
+    "gyr": {"deg/s": float(np.pi / 180.0), "rad/s": 1.0},
+    "mag": {"uT": 1.0},
+}
+_DEFAULT = {"acc": "m/s2", "gyr": "deg/s", "mag": "uT"}
+
+
+def load_grade(name_or_path: str | Path) -> Grade:
+    """Read a grade from `configs/imu_grades/` or from a file of the user's own.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        A shipped name such as good or cheap, or the path of a .yaml file.
+
+    Raises
+    ------
+    ConfigError
+        There is no such grade, or the file is wrong; the message names line and key.
+    """
+    return parse_grade(load_yaml(config_path("imu_grades", name_or_path)))
+
+
+def parse_grade(located: Located) -> Grade:
+    """Return the grade of a parsed file; errors as for `load_grade`."""
+    located.mapping()
+    parsed = located.model(GradeFile)
+    errors = {}
+    for channel, units in _UNITS.items():
+        own: Channel = getattr(parsed, channel)
+        unit = own.unit or _DEFAULT[channel]
+        if unit not in units:
+            raise located.error(f"must be {' or '.join(units)}, got {unit}", channel, "unit")
+        errors[channel] = own.errors(units[unit])
+    return Grade(
+        errors["acc"], errors["gyr"], errors["mag"],
+        parsed.gaps.per_minute, parsed.gaps.longest_s,
+        parsed.clock.offset_s, parsed.clock.ppm,
+        parsed.magnets.per_minute, parsed.magnets.field_ut, parsed.magnets.seconds,
+        parsed.soft_tissue_deg,
+    )  # fmt: skip
