@@ -85,12 +85,12 @@ class GradeFile(BaseModel):
     name: str
     description: str = ""
     source: list[str] = Field(default_factory=list, description="document, revision and page of the numbers")
-    acc: Channel = Channel()
-    gyr: Channel = Channel()
-    mag: Channel = Channel()
-    gaps: Gaps = Gaps()
-    clock: ClockErrors = ClockErrors()
-    magnets: Magnets = Magnets()
+    acc: Channel = Field(default_factory=lambda: Channel.model_validate({}))
+    gyr: Channel = Field(default_factory=lambda: Channel.model_validate({}))
+    mag: Channel = Field(default_factory=lambda: Channel.model_validate({}))
+    gaps: Gaps = Field(default_factory=lambda: Gaps.model_validate({}))
+    clock: ClockErrors = Field(default_factory=lambda: ClockErrors.model_validate({}))
+    magnets: Magnets = Field(default_factory=lambda: Magnets.model_validate({}))
     soft_tissue_deg: _Size = Field(0.0, description="turns of the sensor against the bone, root mean square degrees")
 
 
