@@ -45,7 +45,7 @@ reason    VARCHAR    the fault, the way out, or the kind of a file that was pass
     ),
     result_view(
         "ingest_log",
-        "Source files, or places in them, that could not be read.",
+        "Source files, or places in them, that could not be read, recordings of sensors among them.",
         """source    VARCHAR    the source file, relative to its root
 stage    VARCHAR    the stage that met it
 error    VARCHAR    kind of error
@@ -54,6 +54,6 @@ file    VARCHAR    the file that is at fault, where it is another one
 line    INTEGER    its line, where there is one
 logged_at    TIMESTAMP WITH TIME ZONE    when""",
         "SELECT source, line, message FROM ingest_log ORDER BY source, line",
-        stages="ingest",
+        stages="ingest read_imu",
     ),
 )

@@ -40,7 +40,9 @@ samples    BIGINT    number of samples
 frame    VARCHAR    the world of the file's own orientations; NULL where they are estimated
 channels    VARCHAR[]    acc, gyr, mag, orientation: those that the file has
 gaps    STRUCT(last_s DOUBLE, next_s DOUBLE)[]    last and next sample of holes above 50 ms, seconds of its clock
-warnings    VARCHAR[]    what is odd""",
+warnings    VARCHAR[]    what is odd
+orientation    VARCHAR    file (the file's own), 9D or 6D (estimated with or without magnetic field); NULL for neither
+fingerprint    VARCHAR    a hash of all that the rows follow from, for reuse""",
         "SELECT recording, take, sensor, limb, rate_hz, warnings FROM imu_recordings ORDER BY recording, sensor",
         stages="read_imu",
     ),

@@ -127,6 +127,7 @@ BUILT_IN = {
     "reconstruct": "kinedex.pipelines.stages.reconstruct:Reconstruct",
     "evaluate_reconstruction": "kinedex.pipelines.stages.evaluate_reconstruction:EvaluateReconstruction",
     "report_reconstruction": "kinedex.pipelines.stages.report_reconstruction:ReportReconstruction",
+    "read_imu": "kinedex.pipelines.stages.read_imu:ReadImu",
     "limb_orientations": "kinedex.pipelines.stages.limb_orientations:LimbOrientations",
 }
 """The built-in stages, in the form of entry points."""

@@ -25,6 +25,9 @@ from kinedex.storage.snapshot.schemas import arrow_type
 PIPELINE_KINDS = tuple(view.name for view in RESULT_VIEWS if view.name not in (*SAVED_KINDS, *SOURCE_KINDS))
 """The kinds of results that belong to a pipeline."""
 
+READER_OF_SENSORS = "read_imu"
+"""The kind of stage whose recordings are no source of takes, and whose rejected files are shown beside theirs."""
+
 _STAGES_OF = {view.name: frozenset(view.stages) for view in RESULT_VIEWS}
 _STAGE_KINDS = frozenset(stage for kind in PIPELINE_KINDS for stage in _STAGES_OF[kind])
 _RUN_COLUMNS = [(column.name, column.type) for view in VIEWS if view.name == "pipeline_runs" for column in view.columns]
@@ -74,7 +77,8 @@ def shown_parts(manifest: Manifest, kind: str) -> tuple[ResultPart, ...]:
         return parts
     if kind in SOURCE_KINDS:
         last = {source.stage for source in manifest.sources.values()}
-        return tuple(part for part in parts if not last or part.stage in last)
+        shown = last | {key for key, one in manifest.stages.items() if one.summary.get("uses") == READER_OF_SENSORS}
+        return tuple(part for part in parts if not last or part.stage in shown)
     shown = shown_pipeline(manifest, kind)
     return tuple(part for part in parts if pipeline_of(part.stage) == shown)
 

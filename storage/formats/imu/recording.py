@@ -17,6 +17,7 @@ a limb's name is worn on that limb.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,6 +84,7 @@ FORMATS = {
 """Name → format; a file is of the first that recognises it."""
 
 _HEAD = 1 << 16
+_NUMBERED = re.compile(r"_[0-9A-F]{8}\.txt$", re.IGNORECASE)
 
 
 def read_recording(
@@ -184,6 +186,16 @@ def recognised(path: Path) -> str:
             return name
     known = ", ".join(form.title for form in FORMATS.values())
     raise SourceError(path, f"is no file of inertial sensors that is known; known: {known}")
+
+
+def belongs_to(path: Path) -> Path | None:
+    """Return the file that a file is read with, such as readings beside quaternions; None for one of its own."""
+    return xio.beside(path)
+
+
+def session_of(path: str) -> str:
+    """Return the name of a recording by the path of a file of it: those of MT Manager end in a sensor's number."""
+    return _NUMBERED.sub("", path)
 
 
 def beginning(path: Path) -> bytes:

@@ -1,0 +1,136 @@
+"""Stage read_imu: recordings of inertial sensors, tied to takes and limbs, with orientations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import pyarrow as pa
+
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.digests import Reading, hash_of
+from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.inertial.recording_files import (
+    find_recordings,
+    sensor_files,
+    source_root,
+    stamps,
+)
+from kinedex.pipelines.inertial.recording_parameters import ReadImuParameters
+from kinedex.pipelines.inertial.recording_tables import ReadRows, ReadTask, read_rows, sensor_set_of
+from kinedex.pipelines.ingestion.failures import Failure, failure_messages, log_table
+from kinedex.pipelines.recordings.stored_results import earlier_rows, put_beside
+from kinedex.storage.store.store import Store
+from kinedex.storage.store.writer import StoreWriter
+
+KINDS = ("imu_recordings", "imu_samples")
+"""The kinds of results of the stage, both with a column `recording`."""
+
+AT_ONCE = 2_000_000
+"""Samples that are committed at once."""
+
+
+class ReadImu(Stage[ReadImuParameters]):
+    """Recordings of inertial sensors, tied to takes and limbs, with orientations (thesis, Section 7.4)."""
+
+    name = "read_imu"
+    parameters = ReadImuParameters
+    inputs: ClassVar = {"takes": Input("ingest", optional=True)}
+
+    def reading(self, params: ReadImuParameters, store: Store) -> Reading:
+        """Return a digest of the names of takes, to which recordings are tied."""
+        return Reading(hash_of(sorted(take_ids(store).items())), "names of takes")
+
+    def external_digest(self, params: ReadImuParameters, store: Store | None) -> str:
+        """Return a hash of the recordings by path, size and time, and of the file of sensors."""
+        sensors = sensor_set_of(params.sensors).entries.model_dump()
+        return hash_of(stamps(sensor_files(source_root(params.source))), sensors)
+
+    def run(self, context: StageContext, params: ReadImuParameters) -> dict[str, object]:
+        """Read the recordings that are new or changed; each is committed whole."""
+        store = context.open()
+        found = find_recordings(params, take_ids(store))
+        sensors = sensor_set_of(params.sensors).entries.model_dump()
+        chosen = params.model_dump(exclude={"source", "sensors", "match"})
+        tasks = []
+        for recording in found.recordings:
+            files = stamps([*recording.files, *recording.beside])
+            fingerprint = hash_of(context.code, chosen, sensors, files, recording.name, recording.take_id)
+            tasks.append(
+                ReadTask(
+                    found.root, recording, params.sensors, params.orientation, params.rate_hz, fingerprint, context.run
+                )
+            )
+        before = {} if context.anew or not context.code else _fingerprints(store, context.key())
+        fresh = [task for task in tasks if before.get(task.recording.name) != task.fingerprint]
+        failures = list(found.failures)
+        unchanged = {task.recording.name for task in tasks} - {task.recording.name for task in fresh}
+        failures.extend(_earlier_failures(store, context.key(), unchanged))
+        done = self._read(context, fresh, unchanged, failures)
+        for line in failure_messages(failures):
+            context.say(line)
+        if unchanged:
+            context.say(f"unchanged: {counted(len(unchanged), 'recording')}")
+        if not done and not unchanged:
+            raise KinedexError("no recording could be read; the reasons are above (table ingest_log)")
+        return {"recordings": done + len(unchanged), "unchanged": len(unchanged), "left_out": len(failures)}
+
+    def _read(
+        self, context: StageContext, tasks: Sequence[ReadTask], unchanged: set[str], failures: list[Failure]
+    ) -> int:
+        """Read recordings and put their rows; those of the unchanged ones stay, all others go. Return their number."""
+        with context.writer() as writer:
+            gone = set(_fingerprints(writer.store, context.key())) - unchanged
+            waiting: list[ReadRows] = []
+            samples = done = 0
+            for read in context.executor.map(read_rows, list(tasks)):
+                failures.extend(read.failures)
+                if read.tables:
+                    waiting.append(read)
+                    samples, done = samples + read.tables["imu_samples"].num_rows, done + 1
+                if samples > AT_ONCE:
+                    _put(context, writer, waiting, gone)
+                    waiting, samples = [], 0
+            _put(context, writer, waiting, gone)
+            writer.put_results("ingest_log", _log(failures, context.run), stage=context.key(), run=context.run)
+            writer.commit()
+        return done
+
+
+def _put(context: StageContext, writer: StoreWriter, read: Sequence[ReadRows], gone: set[str]) -> None:
+    """Put the rows of recordings in the place of their earlier ones and of those that are gone, and commit."""
+    going = sorted(gone | {one.recording.name for one in read})
+    for kind in KINDS:
+        tables = [one.tables[kind] for one in read]
+        put_beside(writer, kind, tables, stage=context.key(), run=context.run, column="recording", gone=going)
+    writer.commit()
+
+
+def take_ids(store: Store) -> dict[str, int]:
+    """Return name → id of the takes of a store."""
+    rows = store.take_rows
+    return dict(zip(rows.column("name").to_pylist(), rows.column("take_id").to_pylist(), strict=True))
+
+
+def _fingerprints(store: Store, stage: str) -> dict[str, str]:
+    """Return recording → fingerprint of what a stage has in the store."""
+    return {str(row["recording"]): str(row["fingerprint"]) for row in earlier_rows(store, "imu_recordings", stage)}
+
+
+def _earlier_failures(store: Store, stage: str, unchanged: set[str]) -> list[Failure]:
+    """Return the sensors of unchanged recordings that no limb claims, as they were logged."""
+    rows = earlier_rows(store, "imu_recordings", stage)
+    files = {str(row["file"]) for row in rows if row["recording"] in unchanged and row["limb"] is None}
+    return [
+        Failure(str(row["source"]), str(row["error"]), str(row["message"]), str(row["file"]), None)
+        for row in earlier_rows(store, "ingest_log", stage)
+        if row["source"] in files
+    ]
+
+
+def _log(failures: Sequence[Failure], run: str) -> pa.Table:
+    table = log_table(failures, run)
+    place = table.schema.get_field_index("stage")
+    return table.set_column(place, table.schema.field("stage"), pa.repeat(pa.scalar("read_imu"), table.num_rows))
