@@ -77,8 +77,8 @@ def shown_parts(manifest: Manifest, kind: str) -> tuple[ResultPart, ...]:
         return parts
     if kind in SOURCE_KINDS:
         last = {source.stage for source in manifest.sources.values()}
-        shown = last | {key for key, one in manifest.stages.items() if one.summary.get("uses") == READER_OF_SENSORS}
-        return tuple(part for part in parts if not last or part.stage in shown)
+        readers = {key for key, one in manifest.stages.items() if one.summary.get("uses") == READER_OF_SENSORS}
+        return tuple(part for part in parts if not last or part.stage in last | readers)
     shown = shown_pipeline(manifest, kind)
     return tuple(part for part in parts if pipeline_of(part.stage) == shown)
 
