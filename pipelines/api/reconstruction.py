@@ -72,6 +72,20 @@ def reconstruct(
     ------
     KinedexError
         The recordings file, or a file that it names, is wrong; the message names file, line and key.
+
+    Examples
+    --------
+    The command `kinedex simulate depth` films half a second of a take of the store.
+
+    >>> import shutil, subprocess, sys
+    >>> copy = shutil.copytree(store_path, folder / "copy")
+    >>> filmed = folder / "filmed"
+    >>> options = ["--frames", "0:15", "--seed", "1", "--output", filmed, "--quiet"]
+    >>> simulate = [sys.executable, "-m", "kinedex", "simulate", "depth", copy, take.name, *options]
+    >>> _ = subprocess.run(simulate, check=True)
+    >>> outcome = kinedex.reconstruct(copy, filmed / "recordings.yaml", direction="forward")
+    >>> len(outcome.summaries["reconstruct"]["takes"])
+    1
     """
     settings = {
         "recordings": str(recordings), "reconstruct.only": list(only), "reconstruct.body": body,
@@ -90,7 +104,8 @@ class Reconstructor:
     store : str, os.PathLike or Store
         The store, whose takes lend poses: those of its newest pose database, or without one those with a class.
     camera : str or Path
-        The camera's YAML file: width, height, fx, fy, cx, cy, and `up` or `pose` where it is tilted.
+        The camera's YAML file: width, height, fx, fy, cx, cy, depth_unit_m, and `up` or `pose` where it is
+        tilted.
     body : str or float, optional
         A take of the person, whose bone lengths count, the standing height in metres, or "estimate": then the first
         second has the archive's mean body, and the step that ends it takes some seconds. The mean body unless given.
@@ -107,6 +122,17 @@ class Reconstructor:
     ------
     KinedexError
         The camera's file is wrong, or the store has no such take, or none that lends poses.
+
+    Examples
+    --------
+    An image in which nothing was measured shows no person.
+
+    >>> camera = "{width: 64, height: 48, fx: 60, fy: 60, cx: 31.5, cy: 23.5, depth_unit_m: 0.001}"
+    >>> _ = (folder / "camera.yaml").write_text(camera)
+    >>> person = kinedex.Reconstructor(store, folder / "camera.yaml", body=1.75)
+    >>> pose = person.step(np.zeros((48, 64)))
+    >>> pose.shape, bool(np.isnan(pose).all())
+    ((24, 3), True)
     """
 
     @checked
@@ -157,6 +183,16 @@ class Reconstructor:
         ------
         KinedexError
             The image has another size than the camera's.
+
+        Examples
+        --------
+        >>> camera = "{width: 64, height: 48, fx: 60, fy: 60, cx: 31.5, cy: 23.5, depth_unit_m: 0.001}"
+        >>> _ = (folder / "camera.yaml").write_text(camera)
+        >>> person = kinedex.Reconstructor(store, folder / "camera.yaml", body=1.75)
+        >>> person.step(np.zeros((48, 64))).shape
+        (24, 3)
+        >>> person.last is None
+        True
         """
         self.last, pose = self._tracker.step(np.asarray(depth))
         return pose
@@ -167,6 +203,13 @@ class Reconstructor:
         Parameters
         ----------
         frames : int, optional
-            The number of missing frames.
+            The number of frames that are missing.
+
+        Examples
+        --------
+        >>> camera = "{width: 64, height: 48, fx: 60, fy: 60, cx: 31.5, cy: 23.5, depth_unit_m: 0.001}"
+        >>> _ = (folder / "camera.yaml").write_text(camera)
+        >>> person = kinedex.Reconstructor(store, folder / "camera.yaml", body=1.75)
+        >>> person.skip(3)
         """
         self._tracker.skip(frames)
