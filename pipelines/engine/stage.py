@@ -129,6 +129,8 @@ BUILT_IN = {
     "report_reconstruction": "kinedex.pipelines.stages.report_reconstruction:ReportReconstruction",
     "read_imu": "kinedex.pipelines.stages.read_imu:ReadImu",
     "limb_orientations": "kinedex.pipelines.stages.limb_orientations:LimbOrientations",
+    "synchronise": "kinedex.pipelines.stages.synchronise:Synchronise",
+    "calibrate_sensors": "kinedex.pipelines.stages.calibrate_sensors:CalibrateSensors",
 }
 """The built-in stages, in the form of entry points."""
 

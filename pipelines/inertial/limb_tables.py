@@ -111,11 +111,11 @@ def stored_limbs(store: Store, stage: str, takes: Iterable[str] | None = None) -
         rows = piece if wanted is None else piece.filter(pc.is_in(piece.column("take"), wanted))
         for own in _by_take(rows):
             if waiting and _take_id(waiting[0]) != _take_id(own):
-                yield _stored(pa.concat_tables(waiting))
+                yield limbs_of_rows(pa.concat_tables(waiting))
                 waiting = []
             waiting.append(own)
     if waiting:
-        yield _stored(pa.concat_tables(waiting))
+        yield limbs_of_rows(pa.concat_tables(waiting))
 
 
 def _take_id(rows: pa.Table) -> int:
@@ -134,7 +134,8 @@ def _runs(values: npt.NDArray[np.int64]) -> list[tuple[int, int]]:
     return list(pairwise(edges))
 
 
-def _stored(rows: pa.Table) -> StoredLimbs:
+def limbs_of_rows(rows: pa.Table) -> StoredLimbs:
+    """Return the limbs of a take from all rows of that take, one or more."""
     names = rows.column("limb").to_pylist()
     first = {name: place for place, name in reversed(list(enumerate(names)))}
     limbs = {}

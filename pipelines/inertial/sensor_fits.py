@@ -1,0 +1,235 @@
+"""Mounts of sensors on limbs, by take, by wearing, or from one take."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import ceil
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
+from kinedex.ops.inertial.disagreement import mount_direction
+from kinedex.ops.inertial.drift import HeadingDrift
+from kinedex.ops.inertial.hand_eye import Options, Stream, StreamFit, calibrate
+from kinedex.ops.inertial.limb_orientation import NONE
+from kinedex.pipelines.inertial.limb_motion import LimbMotion
+from kinedex.pipelines.inertial.sensor_parameters import CalibrationSettings
+from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake, WornTakes, stream_of
+
+F64 = npt.NDArray[np.float64]
+
+MOST_FRAMES = 100_000
+"""Frames of a limb that takes of one wearing are calibrated from together, spread evenly."""
+
+Clocks = Mapping[tuple[int, str], Clock]
+"""The clock of each recording, by the id of its take and its name."""
+
+
+@dataclass(frozen=True, eq=False)
+class SensorFit:
+    """The calibration of one sensor in one take.
+
+    Attributes
+    ----------
+    take_id : int
+        Id of the take.
+    take, recording, sensor, limb, basis : str
+        Names.
+    fit : StreamFit or None
+        None where there is none, and for limbs of which only the axis is known.
+    q_global : float64 array (4,) or None
+        F_GI → the take's world.
+    direction : float64 array (3,) or None
+        The limb's long axis in the sensor's axes, where only that is known.
+    left_out : str
+        The reason for which there is no mount; empty where there is one.
+    """
+
+    take_id: int
+    take: str
+    recording: str
+    sensor: str
+    limb: str
+    basis: str
+    fit: StreamFit | None = None
+    q_global: F64 | None = None
+    direction: F64 | None = None
+    left_out: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class _Worn:
+    """One sensor in one take, on its way to a calibration."""
+
+    take: WornTake
+    sensor: WornSensor
+    stream: Stream | None
+    left_out: str = ""
+
+    @property
+    def limb(self) -> LimbMotion:
+        return self.take.limbs[self.sensor.limb]
+
+
+def sensor_fits(
+    takes: WornTakes, clocks: Clocks, wearing: Mapping[int, Hashable], params: CalibrationSettings
+) -> Iterator[list[SensorFit]]:
+    """Calibrate the sensors of takes, and yield the fits of each take or wearing.
+
+    Parameters
+    ----------
+    takes : WornTakes
+        The takes with sensors.
+    clocks : mapping of (int, str) to Clock
+        The clocks of recordings; sensors of others are left out.
+    wearing : mapping of int to hashable
+        The wearing of each take, by its id.
+    params : CalibrationSettings
+        The parameters of the stage.
+
+    Raises
+    ------
+    KinedexError
+        `from` names no take with sensors.
+    """
+    if params.source == "take":
+        for take in takes:
+            yield [*_fits(_worn(take, clocks), params), *_lacking(take)]
+    elif params.source == "actor":
+        groups: dict[Hashable, list[int]] = {}
+        for take_id in takes.names:
+            groups.setdefault(wearing[take_id], []).append(take_id)
+        for group in groups.values():
+            together = [takes.take(take_id) for take_id in group]
+            fits = _fits([one for take in together for one in _worn(take, clocks)], params)
+            yield [*fits, *(one for take in together for one in _lacking(take))]
+    else:
+        yield from _from_take(takes, clocks, wearing, params)
+
+
+def _from_take(
+    takes: WornTakes, clocks: Clocks, wearing: Mapping[int, Hashable], params: CalibrationSettings
+) -> Iterator[list[SensorFit]]:
+    """Calibrate one take, and give its mounts to the others of its wearing."""
+    source = next((take_id for take_id, name in takes.names.items() if name == params.source), None)
+    if source is None:
+        raise KinedexError(
+            f"from: no take with sensors is named '{params.source}'"
+            f"{did_you_mean(params.source, takes.names.values())}; "
+            "`take` calibrates each take by itself, `actor` all of a wearing together"
+        )
+    first = takes.take(source)
+    own = _fits(_worn(first, clocks), params)
+    yield [*own, *_lacking(first)]
+    fits = {one.limb: one.fit for one in own if one.fit is not None and not one.left_out}
+    for take_id in takes.names:
+        if take_id != source:
+            foreign = wearing[take_id] != wearing[source]
+            take = takes.take(take_id)
+            worn = [_with_mount(one, fits, params.source, foreign) for one in _worn(take, clocks)]
+            yield [*_fits(worn, params, fits), *_lacking(take)]
+
+
+def _lacking(take: WornTake) -> list[SensorFit]:
+    """Return the sensors of a take that cannot be compared, with the reasons."""
+    return [SensorFit(take.take_id, take.take, *names, "", left_out=text) for names, text in take.lacking.items()]
+
+
+def _with_mount(one: _Worn, fits: Mapping[str, StreamFit], source: str, foreign: bool) -> _Worn:
+    """Return a sensor as it is where the calibrated take gives its mount; else without its stream, with the reason."""
+    if one.left_out:
+        return one
+    reason = ""
+    if foreign:
+        reason = f"{source}, which `from` names, is of another wearing"
+    elif one.limb.basis != NONE and one.sensor.limb not in fits:
+        reason = f"{source}, which `from` names, gives no mount of {one.sensor.limb}"
+    return replace(one, stream=None, left_out=reason) if reason else one
+
+
+def _worn(take: WornTake, clocks: Clocks) -> list[_Worn]:
+    """Return the sensors of a take with their streams, and those that have none with the reason."""
+    found = []
+    for sensor in take.sensors:
+        clock = clocks.get((take.take_id, sensor.recording))
+        if clock is None:
+            found.append(_Worn(take, sensor, None, "the clock of the recording was not found"))
+            continue
+        stream = stream_of(take, sensor, clock)
+        usable = take.limbs[sensor.limb].basis == NONE or stream.valid.any()
+        reason = "" if usable else "no frame is known by take and sensor together"
+        found.append(_Worn(take, sensor, stream, reason))
+    return found
+
+
+def _options(worn: Sequence[_Worn], params: CalibrationSettings) -> Options:
+    """Return what a calibration assumes: what the parameters state, or what magnetometers allow."""
+    magnetometers = all(one.sensor.magnetometer for one in worn)
+    return Options(
+        shared=magnetometers if params.world == "auto" else params.world == "shared",
+        vertical_known=params.vertical == "known",
+        drift=not magnetometers if params.heading == "auto" else params.heading == "drift",
+        seed=params.seed,
+    )
+
+
+def _fits(
+    worn: Sequence[_Worn],
+    params: CalibrationSettings,
+    given: Mapping[str, StreamFit] | None = None,
+) -> list[SensorFit]:
+    """Calibrate sensors together; of limbs of which only the axis is known, with the world of the others."""
+    options = _options(worn, params)
+    usable = [one for one in worn if one.stream is not None and not one.left_out and one.limb.basis != NONE]
+    mounts = {limb: fit.q_mount for limb, fit in (given or {}).items()}
+    world = next((fit.q_global for fit in given.values()), None) if given and options.shared else None
+    streams = _thinned([one.stream for one in usable if one.stream is not None])
+    fits = calibrate(streams, options, mounts=mounts, world=world) if streams else []
+    of = {id(one): fit for one, fit in zip(usable, fits, strict=True)}
+    sound = [fit for fit in fits if not fit.refused]
+    shared = sound[0].q_global if sound and options.shared else None
+    return [_fit(one, of.get(id(one)), shared) for one in worn]
+
+
+def _fit(one: _Worn, fit: StreamFit | None, shared: F64 | None) -> SensorFit:
+    sensor = one.sensor
+    found = SensorFit(
+        one.take.take_id, one.take.take, sensor.recording, sensor.sensor, sensor.limb, one.limb.basis,
+        left_out=one.left_out,
+    )  # fmt: skip
+    if one.left_out or one.stream is None:
+        return found
+    if fit is not None:
+        return replace(found, fit=fit, q_global=fit.q_global, left_out=fit.refused)
+    if shared is None:
+        reason = "only its long axis is known, which needs another limb with an orientation and `global: shared`"
+        return replace(found, left_out=f"{sensor.limb}: {reason}")
+    sensor_part = np.where(one.limb.valid[:, None], one.stream.sensor, np.nan)
+    try:
+        direction = mount_direction(sensor_part, one.limb.direction, shared)
+    except ParameterError as fault:
+        return replace(found, left_out=f"{sensor.limb}: {fault}")
+    return replace(found, q_global=shared, direction=direction)
+
+
+def _thinned(streams: Sequence[Stream]) -> list[Stream]:
+    """Return streams with fewer valid frames, where a limb has more of them than a calibration needs."""
+    frames: dict[str, int] = {}
+    for stream in streams:
+        frames[stream.limb] = frames.get(stream.limb, 0) + int(stream.valid.sum())
+    thinned = []
+    for stream in streams:
+        every = ceil(frames[stream.limb] / MOST_FRAMES)
+        valid = stream.valid
+        if every > 1:
+            valid = np.zeros(len(stream.valid), np.bool_)
+            valid[np.flatnonzero(stream.valid)[::every]] = True
+        thinned.append(replace(stream, valid=valid))
+    return thinned
+
+
+def drift_of(one: SensorFit) -> HeadingDrift:
+    """Return the correction of a sensor's heading."""
+    return HeadingDrift.none() if one.fit is None else one.fit.drift

@@ -1,0 +1,123 @@
+"""The clock of a recording against that of a take: correlation, a first calibration, and the fine search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kinedex.ops.inertial.hand_eye import Options, Stream, StreamFit, calibrate
+from kinedex.ops.inertial.rotations import angular_speed, conjugate, multiply
+from kinedex.ops.inertial.time_offset import Fine, Speeds, TimeOffset, find, find_drift, refine, sensor_speed
+from kinedex.pipelines.inertial.limb_motion import LimbMotion
+from kinedex.pipelines.inertial.sensor_parameters import SynchroniseParameters
+from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake, stream_of
+
+LEAST_DRIFT_S = 300.0
+"""Recordings that are shorter tell too little of a clock's drift."""
+
+MOST_FRAMES = 15_000
+"""Frames of each limb that the first calibration uses, spread evenly."""
+
+
+@dataclass(frozen=True)
+class RecordingClock:
+    """The clock of a recording, and how it was found.
+
+    Attributes
+    ----------
+    clock : Clock or None
+        None where it was not found.
+    correlation, next_best : float or None
+        See `ops.inertial.time_offset.TimeOffset`; None for a given offset.
+    limbs : int
+        The number of limbs that were correlated.
+    refined : bool
+        The offset is that of the least orientation errors.
+    left_out : str
+        The reason for which there is no clock; empty where there is one.
+    """
+
+    clock: Clock | None
+    correlation: float | None = None
+    next_best: float | None = None
+    limbs: int = 0
+    refined: bool = False
+    left_out: str = ""
+
+
+def synchronise(take: WornTake, recording: str, params: SynchroniseParameters) -> RecordingClock:
+    """Find the clock of one recording of a take."""
+    sensors = [sensor for sensor in take.sensors if sensor.recording == recording]
+    if params.offset_s != "auto":
+        return RecordingClock(Clock(float(params.offset_s)))
+    speeds = [
+        Speeds(*_limb_speed(take.limbs[sensor.limb]), *sensor_speed(sensor.times, sensor.gyr, sensor.orientation))
+        for sensor in sensors
+        if np.isfinite(take.limbs[sensor.limb].orientation).any()
+    ]
+    if not speeds:
+        reason = "no limb with a sensor has an orientation; `offset_s: <seconds>` sets the offset"
+        return RecordingClock(None, left_out=reason)
+    found = find(speeds, params.longest_s)
+    if found.refused:
+        return _refused(found, len(speeds))
+    clock, refined = _refined(take, sensors, Clock(found.offset_s), params)
+    next_best = None if np.isnan(found.next_best) else found.next_best
+    return RecordingClock(clock, found.correlation, next_best, len(speeds), refined)
+
+
+def _limb_speed(limb: LimbMotion) -> tuple[np.ndarray, np.ndarray]:
+    """Return the angular speeds of a limb; not known where it is not valid."""
+    orientation = np.where(limb.valid[:, None], limb.orientation, np.nan)
+    return angular_speed(limb.times, orientation)
+
+
+def _refused(found: TimeOffset, limbs: int) -> RecordingClock:
+    correlation, next_best = (None if np.isnan(value) else value for value in (found.correlation, found.next_best))
+    return RecordingClock(None, correlation, next_best, limbs, left_out=found.refused)
+
+
+def _refined(
+    take: WornTake, sensors: list[WornSensor], clock: Clock, params: SynchroniseParameters
+) -> tuple[Clock, bool]:
+    """Search the clock with the least orientation errors; the first one stays where nothing can be calibrated."""
+    pairs = [(sensor, stream_of(take, sensor, clock)) for sensor in sensors]
+    pairs = [(sensor, stream) for sensor, stream in pairs if stream.valid.any()]
+    if not pairs:
+        return clock, False
+    fits = _first_fits([stream for _, stream in pairs], all(sensor.magnetometer for sensor, _ in pairs))
+    limbs = [_fine(sensor, stream, fit) for (sensor, stream), fit in zip(pairs, fits, strict=True) if not fit.refused]
+    if not limbs:
+        return clock, False
+    seconds = max(float(limb.take_times[-1] - limb.take_times[0]) for limb in limbs)
+    if params.clock == "drift" and seconds >= LEAST_DRIFT_S:
+        return Clock(*find_drift(limbs, clock.offset_s)), True
+    return Clock(refine(limbs, clock.offset_s)), True
+
+
+def _first_fits(streams: list[Stream], magnetometers: bool) -> list[StreamFit]:
+    """Calibrate by a part of the frames, with the vertical known unless that fits clearly fewer of them."""
+    some = []
+    for stream in streams:
+        valid = np.flatnonzero(stream.valid)
+        keep = np.zeros(len(stream.valid), np.bool_)
+        keep[valid[np.linspace(0, len(valid) - 1, min(len(valid), MOST_FRAMES)).astype(np.int64)]] = True
+        some.append(replace(stream, valid=keep))
+    level = Options(shared=magnetometers, drift=not magnetometers)
+    fits = calibrate(some, level)
+    free = calibrate(some, replace(level, vertical_known=False))
+    return free if _fitted(free) > 1.2 * _fitted(fits) else fits
+
+
+def _fitted(fits: list[StreamFit]) -> float:
+    """Return the number of frames that fits explain."""
+    return sum(fit.inliers * fit.frames for fit in fits if not fit.refused)
+
+
+def _fine(sensor: WornSensor, stream: Stream, fit: StreamFit) -> Fine:
+    """Return what a sensor should read at the frames of a take, beside what it has read."""
+    times = stream.times[stream.valid]
+    predicted = multiply(multiply(conjugate(fit.q_global), stream.track[stream.valid]), fit.q_mount)
+    known = np.isfinite(sensor.orientation).all(axis=1)
+    return Fine(times, fit.drift.uncorrected(times, predicted), sensor.times[known], sensor.orientation[known])

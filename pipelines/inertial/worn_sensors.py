@@ -1,0 +1,180 @@
+"""The sensors that were worn in takes, from the results of `read_imu`, beside the limbs that they are worn on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from kinedex.ops.inertial.hand_eye import Stream
+from kinedex.ops.inertial.rotations import interpolate
+from kinedex.pipelines.inertial.limb_motion import LimbMotion
+from kinedex.pipelines.inertial.limb_tables import limbs_of_rows, struct_rows
+from kinedex.storage.snapshot.row_groups import RowGroups
+from kinedex.storage.store.store import Store
+
+F64 = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class WornSensor:
+    """The samples of a sensor that was worn on a limb.
+
+    Attributes
+    ----------
+    recording, sensor, limb : str
+        Names.
+    times : float64 array (N,)
+        Seconds of the recording's clock, ascending.
+    gyr : float64 array (N, 3) or None
+        Angular velocity in rad/s, NaN where not measured; None for a sensor without.
+    orientation : float64 array (N, 4)
+        Sensor → F_GI; NaN where not known.
+    magnetometer : bool
+        The sensor has one, so that its heading is not arbitrary.
+    """
+
+    recording: str
+    sensor: str
+    limb: str
+    times: F64
+    gyr: F64 | None
+    orientation: F64
+    magnetometer: bool
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The clock of a recording: sensor time = take time + offset_s + ppm · 10⁻⁶ · take time."""
+
+    offset_s: float
+    ppm: float = 0.0
+
+    def sensor_time(self, times: F64) -> F64:
+        """Return times of the take as times of the recording."""
+        return times * (1.0 + 1e-6 * self.ppm) + self.offset_s
+
+
+@dataclass(frozen=True, eq=False)
+class WornTake:
+    """A take with the sensors that were worn in it.
+
+    Attributes
+    ----------
+    take_id : int
+        Id of the take.
+    take : str
+        Its name.
+    limbs : dict of str to LimbMotion
+        Its limbs by name.
+    sensors : tuple of WornSensor
+        The sensors on limbs that the take has, by recording and name.
+    lacking : dict of (str, str, str) to str
+        Recording, sensor and limb → the reason for which they cannot be compared.
+    """
+
+    take_id: int
+    take: str
+    limbs: Mapping[str, LimbMotion]
+    sensors: tuple[WornSensor, ...]
+    lacking: Mapping[tuple[str, str, str], str]
+
+    @property
+    def recordings(self) -> tuple[str, ...]:
+        """The recordings with sensors that can be compared."""
+        return tuple(dict.fromkeys(sensor.recording for sensor in self.sensors))
+
+
+class WornTakes:
+    """The takes of a store in which sensors were worn on limbs, in any order.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    limbs : str
+        The stage that has made `limb_orientations`, "<pipeline>/<stage>".
+    sensors : str
+        The stage that has made `imu_samples`.
+    """
+
+    def __init__(self, store: Store, limbs: str, sensors: str) -> None:
+        self._limbs = RowGroups(store, "limb_orientations", limbs, "take_id")
+        self._samples = RowGroups(store, "imu_samples", sensors, "recording")
+        worn: dict[int, list[dict[str, object]]] = {}
+        for row in store.result("imu_recordings", stage=sensors).to_pylist():
+            if row["take_id"] is not None and row["limb"] is not None:
+                worn.setdefault(row["take_id"], []).append(row)
+        self._rows = {take_id: worn[take_id] for take_id in self._limbs.values if take_id in worn}
+        self.without_limbs = sorted({str(rows[0]["take"]) for key, rows in worn.items() if key not in self._rows})
+        """The names of takes with sensors whose limbs were not read."""
+
+    @property
+    def names(self) -> dict[int, str]:
+        """The ids and names of the takes."""
+        return {take_id: str(rows[0]["take"]) for take_id, rows in self._rows.items()}
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __iter__(self) -> Iterator[WornTake]:
+        """Yield the takes, one after the other."""
+        return map(self.take, self._rows)
+
+    def take(self, take_id: int) -> WornTake:
+        """Return a take with its limbs and sensors."""
+        rows = self._rows[take_id]
+        limbs = self._limbs.rows(take_id)
+        worn = limbs.filter(pc.is_in(limbs.column("limb"), pa.array(sorted({str(row["limb"]) for row in rows}))))
+        motions = limbs_of_rows(worn).limbs if worn.num_rows else {}
+        return self._take(take_id, str(rows[0]["take"]), motions, rows)
+
+    def _take(
+        self, take_id: int, take: str, limbs: Mapping[str, LimbMotion], rows: list[dict[str, object]]
+    ) -> WornTake:
+        sensors: list[WornSensor] = []
+        lacking: dict[tuple[str, str, str], str] = {}
+        samples: dict[str, pa.Table] = {}
+        for row in sorted(rows, key=lambda row: (str(row["recording"]), str(row["sensor"]))):
+            recording, sensor, limb = str(row["recording"]), str(row["sensor"]), str(row["limb"])
+            if limb not in limbs:
+                lacking[recording, sensor, limb] = f"{take} has no {limb}"
+                continue
+            if recording not in samples:
+                samples = {recording: self._samples.rows(recording)}
+            worn = _worn(samples[recording], row)
+            if not np.isfinite(worn.orientation).any():
+                lacking[recording, sensor, limb] = f"sensor {sensor} of {recording} has no orientations"
+                continue
+            sensors.append(worn)
+        return WornTake(take_id, take, limbs, tuple(sensors), lacking)
+
+
+def _worn(samples: pa.Table, row: Mapping[str, object]) -> WornSensor:
+    own = samples.filter(pc.equal(samples.column("sensor"), str(row["sensor"])))
+    gyr = own.column("gyr")
+    channels = row["channels"]
+    return WornSensor(
+        str(row["recording"]),
+        str(row["sensor"]),
+        str(row["limb"]),
+        own.column("t").to_numpy(),
+        None if gyr.null_count == len(gyr) else struct_rows(gyr, "xyz"),
+        struct_rows(own.column("orientation"), "wxyz"),
+        isinstance(channels, list) and "mag" in channels,
+    )
+
+
+def stream_of(take: WornTake, sensor: WornSensor, clock: Clock) -> Stream:
+    """Return a sensor's orientations at the frames of a take, beside those of its limb.
+
+    Frames in which the limb is not known or jumps, and those in gaps of the sensor, are not valid.
+    """
+    limb = take.limbs[sensor.limb]
+    orientation, known = interpolate(sensor.times, sensor.orientation, clock.sensor_time(limb.times))
+    valid = known & limb.valid & ~limb.jump & np.isfinite(limb.orientation).all(axis=1)
+    return Stream(sensor.limb, take.take, limb.times, orientation, limb.orientation, valid)

@@ -1,0 +1,95 @@
+"""Stage calibrate_sensors: mounts of sensors on limbs, and the rotation between the worlds of sensors and take."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from typing import Any, ClassVar
+
+from rich import box
+from rich.table import Table
+
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.pipelines.console.tables import plain_text
+from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.digests import Reading, hash_of
+from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.inertial.sensor_fits import sensor_fits
+from kinedex.pipelines.inertial.sensor_parameters import CalibrateParameters, CalibrationSettings
+from kinedex.pipelines.inertial.sensor_tables import CALIBRATION, calibration_row, result_table, stored_clocks
+from kinedex.pipelines.inertial.worn_sensors import WornTakes
+from kinedex.storage.store.store import Store
+
+
+class CalibrateSensors(Stage[CalibrationSettings]):
+    """Mounts of sensors on limbs, and the rotation between the worlds of sensors and take (thesis, Section 7.5)."""
+
+    name = "calibrate_sensors"
+    parameters = CalibrateParameters
+    inputs: ClassVar = {
+        "sensors": Input("read_imu"),
+        "limbs": Input("limb_orientations"),
+        "broken": Input("break_track", optional=True),
+        "clocks": Input("synchronise"),
+    }
+
+    def reading(self, params: CalibrationSettings, store: Store) -> Reading:
+        """Return a digest of the columns that tell one wearing from another."""
+        return Reading(hash_of(sorted(_wearing(store, params.wearing).items(), key=lambda item: item[0])), "")
+
+    def run(self, context: StageContext, params: CalibrationSettings) -> dict[str, object]:
+        """Calibrate the sensors of every synchronised recording, and store what was found."""
+        store = context.open()
+        limbs = context.key(context.inputs.get("broken", context.inputs["limbs"]))
+        takes = WornTakes(store, limbs, context.key(context.inputs["sensors"]))
+        clocks = stored_clocks(store, context.key(context.inputs["clocks"]))
+        rows: list[dict[str, Any]] = []
+        with context.progress("calibrations", len(takes)) as bar:
+            for fits in sensor_fits(takes, clocks, _wearing(store, params.wearing), params):
+                rows += [calibration_row(one) for one in fits]
+                bar.advance(len({one.take_id for one in fits}))
+        context.put_results(**{CALIBRATION: result_table(CALIBRATION, rows, context.run)})
+        for row in rows:
+            for what, text in (("left out", row["left_out"]), ("warning", row.get("warning"))):
+                if text:
+                    context.say(f"{row['take']}, {row['sensor']}: {what}: {text}")
+        found = [row for row in rows if not row["left_out"]]
+        if found:
+            context.terminal.show(_table(found))
+        context.say(f"{counted(len(found), 'sensor')} calibrated, {len(rows) - len(found)} left out")
+        return {"calibrated": len(found), "without_mount": len(rows) - len(found)}
+
+
+def _wearing(store: Store, columns: list[str]) -> dict[int, Hashable]:
+    """Return the wearing of each take: its values in columns, or the take itself where it has none of them."""
+    rows = store.take_rows.to_pylist()
+    known = list(rows[0]) if rows else []
+    for column in columns:
+        if known and column not in known:
+            raise KinedexError(f"wearing: takes have no column '{column}'{did_you_mean(column, known)}")
+    found: dict[int, Hashable] = {}
+    for row in rows:
+        values = tuple(row[column] for column in columns)
+        own = all(value is None for value in values)
+        found[row["take_id"]] = ("take", row["name"]) if own else ("columns", *map(str, values))
+    return found
+
+
+def _table(rows: list[dict[str, Any]]) -> Table:
+    """Return a row for each limb: the takes, and the medians of what judges the calibrations."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in ("limb", "takes", "below 15°", "median of these", "observability"):
+        table.add_column(column, justify="left" if column == "limb" else "right")
+    for limb in sorted({row["limb"] for row in rows}):
+        own = [row for row in rows if row["limb"] == limb]
+        figures = [
+            sorted(row[name] for row in own if row.get(name) is not None)
+            for name in ("inliers", "median_deg", "observability")
+        ]
+        middle = [values[len(values) // 2] if values else None for values in figures]
+        texts = (
+            "–" if value is None else form.format(value)
+            for value, form in zip(middle, ("{:.0%}", "{:.1f}°", "{:.3f}"), strict=True)
+        )
+        table.add_row(plain_text(limb), str(len({row["take_id"] for row in own})), *texts)
+    return table

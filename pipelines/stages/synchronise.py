@@ -1,0 +1,78 @@
+"""Stage synchronise: the clocks of sensor recordings against those of takes."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from rich import box
+from rich.table import Table
+
+from kinedex.pipelines.console.tables import plain_text
+from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.digests import Reading, hash_of
+from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.inertial.sensor_parameters import SynchroniseParameters
+from kinedex.pipelines.inertial.sensor_tables import SYNC, result_table, sync_row
+from kinedex.pipelines.inertial.synchronisation import synchronise
+from kinedex.pipelines.inertial.worn_sensors import WornTake, WornTakes
+from kinedex.storage.store.store import Store
+
+
+class Synchronise(Stage[SynchroniseParameters]):
+    """The clocks of sensor recordings against those of takes (thesis, Section 7.6.1)."""
+
+    name = "synchronise"
+    parameters = SynchroniseParameters
+    inputs: ClassVar = {
+        "sensors": Input("read_imu"),
+        "limbs": Input("limb_orientations"),
+        "broken": Input("break_track", optional=True),
+    }
+
+    def reading(self, params: SynchroniseParameters, store: Store) -> Reading:
+        """Return a digest of nothing: limbs and samples are results of other stages."""
+        return Reading(hash_of(), "")
+
+    def run(self, context: StageContext, params: SynchroniseParameters) -> dict[str, object]:
+        """Find the clock of every recording of a take, or the reason for which there is none."""
+        store = context.open()
+        limbs = context.key(context.inputs.get("broken", context.inputs["limbs"]))
+        takes = WornTakes(store, limbs, context.key(context.inputs["sensors"]))
+        rows: list[dict[str, Any]] = []
+        with context.progress("clocks", len(takes)) as bar:
+            for take in takes:
+                rows += _rows(take, params)
+                bar.advance(1)
+        context.put_results(**{SYNC: result_table(SYNC, rows, context.run)})
+        for name in takes.without_limbs:
+            context.say(f"{name}: left out: its limbs were not read; `limb_orientations.where` selects takes")
+        for row in rows:
+            if row["left_out"]:
+                context.say(f"{row['take']}, {row['recording']}: left out: {row['left_out']}")
+        found = [row for row in rows if not row["left_out"]]
+        if found:
+            context.terminal.show(_table(found))
+        context.say(f"{counted(len(found), 'recording')} synchronised, {len(rows) - len(found)} left out")
+        return {"synchronised": len(found), "without_clock": len(rows) - len(found)}
+
+
+def _rows(take: WornTake, params: SynchroniseParameters) -> list[dict[str, Any]]:
+    return [sync_row(take.take_id, take.take, one, synchronise(take, one, params)) for one in take.recordings]
+
+
+def _table(rows: list[dict[str, Any]]) -> Table:
+    """Return a row for each recording with its offset and how sure it is."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in ("take", "recording", "offset s", "ppm", "correlation", "next best"):
+        table.add_column(column, justify="left" if column in ("take", "recording") else "right")
+    for row in rows[:_SHOWN]:
+        figures = ("–" if row[name] is None else f"{row[name]:.2f}" for name in ("correlation", "next_best"))
+        names = (plain_text(row[name]) for name in ("take", "recording"))
+        table.add_row(*names, f"{row['offset_s']:.4f}", f"{row['ppm']:.0f}", *figures)
+    if len(rows) > _SHOWN:
+        table.caption = f"and {len(rows) - _SHOWN} more in the view {SYNC}"
+    return table
+
+
+_SHOWN = 20

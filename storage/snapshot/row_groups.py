@@ -1,0 +1,64 @@
+"""Rows of results by the value of a column: only the row groups that contain it are read."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from kinedex.storage.snapshot.parts import read_errors
+from kinedex.storage.snapshot.schemas import result_schema, with_columns
+from kinedex.storage.snapshot.snapshot import Snapshot
+
+
+class RowGroups:
+    """The rows of one kind of results of a stage, by the value of a column.
+
+    Parameters
+    ----------
+    store : Snapshot
+        The store.
+    kind : str
+        The kind of results.
+    stage : str
+        The stage that has made them, "<pipeline>/<stage>".
+    column : str
+        The column, such as take_id or recording.
+    """
+
+    def __init__(self, store: Snapshot, kind: str, stage: str, column: str) -> None:
+        self._store, self._kind, self._column = store, kind, column
+        self._parts = [part for part in store.manifest.results.get(kind, ()) if part.stage == stage]
+        self._places: dict[Hashable, list[tuple[int, int]]] = {}
+        self._last: tuple[tuple[int, int], pa.Table] | None = None
+        for number, part in enumerate(self._parts):
+            file = store.checked.part(part)
+            with read_errors(file), pq.ParquetFile(file) as opened:
+                for group in range(opened.num_row_groups):
+                    for value in pc.unique(opened.read_row_group(group, columns=[column]).column(column)).to_pylist():
+                        self._places.setdefault(value, []).append((number, group))
+
+    @property
+    def values(self) -> list[Hashable]:
+        """The values of the column, in the order in which they lie in the store."""
+        return list(self._places)
+
+    def rows(self, value: Hashable) -> pa.Table:
+        """Return the rows with a value of the column, in their order; an empty table where there are none."""
+        schema = result_schema(self._kind)
+        found = [schema.empty_table()]
+        for place in self._places.get(value, ()):
+            group = self._group(place, schema)
+            wanted = pa.scalar(value, schema.field(self._column).type)
+            found.append(group.filter(pc.equal(group.column(self._column), wanted)))
+        return pa.concat_tables(found)
+
+    def _group(self, place: tuple[int, int], schema: pa.Schema) -> pa.Table:
+        """Return a row group; the last one is remembered, since neighbours follow each other."""
+        if self._last is None or self._last[0] != place:
+            file = self._store.checked.part(self._parts[place[0]])
+            with read_errors(file), pq.ParquetFile(file) as opened:
+                self._last = (place, with_columns(opened.read_row_group(place[1]), schema))
+        return self._last[1]
