@@ -34,7 +34,7 @@ SCALES_DEG = (12.0, 6.0, 6.0, 6.0, 6.0, 6.0, 6.0)
 
 STILL_DEG, MOST_STEPS = 1e-6, 30
 DRIFT_ROUNDS = 3
-INLIER_DEG, TILTED_DEG = 15.0, 3.0
+INLIER_DEG = 15.0
 
 
 @dataclass(frozen=True)
@@ -409,7 +409,7 @@ def _results(
                 observability=own,
                 tilt_deg=tilt,
                 refused=refusal(stream.limb, max(own, shared), level[unit.mount], options.vertical_known, several),
-                warning=warning(stream.limb, max(own, shared), tilt, TILTED_DEG),
+                warning=warning(stream.limb, max(own, shared), tilt, float(near.mean())),
             )
         )
     return results

@@ -16,6 +16,9 @@ F64 = npt.NDArray[np.float64]
 REFUSED, DOUBTFUL = 0.002, 0.02
 """Least eigenvalues below which a mount is refused, and below which it is doubtful."""
 
+TILTED_DEG, FEW = 3.0, 0.4
+"""A larger tilt of q_G is warned of, and a smaller share of frames that fit."""
+
 
 def least_eigenvalues(units: Sequence[Unit], worlds: F64, weights: Sequence[F64], vertical_known: bool) -> list[float]:
     """Compute the least eigenvalue of each mount's normal matrix, divided by the weights' sum.
@@ -84,11 +87,25 @@ def refusal(limb: str, value: float, level: float, vertical_known: bool, several
     return f"{limb}: turns about {about}, the mount cannot be found; {listed}"
 
 
-def warning(limb: str, value: float, tilt_deg: float, tilted_deg: float) -> str:
-    """Return the reasons that make a limb's mount doubtful; empty where nothing does."""
+def warning(limb: str, value: float, tilt_deg: float, inliers: float) -> str:
+    """Return the reasons that make a limb's mount doubtful; empty where nothing does.
+
+    Parameters
+    ----------
+    limb : str
+        The limb's name.
+    value : float
+        The least eigenvalue of this mount, or a larger one of a limb that shares its q_G.
+    tilt_deg : float
+        The angle between the inertial world's vertical and the take's.
+    inliers : float
+        The share of frames with an error below 15°.
+    """
     parts = []
     if value < DOUBTFUL:
         parts.append(f"hardly turns about a second axis (observability {value:.3f}), the mount is doubtful")
-    if tilt_deg > tilted_deg:
+    if tilt_deg > TILTED_DEG:
         parts.append(f"the take's vertical is {tilt_deg:.1f}° off gravity's")
+    if inliers < FEW:
+        parts.append(f"only {inliers:.0%} of the frames fit: is it the sensor of this limb, and the offset right?")
     return f"{limb}: {'; '.join(parts)}" if parts else ""

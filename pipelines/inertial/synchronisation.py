@@ -20,6 +20,10 @@ MOST_FRAMES = 15_000
 """Frames of each limb that the first calibration uses, spread evenly."""
 
 
+MOST_ROUNDS, STILL_S = 4, 1e-4
+"""Calibration and fine search are repeated until the clock moves by less, at most so many times."""
+
+
 @dataclass(frozen=True)
 class RecordingClock:
     """The clock of a recording, and how it was found.
@@ -81,19 +85,35 @@ def _refused(found: TimeOffset, limbs: int) -> RecordingClock:
 def _refined(
     take: WornTake, sensors: list[WornSensor], clock: Clock, params: SynchroniseParameters
 ) -> tuple[Clock, bool]:
-    """Search the clock with the least orientation errors; the first one stays where nothing can be calibrated."""
+    """Search the clock with the least orientation errors; the first one stays where nothing can be calibrated.
+
+    A wrong offset spoils the calibration a little, so both are repeated until the clock hardly moves.
+    """
+    refined = False
+    for _ in range(MOST_ROUNDS):
+        before = clock
+        limbs = _fine_limbs(take, sensors, clock)
+        if not limbs:
+            return clock, refined
+        refined = True
+        seconds = max(float(limb.take_times[-1] - limb.take_times[0]) for limb in limbs)
+        if params.clock == "drift" and seconds >= LEAST_DRIFT_S:
+            clock = Clock(*find_drift(limbs, clock.offset_s))
+        else:
+            clock = Clock(refine(limbs, clock.offset_s))
+        if abs(clock.offset_s - before.offset_s) < STILL_S and abs(clock.ppm - before.ppm) * seconds < 1e6 * STILL_S:
+            break
+    return clock, refined
+
+
+def _fine_limbs(take: WornTake, sensors: list[WornSensor], clock: Clock) -> list[Fine]:
+    """Calibrate sensors with a clock, and return what each should read beside what it has read."""
     pairs = [(sensor, stream_of(take, sensor, clock)) for sensor in sensors]
     pairs = [(sensor, stream) for sensor, stream in pairs if stream.valid.any()]
     if not pairs:
-        return clock, False
+        return []
     fits = _first_fits([stream for _, stream in pairs], all(sensor.magnetometer for sensor, _ in pairs))
-    limbs = [_fine(sensor, stream, fit) for (sensor, stream), fit in zip(pairs, fits, strict=True) if not fit.refused]
-    if not limbs:
-        return clock, False
-    seconds = max(float(limb.take_times[-1] - limb.take_times[0]) for limb in limbs)
-    if params.clock == "drift" and seconds >= LEAST_DRIFT_S:
-        return Clock(*find_drift(limbs, clock.offset_s)), True
-    return Clock(refine(limbs, clock.offset_s)), True
+    return [_fine(sensor, stream, fit) for (sensor, stream), fit in zip(pairs, fits, strict=True) if not fit.refused]
 
 
 def _first_fits(streams: list[Stream], magnetometers: bool) -> list[StreamFit]:
