@@ -73,10 +73,35 @@ class _Worn:
         return self.take.limbs[self.sensor.limb]
 
 
-def sensor_fits(
+@dataclass(frozen=True, eq=False)
+class FitTask:
+    """Takes whose sensors are calibrated together, in any process.
+
+    Attributes
+    ----------
+    takes : tuple of WornTake
+        The takes.
+    clocks : mapping of (int, str) to Clock
+        The clocks of their recordings.
+    params : CalibrationSettings
+        The parameters of the stage.
+    given : mapping of str to StreamFit or None
+        The fits of limbs in the take that `from` names.
+    foreign : bool
+        The takes are of another wearing than the take that `from` names.
+    """
+
+    takes: tuple[WornTake, ...]
+    clocks: Clocks
+    params: CalibrationSettings
+    given: Mapping[str, StreamFit] | None = None
+    foreign: bool = False
+
+
+def fit_tasks(
     takes: WornTakes, clocks: Clocks, wearing: Mapping[int, Hashable], params: CalibrationSettings
-) -> Iterator[list[SensorFit]]:
-    """Calibrate the sensors of takes, and yield the fits of each take or wearing.
+) -> Iterator[FitTask]:
+    """Yield what is calibrated together: each take, each wearing, or each take with the mounts of one.
 
     Parameters
     ----------
@@ -94,25 +119,24 @@ def sensor_fits(
     KinedexError
         `from` names no take with sensors.
     """
-    if params.source == "take":
-        for take in takes:
-            yield [*_fits(_worn(take, clocks), params), *_lacking(take)]
-    elif params.source == "actor":
-        groups: dict[Hashable, list[int]] = {}
-        for take_id in takes.names:
-            groups.setdefault(wearing[take_id], []).append(take_id)
-        for group in groups.values():
-            together = [takes.take(take_id) for take_id in group]
-            fits = _fits([one for take in together for one in _worn(take, clocks)], params)
-            yield [*fits, *(one for take in together for one in _lacking(take))]
-    else:
-        yield from _from_take(takes, clocks, wearing, params)
+    if params.source not in ("take", "actor"):
+        yield from _tasks_from_take(takes, clocks, wearing, params)
+        return
+    groups: dict[Hashable, list[int]] = {}
+    for take_id in takes.names:
+        groups.setdefault(wearing[take_id] if params.source == "actor" else take_id, []).append(take_id)
+    for group in groups.values():
+        yield FitTask(tuple(takes.take(take_id) for take_id in group), _own(clocks, group), params)
 
 
-def _from_take(
+def _own(clocks: Clocks, take_ids: Sequence[int]) -> Clocks:
+    return {key: clock for key, clock in clocks.items() if key[0] in take_ids}
+
+
+def _tasks_from_take(
     takes: WornTakes, clocks: Clocks, wearing: Mapping[int, Hashable], params: CalibrationSettings
-) -> Iterator[list[SensorFit]]:
-    """Calibrate one take, and give its mounts to the others of its wearing."""
+) -> Iterator[FitTask]:
+    """Calibrate one take, and yield it and the other takes with its mounts."""
     source = next((take_id for take_id, name in takes.names.items() if name == params.source), None)
     if source is None:
         raise KinedexError(
@@ -120,16 +144,21 @@ def _from_take(
             f"{did_you_mean(params.source, takes.names.values())}; "
             "`take` calibrates each take by itself, `actor` all of a wearing together"
         )
-    first = takes.take(source)
-    own = _fits(_worn(first, clocks), params)
-    yield [*own, *_lacking(first)]
-    fits = {one.limb: one.fit for one in own if one.fit is not None and not one.left_out}
+    first = FitTask((takes.take(source),), _own(clocks, [source]), params)
+    given = {one.limb: one.fit for one in fit_together(first) if one.fit is not None and not one.left_out}
+    yield first
     for take_id in takes.names:
         if take_id != source:
             foreign = wearing[take_id] != wearing[source]
-            take = takes.take(take_id)
-            worn = [_with_mount(one, fits, params.source, foreign) for one in _worn(take, clocks)]
-            yield [*_fits(worn, params, fits), *_lacking(take)]
+            yield FitTask((takes.take(take_id),), _own(clocks, [take_id]), params, given, foreign)
+
+
+def fit_together(task: FitTask) -> list[SensorFit]:
+    """Calibrate the sensors of takes that are calibrated together."""
+    worn = [one for take in task.takes for one in _worn(take, task.clocks)]
+    if task.given is not None:
+        worn = [_with_mount(one, task.given, task.params.source, task.foreign) for one in worn]
+    return [*_fits(worn, task.params, task.given), *(one for take in task.takes for one in _lacking(take))]
 
 
 def _lacking(take: WornTake) -> list[SensorFit]:

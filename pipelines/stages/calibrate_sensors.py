@@ -14,7 +14,7 @@ from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.inertial.sensor_fits import sensor_fits
+from kinedex.pipelines.inertial.sensor_fits import fit_tasks, fit_together
 from kinedex.pipelines.inertial.sensor_parameters import CalibrateParameters, CalibrationSettings
 from kinedex.pipelines.inertial.sensor_tables import CALIBRATION, calibration_row, result_table, stored_clocks
 from kinedex.pipelines.inertial.worn_sensors import WornTakes
@@ -44,8 +44,9 @@ class CalibrateSensors(Stage[CalibrationSettings]):
         takes = WornTakes(store, limbs, context.key(context.inputs["sensors"]))
         clocks = stored_clocks(store, context.key(context.inputs["clocks"]))
         rows: list[dict[str, Any]] = []
+        tasks = fit_tasks(takes, clocks, _wearing(store, params.wearing), params)
         with context.progress("calibrations", len(takes)) as bar:
-            for fits in sensor_fits(takes, clocks, _wearing(store, params.wearing), params):
+            for fits in context.executor.map(fit_together, tasks):
                 rows += [calibration_row(one) for one in fits]
                 bar.advance(len({one.take_id for one in fits}))
         context.put_results(**{CALIBRATION: result_table(CALIBRATION, rows, context.run)})

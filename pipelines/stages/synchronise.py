@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, ClassVar
 
 from rich import box
@@ -41,8 +42,8 @@ class Synchronise(Stage[SynchroniseParameters]):
         takes = WornTakes(store, limbs, context.key(context.inputs["sensors"]))
         rows: list[dict[str, Any]] = []
         with context.progress("clocks", len(takes)) as bar:
-            for take in takes:
-                rows += _rows(take, params)
+            for found in context.executor.map(partial(_rows, params=params), takes):
+                rows += found
                 bar.advance(1)
         context.put_results(**{SYNC: result_table(SYNC, rows, context.run)})
         for name in takes.without_limbs:

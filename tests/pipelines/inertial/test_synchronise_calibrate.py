@@ -146,6 +146,16 @@ def test_takes_of_one_actor_share_mounts(synchronised: Path) -> None:
         assert mounts["x_al_hop_1", limb] == mounts["x_al_hop_2", limb] != mounts["x_bo_sway_1", limb]
 
 
+@pytest.mark.slow
+def test_processes_find_the_same(synchronised: Path) -> None:
+    alone = {(row["take"], row["limb"]): row["q_mount"] for row in calibrate(synchronised)}
+    place = dataclasses.replace(context(synchronised / "store", "calibrate_sensors", "processes"), inputs=INPUTS)
+    CalibrateSensors().run(place, CalibrateSensors.parameters())
+    place.executor.close()
+    rows = open_store(synchronised / "store", at="newest").result("sensor_calibration").to_pylist()
+    assert {(row["take"], row["limb"]): row["q_mount"] for row in rows} == alone
+
+
 def test_a_calibration_take_gives_its_mounts_to_its_wearing(synchronised: Path) -> None:
     rows = calibrate(synchronised, **{"from": "x_al_hop_1", "global": "per_sensor"})
     other = [row for row in rows if row["take"] == "x_al_hop_2" and row["left_out"] is None]
