@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.harness import Figure, seconds
 from kinedex.ops.inertial.disagreement import errors
 from kinedex.ops.inertial.hand_eye import Stream, calibrate
-from kinedex.ops.inertial.hypotheses import Z_TO_Y
-from kinedex.ops.inertial.rotations import angular_speed, conjugate, exp, multiply
+from kinedex.ops.inertial.rotations import Z_TO_Y, angular_speed, conjugate, exp, multiply
 from kinedex.ops.inertial.time_offset import CUTOFF_HZ, ORDER, RATE_HZ, Speeds, find
 
 F64 = npt.NDArray[np.float64]

@@ -16,8 +16,7 @@ import numpy.typing as npt
 
 from kinedex.ops.inertial.disagreement import errors
 from kinedex.ops.inertial.hand_eye import Options, Stream, StreamFit, calibrate
-from kinedex.ops.inertial.hypotheses import Z_TO_Y
-from kinedex.ops.inertial.rotations import angular_speed, conjugate, distance_deg, interpolate, multiply
+from kinedex.ops.inertial.rotations import Z_TO_Y, angular_speed, conjugate, distance_deg, interpolate, multiply
 from kinedex.ops.inertial.time_offset import Fine, Speeds, TimeOffset, find, refine, sensor_speed
 from kinedex.pipelines.evaluation.markdown import grid
 from studies.inertial_recordings import Worn, broad_trials, read_feet

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.ops.inertial.hypotheses import Z_TO_Y
 from kinedex.ops.inertial.limb_orientation import segment_orientation
 from kinedex.ops.inertial.orientation_filter import TO_NORTH_WEST_UP, estimate
-from kinedex.ops.inertial.rotations import multiply
+from kinedex.ops.inertial.rotations import Z_TO_Y, multiply
 
 F64 = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]

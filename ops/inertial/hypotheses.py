@@ -15,7 +15,7 @@ import numpy.typing as npt
 from numba import njit
 
 from kinedex.ops.inertial.quaternion_kernels import inverse_product, product, row
-from kinedex.ops.inertial.rotations import conjugate, exp, from_matrix, log, multiply
+from kinedex.ops.inertial.rotations import Z_TO_Y, conjugate, exp, from_matrix, log, multiply
 
 F64 = npt.NDArray[np.float64]
 
@@ -32,11 +32,8 @@ EVERY = 6
 CLIP_DEG = 15.0
 """Errors count at most so much: a wrong frame costs the same, however wrong it is."""
 
-Z_TO_Y = np.array([math.sqrt(0.5), -math.sqrt(0.5), 0.0, 0.0])
-"""The turn from Z up to Y up: with the vertical known, q_G is this after a turn about Z."""
-
 UPRIGHT = np.stack([Z_TO_Y, multiply(Z_TO_Y, np.array([0.0, 0.0, 0.0, 1.0]))])
-"""The plane (2, 4) of the quaternions q_G that map Z to Y."""
+"""The plane (2, 4) of the quaternions that map Z to Y, which q_G is one of where the vertical is known."""
 
 
 class Unit(NamedTuple):

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import importlib
-from types import ModuleType
-
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.inertial.packages import imu_package
 from kinedex.ops.inertial.rotations import exp, multiply, rotate
 
 F64 = npt.NDArray[np.float64]
 
 TO_NORTH_WEST_UP = exp(np.array([0.0, 0.0, -0.5 * np.pi]))
 """The turn from east-north-up to the inertial world F_GI: X magnetic north, Y west, Z up."""
-
-
-class MissingFilterError(KinedexError):
-    """The package of the filter is not installed."""
 
 
 def estimate(rate_hz: float, acc: F64, gyr: F64, mag: F64 | None = None) -> F64:
@@ -44,7 +38,7 @@ def estimate(rate_hz: float, acc: F64, gyr: F64, mag: F64 | None = None) -> F64:
     ------
     ParameterError
         The rate is not positive, shapes do not agree, or a reading is not finite.
-    MissingFilterError
+    MissingPackageError
         The package vqf is not installed.
     """
     if not rate_hz > 0.0:
@@ -56,7 +50,7 @@ def estimate(rate_hz: float, acc: F64, gyr: F64, mag: F64 | None = None) -> F64:
             raise ParameterError(name, "finite: estimate the parts between gaps apart", "NaN or infinity")
     if not len(acc):
         return np.empty((0, 4))
-    vqf = _package()
+    vqf = imu_package("vqf", "estimated orientations of sensors need")
     rows = [None if values is None else np.ascontiguousarray(values, np.float64) for values in (gyr, acc, mag)]
     found = vqf.offlineVQF(*rows, 1.0 / rate_hz)
     return multiply(TO_NORTH_WEST_UP, np.asarray(found["quat6D" if mag is None else "quat9D"], np.float64))
@@ -85,14 +79,3 @@ def field_axis(quaternions: F64, mag: F64) -> str:
     if x > 0.9 * level > 0.0:
         return "north-west-up"
     return "east-north-up" if y > 0.9 * level > 0.0 else "unknown"
-
-
-def _package() -> ModuleType:
-    try:
-        vqf: ModuleType = importlib.import_module("vqf")
-    except ImportError as error:
-        raise MissingFilterError(
-            "orientations of sensors are estimated by the package vqf, which is not installed; "
-            "install it with: pip install 'kinedex[imu]'"
-        ) from error
-    return vqf

@@ -15,6 +15,9 @@ from kinedex.ops.errors import ParameterError
 F64 = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
+Z_TO_Y = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
+"""The turn from a world with Z up to the take's with Y up."""
+
 LONGEST_GAP_S = 0.05
 """Between samples that are farther apart than this, nothing is interpolated."""
 

@@ -7,23 +7,20 @@ sample late. Both are corrected here.
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import dataclass
 from types import ModuleType
 
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.ops.errors import KinedexError, ParameterError
-from kinedex.ops.inertial.rotations import conjugate, continuous, exp, log, multiply, rotate
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.inertial.packages import imu_package
+from kinedex.ops.inertial.rotations import Z_TO_Y, conjugate, continuous, exp, log, multiply, rotate
 
 F64 = npt.NDArray[np.float64]
 
 GRAVITY = np.array([0.0, 0.0, 9.81])
 """What an accelerometer at rest reads in F_GI, in m/s²."""
-
-Z_TO_Y = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
-"""The turn from a world with Z up to the take's with Y up."""
 
 FIELD_UT, INCLINATION_DEG = 48.255, 64.883
 """The magnetic field in Saarbrücken (thesis, A.1): strength in µT, and degrees below the horizon."""
@@ -33,10 +30,6 @@ CUTOFF_HZ = 15.0
 
 LEAST_SAMPLES = 8
 """A quintic spline and a filter need so many samples."""
-
-
-class MissingScipyError(KinedexError):
-    """The package of splines and filters is not installed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +116,7 @@ def sensor_motion(
     ------
     ParameterError
         There are fewer than 8 frames, a frame is not known, or a time lies outside.
-    MissingScipyError
+    MissingPackageError
         The package scipy is not installed.
     """
     if len(times) < LEAST_SAMPLES or position.shape != (len(times), 3) or orientation.shape != (len(times), 4):
@@ -209,9 +202,4 @@ def centred_acceleration(position: F64, rate_hz: float) -> F64:
 
 
 def _scipy(part: str) -> ModuleType:
-    try:
-        return importlib.import_module(f"scipy.{part}")
-    except ModuleNotFoundError:
-        raise MissingScipyError(
-            "simulated sensors need the package scipy: install it with `pip install 'kinedex[imu]'`"
-        ) from None
+    return imu_package(f"scipy.{part}", "simulated sensors need")

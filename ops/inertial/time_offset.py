@@ -16,6 +16,7 @@ import numpy.typing as npt
 from numba import njit
 
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.inertial.packages import imu_package
 from kinedex.ops.inertial.quaternion_kernels import angle, inverse_product
 from kinedex.ops.inertial.rotations import LONGEST_GAP_S, angular_speed
 
@@ -177,7 +178,7 @@ def _limb_curve(limb: Speeds) -> tuple[int, F64] | None:
 
 def _filtered(times: F64, speeds: F64, highest: float) -> tuple[int, F64]:
     """Return speeds, clipped and smoothed, on a grid of 200 Hz through time 0, and the number of the first sample."""
-    from scipy import signal  # an extra that only sensors need
+    signal = imu_package("scipy.signal", "the clocks of sensors need")
 
     known = np.isfinite(speeds) & np.isfinite(times)
     times, speeds = times[known], np.minimum(speeds[known], highest)
@@ -203,7 +204,7 @@ def correlation(take: F64, sensor: F64) -> F64:
         For lags −(T − 1) to N − 1: at lag k, take[i] meets sensor[i + k]. −1 where the overlap is below 3 s or half
         of the shorter one, or holds less than 10 % of the variance of one of them.
     """
-    from scipy import fft
+    fft = imu_package("scipy.fft", "the clocks of sensors need")
 
     take, sensor = take - take.mean(), sensor - sensor.mean()
     count, other = len(take), len(sensor)

@@ -12,7 +12,8 @@ import pyarrow as pa
 
 from kinedex.catalog.sensorsets import SensorSet, load_sensor_set
 from kinedex.ops.errors import KinedexError, SourceError
-from kinedex.ops.inertial.orientation_filter import MissingFilterError, estimate
+from kinedex.ops.inertial.orientation_filter import estimate
+from kinedex.ops.inertial.packages import MissingPackageError
 from kinedex.ops.inertial.rotations import interpolate
 from kinedex.pipelines.inertial.recording_files import SensorRecording, rejection
 from kinedex.pipelines.ingestion.failures import Failure
@@ -86,7 +87,7 @@ def read_rows(task: ReadTask) -> ReadRows:
 
     Raises
     ------
-    MissingFilterError
+    MissingPackageError
         Orientations are to be estimated, and the filter is not installed.
     """
     recording = task.recording
@@ -101,7 +102,7 @@ def read_rows(task: ReadTask) -> ReadRows:
         with_orientation = {
             sensor.name: oriented(sensor, task.orientation) for sensor in found.sensors if sensor.name in limbs
         }
-    except MissingFilterError:
+    except MissingPackageError:
         raise
     except KinedexError as fault:
         path = Path(fault.path) if isinstance(fault, SourceError) else recording.files[0]
@@ -136,7 +137,7 @@ def oriented(sensor: ImuSensor, source: Literal["file", "estimate"]) -> tuple[Im
     ------
     KinedexError
         There is neither an orientation nor what one can be estimated from.
-    MissingFilterError
+    MissingPackageError
         The filter is not installed.
     """
     if source == "file" and sensor.orientation is not None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.inertial import rotations as r
 from kinedex.ops.inertial.hand_eye import Options, Stream, StreamFit, calibrate
-from kinedex.ops.inertial.hypotheses import Z_TO_Y
+from kinedex.ops.inertial.rotations import Z_TO_Y
 from tests.ops.inertial.test_disagreement import figure_7_14
 from tests.ops.inertial.test_rotations import some
 from tests.oracles import inertial as naive
