@@ -35,7 +35,7 @@ from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, Body, 
 from kinedex.storage.formats.motion.reader_table import read_body, reader_of
 from kinedex.storage.snapshot.schemas import COLUMN_TYPES
 from tests.bodies import STANDING
-from tests.fuzz import camera_files, depth_files, seeds
+from tests.fuzz import camera_files, depth_files, imu_files, seeds
 from tests.fuzz.binary import C3D, FBX, GLB, NPY, NPZ
 from tests.fuzz.mutations import ANY, TEXT, Mutation, insert_word, nest
 from tests.fuzz.words import (
@@ -76,6 +76,7 @@ class Target:
 
     check: reads a file and raises `Broken` for a result that must not be; the errors that it may raise are `refusals`.
     largest: mutants have no more bytes than this, so that what costs time is the reader's doing.
+    costly: a file takes long to read, since a process begins for it.
     """
 
     name: str
@@ -85,6 +86,7 @@ class Target:
     check: Callable[[Path], None]
     refusals: tuple[type[Exception], ...] = (SourceError,)
     largest: int = 1 << 20
+    costly: bool = False
 
     def read(self, path: Path) -> bool:
         """Read a file; return False where the reader refuses it with an error of kinedex.
@@ -389,6 +391,25 @@ _DEPTH = (
 )  # fmt: skip
 """The readers of depth recordings."""
 
+_IMU = tuple(
+    Target(f"imu-{name}", ending, made, mutations, imu_files.check_recording, costly=name == "hdf5")
+    for name, ending, made, mutations in (
+        ("mtmanager", ".txt", imu_files.mtmanager, _text(imu_files.XSENS_WORDS)),
+        ("dot", ".csv", imu_files.dot, _text(imu_files.XSENS_WORDS)),
+        ("opal", ".csv", imu_files.opal, _text(imu_files.COLUMN_WORDS)),
+        ("xio", ".csv", imu_files.xio, _text(imu_files.COLUMN_WORDS)),
+        ("mvnx", ".mvnx", imu_files.mvnx, _text(MVNX_WORDS, DEEP_MVNX)),
+        ("csv", ".csv", imu_files.tables, _text(imu_files.COLUMN_WORDS)),
+        ("parquet", ".parquet", imu_files.parquet, ANY),
+        ("hdf5", ".h5", imu_files.hdf5, ANY),
+    )
+)
+"""The readers of inertial sensors."""
+
+_SENSORS = Target(
+    "sensors-yaml", ".yaml", imu_files.sensor_sets, _YAML, imu_files.check_sensor_set, (KinedexError,), 60_000
+)
+
 TARGETS: dict[str, Target] = {
     target.name: target
     for target in (
@@ -438,6 +459,8 @@ TARGETS: dict[str, Target] = {
         ),
         *_CAMERAS,
         *_DEPTH,
+        *_IMU,
+        _SENSORS,
     )
 }  # fmt: skip
 """All targets by name."""

@@ -17,7 +17,7 @@ from kinedex.storage.formats.imu.number_rows import separator_of, text_lines
 from kinedex.storage.formats.imu.signals import ENU, Given, RawSensor
 from kinedex.storage.formats.imu.xsens_columns import CHANNELS, PACKETS, named_columns, unwrapped
 
-_CLOCK = "SampleTimeFine"
+_CLOCK, _COUNTER = "SampleTimeFine", "PacketCounter"
 _WRAP = 1 << 32
 _TICK_S = 1e-6
 _SETTING = re.compile(r'^"?(?P<key>[A-Za-z ]+?)\s*:?"?\s*[,;:\t]\s*"?(?P<value>[^,;\t"]*)')
@@ -53,10 +53,10 @@ def read(path: Path, given: Given) -> list[RawSensor]:
     sensor.orientation = table.orientation()
     rate = re.match(r"[0-9.]+", settings.get("outputrate", ""))
     sensor.rate_hz = float(rate[0]) if rate and rate[0].count(".") < 2 and rate[0] != "." else None
-    clock = table.column(_CLOCK)
+    clock = table.column(_CLOCK) if _CLOCK in table.places else np.array([np.nan])
     if np.isfinite(clock).all():
         ticks = unwrapped(path, clock, table.rows.lines, _WRAP, _CLOCK)
         sensor.times, sensor.absolute = np.asarray(ticks * _TICK_S, np.float64), True
-    else:
-        sensor.steps = unwrapped(path, table.column("PacketCounter"), table.rows.lines, PACKETS, "PacketCounter")
+    elif _COUNTER in table.places:
+        sensor.steps = unwrapped(path, table.column(_COUNTER), table.rows.lines, PACKETS, _COUNTER)
     return [sensor]

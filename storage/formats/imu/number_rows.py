@@ -21,6 +21,9 @@ I64 = npt.NDArray[np.int64]
 MOST_TEXT_BYTES = 2 << 30
 """A larger text is not read; Parquet and HDF5 hold an hour of twenty sensors in half of this."""
 
+LARGEST = 1e20
+"""A larger number is none of a sensor: nanoseconds since 1970 are 1.7e18."""
+
 SEPARATORS = ("\t", ",", ";", " ")
 
 _AT_ONCE = 4096
@@ -163,7 +166,7 @@ class _Table:
         except ValueError:
             found = np.array(list(self._slowly(rows, lines)))
         found = found.reshape(len(rows), len(self.wanted))
-        wrong = np.argwhere(np.isinf(found))
+        wrong = np.argwhere(np.abs(found) > LARGEST)
         if len(wrong):
             row, column = wrong[0]
             raise self._error(column, rows[row], lines[row])

@@ -31,6 +31,12 @@ OFF_LENGTH = 0.01
 OFF_GRAVITY = 0.3
 """The share by which the median specific force may differ from gravity."""
 
+LARGEST = 1e7
+"""No reading in any unit is larger."""
+
+LATEST_S = 1e11
+"""No clock reads more: 3,000 years."""
+
 FASTEST_RAD_S = 70.0
 """No gyroscope reads more: 4,000 degrees per second."""
 
@@ -79,14 +85,14 @@ class _Checks:
 
     def sensor(self) -> ImuSensor:
         """Return the sensor."""
-        if not any(part is not None for part in (self.raw.acc, self.raw.gyr, self.raw.mag, self.raw.orientation)):
-            raise self.error("nothing was measured")
         times, rate_hz = self.times()
         acc, gyr, mag = (self.channel(name) for name in ("acc", "gyr", "mag"))
         acc, gyr, mag = (
             None if part is None else readings.bridge(times, part, LONGEST_GAP_S) for part in (acc, gyr, mag)
         )
         orientation = self.unit_quaternions()
+        if acc is None and gyr is None and mag is None and orientation is None:
+            raise self.error("nothing was measured")
         if orientation is not None:
             orientation = readings.bridge(times, orientation, LONGEST_GAP_S)
         if acc is not None and self.set.unit("acc") is None and "acc" not in self.raw.units:
@@ -117,7 +123,7 @@ class _Checks:
             self.check_rate(rate_hz)
             steps = np.arange(self.raw.samples) if self.raw.steps is None else self.raw.steps
             return np.asarray(steps) / rate_hz, rate_hz
-        unknown = np.flatnonzero(~np.isfinite(times))
+        unknown = np.flatnonzero(~(np.abs(times) <= LATEST_S))
         if len(unknown):
             raise self.error("has no time", int(unknown[0]))
         back = np.flatnonzero(~(np.diff(times) > 0))
@@ -128,7 +134,7 @@ class _Checks:
                 "recording begins, or leave out `time` of `columns:` and state `rate_hz:` to count samples", row,
             )  # fmt: skip
         measured = _measured_rate(times)
-        if rate_hz is not None and measured and abs(measured / rate_hz - 1) > 0.02:
+        if rate_hz and measured and abs(measured / rate_hz - 1) > 0.02:
             self.warnings.append(
                 f"the file states {rate_hz:g} samples per second, and its times make {measured:.5g}; the times are used"
             )
@@ -151,6 +157,8 @@ class _Checks:
         values: F64 | None = getattr(self.raw, name)
         if values is None:
             return None
+        if (row := _first_beyond(values)) is not None:
+            raise self.error(f"{name} of {np.nanmax(np.abs(values[row])):.3g} is no reading of a sensor", row)
         unit = self.set.unit(name) or self.raw.units.get(name) or _DEFAULT_UNITS[name]
         return values * UNITS[name][unit]
 
@@ -193,6 +201,8 @@ class _Checks:
         given = self.raw.orientation
         if given is None:
             return None
+        if (row := _first_beyond(given)) is not None:
+            raise self.error("a quaternion must have the length 1", row)
         lengths = np.linalg.norm(given, axis=1)
         quaternions = np.where((lengths == 0)[:, None], np.nan, given)
         off = np.flatnonzero((lengths > 0) & ~(np.abs(lengths - 1) <= OFF_LENGTH))
@@ -289,6 +299,12 @@ class _Checks:
         if orientation is not None:
             orientation = multiply(orientation, from_matrix(matrix.T))
         return acc, gyr, mag, orientation
+
+
+def _first_beyond(values: F64) -> int | None:
+    """Return the first sample with a number that no sensor reads; NaN is none."""
+    beyond = np.flatnonzero((np.abs(values) > LARGEST).any(axis=1))
+    return int(beyond[0]) if len(beyond) else None
 
 
 def _shown_world(orientation: F64, acc: F64 | None, mag: F64 | None) -> str | None:

@@ -32,6 +32,7 @@ MOST_ROWS = 50_000_000
 """Rows of a table."""
 
 _MOST_HEADER_ROWS = 6
+_LONGEST_NAME = 200
 _WORDS = {
     "acc": "accelerometer|acceleration|accelero|accel|acc",
     "gyr": "gyroscope|angular ?velocity|angularvelocity|gyro|gyr",
@@ -122,6 +123,8 @@ def _known(path: Path, header: Sequence[str]) -> Layout:
     layout, found = Layout(), dict[tuple[str, str], dict[str, int]]()
     for place, name in enumerate(header):
         plain = name.strip()
+        if len(plain) > _LONGEST_NAME:
+            continue
         if plain.lower() in ("sensor", "sensor_id", "sensor_name", "device") and layout.sensor is None:
             layout.sensor = place
         elif layout.time is None and (time := _TIME.fullmatch(plain)):

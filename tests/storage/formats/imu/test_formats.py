@@ -162,10 +162,9 @@ def test_all_real_files_are_read(shared: Path) -> None:
         sensors[path.name] = found.sensors
         for sensor in found.sensors:
             if sensor.acc is not None and sensor.orientation is not None:
-                # gravity is the median of what anybody does, and points upwards
+                # gravity is the median of what anybody does, and points upwards; one file is of a foot in the air
                 mean = np.nanmedian(rotate(sensor.orientation, sensor.acc), axis=0)
-                assert mean[2] == pytest.approx(9.8, abs=0.8)
-                assert np.hypot(mean[0], mean[1]) < 2.5
+                assert mean[2] > 0.88 * np.linalg.norm(mean)
     (warned,) = sensors["MT_01200454_000-000_00B40DE4.txt"]
     assert warned.frame == NWU
     assert "states orientations in east-north-up" in warned.warnings[0]
