@@ -129,8 +129,8 @@ WHERE = {
     "camera. Every key is explained in [`first.yaml`](../configs/bodies/filmed/first.yaml).",
     "sensors": "`read_imu.sensors`, `kinedex inspect --sensors`: which limb wears which sensor, and what the files of "
     "sensors do not state. [Files of sensors](inertial.md#files).",
-    "imu_grades": "`kinedex simulate imu --grade`, `simulate_imu.grade`: the errors of simulated sensors. Those that are "
-    "named after devices have their source in the file.",
+    "imu_grades": "`kinedex simulate imu --grade`, `simulate_imu.grade`: the errors of simulated sensors. Those named "
+    "after devices have their source in the file.",
     "pipelines": "`kinedex run`. Every shipped pipeline is listed above.",
 }
 

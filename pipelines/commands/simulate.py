@@ -102,3 +102,54 @@ def depth(
         print_message(f"{name}: {counted(number, 'frame')} with a joint near the camera, or outside the image")
     print_message(f"{counted(len(made.recordings), 'recording')} of {made.frames:,} frames, in {made.folder}")
     print_path(made.folder / RECORDINGS)
+
+
+@command(of=simulate)
+def imu(
+    store: StorePath,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="New folder of the data set.")],
+    seed: Annotated[int, typer.Option(min=0, help="Seed of mounts, headings, clocks and all errors.")],
+    takes: Annotated[
+        list[str] | None, typer.Argument(metavar="[TAKE...]", help="Takes whose actors wear them.")
+    ] = None,
+    where: WhereOption = None,
+    limbs: Annotated[
+        list[str] | None,
+        typer.Option("--limb", metavar="LIMB", help="Limb or group with sensors, as lshank or hands; repeatable."),
+    ] = None,
+    grade: Annotated[
+        str, typer.Option(metavar="NAME", help="perfect, good, cheap or a device, as mpu-9250; or a file.")
+    ] = "good",
+    rate: Annotated[float, typer.Option(min=1, max=10_000, metavar="HZ", help="Samples per second.")] = 100.0,
+    form: Annotated[str, typer.Option("--format", help="parquet, npz or xsens-txt.")] = "parquet",
+    window: Annotated[float, typer.Option(metavar="SECONDS", help="Length of the windows with labels.")] = 2.0,
+    step: Annotated[float, typer.Option(metavar="SECONDS", help="From one window to the next.")] = 1.0,
+    at: AtOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Put simulated inertial sensors on the limbs of takes.
+
+    The takes' sources are read again at their own rate. DIR has a folder for each take, DIR/windows.csv the class of
+    each window, DIR/segments.csv annotated segments, and DIR/truth mounts and clocks. The same command makes the same
+    bytes.
+    """
+    from dataclasses import asdict
+
+    from kinedex.pipelines.console.terminal import Terminal
+    from kinedex.pipelines.console.wording import counted
+    from kinedex.pipelines.simulation.imu_recordings import DATASET, Request
+    from kinedex.pipelines.simulation.imu_sensors import Wearing
+    from kinedex.pipelines.simulation.imu_takes import simulate_imu
+    from kinedex.pipelines.simulation.imu_windows import Windowing
+
+    request = Request(tuple(limbs or ()), grade, Wearing(seed, rate), form, Windowing(window, step))
+    made = simulate_imu(open_for_reading(store, at), takes or (), where, request, output, Terminal().progress)
+    if as_json:
+        print_json(asdict(made) | {"folder": output})
+        return
+    for remark in made.remarks():
+        print_message(remark)
+    print_message(
+        f"{counted(len(made.recordings), 'take')}, {made.seconds:,.1f} s, {made.samples:,} samples, in {output}"
+    )
+    print_path(output / DATASET)

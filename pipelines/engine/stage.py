@@ -131,6 +131,7 @@ BUILT_IN = {
     "limb_orientations": "kinedex.pipelines.stages.limb_orientations:LimbOrientations",
     "synchronise": "kinedex.pipelines.stages.synchronise:Synchronise",
     "calibrate_sensors": "kinedex.pipelines.stages.calibrate_sensors:CalibrateSensors",
+    "simulate_imu": "kinedex.pipelines.stages.simulate_imu:SimulateImu",
 }
 """The built-in stages, in the form of entry points."""
 

@@ -42,7 +42,8 @@ class StoredLimbs:
     def rate_hz(self) -> float:
         """Frames per second; 0 for a take of one frame."""
         times = next(iter(self.limbs.values())).times
-        return float((len(times) - 1) / (times[-1] - times[0])) if len(times) > 1 else 0.0
+        # nine digits: times are multiples of 1/rate as far as doubles are
+        return float(f"{(len(times) - 1) / (times[-1] - times[0]):.9g}") if len(times) > 1 else 0.0
 
 
 def limb_table(take_id: int, take: str, limbs: Mapping[str, LimbMotion], run: str) -> pa.Table:

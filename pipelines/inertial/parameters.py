@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Annotated, Literal
+
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from kinedex.catalog.limbs import chosen_limbs
 from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.engine.file_parameters import NamesFile
+
+
+def known_limbs(limbs: list[str]) -> list[str]:
+    """Return names of limbs or groups; a ValueError names the nearest where one is neither."""
+    try:
+        chosen_limbs(limbs)
+    except KinedexError as fault:
+        raise ValueError(str(fault)) from None
+    return limbs
 
 
 class LimbOrientationsParameters(BaseModel):
@@ -22,13 +34,40 @@ class LimbOrientationsParameters(BaseModel):
     @field_validator("limbs")
     @classmethod
     def _known(cls, limbs: list[str]) -> list[str]:
-        try:
-            chosen_limbs(limbs)
-        except KinedexError as fault:
-            raise ValueError(str(fault)) from None
-        return limbs
+        return known_limbs(limbs)
 
     @property
     def chosen(self) -> tuple[str, ...]:
         """The names of the limbs."""
         return chosen_limbs(self.limbs)
+
+
+class SimulateImuParameters(BaseModel):
+    """The parameters of the stage `simulate_imu`."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    where: str = Field("true", description="SQL filter over the columns of takes: those that wear sensors")
+    limbs: list[str] = Field(
+        default_factory=list,
+        description="limbs, or groups of them, that wear a sensor; all whose orientation is known unless given",
+    )
+    grade: Annotated[str, NamesFile("imu_grades")] = Field(
+        "good",
+        description="errors of the sensors: perfect, good, cheap, one of a device, or a path to a .yaml file",
+    )
+    rate_hz: float = Field(100.0, ge=1.0, le=10_000.0, description="samples per second")
+    seed: int = Field(0, ge=0, description="seed of mounts, headings, clocks and errors")
+    format: Literal["parquet", "npz", "xsens-txt"] = Field("parquet", description="form of the files")
+    window_s: float = Field(2.0, gt=0, le=3600, description="seconds of the windows of windows.csv")
+    step_s: float = Field(1.0, gt=0, le=3600, description="seconds from one window to the next")
+    lever_m: Annotated[list[float], Field(min_length=3, max_length=3)] = Field(
+        default_factory=lambda: [0.0, 0.0, 0.0],
+        description="from the middle of a limb to its sensor, in metres and in the limb's own axes",
+    )
+    declination_deg: float = Field(0.0, ge=-180, le=180, description="degrees from X of F_GI to magnetic north")
+
+    @field_validator("limbs")
+    @classmethod
+    def _known(cls, limbs: list[str]) -> list[str]:
+        return known_limbs(limbs)

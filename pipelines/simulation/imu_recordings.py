@@ -1,0 +1,269 @@
+"""Recordings of simulated inertial sensors on the limbs of takes, as a data set in a new folder."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from kinedex.catalog.imu_grades import load_grade
+from kinedex.catalog.limbs import chosen_limbs
+from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.pipelines.inertial.limb_motion import LimbMotion
+from kinedex.pipelines.simulation.chosen_takes import recording_names
+from kinedex.pipelines.simulation.imu_files import CLOCKLESS, WRITERS
+from kinedex.pipelines.simulation.imu_pieces import take_pieces
+from kinedex.pipelines.simulation.imu_sensors import SampledPiece, Wearing, Worn, sample_piece, worn_sensors
+from kinedex.pipelines.simulation.imu_windows import Segment, Windowing, segment_rows, window_rows
+
+DATASET, SEGMENTS, WINDOWS, TRUTH = "dataset.yaml", "segments.csv", "windows.csv", "truth/sensors.csv"
+"""The files of a data set beside the folders of its takes."""
+
+Progress = Callable[[str, int], AbstractContextManager[Any]]
+
+
+@dataclass(frozen=True)
+class Request:
+    """A request for simulated sensors.
+
+    Attributes
+    ----------
+    limbs : tuple of str
+        Limbs or groups of limbs that wear a sensor; all that are known for none.
+    grade : str
+        Name of a grade, or the path of a file.
+    wearing : Wearing
+        Seed, rate, lever and field; its grade is that of the name.
+    form : str
+        parquet, npz or xsens-txt.
+    windowing : Windowing
+        Length and step of windows.
+    """
+
+    limbs: tuple[str, ...] = ()
+    grade: str = "good"
+    wearing: Wearing = field(default_factory=Wearing)
+    form: str = "parquet"
+    windowing: Windowing = field(default_factory=Windowing)
+
+    def __post_init__(self) -> None:
+        chosen_limbs(self.limbs)
+        if self.form not in WRITERS:
+            raise ParameterError("format", f"one of {', '.join(WRITERS)}", self.form)
+
+
+@dataclass(frozen=True, eq=False)
+class TakeToSimulate:
+    """A take with its limbs and what is known of it.
+
+    Attributes
+    ----------
+    take : str
+        Its name.
+    actor : str or None
+        Its actor.
+    limbs : dict of str to LimbMotion
+        Its limbs.
+    source_hz : float
+        Frames per second of its source.
+    segments : tuple of Segment
+        Its annotated segments.
+    """
+
+    take: str
+    actor: str | None
+    limbs: dict[str, LimbMotion]
+    source_hz: float
+    segments: tuple[Segment, ...] = ()
+
+
+@dataclass
+class Simulated:
+    """The recordings that were made.
+
+    Attributes
+    ----------
+    recordings : dict of str to list of str
+        Take → its files, relative to the folder.
+    seconds : float
+        Seconds of all pieces.
+    samples : int
+        Samples of all sensors.
+    clipped : int
+        Samples beyond a range.
+    short, lost_frames : int
+        Pieces that were left out because they are shorter than 2 s, and source frames in no piece.
+    without : dict of str to list of str
+        Limb and reason → the takes in which it has no sensor.
+    left_out : list of str
+        The takes without any piece.
+    slower : list of str
+        The takes whose source is slower than the sensors: their readings are interpolated.
+    """
+
+    recordings: dict[str, list[str]] = field(default_factory=dict)
+    seconds: float = 0.0
+    samples: int = 0
+    clipped: int = 0
+    short: int = 0
+    lost_frames: int = 0
+    without: dict[str, list[str]] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
+    slower: list[str] = field(default_factory=list)
+
+    def remarks(self) -> list[str]:
+        """Return sentences on what was left out or interpolated."""
+        found = [f"{what} in {_few(takes)}" for what, takes in self.without.items()]
+        if self.short:
+            found.append(f"{self.short} pieces shorter than 2 s between jumps and gaps were left out")
+        if self.left_out:
+            found.append(f"no piece of 2 s: {_few(self.left_out)}")
+        if self.slower:
+            found.append(f"interpolated, for the source is slower than the sensors: {_few(self.slower)}")
+        if self.clipped:
+            found.append(f"{self.clipped:,} of {self.samples:,} samples are beyond the range of a sensor, and flagged")
+        return found
+
+
+def _few(names: list[str], most: int = 3) -> str:
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more takes" if len(names) > most else "")
+
+
+def write_data_set(
+    folder: Path, names: list[str], takes: Iterable[TakeToSimulate], request: Request, progress: Progress
+) -> Simulated:
+    """Write a data set of simulated sensors into an empty folder; the same takes and request make the same bytes.
+
+    Parameters
+    ----------
+    folder : Path
+        An empty folder.
+    names : list of str
+        The names of the takes, in their order.
+    takes : iterable of TakeToSimulate
+        The takes in this order; those without limbs may be missing.
+    request : Request
+        The sensors.
+    progress : callable
+        Shows how far the work is.
+
+    Raises
+    ------
+    KinedexError
+        No take has a piece that sensors can be simulated for.
+    """
+    return _DataSet(folder, dict(zip(names, recording_names(names), strict=True)), request).write(takes, progress)
+
+
+class _DataSet:
+    """A data set that is being written."""
+
+    def __init__(self, folder: Path, homes: Mapping[str, str], request: Request) -> None:
+        self.folder, self.homes, self.request = folder, homes, request
+        wearing = request.wearing
+        self.wearing = Wearing(
+            wearing.seed, wearing.rate_hz, load_grade(request.grade), wearing.lever_m, wearing.field_ut,
+            wearing.inclination_deg, wearing.declination_deg,
+        )  # fmt: skip
+        self.made = Simulated()
+        self.entries: dict[str, Any] = {}
+        self.segments: list[list[object]] = []
+        self.windows: list[list[object]] = []
+        self.truth: list[list[object]] = []
+
+    def write(self, takes: Iterable[TakeToSimulate], progress: Progress) -> Simulated:
+        """Write all takes, and the tables beside them."""
+        with progress("sensors", len(self.homes)) as bar:
+            for take in takes:
+                self._take(take)
+                bar.advance(1)
+        if not self.made.recordings:
+            reasons = "; ".join(self.made.remarks()) or "no limb is known"
+            raise KinedexError(f"sensors can be simulated for no take: {reasons}")
+        _table(self.folder / SEGMENTS, ["file", "take", "origin", "class", "start", "stop"], self.segments)
+        _table(self.folder / WINDOWS, ["file", "take", "start", "stop", "class", "share"], self.windows)
+        (self.folder / "truth").mkdir()
+        columns = [f"{name}_{axis}" for name in ("q_global", "q_mount") for axis in "wxyz"]
+        _table(self.folder / TRUTH, ["file", "take", "sensor", "offset_s", "ppm", *columns], self.truth)
+        (self.folder / DATASET).write_bytes(self._description().encode())
+        return self.made
+
+    def _take(self, take: TakeToSimulate) -> None:
+        made = self.made
+        found = take_pieces(take.limbs, chosen_limbs(self.request.limbs), bool(self.request.limbs))
+        for limb, reason in found.without.items():
+            made.without.setdefault(f"{limb} has no sensor ({reason})", []).append(take.take)
+        made.short += found.short
+        made.lost_frames += found.lost_frames
+        if not found.pieces:
+            made.left_out.append(take.take)
+            return
+        if take.source_hz < self.wearing.rate_hz * (1 - 1e-6):
+            made.slower.append(take.take)
+        worn = worn_sensors(self.wearing, take.take, take.actor, found.pieces[0].limbs)
+        home = self.folder / self.homes[take.take]
+        home.mkdir()
+        files = []
+        for number, piece in enumerate(found.pieces):
+            sampled = sample_piece(piece, number, take.take, worn, self.wearing)
+            name = "imu" if len(found.pieces) == 1 else f"imu-{number + 1}"
+            paths = WRITERS[self.request.form](home / name, sampled, self.wearing.rate_hz, self.wearing.field_ut)
+            own = [path.relative_to(self.folder).as_posix() for path in paths]
+            files += own
+            self._tables(take, sampled, own, worn)
+        made.recordings[take.take] = files
+        self.entries[take.take] = {"actor": take.actor, "source_hz": take.source_hz, "files": files}
+
+    def _tables(self, take: TakeToSimulate, sampled: SampledPiece, files: list[str], worn: Worn) -> None:
+        """Add the rows of a piece to the tables of segments, windows and truth."""
+        made, count = self.made, len(sampled.times)
+        made.seconds += count / self.wearing.rate_hz
+        made.samples += count * len(sampled.readings)
+        made.clipped += sum(int(read.clipped.sum()) for read in sampled.readings.values())
+        rows = segment_rows(take.segments, sampled.take_times)
+        self.segments += [[files[0], take.take, *row] for row in rows]
+        windows = window_rows(rows, count, self.wearing.rate_hz, self.request.windowing)
+        self.windows += [[files[0], take.take, *row[:3], f"{row[3]:.4f}"] for row in windows]
+        begin = float(sampled.times[0]) if self.request.form in CLOCKLESS else 0.0
+        for i, limb in enumerate(sampled.readings):
+            file = files[i] if len(files) == len(sampled.readings) > 1 else files[0]
+            quaternions = [f"{value:.12g}" for value in (*worn.q_global, *worn.mounts[limb])]
+            offset = worn.clock.offset_s - begin
+            self.truth.append([file, take.take, limb, f"{offset:.9f}", f"{worn.clock.ppm:.6f}", *quaternions])
+
+    def _description(self) -> str:
+        wearing = self.wearing
+        content = {
+            "form": self.request.form,
+            "seed": wearing.seed,
+            "grade": Path(self.request.grade).stem,
+            "rate_hz": wearing.rate_hz,
+            "lever_m": list(wearing.lever_m),
+            "field": {
+                "strength_ut": wearing.field_ut,
+                "inclination_deg": wearing.inclination_deg,
+                "declination_deg": wearing.declination_deg,
+            },
+            "window_s": self.request.windowing.seconds,
+            "step_s": self.request.windowing.step_s,
+            "takes": self.entries,
+        }
+        head = (
+            "# Inertial sensors that kinedex has simulated. Orientations in the files are the sensors' true ones.\n"
+            "# truth/sensors.csv has mounts, worlds and clocks; segments.csv and windows.csv count its samples.\n"
+        )
+        return head + yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=200)
+
+
+def _table(path: Path, header: list[str], rows: list[list[object]]) -> None:
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(header)
+    table.writerows(rows)
+    path.write_bytes(text.getvalue().encode())

@@ -1,0 +1,150 @@
+"""Sensors on the limbs of a take: mounts, headings and clocks drawn from a seed, and the readings of each piece."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.inertial.noise import Clock, Grade, Readings, generator, measured, random_clock, random_mount
+from kinedex.ops.inertial.sensor_model import (
+    FIELD_UT,
+    INCLINATION_DEG,
+    magnetic_field,
+    sensor_motion,
+    world_turn,
+)
+from kinedex.pipelines.simulation.imu_pieces import Piece
+
+F64 = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Wearing:
+    """How sensors are worn and read.
+
+    Attributes
+    ----------
+    seed : int
+        Seed of all random numbers, 0 or above.
+    rate_hz : float
+        Samples per second.
+    grade : Grade
+        The errors of the sensors.
+    lever_m : tuple of float
+        From the middle of a limb to its sensor, in metres and in the limb's own axes.
+    field_ut, inclination_deg, declination_deg : float
+        The magnetic field: strength, degrees below the horizon, and degrees between X of F_GI and magnetic north.
+    """
+
+    seed: int = 0
+    rate_hz: float = 100.0
+    grade: Grade = field(default_factory=Grade)
+    lever_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    field_ut: float = FIELD_UT
+    inclination_deg: float = INCLINATION_DEG
+    declination_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise ParameterError("seed", "at least 0", self.seed)
+        if not 1.0 <= self.rate_hz <= 10_000.0:
+            raise ParameterError("rate_hz", "1 to 10,000 Hz", self.rate_hz)
+
+
+@dataclass(frozen=True, eq=False)
+class Worn:
+    """The sensors of one take.
+
+    Attributes
+    ----------
+    q_global : float64 array (4,)
+        F_GI → the take's world.
+    mounts : dict of str to float64 array (4,)
+        Limb → sensor → segment.
+    clock : Clock
+        The clock that all sensors of the take share.
+    """
+
+    q_global: F64
+    mounts: dict[str, F64]
+    clock: Clock
+
+
+@dataclass(frozen=True, eq=False)
+class SampledPiece:
+    """The readings of a piece of a take.
+
+    Attributes
+    ----------
+    piece : Piece
+        The piece.
+    times : float64 array (N,)
+        Seconds on the sensors' clock.
+    take_times : float64 array (N,)
+        Seconds of the take.
+    readings : dict of str to Readings
+        Limb → its readings.
+    """
+
+    piece: Piece
+    times: F64
+    take_times: F64
+    readings: dict[str, Readings]
+
+
+def worn_sensors(wearing: Wearing, take: str, actor: str | None, limbs: Mapping[str, object]) -> Worn:
+    """Draw heading, mounts and clock of a take's sensors; takes of one actor share heading and mounts.
+
+    Parameters
+    ----------
+    wearing : Wearing
+        Seed and grade.
+    take : str
+        Name of the take.
+    actor : str or None
+        Its actor; a take without one is worn by itself.
+    limbs : mapping of str to object
+        The limbs, by name.
+    """
+    who = f"actor {actor}" if actor else f"take {take}"
+    heading = float(generator(wearing.seed, "heading", who).uniform(-180.0, 180.0))
+    mounts = {limb: random_mount(generator(wearing.seed, "mount", who, limb)) for limb in limbs}
+    clock = random_clock(wearing.grade, generator(wearing.seed, "clock", take))
+    return Worn(world_turn(heading), mounts, clock)
+
+
+def sample_piece(piece: Piece, number: int, take: str, worn: Worn, wearing: Wearing) -> SampledPiece:
+    """Return the readings of all sensors in a piece of a take.
+
+    Parameters
+    ----------
+    piece : Piece
+        The piece.
+    number : int
+        Its number in the take, which its random numbers depend on.
+    take : str
+        Name of the take.
+    worn : Worn
+        Mounts and clock.
+    wearing : Wearing
+        Rate, grade and field.
+    """
+    first = next(iter(piece.limbs.values())).times
+    start, stop = worn.clock.of_take(np.array([first[0], first[-1]]))
+    ticks = np.arange(np.ceil(start * wearing.rate_hz - 1e-6), np.floor(stop * wearing.rate_hz + 1e-6) + 1)
+    times = ticks / wearing.rate_hz
+    take_times = np.clip(worn.clock.to_take(times), first[0], first[-1])
+    field_ut = magnetic_field(wearing.field_ut, wearing.inclination_deg, wearing.declination_deg)
+    readings = {}
+    for limb, own in piece.limbs.items():
+        motion = sensor_motion(
+            own.times, own.position, own.orientation, take_times, worn.q_global, worn.mounts[limb],
+            np.array(wearing.lever_m),
+        )  # fmt: skip
+        random = generator(wearing.seed, "noise", take, limb, str(number))
+        readings[limb] = measured(motion, wearing.grade, field_ut, random)
+    return SampledPiece(piece, times, take_times, readings)

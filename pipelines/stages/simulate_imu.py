@@ -1,0 +1,85 @@
+"""Stage simulate_imu: what inertial sensors on the limbs of takes would have read, as files with labels."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+from typing import ClassVar
+
+from kinedex.catalog.configs import config_path
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.digests import Reading, files_digest, hash_of
+from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.inertial.limb_sources import reading_digest
+from kinedex.pipelines.inertial.parameters import SimulateImuParameters
+from kinedex.pipelines.simulation.imu_recordings import Request
+from kinedex.pipelines.simulation.imu_sensors import Wearing
+from kinedex.pipelines.simulation.imu_takes import actors_of, simulate_stored
+from kinedex.pipelines.simulation.imu_windows import Windowing, take_segments
+from kinedex.pipelines.simulation.new_folder import new_folder
+from kinedex.storage.store.store import Store
+
+
+class SimulateImu(Stage[SimulateImuParameters]):
+    """What inertial sensors on the limbs of takes would have read, as files with labels (thesis, Appendix A)."""
+
+    name = "simulate_imu"
+    parameters = SimulateImuParameters
+    inputs: ClassVar = {"limbs": Input("limb_orientations")}
+
+    def reading(self, params: SimulateImuParameters, store: Store) -> Reading:
+        """Return a digest of the takes, their actors and their labels."""
+        takes = store.takes_table(params.where)["name"].to_pylist()
+        wanted = set(takes)
+        labels = [(take, found) for take, found in sorted(take_segments(store).items()) if take in wanted]
+        actors = [(take, actor) for take, actor in sorted(actors_of(store).items()) if take in wanted]
+        return Reading(hash_of(reading_digest(store, takes), labels, actors), counted(len(takes), "take"))
+
+    def external_digest(self, params: SimulateImuParameters, store: Store | None) -> str:
+        """Return a hash of the file of the grade."""
+        return files_digest([config_path("imu_grades", params.grade)])
+
+    def run(self, context: StageContext, params: SimulateImuParameters) -> dict[str, object]:
+        """Simulate the sensors of the takes, and put their files in place of earlier ones."""
+        store = context.open()
+        names = store.takes_table(params.where)["name"].to_pylist()
+        if not names:
+            raise KinedexError(f"where: no take fits '{params.where}'; `--set {context.stage}.where=true` takes all")
+        request = Request(
+            tuple(params.limbs),
+            params.grade,
+            Wearing(
+                params.seed, params.rate_hz, lever_m=(params.lever_m[0], params.lever_m[1], params.lever_m[2]),
+                declination_deg=params.declination_deg,
+            ),
+            params.format,
+            Windowing(params.window_s, params.step_s),
+        )  # fmt: skip
+        folder = context.report_file("imu")
+        with new_folder(folder.with_name(f"{folder.name}.new")) as unfinished:
+            made = simulate_stored(
+                store, context.key(context.inputs["limbs"]), names, request, unfinished, context.progress
+            )
+        _replace(folder)
+        files = sorted(path.relative_to(context.store_path).as_posix() for path in folder.rglob("*") if path.is_file())
+        number = counted(len(made.recordings), "take")
+        context.say(f"{number}, {made.seconds:,.1f} s, {made.samples:,} samples: {folder.resolve()}")
+        for remark in made.remarks():
+            context.say(remark)
+        return {
+            "takes": len(made.recordings),
+            "seconds": round(made.seconds, 3),
+            "samples": made.samples,
+            "left_out": len(made.left_out),
+            "files": files,
+        }
+
+
+def _replace(folder: Path) -> None:
+    """Put the new folder in the place of the earlier one."""
+    if folder.exists():
+        shutil.rmtree(folder)
+    os.replace(folder.with_name(f"{folder.name}.new"), folder)
