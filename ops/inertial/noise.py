@@ -94,7 +94,7 @@ class Grade:
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """What a sensor has read.
+    """The readings of a sensor.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What an ideal inertial sensor on a limb reads: turn rates, specific force and magnetic field (thesis, Appendix A).
+"""Readings of an ideal inertial sensor on a limb: turn rates, specific force, magnetic field (thesis, Appendix A).
 
 The inertial world F_GI has X to magnetic north, Y to the west and Z up; the world of a take has Y up. Rates are those
 of the sensor's own axes. Algorithm 5 of the thesis, Im(q_k ∘ q̄_{k−1}), gives rates in global axes; Eq. A.22 is one
@@ -20,7 +20,7 @@ from kinedex.ops.inertial.rotations import Z_TO_Y, conjugate, continuous, exp, l
 F64 = npt.NDArray[np.float64]
 
 GRAVITY = np.array([0.0, 0.0, 9.81])
-"""What an accelerometer at rest reads in F_GI, in m/s²."""
+"""The reading of an accelerometer at rest in F_GI, in m/s²."""
 
 FIELD_UT, INCLINATION_DEG = 48.255, 64.883
 """The magnetic field in Saarbrücken (thesis, A.1): strength in µT, and degrees below the horizon."""

@@ -24,7 +24,7 @@ F64 = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Wearing:
-    """How sensors are worn and read.
+    """The way in which sensors are worn and read.
 
     Attributes
     ----------

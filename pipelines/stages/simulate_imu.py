@@ -1,4 +1,4 @@
-"""Stage simulate_imu: what inertial sensors on the limbs of takes would have read, as files with labels."""
+"""Stage simulate_imu: inertial sensors are simulated on the limbs of takes, as files with labels."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from kinedex.storage.store.store import Store
 
 
 class SimulateImu(Stage[SimulateImuParameters]):
-    """What inertial sensors on the limbs of takes would have read, as files with labels (thesis, Appendix A)."""
+    """Inertial sensors are simulated on the limbs of takes, as files with labels (thesis, Appendix A)."""
 
     name = "simulate_imu"
     parameters = SimulateImuParameters
