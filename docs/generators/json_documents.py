@@ -77,10 +77,13 @@ DOCUMENTS: dict[str, dict[str, str]] = {
     },
     "labels list": {**_STORE, "labels": "rows of the view `labels`, or of `label_history`"},
     "inspect": {
-        "file": "path of the motion file",
+        "file": "path of the file",
         "facts": "what was found out, each with `name` and `value`",
         "features": "for each feature its `feature`, `name`, `percent`, `runs`, `longest_seconds` and `remark`",
         "picture": "path of the picture, or null",
+        "sensors": "of a file of sensors, for each its `sensor`, `limb`, `channels`, `rate_hz`, `samples`, `seconds`, "
+        "`frame`, `mean_acc_m_s2`, `median_acc_m_s2`, `gyr_correlation`, `gyr_ratio`, `gaps`, `rests` and `warnings`; "
+        "else null",
     },
     "mapping list": {
         **_STORE,

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 @command(MAINTAIN)
 def inspect(
-    file: Annotated[Path, typer.Argument(help="Motion file.")],
+    file: Annotated[Path, typer.Argument(help="Motion file, or file of inertial sensors.")],
     skeleton: Annotated[
         str, typer.Option(help="Skeleton mapping: auto, the name of a shipped one, or a .yaml file.")
     ] = "auto",
@@ -59,14 +59,21 @@ def inspect(
     background: Annotated[
         Path | None, typer.Option(metavar="FILE", help="With --camera: the depth image of the empty room.")
     ] = None,
+    sensors: Annotated[
+        str | None, typer.Option(metavar="FILE", help="File of sensors: limbs, units and columns of sensor files.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show what a motion file or depth image holds; draw it.
+    """Show what a motion file, sensor file or depth image holds.
 
-    A depth image needs --camera; the picture then shows its foreground, graph and extrema.
+    A depth image needs --camera; the picture then shows its foreground, graph and extrema. Files of inertial sensors
+    are recognised, with their units compared with gravity and with their orientations; --sensors describes them.
     """
     if camera is not None:
         _inspect_depth(file, camera, background, picture, as_json)
+        return
+    if sensors is not None or _is_sensor_file(file):
+        _inspect_sensors(file, sensors, rate, as_json)
         return
     if file.suffix.lower() in (".png", ".pcd", ".ply"):
         raise KinedexError(f"{file}: a depth image or cloud is shown with its camera: --camera FILE")
@@ -82,11 +89,38 @@ def inspect(
         found.add("picture", "none, because no places of joints are known")
     if as_json and found.fault is None:
         facts = [{"name": name, "value": text} for name, text in found.lines]
-        print_json({"file": file, "facts": facts, "features": found.features, "picture": picture if drawn else None})
+        print_json({"file": file, "facts": facts, "features": found.features, "picture": picture if drawn else None,
+                    "sensors": None})  # fmt: skip
     elif not as_json:
         show(found, make_console(), features)
     if found.fault is not None:
         raise found.fault
+
+
+def _is_sensor_file(file: Path) -> bool:
+    """Return whether a file holds readings of sensors; motion files other than CSV are not opened for it."""
+    if not file.is_file() or file.suffix.lower() not in (".txt", ".csv", ".tsv", ".parquet", ".h5", ".hdf5"):
+        return False
+    from kinedex.storage.formats.imu.recording import is_sensor_file
+
+    return is_sensor_file(file)
+
+
+def _inspect_sensors(file: Path, sensors: str | None, rate_hz: float | None, as_json: bool) -> None:
+    """Show what a file of inertial sensors holds."""
+    from kinedex.catalog.sensorsets import SensorSet, load_sensor_set
+    from kinedex.pipelines.console.terminal import make_console
+    from kinedex.pipelines.inspection.inspection import show
+    from kinedex.pipelines.inspection.sensor_file import inspect_sensor_file
+
+    chosen = SensorSet() if sensors is None else load_sensor_set(sensors)
+    found, inspected = inspect_sensor_file(file, chosen, rate_hz)
+    if as_json:
+        listed = [{"name": name, "value": text} for name, text in found.lines]
+        documents = [one.document() for one in inspected]
+        print_json({"file": file, "facts": listed, "features": None, "picture": None, "sensors": documents})
+    else:
+        show(found, make_console())
 
 
 def _inspect_depth(file: Path, camera: Path, background: Path | None, picture: Path | None, as_json: bool) -> None:
@@ -102,7 +136,7 @@ def _inspect_depth(file: Path, camera: Path, background: Path | None, picture: P
         facts.add("picture", str(picture))
     if as_json:
         listed = [{"name": name, "value": text} for name, text in facts.lines]
-        print_json({"file": file, "facts": listed, "features": None, "picture": picture})
+        print_json({"file": file, "facts": listed, "features": None, "picture": picture, "sensors": None})
     else:
         show(facts, make_console())
 

@@ -188,6 +188,15 @@ def recognised(path: Path) -> str:
     raise SourceError(path, f"is no file of inertial sensors that is known; known: {known}")
 
 
+def is_sensor_file(path: Path) -> bool:
+    """Return True for a file of sensors rather than of motion: MVNX files are motion, tables by their columns."""
+    try:
+        name = recognised(path)
+    except SourceError:
+        return False
+    return name != "mvnx" and (name != "table" or tables.has_readings(path))
+
+
 def belongs_to(path: Path) -> Path | None:
     """Return the file that a file is read with, such as readings beside quaternions; None for one of its own."""
     return xio.beside(path)

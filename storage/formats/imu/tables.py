@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 
 from kinedex.catalog.sensorsets import Columns
 from kinedex.ops.errors import SourceError, did_you_mean
+from kinedex.storage.formats.csv_tables import decoded
 from kinedex.storage.formats.imu.number_rows import cells_of, number_rows, separator_of, text_lines
 from kinedex.storage.formats.imu.signals import UNITS, Given, RawSensor, unit_name
 
@@ -33,6 +34,7 @@ MOST_ROWS = 50_000_000
 
 _MOST_HEADER_ROWS = 6
 _LONGEST_NAME = 200
+_HEAD = 1 << 16
 _WORDS = {
     "acc": "accelerometer|acceleration|accelero|accel|acc",
     "gyr": "gyroscope|angular ?velocity|angularvelocity|gyro|gyr",
@@ -85,6 +87,27 @@ def recognises(path: Path, head: bytes) -> bool:
     return path.suffix.lower() in (".csv", ".txt", ".tsv", ".parquet") or head.startswith(b"PAR1")
 
 
+def has_readings(path: Path) -> bool:
+    """Return True for a table with columns of accelerations or angular velocities, by names that are known."""
+    try:
+        if _is_parquet(path):
+            with pq.ParquetFile(path) as file:
+                header = file.schema_arrow.empty_table().flatten().column_names
+        else:
+            with path.open("rb") as text:
+                lines = decoded(path, text.read(_HEAD)).replace("\r", "\n").split("\n")
+            header, _ = _joined(_header_rows(path, lines, Given())[0])
+        channels = _known(path, header).channels.values()
+    except (SourceError, OSError, pa.ArrowException):
+        return False
+    return any("acc" in parts or "gyr" in parts for parts in channels)
+
+
+def _is_parquet(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(4) == b"PAR1" or path.suffix.lower() == ".parquet"
+
+
 def read(path: Path, given: Given) -> list[RawSensor]:
     """Read the sensors of a table.
 
@@ -93,9 +116,7 @@ def read(path: Path, given: Given) -> list[RawSensor]:
     SourceError
         The file is no such table; the message names the line or the column.
     """
-    with path.open("rb") as file:
-        parquet = file.read(4) == b"PAR1"
-    return _parquet(path, given) if parquet or path.suffix.lower() == ".parquet" else _csv(path, given)
+    return _parquet(path, given) if _is_parquet(path) else _csv(path, given)
 
 
 def layout_of(path: Path, header: Sequence[str], given: Given) -> Layout:

@@ -1,0 +1,157 @@
+"""Inspection of a file of inertial sensors: format, rates, channels, gaps, units against gravity, and rests."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinedex.catalog.sensorsets import SensorSet
+from kinedex.ops.inertial.readings import compare_with_orientation, rests, typical_length
+from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.inspection.inspection import Inspection
+from kinedex.storage.formats.imu.recording import FORMATS, ImuRecording, ImuSensor, read_recording
+from kinedex.storage.formats.imu.signals import GRAVITY
+
+_SHOWN = 5
+_TURNING_RAD_S = 0.1  # a sensor that turns less shows its noise
+
+
+@dataclass(frozen=True)
+class InspectedSensor:
+    """The figures of a sensor; None for one that its channels do not show.
+
+    Attributes
+    ----------
+    sensor : str
+        Its name.
+    limb : str or None
+        The limb that the file of sensors gives it.
+    channels : tuple of str
+        Of acc, gyr, mag and orientation.
+    rate_hz : float
+        Samples per second.
+    samples : int
+        Their number.
+    seconds : float
+        From the first to the last one.
+    frame : str or None
+        The world of the file's own orientations.
+    mean_acc_m_s2 : float or None
+        The mean of |acc|.
+    median_acc_m_s2 : float or None
+        The median of |acc|, which gravity is compared with.
+    gyr_correlation, gyr_ratio : float or None
+        Correlation and ratio of gyr and the rate of the orientations; 1 and 1 where both are right.
+    gaps : tuple of (float, float)
+        Intervals of more than 50 ms without samples, seconds.
+    rests : tuple of (float, float)
+        Intervals of a second or more at rest, seconds.
+    warnings : tuple of str
+        What is odd.
+    """
+
+    sensor: str
+    limb: str | None
+    channels: tuple[str, ...]
+    rate_hz: float
+    samples: int
+    seconds: float
+    frame: str | None
+    mean_acc_m_s2: float | None
+    median_acc_m_s2: float | None
+    gyr_correlation: float | None
+    gyr_ratio: float | None
+    gaps: tuple[tuple[float, float], ...]
+    rests: tuple[tuple[float, float], ...]
+    warnings: tuple[str, ...]
+
+    def document(self) -> dict[str, Any]:
+        """Return the figures as a JSON object."""
+        return asdict(self)
+
+
+def inspect_sensor_file(
+    file: Path, sensor_set: SensorSet, rate_hz: float | None = None
+) -> tuple[Inspection, list[InspectedSensor]]:
+    """Collect the facts about a file of sensors.
+
+    Parameters
+    ----------
+    file : Path
+        The file.
+    sensor_set : SensorSet
+        Limbs, units, world and columns.
+    rate_hz : float, optional
+        Samples per second, for a file that states neither them nor times.
+
+    Returns
+    -------
+    tuple of (Inspection, list of InspectedSensor)
+        The facts in words, and the figures of each sensor.
+
+    Raises
+    ------
+    KinedexError
+        The file cannot be read, or contradicts itself.
+    """
+    recording = read_recording(file, rate_hz=rate_hz, sensor_set=sensor_set)
+    sensors = [_inspected(sensor, recording, sensor_set) for sensor in recording.sensors]
+    found = Inspection()
+    found.add("file", f"{file} ({file.stat().st_size / 1e6:.2f} MB)")
+    found.add("format", f"{FORMATS[recording.format].title}, {counted(len(sensors), 'sensor')}")
+    for sensor in sensors:
+        _add_sensor(found, sensor)
+    return found, sensors
+
+
+def _inspected(sensor: ImuSensor, recording: ImuRecording, sensor_set: SensorSet) -> InspectedSensor:
+    correlation = ratio = None
+    if sensor.gyr is not None and sensor.orientation is not None:
+        found = compare_with_orientation(sensor.times, sensor.gyr, sensor.orientation)
+        if found[2] > _TURNING_RAD_S:
+            correlation, ratio = _number(found[0]), _number(found[1])
+    lengths = np.full(1, np.nan) if sensor.acc is None else np.linalg.norm(sensor.acc, axis=1)
+    known = lengths[np.isfinite(lengths)]
+    return InspectedSensor(
+        sensor.name, sensor_set.limb(sensor.name, recording.files[sensor.name].name), sensor.channels, sensor.rate_hz,
+        len(sensor.times), float(sensor.times[-1] - sensor.times[0]), sensor.frame or None,
+        _number(float(known.mean())) if len(known) else None,
+        None if sensor.acc is None else _number(typical_length(sensor.acc)), correlation, ratio, sensor.gaps,
+        tuple(rests(sensor.times, sensor.rate_hz, sensor.acc, sensor.gyr)), sensor.warnings,
+    )  # fmt: skip
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _add_sensor(found: Inspection, sensor: InspectedSensor) -> None:
+    """Add the facts about a sensor."""
+    worn = f", worn on {sensor.limb}" if sensor.limb else ""
+    found.add("sensor", f"{sensor.sensor}{worn}: {', '.join(sensor.channels)}")
+    found.add("rate", f"{sensor.rate_hz:.6g} Hz, {counted(sensor.samples, 'sample')}, {sensor.seconds:.2f} s")
+    if sensor.median_acc_m_s2 is not None and sensor.mean_acc_m_s2 is not None:
+        off = sensor.median_acc_m_s2 / GRAVITY - 1
+        fits = "as gravity" if abs(off) < 0.1 else f"{off:+.0%} of gravity"
+        found.add("|acc|", f"mean {sensor.mean_acc_m_s2:.2f} m/s², median {sensor.median_acc_m_s2:.2f}: {fits}")
+    if sensor.gyr_correlation is not None and sensor.gyr_ratio is not None:
+        found.add(
+            "gyr", f"correlates at {sensor.gyr_correlation:.2f} with the file's orientations, {sensor.gyr_ratio:.2f} "
+            "times as large",
+        )  # fmt: skip
+    if sensor.frame:
+        found.add("orientation", f"sensor to {sensor.frame}")
+    found.add("gaps", _intervals(sensor.gaps) or "none above 50 ms")
+    found.add("rests", _intervals(sensor.rests) or "none of a second or more")
+    found.add_all("warnings", sensor.warnings)
+
+
+def _intervals(intervals: tuple[tuple[float, float], ...]) -> str:
+    if not intervals:
+        return ""
+    shown = ", ".join(f"{start:.2f} to {stop:.2f} s" for start, stop in intervals[:_SHOWN])
+    more = f" and {len(intervals) - _SHOWN} more" if len(intervals) > _SHOWN else ""
+    return f"{len(intervals)}, {sum(stop - start for start, stop in intervals):.2f} s: {shown}{more}"

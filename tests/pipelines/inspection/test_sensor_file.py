@@ -1,0 +1,63 @@
+"""`kinedex inspect` of sensor files: format, rates, units against gravity and orientations, rests and gaps."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from kinedex.pipelines.commands.cli import app
+from tests.imu_files import csv_text, mtmanager_text, turning, write_hdf5, write_parquet
+
+
+def inspected(*arguments: object) -> str:
+    done = CliRunner().invoke(app, ["inspect", *map(str, arguments)], env={"COLUMNS": "200"})
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+def test_a_sensor_file_is_recognised_and_described(tmp_path: Path) -> None:
+    lines = mtmanager_text(turning(120)).splitlines(keepends=True)
+    path = tmp_path / "MT_00B421ED.txt"
+    path.write_text("".join(lines[:40] + lines[50:]))
+    (tmp_path / "five.yaml").write_text("sensors: {'00B421ED': lshank}")
+    shown = inspected(path, "--sensors", tmp_path / "five.yaml")
+    for part in (
+        "MT Manager TXT (Xsens), 1 sensor", "00B421ED, worn on lshank: acc, gyr, orientation",
+        "50 Hz, 110 samples, 2.38 s",
+        "median 9.81: as gravity", "correlates at 1.00", "1.00 times as large", "sensor to north-west-up",
+        "1, 0.22 s: 0.70 to 0.92 s", "none of a second or more",
+    ):  # fmt: skip
+        assert part in shown
+    document = json.loads(inspected(path, "--json"))
+    (sensor,) = document["sensors"]
+    assert sensor["gyr_ratio"] == pytest.approx(1, abs=0.02)
+    assert sensor["limb"] is None
+    assert sensor["gaps"] == [[pytest.approx(0.7), pytest.approx(0.92)]]
+
+
+def test_rests_are_found_and_every_form_of_table_is_recognised(tmp_path: Path) -> None:
+    known = turning(300)
+    known.gyr[100:200], known.acc[100:200] = 0, [0, 0, 9.81]
+    (tmp_path / "a.csv").write_text(csv_text(known).replace("q_", "other_"))
+    (tmp_path / "b.csv").write_text(csv_text(turning()))
+    for path in (tmp_path / "a.csv", tmp_path / "b.csv", write_parquet(tmp_path / "c.parquet", {"lhand": turning()}),
+                 write_hdf5(tmp_path / "d.h5", turning())):  # fmt: skip
+        assert "acc, gyr" in inspected(path)
+    (sensor,) = json.loads(inspected(tmp_path / "a.csv", "--json"))["sensors"]
+    ((start, stop),) = sensor["rests"]
+    assert np.allclose([start, stop], [2.0, 4.0], atol=0.5)
+
+
+def test_a_file_of_positions_stays_motion_and_a_wrong_sensor_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("time,lwrist_x,lwrist_y,lwrist_z\n0,1,2,3\n0.1,1,2,3\n")
+    done = CliRunner().invoke(app, ["inspect", str(tmp_path / "a.csv")])
+    assert "positions" in done.output
+    (tmp_path / "b.csv").write_text(csv_text(turning()).replace("time_s", "number"))
+    done = CliRunner().invoke(app, ["inspect", str(tmp_path / "b.csv")])
+    assert done.exit_code
+    assert "--rate HZ" in str(done.output) + str(done.exception)
+    assert "50 Hz" in inspected(tmp_path / "b.csv", "--rate", 50)
