@@ -132,6 +132,7 @@ BUILT_IN = {
     "synchronise": "kinedex.pipelines.stages.synchronise:Synchronise",
     "calibrate_sensors": "kinedex.pipelines.stages.calibrate_sensors:CalibrateSensors",
     "simulate_imu": "kinedex.pipelines.stages.simulate_imu:SimulateImu",
+    "break_track": "kinedex.pipelines.stages.break_track:BreakTrack",
 }
 """The built-in stages, in the form of entry points."""
 

@@ -71,3 +71,25 @@ class SimulateImuParameters(BaseModel):
     @classmethod
     def _known(cls, limbs: list[str]) -> list[str]:
         return known_limbs(limbs)
+
+
+class BreakTrackParameters(BaseModel):
+    """The parameters of the stage `break_track`."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    where: str = Field("true", description="SQL filter over the columns of takes: those that are broken")
+    limbs: list[str] = Field(
+        default_factory=lambda: ["arms", "hands", "legs"],
+        description="limbs, or groups of them, that errors are put into; the others stay as they are",
+    )
+    noise_deg: float = Field(
+        0.0, ge=0, le=90, description="smooth noise of all limbs below 6 Hz, root mean square degrees"
+    )
+    annotators: int = Field(2, ge=0, le=20, description="simulated annotators, each with a threshold of its own")
+    seed: int = Field(0, ge=0, description="seed of errors, noise and annotators")
+
+    @field_validator("limbs")
+    @classmethod
+    def _known(cls, limbs: list[str]) -> list[str]:
+        return known_limbs(limbs)

@@ -1,0 +1,148 @@
+"""Takes whose limbs are broken on purpose, with labels of the errors and of simulated annotators."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kinedex.catalog.limbs import LIMBS
+from kinedex.ops.inertial.injected_errors import annotate, as_other_side, inject, labelled_runs, own_threshold
+from kinedex.ops.inertial.limb_orientation import NONE, jumps, long_axis
+from kinedex.ops.inertial.noise import generator, smooth_noise
+from kinedex.ops.inertial.rotations import distance_deg, exp, multiply, rotate
+from kinedex.pipelines.inertial.limb_motion import LimbMotion
+from kinedex.pipelines.inertial.limb_tables import StoredLimbs
+from kinedex.storage.formats.csv_cells import csv_line
+
+NOISE_HZ = 6.0
+"""The noise of trackers is smooth below this frequency."""
+
+ERROR = "error"
+"""The class of labels of wrong limbs."""
+
+_LABELS = ("take", "class", "start", "stop", "limb", "annotator")
+_TRUTH = ("take", "class", "start", "stop", "limb", "annotator", "kind", "degrees")
+
+
+@dataclass(frozen=True)
+class LimbLabel:
+    """A label of a wrong limb.
+
+    Attributes
+    ----------
+    take, limb : str
+        The take and the limb.
+    start, stop : int
+        Its frames [start, stop) of the source.
+    annotator : str
+        The person or, in brackets of the name, what stands for one.
+    kind : str
+        The kind of error, for the truth.
+    degrees : float
+        The largest error in it.
+    """
+
+    take: str
+    limb: str
+    start: int
+    stop: int
+    annotator: str
+    kind: str = ""
+    degrees: float = float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class BrokenTake:
+    """A broken take: its limbs, the true labels, and those of annotators."""
+
+    limbs: dict[str, LimbMotion]
+    truth: list[LimbLabel]
+    labels: list[LimbLabel]
+
+
+def annotator_name(number: int) -> str:
+    """Return the name of a simulated annotator."""
+    return f"simulated A{number + 1}"
+
+
+def break_take(take: StoredLimbs, limbs: Iterable[str], noise_deg: float, annotators: int, seed: int) -> BrokenTake:
+    """Put errors into the limbs of a take.
+
+    Parameters
+    ----------
+    take : StoredLimbs
+        The limbs.
+    limbs : iterable of str
+        The limbs that are broken; those without an orientation stay as they are.
+    noise_deg : float
+        Smooth noise of all limbs, root mean square degrees.
+    annotators : int
+        The number of simulated annotators.
+    seed : int
+        Seed of all random numbers.
+    """
+    wanted, rate_hz = set(limbs), take.rate_hz
+    axes = {name: long_axis(one.orientation, one.direction) for name, one in take.limbs.items()}
+    broken: dict[str, LimbMotion] = {}
+    truth: list[LimbLabel] = []
+    labels: list[LimbLabel] = []
+    for name, one in take.limbs.items():
+        if one.basis == NONE or rate_hz <= 0:
+            broken[name] = one
+            continue
+        turned = _noisy(one, rate_hz, noise_deg, generator(seed, "noise", take.take, name))
+        if name in wanted and np.isfinite(axes[name]).all():
+            other = take.limbs.get(LIMBS[name].opposite)
+            swapped = None
+            if other is not None and other.limb != name and other.basis != NONE and np.isfinite(axes[other.limb]).all():
+                swapped = as_other_side(other.orientation, axes[other.limb], axes[name])
+            random = generator(seed, "errors", take.take, name)
+            turned, errors = inject(turned, rate_hz, axes[name], random, swapped)
+            for start, stop in labelled_runs(one.orientation, turned):
+                kinds = [error.kind for error in errors if error.start < stop and error.stop > start]
+                peak = float(np.nanmax(distance_deg(one.orientation[start:stop], turned[start:stop])))
+                truth.append(LimbLabel(take.take, name, start, stop, "truth", " ".join(kinds), peak))
+            for number in range(annotators):
+                threshold = own_threshold(generator(seed, "annotator", str(number)))
+                random = generator(seed, "annotator", str(number), take.take, name)
+                runs = annotate(one.orientation, turned, rate_hz, threshold, random)
+                labels += [LimbLabel(take.take, name, *run, annotator_name(number)) for run in runs]
+        direction = rotate(turned, axes[name]) if np.isfinite(axes[name]).all() else one.direction
+        jump = one.jump | jumps(turned, rate_hz)
+        broken[name] = replace(one, orientation=turned, direction=direction, jump=jump)
+    return BrokenTake(broken, truth, labels)
+
+
+def _noisy(one: LimbMotion, rate_hz: float, noise_deg: float, random: np.random.Generator) -> np.ndarray:
+    if not noise_deg:
+        return one.orientation
+    turns = np.radians(noise_deg) * smooth_noise(len(one.times), rate_hz, NOISE_HZ, random) / np.sqrt(3.0)
+    return multiply(one.orientation, exp(turns))
+
+
+def label_text(takes: Sequence[str], labels: Sequence[LimbLabel], with_kinds: bool = False) -> str:
+    """Return labels as a CSV file; a take that nobody marked has a row of its name alone.
+
+    Parameters
+    ----------
+    takes : sequence of str
+        All takes that were looked at.
+    labels : sequence of LimbLabel
+        The labels.
+    with_kinds : bool, optional
+        Write the kinds of errors and their largest angles, too.
+    """
+    header = _TRUTH if with_kinds else _LABELS
+    by_take: dict[str, list[LimbLabel]] = {take: [] for take in takes}
+    for one in labels:
+        by_take[one.take].append(one)
+    lines = [csv_line(header)]
+    for take, own in by_take.items():
+        if not own:
+            lines.append(csv_line([take, *[None] * (len(header) - 1)]))
+        for one in own:
+            cells: list[object] = [take, ERROR, one.start, one.stop, one.limb, one.annotator]
+            lines.append(csv_line([*cells, one.kind, round(one.degrees, 2)] if with_kinds else cells))
+    return "".join(lines)
