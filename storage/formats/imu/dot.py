@@ -20,7 +20,7 @@ from kinedex.storage.formats.imu.xsens_columns import CHANNELS, PACKETS, named_c
 _CLOCK, _COUNTER = "SampleTimeFine", "PacketCounter"
 _WRAP = 1 << 32
 _TICK_S = 1e-6
-_SETTING = re.compile(r'^"?(?P<key>[A-Za-z ]+?)\s*:?"?\s*[,;:\t]\s*"?(?P<value>[^,;\t"]*)')
+_SETTING = re.compile(r'"?(?P<key>[A-Za-z ]{1,40}):?"?[,;:\t] {0,9}"?(?P<value>[^,;\t"]{0,200})')
 _MOST_SETTINGS = 60
 
 

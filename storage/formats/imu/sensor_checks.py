@@ -118,7 +118,7 @@ class _Checks:
             rate_hz = rate_hz or self.given_hz
             if rate_hz is None:
                 raise self.error(
-                    f"the file states no rate and no times; give samples per second: --rate HZ, or `rate_hz:` {_WAY_OUT}"
+                    f"the file states no rate and no times; give samples a second: --rate HZ, or `rate_hz:` {_WAY_OUT}"
                 )
             self.check_rate(rate_hz)
             steps = np.arange(self.raw.samples) if self.raw.steps is None else self.raw.steps
