@@ -71,7 +71,7 @@ test: lint types
 
 # The compiled kernels once with bounds checks, and once as plain Python, which warns where compiled code does not.
 check-kernels: setup
-	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=build/numba-boundscheck $(BIN)/pytest -n auto --dist worksteal -m "not slow" tests/ops
+	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 NUMBA_CACHE_DIR=build/numba-boundscheck $(BIN)/pytest -n auto --dist worksteal -m "not slow" tests/ops
 	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -n auto --dist worksteal -W ignore::RuntimeWarning -m "not slow and not shared" tests/ops
 
 # Kernels with bounds checks, so that a read beside an array is found and not just a number.

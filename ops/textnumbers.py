@@ -210,7 +210,7 @@ def _parse_frames(
         else:
             if frame < 0:
                 return NO_FRAME, line, pos, stop, 0, first, slows
-            name = _find_name(data, pos, stop, names, offsets, guess)
+            name = _find_name(data, pos, stop, names, offsets, np.int64(guess))
             if name < 0:
                 return UNKNOWN_NAME, line, pos, stop, frame, first, slows
             if seen[_at(name)] == frame:

@@ -120,7 +120,7 @@ class _Evidence:
     def support(self) -> F64:
         own = self.fixed() * (1.0 - _DISTANT * self.cost() ** 2) * np.sqrt(self.frames)
         classes = np.array([one.class_index for one in self.segments], np.int64)
-        return own - _strongest_rivals(*self.spans, self.takes, classes, own)
+        return own - _strongest_rivals(*map(np.ascontiguousarray, self.spans), self.takes, classes, own)
 
     def others(self) -> F64:
         before = np.concatenate([[0], np.cumsum(self.labels)])

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.copies import copy_row
 from kinedex.ops.errors import ParameterError
 
 F64 = npt.NDArray[np.float64]
@@ -75,7 +76,7 @@ def _angles(matrices: F64, i: int, j: int, k: int, sign: float, given: F64, out:
     for t in range(len(matrices)):
         m = matrices[t]
         if len(given):
-            near[:] = given[t]
+            copy_row(near, given[t])
         sine = min(1.0, max(-1.0, sign * m[i, k]))
         found[1] = np.arcsin(sine)
         if abs(sine) < 1.0 - 1e-12:

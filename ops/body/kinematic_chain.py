@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.copies import copy_table
 from kinedex.ops.errors import ParameterError
 
 F64 = npt.NDArray[np.float64]
@@ -260,7 +261,7 @@ def _forward(chain: ChainArrays, places: F64, turns: F64, positions: F64, turned
     for t in range(len(places)):
         pose_nodes(chain, places[t], turns[t], turned[t], centres)
         pose_joints(chain, turned[t], centres, joints)
-        positions[:, :, t] = joints
+        copy_table(positions[:, :, t], joints)
 
 
 @njit(cache=True, nogil=True)

@@ -14,6 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.order_statistics import order_statistic
+
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
@@ -102,6 +104,7 @@ def motion_faults(positions: F64, joints: tuple[str, ...], rate_hz: float, valid
     valid : bool array (T,)
         The frames that count.
     """
+    positions = np.ascontiguousarray(positions)
     at = {joint: i for i, joint in enumerate(joints)}
     lost = 1.0 - float(valid.mean()) if len(valid) else UNKNOWN
     if not valid.any() or positions.shape[2] < 4:
@@ -129,8 +132,8 @@ def motion_faults(positions: F64, joints: tuple[str, ...], rate_hz: float, valid
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _quantile(values: F64, share: float) -> float:
-    """Return a quantile of values, NaN of none."""
-    return np.sort(values)[int(share * (len(values) - 1))] if len(values) else np.nan
+    """Return a quantile of values, NaN of none, and move them about."""
+    return order_statistic(values, int(share * (len(values) - 1))) if len(values) else np.nan
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -30,6 +30,8 @@ from kinedex.ops.body.up_axis import (
     posture_shares,
     up_axis,
 )
+from kinedex.ops.copies import copy_table
+from kinedex.ops.order_statistics import median, order_statistic
 
 F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
@@ -246,7 +248,7 @@ def _geometry(sampled: F64, at: npt.NDArray[np.int64]) -> tuple[F64, F64, F64]:
     for i in range(5):
         for side in range(2):
             if there[_SIDES[i] + side]:
-                sides[i, side] = sampled[at[_SIDES[i] + side]]
+                copy_table(sides[i, side], sampled[at[_SIDES[i] + side]])
     others[2], others[3], others[4] = side_agreement(sides[0], sides[1], sides[2], sides[3], sides[4])
     others[5] = _floor(sampled, at, there)
     return limbs, leads, others
@@ -258,7 +260,8 @@ def _pair(sampled: F64, at: npt.NDArray[np.int64], there: Bool, choices: npt.NDA
     for i in range(len(choices)):
         if there[choices[i, 0]] and there[choices[i, 1]]:
             pair = np.empty((2, 3, sampled.shape[2]))
-            pair[0], pair[1] = sampled[at[choices[i, 0]]], sampled[at[choices[i, 1]]]
+            copy_table(pair[0], sampled[at[choices[i, 0]]])
+            copy_table(pair[1], sampled[at[choices[i, 1]]])
             return pair
     return np.empty((0, 3, 0))
 
@@ -271,8 +274,9 @@ def _length(a: F64, b: F64) -> tuple[float, float]:
     for t in range(frames):
         x, y, z = b[0, t] - a[0, t], b[1, t] - a[1, t], b[2, t] - a[2, t]
         lengths[t] = math.sqrt(x * x + y * y + z * z)
-    median = np.sort(lengths)[frames // 2]
-    return median, lengths.std() / median
+    deviation = lengths.std()
+    middle = order_statistic(lengths, frames // 2)
+    return middle, deviation / middle
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -303,7 +307,7 @@ def _neck(sampled: F64, at: npt.NDArray[np.int64], there: Bool) -> float:
         if elbows:
             arms = shoulders - 0.5 * (sampled[at[_LELBOW], :, t] + sampled[at[_LELBOW + 1], :, t])
             hanging[t] = (arms * trunk).sum() > 0.7 * math.sqrt((arms * arms).sum())
-    return np.median(above[hanging]) if hanging.any() else np.median(above)
+    return median(above[hanging]) if hanging.any() else median(above)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -320,7 +324,7 @@ def _floor(sampled: F64, at: npt.NDArray[np.int64], there: Bool) -> float:
             known = True
             for t in range(frames):
                 lowest[t] = min(lowest[t], sampled[at[i], 1, t])
-    return np.sort(lowest)[frames // 2] if known else np.nan
+    return order_statistic(lowest, frames // 2) if known else np.nan
 
 
 def _motion(
@@ -359,7 +363,7 @@ def _swung(positions: F64, at: npt.NDArray[np.int64]) -> F64:
                 low, high = min(low, place), max(high, place)  # a comparison with NaN is false
             swing = max(swing, high - low)
         if swing > 0.0:
-            tracks[used] = positions[at[joint]]
+            copy_table(tracks[used], positions[at[joint]])
             used += 1
             most = max(most, swing)
     return tracks[: used if most > _STILL_M else 0]

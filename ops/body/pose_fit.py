@@ -21,6 +21,7 @@ from kinedex.ops.body.kinematic_chain import (
     take_step,
     vector_of,
 )
+from kinedex.ops.copies import copy_row, copy_table
 from kinedex.ops.errors import ParameterError
 
 F64 = npt.NDArray[np.float64]
@@ -233,7 +234,7 @@ def _restrict(turns: F64, node: int, free: npt.NDArray[np.bool_]) -> None:
         for i in range(3):
             if not free[i]:
                 vector[i] = 0.0
-        turns[t, node] = rotation_of(vector)
+        copy_table(turns[t, node], rotation_of(vector))
 
 
 @njit(cache=True, nogil=True)
@@ -253,7 +254,7 @@ def _fit(chain: ChainArrays, points: F64, weight: float, steps: int, tolerance: 
                 hessian[:], gradient[:] = 0.0, 0.0
                 _add_points(chain, turned, centres, joints, points[t], weight, columns, hessian, gradient)
                 add_rest_terms(chain, turns[t], hessian, gradient)
-            damped[:] = hessian
+            copy_table(damped, hessian)
             for i in range(size):
                 damped[i, i] += damping * hessian[i, i] + _LEAST
             solve_step(damped, gradient, step)
@@ -263,7 +264,9 @@ def _fit(chain: ChainArrays, points: F64, weight: float, steps: int, tolerance: 
             if not fresh:
                 damping *= _RAISED
                 continue
-            places[t], turns[t] = place, turn
+            copy_row(places[t], place)
+            for node in range(nodes):
+                copy_table(turns[t, node], turn[node])
             damping *= _EASED
             done = cost - new <= tolerance * cost
             cost = new

@@ -9,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.order_statistics import median, percentile
+
 F64 = npt.NDArray[np.float64]
 
 USUAL_HZ = tuple(map(float, (10, 15, 20, 25, 30, 50, 60, 75, 90, 100, 120, 150, 200, 240, 300, 400, 500)))
@@ -117,4 +119,4 @@ def turn_and_acceleration(tracks: F64, lag: int) -> tuple[float, float]:
             moving += 1
     if moving == 0:
         return np.nan, np.nan
-    return np.median(ratios[:moving]), np.percentile(turns[:known], 90)
+    return median(ratios[:moving]), percentile(turns[:known], 90.0)

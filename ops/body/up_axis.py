@@ -25,6 +25,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.order_statistics import median, order_statistic
+
 F64 = npt.NDArray[np.float64]
 
 SURE = 0.5
@@ -188,13 +190,13 @@ def point_spreads(places: F64, hips: F64) -> tuple[F64, F64, bool]:
     lowest, travel = np.zeros(6), np.zeros(3)
     if whole < 3:
         return lowest, travel, False
-    size = np.median(sizes[:whole])
+    size = median(sizes[:whole])
     if not 0.0 < size < np.inf:
         return lowest, travel, False
     cut = whole // 8
     for i in range(9):
-        ordered = np.sort(tracks[i, :whole])
-        spread = (ordered[whole - 1 - cut] - ordered[cut]) / size
+        track = tracks[i, :whole]
+        spread = (order_statistic(track, whole - 1 - cut) - order_statistic(track, cut)) / size
         if i < 6:
             lowest[i] = spread
         else:

@@ -13,6 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.copies import copy_row
+
 F64 = npt.NDArray[np.float64]
 I32 = npt.NDArray[np.int32]
 Bool = npt.NDArray[np.bool_]
@@ -124,12 +126,12 @@ def link_components(
         nearest = -1
         for c in range(components):
             if not joined[c]:
-                _update_closest(points, newest, c, room)
+                _update_closest(points, np.int64(newest), c, room)
                 if room.closest[c, 0] >= 0 and (nearest < 0 or squares[c] < squares[nearest]):
                     nearest = c
         if nearest < 0:
             break
-        room.pairs[links] = room.closest[nearest]
+        copy_row(room.pairs[links], room.closest[nearest])
         room.spans[links] = np.sqrt(squares[nearest])
         joined[nearest] = True
         newest = nearest
@@ -152,8 +154,8 @@ def _gather_blocks(points: F64, pixels: I32, labels: I32, components: int, room:
                 firsts[labels[i]] = count
             component, tile = labels[i], room.keys[0, i]
             blocks[count] = k
-            boxes[count, 0] = points[i]
-            boxes[count, 1] = points[i]
+            copy_row(boxes[count, 0], points[i])
+            copy_row(boxes[count, 1], points[i])
             count += 1
         for axis in range(3):
             boxes[count - 1, 0, axis] = min(boxes[count - 1, 0, axis], points[i, axis])
@@ -207,9 +209,9 @@ def _update_closest(points: F64, grown: int, component: int, room: LinkRoom) -> 
                 if skip_far and bound < near:
                     near, near_a, near_b = bound, a, b
                 elif not skip_far and bound <= room.squares[component]:
-                    _compare_blocks(points, a, b, component, room)
+                    _compare_blocks(points, np.int64(a), np.int64(b), component, room)
         if skip_far and near <= room.squares[component]:
-            _compare_blocks(points, near_a, near_b, component, room)
+            _compare_blocks(points, np.int64(near_a), np.int64(near_b), component, room)
 
 
 @njit(cache=True, nogil=True)

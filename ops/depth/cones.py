@@ -309,7 +309,7 @@ def _distances(placed: F64, points: F64, found: SurfaceDistances) -> None:
     guess = 0
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        d, guess, s = nearest_cone(placed, x, y, z, guess)
+        d, guess, s = nearest_cone(placed, x, y, z, np.int64(guess))
         row = placed[guess]
         found.d[i], found.cone[i], found.s[i] = d, guess, s
         apart = d + row[RADIUS] + s * row[GROWTH]

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.copies import copy_row
 from kinedex.ops.depth.graph import PointGraph
 from kinedex.ops.depth.points import FrameCloud
 from kinedex.ops.errors import ParameterError
@@ -233,7 +234,7 @@ def _find_extrema(
     for k in range(len(nodes)):
         visited[k] = _spread(starts, neighbours, lengths, source if k == 0 else nodes[k - 1], k, room)
         if k == 0:
-            room.from_source[: len(reached)] = reached
+            copy_row(room.from_source, reached)
         farthest = _greatest_finite(reached)
         if farthest == 0.0:
             return k

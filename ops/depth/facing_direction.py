@@ -8,6 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.copies import copy_row
+from kinedex.ops.order_statistics import median
+
 F64 = npt.NDArray[np.float64]
 
 SAMPLE = 700
@@ -64,7 +67,7 @@ def facing_from_points(points: F64, centre: F64, facing: F64) -> F64:
         The direction, horizontal, of length 1; as before where the plane has too few points or lies too flat.
     """
     result = np.empty(3)
-    _face(points, centre, facing, result)
+    _face(np.ascontiguousarray(points), centre, facing, result)
     return result
 
 
@@ -78,8 +81,7 @@ def _mean_shift(points: F64, step: int, centre: F64) -> None:
     for axis in range(3):
         for k in range(count):
             sample[k] = points[k * step, axis]
-        lower = _select(sample, (count - 1) // 2)
-        centre[axis] = 0.5 * (lower + _select(sample, count // 2))
+        centre[axis] = median(sample)
     for _ in range(MOST_SHIFTS):
         x, y, z, total = 0.0, 0.0, 0.0, 0.0
         for k in range(count):
@@ -97,32 +99,8 @@ def _mean_shift(points: F64, step: int, centre: F64) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _select(values: F64, rank: int) -> float:
-    """Return the value of a rank, from 0 for the least, and move values about (Hoare's selection)."""
-    low, high = 0, len(values) - 1
-    while low < high:
-        middle = values[(low + high) >> 1]
-        i, j = low, high
-        while i <= j:
-            while values[i] < middle:
-                i += 1
-            while values[j] > middle:
-                j -= 1
-            if i <= j:
-                values[i], values[j] = values[j], values[i]
-                i, j = i + 1, j - 1
-        if rank <= j:
-            high = j
-        elif rank >= i:
-            low = i
-        else:
-            break
-    return values[rank]
-
-
-@njit(cache=True, nogil=True)
 def _face(points: F64, centre: F64, facing: F64, result: F64) -> None:
-    result[:] = facing
+    copy_row(result, facing)
     covariance, count = np.zeros((3, 3)), 0
     mean = np.zeros(3)
     for step in range(2):  # the mean of the points around the centre, then their covariance
@@ -195,9 +173,11 @@ def symmetric_eigenvectors(matrix: F64) -> tuple[F64, F64]:
                 vectors[k, p], vectors[k, q] = (
                     c * vectors[k, p] - s * vectors[k, q], s * vectors[k, p] + c * vectors[k, q]
                 )  # fmt: skip
-    order = np.argsort(np.array([a[0, 0], a[1, 1], a[2, 2]]))
-    values, sorted_vectors = np.empty(3), np.empty((3, 3))
+    values, sorted_vectors = np.full(3, np.nan), np.full((3, 3), np.nan)
     for k in range(3):
-        values[k] = a[order[k], order[k]]
-        sorted_vectors[:, k] = vectors[:, order[k]]
+        place = 0
+        for other in range(3):
+            place += a[other, other] < a[k, k] or (a[other, other] == a[k, k] and other < k)
+        values[place] = a[k, k]
+        copy_row(sorted_vectors[:, place], vectors[:, k])
     return values, sorted_vectors

@@ -178,7 +178,7 @@ def remove_noise(
     for v in range(numbers.shape[0]):
         left, right, former = runs[v, 0], runs[v, 1], n
         if left < right:
-            n = _clean_run(foreground, rows, v, left, right, n, directions, points, pixels, depth)
+            n = _clean_run(foreground, rows, v, left, right, np.int64(n), directions, points, pixels, depth)
         for k in range(former, n):
             numbers[v, pixels[k, 0]] = k
         if n > former:

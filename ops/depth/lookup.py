@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.body.joint_tree import JOINTS
+from kinedex.ops.copies import copy_row, copy_table
 from kinedex.ops.depth.pose_database import turn_poses
 from kinedex.ops.depth.pose_distance import COMPARED, END_EFFECTORS
 from kinedex.ops.depth.pose_index import PoseIndex, pose_centres, search
@@ -183,7 +184,8 @@ def near_maps(extrema: F64, ends: F64, maps: I64, sums: F64) -> int:
     distances = np.empty((5, count))
     for e in range(5):
         for n in range(count):
-            distances[e, n] = np.sqrt(((ends[e] - extrema[n]) ** 2).sum())
+            x, y, z = ends[e, 0] - extrema[n, 0], ends[e, 1] - extrema[n, 1], ends[e, 2] - extrema[n, 2]
+            distances[e, n] = np.sqrt(x * x + y * y + z * z)
     used, choice, partial = np.zeros(count, np.bool_), np.full(5, -1, np.int64), np.zeros(6)
     found, e = 0, 0
     while e >= 0:  # depth first, in the order of numbers
@@ -206,17 +208,21 @@ def near_maps(extrema: F64, ends: F64, maps: I64, sums: F64) -> int:
         found = min(found + 1, MOST_MAPS)
         place = found - 1
         while place > 0 and sums[place - 1] > partial[5]:
-            sums[place], maps[place] = sums[place - 1], maps[place - 1]
+            sums[place] = sums[place - 1]
+            copy_row(maps[place], maps[place - 1])
             place -= 1
-        sums[place], maps[place] = partial[5], choice
+        sums[place] = partial[5]
+        copy_row(maps[place], choice)
     return found
 
 
 @nb.njit(cache=True, nogil=True)
 def feet_maps(extrema: F64, maps: I64, sums: F64, count: int) -> int:
     """Append the 12 maps of five ends to five extrema in which the two lowest are the feet; return the new number."""
-    lowest = np.argsort(extrema[:, 1], kind="mergesort")
-    feet, others = np.sort(lowest[:2]), np.sort(lowest[2:])
+    lowest = np.argsort(extrema[:, 1].copy(), kind="mergesort")
+    feet, others = lowest[:2], lowest[2:]
+    _sort_few(feet)
+    _sort_few(others)
     for swap in range(2):
         for first in range(3):
             for second in range(3):
@@ -227,6 +233,17 @@ def feet_maps(extrema: F64, maps: I64, sums: F64, count: int) -> int:
                     sums[count] = np.nan
                     count += 1
     return count
+
+
+@nb.njit(cache=True, nogil=True)
+def _sort_few(numbers: I64) -> None:
+    """Sort a few numbers in place."""
+    for i in range(1, len(numbers)):
+        number, place = numbers[i], i
+        while place > 0 and numbers[place - 1] > number:
+            numbers[place] = numbers[place - 1]
+            place -= 1
+        numbers[place] = number
 
 
 @nb.njit(cache=True, nogil=True)
@@ -276,6 +293,7 @@ def _propose(
         for other in range(taken):
             apart &= _distance(pose, placed[other]) > APART_M
         if apart:
-            placed[taken], found[taken, 0], found[taken, 1] = pose, m, k
+            copy_table(placed[taken], pose)
+            found[taken, 0], found[taken, 1] = m, k
             taken += 1
     return taken

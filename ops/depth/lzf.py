@@ -66,7 +66,8 @@ def _decompress(data: U8, unpacked: U8) -> int:
                 return _TRUNCATED
             if o + count > room:
                 return _TOO_LONG
-            unpacked[o : o + count] = data[i : i + count]
+            for k in range(count):
+                unpacked[o + k] = data[i + k]
             i += count
             o += count
             continue

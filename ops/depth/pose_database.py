@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.body.joint_tree import JOINTS, PARENTS
+from kinedex.ops.copies import copy_row
 from kinedex.ops.depth.pose_distance import COMPARED
 from kinedex.ops.errors import ParameterError
 
@@ -367,8 +368,8 @@ def _add(
             row = _near(poses[t], place, cell, steps, reach, kept, cells, following, heads, other)
         if row < 0:
             row = count
-            kept[row] = poses[t]
-            cells[row] = cell
+            copy_row(kept[row], poses[t])
+            copy_row(cells[row], cell)
             slot = _slot(cell, len(heads))
             following[row] = heads[slot]
             heads[slot] = row

@@ -69,7 +69,9 @@ def cost_of(fit: PoseFit, pose: F64, extrema: F64, form: Form = "best") -> PoseC
     """
     if fit.image is None:
         raise ParameterError("fit", "one that has looked at a frame", None)
-    surface, ends, points = _cost(fit.body, fit.view, fit.image, fit.room, pose, extrema, form == "printed")
+    surface, ends, points = _cost(
+        fit.body, fit.view, fit.image, fit.room, pose, np.ascontiguousarray(extrema), form == "printed"
+    )
     return PoseCost(surface + ends + points, surface, ends, points)
 
 

@@ -326,7 +326,8 @@ def fill_costs(vocabulary: U64, columns: TemplateColumns, step: float, table: Ta
             continue
         column_costs(vocabulary[w], columns, costs)
         if step == 0.0:
-            table[w, :] = costs
+            for n in range(len(costs)):
+                table[w, n] = costs[n]
         else:
             for n in range(len(costs)):
                 table[w, n] = np.rint(costs[n] / step) * step

@@ -73,7 +73,7 @@ def distance_curves(
             start, stop = int(pieces[0, 0]), int(pieces[-1, 2])
             coded = encode(words[start:stop])
         table = cost_table(layout, coded.vocabulary, dtype)
-        sweep(table, coded.codes, pieces - start, layout.firsts, layout.lasts, curves[:, start:stop])
+        sweep(table, coded.codes, pieces - start, layout.firsts, layout.lasts, curves, start)
     curves /= layout.lengths[:, None].astype(dtype)
     return curves
 

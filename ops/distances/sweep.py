@@ -6,6 +6,7 @@ import numba as nb
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.ops.copies import copy_table
 from kinedex.ops.distances.costs import I32, I64, Table
 from kinedex.ops.distances.recurrence import path_cost
 
@@ -75,7 +76,8 @@ def refill(pieces: I64, following: int, lanes: I64, state: Table, initial: float
     steps = 0
     for k in range(len(lanes)):
         if lanes[k, 0] == lanes[k, 2] and following < len(pieces):
-            lanes[k] = pieces[following]
+            for field in range(3):
+                lanes[k, field] = pieces[following, field]
             state[:, k, :] = initial
             following += 1
         elif lanes[k, 0] == lanes[k, 2]:
@@ -92,18 +94,18 @@ def refill(pieces: I64, following: int, lanes: I64, state: Table, initial: float
 
 
 @nb.njit(cache=True, nogil=True)
-def write_results(lanes: I64, steps: int, found: Table, sums: Table) -> None:
-    """Write the results of the lanes into the sums, and move the lanes on (kernel)."""
+def write_results(lanes: I64, steps: int, found: Table, sums: Table, first: int) -> None:
+    """Write the results of the lanes into the sums, from a first frame on, and move the lanes on (kernel)."""
     for k in range(len(lanes)):
         at = lanes[k, 0]
         start = max(at, lanes[k, 1])
         if lanes[k, 2] >= 0 and start < at + steps:
-            sums[:, start : at + steps] = found[:, k, start - at : steps]
+            copy_table(sums[:, first + start : first + at + steps], found[:, k, start - at : steps])
         lanes[k, 0] = at + steps
 
 
 @nb.njit(cache=True, nogil=True)
-def sweep(table: Table, codes: I32, pieces: I64, firsts: I64, lasts: I64, sums: Table) -> None:
+def sweep(table: Table, codes: I32, pieces: I64, firsts: I64, lasts: I64, sums: Table, first: int) -> None:
     """Fill the costs of the best paths of all templates of a layout, in the precision of the table (kernel).
 
     All three steps advance the take and none stays in its row, so a frame depends on the two frames before it only, and
@@ -118,15 +120,17 @@ def sweep(table: Table, codes: I32, pieces: I64, firsts: I64, lasts: I64, sums: 
     pieces : int64 array (P, 3)
     firsts, lasts : int64 array (T,)
         The first and the last column of each template.
-    sums : array (T, L)
+    sums : array (T, M)
         The results; frames outside the pieces are left as they are.
+    first : int
+        The place of the first code's result among them.
     """
     columns = table.shape[1]
     state = np.full((3, LANES, columns + 2), np.inf, table.dtype)
     found = np.empty((len(firsts), LANES, CHUNK), table.dtype)
     lanes = np.zeros((LANES, 3), np.int64)
     previous, last, here = 0, 1, 2
-    following, steps = refill(pieces, 0, lanes, state, np.inf)
+    following, steps = refill(pieces, np.int64(0), lanes, state, np.inf)
     while steps > 0:
         before, behind, now = state[previous], state[last], state[here]
         for step in range(steps):
@@ -142,7 +146,7 @@ def sweep(table: Table, codes: I32, pieces: I64, firsts: I64, lasts: I64, sums: 
             before, behind, now = behind, now, before
         turn = steps % 3
         previous, last, here = (previous + turn) % 3, (last + turn) % 3, (here + turn) % 3
-        write_results(lanes, steps, found, sums)
+        write_results(lanes, steps, found, sums, first)
         following, steps = refill(pieces, following, lanes, state, np.inf)
 
 
@@ -169,7 +173,7 @@ def sweep_bounds(table: U16, codes: I32, pieces: I64, final: int, sums: U16) -> 
     found = np.empty((1, LANES, CHUNK), np.uint16)
     lanes = np.zeros((LANES, 3), np.int64)
     previous, last, here = 0, 1, 2
-    following, steps = refill(pieces, 0, lanes, state, CAP)
+    following, steps = refill(pieces, np.int64(0), lanes, state, CAP)
     while steps > 0:
         before, behind, now = state[previous], state[last], state[here]
         for step in range(steps):
@@ -184,5 +188,5 @@ def sweep_bounds(table: U16, codes: I32, pieces: I64, final: int, sums: U16) -> 
             before, behind, now = behind, now, before
         turn = steps % 3
         previous, last, here = (previous + turn) % 3, (last + turn) % 3, (here + turn) % 3
-        write_results(lanes, steps, found, sums)
+        write_results(lanes, steps, found, sums, np.int64(0))
         following, steps = refill(pieces, following, lanes, state, CAP)

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.copies import copy_row
 from kinedex.ops.inertial.quaternion_kernels import inverse_product, product, row
 from kinedex.ops.inertial.rotations import Z_TO_Y, conjugate, exp, from_matrix, log, multiply
 
@@ -204,5 +205,5 @@ def _mount_costs(sensor: F64, track: F64, worlds: F64, mounts: F64, costs: F64) 
                     break
             if total < least:
                 least = total
-                mounts[h] = local[i]
+                copy_row(mounts[h], local[i])
         costs[h] = least / count

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.body.kinematic_chain import Poses, rotation_of, vector_of
+from kinedex.ops.copies import copy_row
 from kinedex.ops.errors import ParameterError
 
 F64 = npt.NDArray[np.float64]
@@ -96,7 +97,7 @@ def _relative(means: F64, turns: F64, vectors: F64) -> None:
                     + means[place, 1, i] * turns[place, 1, j]
                     + means[place, 2, i] * turns[place, 2, j]
                 )
-        vectors[place] = vector_of(product)
+        copy_row(vectors[place], vector_of(product))
 
 
 class OwnWay(NamedTuple):

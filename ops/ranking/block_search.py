@@ -11,6 +11,7 @@ import heapq
 import numba as nb
 import numpy as np
 
+from kinedex.ops.copies import copy_row
 from kinedex.ops.distances.costs import I32, I64, TemplateColumns
 from kinedex.ops.distances.stripes import BLOCK, U8
 from kinedex.ops.distances.window_sums import is_minimum, make_window, path_start, sum_window
@@ -54,7 +55,7 @@ def gather_blocks(blocks: I64, sums: U8, ranges: I64, takes: I64, columns: int) 
                 groups[count - 1, 1] = stop
                 groups[count - 1, 5] = min(groups[count - 1, 5], least)
             else:
-                groups[count] = (start, stop, ranges[within, 0], ranges[within, 1], takes[within], least)
+                copy_row(groups[count], (start, stop, ranges[within, 0], ranges[within, 1], takes[within], least))
                 count += 1
             known = within
             within += 1

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from numba import njit
 
 from kinedex.ops.body.kinematic_chain import PLACES, ChainArrays, log_gradients, log_of, take_step
+from kinedex.ops.copies import copy_row
 from kinedex.ops.tracking.blocks import PriorArrays, frame_cost, frame_room, frame_terms
 from kinedex.ops.tracking.rays import Evidence
 
@@ -153,7 +154,7 @@ def _differences(chain: ChainArrays, places: F64, turns: F64, band: Band) -> flo
     total, between, velocities = 0.0, np.empty((3, 3)), band.velocities
     for t in range(len(places) - 1):
         for k in range(len(chain.parents)):
-            velocities[t, k] = _log_between(turns[t, k], turns[t + 1, k], between)
+            copy_row(velocities[t, k], _log_between(turns[t, k], turns[t + 1, k], between))
         if t == 0 or band.triples[t] == 0.0:
             continue
         for i in range(PLACES):
@@ -404,4 +405,5 @@ def _substitute(coupled: I64, factors: F64, steps: F64) -> None:
             x[a] = (steps[t, coupled[a]] - total) / factors[t, a, 0]
         for a in range(m):
             steps[t, coupled[a]] = x[a]
-        x[m:] = x[: 2 * m].copy()
+        for a in range(2 * m - 1, -1, -1):
+            x[m + a] = x[a]

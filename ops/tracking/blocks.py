@@ -273,9 +273,9 @@ def _add_tilt_term(chain: ChainArrays, priors: PriorArrays, t: int, turn: F64, h
     up = turn[1]  # the row of R is Rᵀe_y
     excess = up - priors.tilt_targets[t]
     columns = np.zeros((3, 3))
-    columns[0] = (0.0, up[2], -up[1])
-    columns[1] = (-up[2], 0.0, up[0])
-    columns[2] = (up[1], -up[0], 0.0)
+    columns[0, 1], columns[0, 2] = up[2], -up[1]
+    columns[1, 0], columns[1, 2] = -up[2], up[0]
+    columns[2, 0], columns[2, 1] = up[1], -up[0]
     for a in range(len(chain.axis_nodes)):
         if chain.axis_nodes[a] != 0:
             break

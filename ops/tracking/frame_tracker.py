@@ -27,6 +27,7 @@ from kinedex.ops.body.kinematic_chain import (
     vector_of,
 )
 from kinedex.ops.body.pose_fit import solve_step
+from kinedex.ops.copies import copy_row, copy_table
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.blocks import (
     FrameRoom,
@@ -425,7 +426,7 @@ def _solve_frame(
             cost = frame_terms(chain, evidence, priors, t, place, turns, np.inf, units, room, gradient)
             pose_joints(chain, room.turned, room.centres, joints)
             cost += add_sums(chain, capsules, sums, joints, room, gradient)
-        damped[:] = room.hessian
+        copy_table(damped, room.hessian)
         for i in range(size):
             damped[i, i] += damping * room.hessian[i, i] + _STIFF
         solve_step(damped, gradient, step)
@@ -438,6 +439,8 @@ def _solve_frame(
             damping *= _RAISED
             continue
         damping *= _EASED
-        place[:], turns[:] = new_place, new_turns
+        copy_row(place, new_place)
+        for node in range(len(turns)):
+            copy_table(turns[node], new_turns[node])
         if cost - new <= _TOLERANCE * abs(cost):
             break

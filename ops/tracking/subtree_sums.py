@@ -13,6 +13,7 @@ import numpy.typing as npt
 from numba import njit
 
 from kinedex.ops.body.kinematic_chain import PLACES, ChainArrays
+from kinedex.ops.copies import copy_row
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
@@ -56,7 +57,7 @@ def add_points(
         p, q, r = sign * turned[k, 0, e], sign * turned[k, 1, e], sign * turned[k, 2, e]
         x, y, z = centres[k, 0] - centres[0, 0], centres[k, 1] - centres[0, 1], centres[k, 2] - centres[0, 2]
         u, v, w = y * r - z * q, z * p - x * r, x * q - y * p
-        twists[d] = (p, q, r, u, v, w)
+        copy_row(twists[d], (p, q, r, u, v, w))
         row = PLACES + d
         gradient[row] += (
             u * wrenches[k, 0] + v * wrenches[k, 1] + w * wrenches[k, 2]

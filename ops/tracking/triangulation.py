@@ -8,6 +8,7 @@ from numba import njit
 
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses
 from kinedex.ops.body.pose_fit import fit_poses
+from kinedex.ops.copies import copy_row
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
 
@@ -75,27 +76,32 @@ def _triangulate(centres: F64, focal_px: F64, directions: F64, weights: F64, poi
                 error = np.inf
                 if left == len(usable):
                     error = _intersect(centres, focal_px, directions[t, :, p], weights[t, :, p], chosen, nearest)
-                    best[:] = chosen
+                    copy_row(best, chosen)
                 elif len(usable) <= MOST_CAMERAS:
                     for choice in range(1 << len(usable)):
                         if not _choose(usable, choice, left, chosen):
                             continue
                         new = _intersect(centres, focal_px, directions[t, :, p], weights[t, :, p], chosen, point)
                         if new < error:
-                            error, nearest[:], best[:] = new, point, chosen
+                            error = new
+                            copy_row(nearest, point)
+                            copy_row(best, chosen)
                 else:
-                    chosen[:] = best
+                    copy_row(chosen, best)
                     before = best.copy()
                     for v in np.flatnonzero(before):
-                        chosen[:] = before
+                        copy_row(chosen, before)
                         chosen[v] = False
                         new = _intersect(centres, focal_px, directions[t, :, p], weights[t, :, p], chosen, point)
                         if new < error:
-                            error, nearest[:], best[:] = new, point, chosen
+                            error = new
+                            copy_row(nearest, point)
+                            copy_row(best, chosen)
                     if error == np.inf:
                         break
                 if error <= MOST_ERROR_PX:
-                    points[t, p], seen[t, p] = nearest, left
+                    copy_row(points[t, p], nearest)
+                    seen[t, p] = left
                     break
 
 

@@ -67,10 +67,10 @@ def test_a_point_behind_a_cone_lies_behind_the_side_that_a_camera_sees() -> None
     pose, placed = np.zeros((24, 3)), np.empty((1, COLUMNS))
     pose[0], pose[1] = (0, -0.2, -2), (0, 0.2, -2)
     place_cones(one_cone((0.05, 0.05)).cones(1.7), pose, placed)
-    np.testing.assert_allclose(seen_side(placed[0], 0.5, 0, 0, -1.94), [0, 0, 1, 0.01], atol=1e-12)
-    np.testing.assert_allclose(seen_side(placed[0], 0.5, 0, 0, -2.05), [0, 0, 1, -0.10], atol=1e-12)
-    np.testing.assert_allclose(seen_side(placed[0], 0.5, 0.06, 0, -2.01), [0.9864, 0, -0.1644, 0.0108], atol=1e-4)
-    assert seen_side(placed[0], 0.5, 0, 0, -2) == (0, 0, 0, 0)
+    np.testing.assert_allclose(seen_side(placed[0], 0.5, 0.0, 0.0, -1.94), [0, 0, 1, 0.01], atol=1e-12)
+    np.testing.assert_allclose(seen_side(placed[0], 0.5, 0.0, 0.0, -2.05), [0, 0, 1, -0.10], atol=1e-12)
+    np.testing.assert_allclose(seen_side(placed[0], 0.5, 0.06, 0.0, -2.01), [0.9864, 0, -0.1644, 0.0108], atol=1e-4)
+    assert seen_side(placed[0], 0.5, 0.0, 0.0, -2.0) == (0, 0, 0, 0)
 
 
 def test_a_body_without_height_is_refused() -> None:

@@ -1,0 +1,78 @@
+"""Order statistics of values in kernels, by Hoare's selection.
+
+They compile in a fraction of the time that `np.sort`, `np.median` and `np.percentile` take, and need no sorted copy.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+F64 = npt.NDArray[np.float64]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def order_statistic(values: F64, rank: int) -> float:
+    """Return the value of a rank, and move values about.
+
+    Parameters
+    ----------
+    values : float64 array (n,)
+        Values, which end in another order. NaN ranks above all numbers.
+    rank : int
+        The rank, from 0 for the least value to n − 1.
+
+    Returns
+    -------
+    float
+        The value that a sorted copy has at this place.
+    """
+    low, high = 0, len(values) - 1
+    place = 0
+    while place <= high:
+        if values[place] == values[place]:
+            place += 1
+        else:
+            values[place], values[high] = values[high], values[place]
+            high -= 1
+    if rank > high:
+        return np.nan
+    while low < high:
+        middle = values[(low + high) >> 1]
+        i, j = low, high
+        while i <= j:
+            while values[i] < middle:
+                i += 1
+            while values[j] > middle:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i, j = i + 1, j - 1
+        if rank <= j:
+            high = j
+        elif rank >= i:
+            low = i
+        else:
+            break
+    return values[rank]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def median(values: F64) -> float:
+    """Return the median of at least one value, and move values about."""
+    count = len(values)
+    lower = order_statistic(values, (count - 1) // 2)
+    return lower if count % 2 else 0.5 * (lower + order_statistic(values, count // 2))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def percentile(values: F64, percent: float) -> float:
+    """Return a percentile of at least one value, linear between ranks, and move values about."""
+    place = 1.0 + (len(values) - 1) * (percent / 100.0)
+    rank = math.floor(place)
+    share = place - rank
+    lower = order_statistic(values, rank - 1)
+    return lower * (1.0 - share) + order_statistic(values, rank) * share if share > 0.0 else lower
