@@ -107,7 +107,7 @@ def _cost(
             surface += min(distance, MOST_SAMPLE_M)
     guess = 0
     for i in range(len(extrema)):
-        d, guess, _ = nearest_cone(room.placed, extrema[i, 0], extrema[i, 1], extrema[i, 2], guess)
+        d, guess, _ = nearest_cone(room.placed, extrema[i, 0], extrema[i, 1], extrema[i, 2], np.int64(guess))
         ends += abs(d)
     if not printed:
         every, count = max(1, len(image.points) // SAMPLED_POINTS), 0

@@ -105,7 +105,7 @@ def make_evidence(
         np.ascontiguousarray(points.offsets, np.float64),
         np.ascontiguousarray(observations.centres, np.float64),
         np.ascontiguousarray(observations.directions, np.float64),
-        np.where(seen, observations.confidence, 0.0),
+        np.ascontiguousarray(np.where(seen, observations.confidence, 0.0)),
         np.asarray(observations.focal_px, np.float64) / sigma_px,
         np.zeros((0, 0, 3)),
         np.zeros((0, 0)),
@@ -126,8 +126,8 @@ def _place_evidence(body: ChainBody, observations: Places) -> Evidence:
         np.zeros((frames, 0, joints, 3)),
         np.zeros((frames, 0, joints)),
         np.zeros(0),
-        np.where(seen[:, :, None], observations.places, np.nan),
-        1.0 / np.where(seen, observations.sigma_m, 1.0),
+        np.ascontiguousarray(np.where(seen[:, :, None], observations.places, np.nan)),
+        np.ascontiguousarray(1.0 / np.where(seen, observations.sigma_m, 1.0)),
     )
 
 

@@ -56,7 +56,7 @@ def triangulate(rays: Rays) -> tuple[F64, I64]:
         np.ascontiguousarray(rays.centres, np.float64),
         np.ascontiguousarray(rays.focal_px, np.float64),
         np.ascontiguousarray(rays.directions, np.float64),
-        np.where(usable, rays.confidence, 0.0),
+        np.ascontiguousarray(np.where(usable, rays.confidence, 0.0)),
         points,
         seen,
     )
