@@ -6,6 +6,10 @@ from kinedex.catalog.sql.result_columns import TAKE, result_view
 
 QUATERNION = "STRUCT(w DOUBLE, x DOUBLE, y DOUBLE, z DOUBLE)"
 VECTOR = "STRUCT(x DOUBLE, y DOUBLE, z DOUBLE)"
+_RANGE = """start    INTEGER    first source frame, from 0
+stop    INTEGER    source frame after the last
+start_seconds    DOUBLE    start as time
+stop_seconds    DOUBLE    stop as time"""
 
 INERTIAL_VIEWS = (
     result_view(
@@ -98,5 +102,78 @@ left_out    VARCHAR    the reason for which the mount was not found; NULL where 
         "SELECT take, limb, round(inliers, 2) AS inliers, median_deg, observability, left_out "
         "FROM sensor_calibration ORDER BY median_deg DESC",
         stages="calibrate_sensors",
+    ),
+    result_view(
+        "limb_errors",
+        "The angle between what a take and what a sensor report of a limb, frame by frame (thesis, Eq. 7.16).",
+        f"""{TAKE}
+recording    VARCHAR    the recording
+sensor    VARCHAR    name of the sensor in its file
+limb    VARCHAR    the limb that it is worn on
+source_frame    INTEGER    frame of the source, from 0
+t    DOUBLE    its time in seconds
+degrees    DOUBLE    the whole angle, 0 to 180; NULL where it is not known, and for basis none
+swing_deg    DOUBLE    turn of the limb's long axis; NULL where it is not known
+twist_deg    DOUBLE    turn about the long axis; NULL where it is not known, and for basis none
+valid    BOOLEAN    the frame counts: take and sensor are known, and the limb does not jump""",
+        "SELECT take, limb, median(coalesce(degrees, swing_deg)) AS median_deg, count(*) FILTER (valid) AS frames "
+        "FROM limb_errors GROUP BY take, limb ORDER BY median_deg DESC",
+        stages="limb_errors",
+    ),
+    result_view(
+        "limb_error_runs",
+        "The ranges of source frames in which a limb of a take is wrong, or jumps.",
+        f"""{TAKE}
+limb    VARCHAR    the limb
+kind    VARCHAR    distance (the error is above tau_deg) or jump (the limb turns by more than 2,500 degrees a second)
+{_RANGE}
+seconds    DOUBLE    its duration
+peak_deg    DOUBLE    largest error of the frames that count; NULL where none does
+mean_deg    DOUBLE    their mean error
+tau_deg    DOUBLE    the error above which frames are wrong; the swing where only that is known""",
+        "SELECT take, limb, start_seconds, seconds, peak_deg FROM limb_error_runs WHERE kind = 'distance' "
+        "ORDER BY seconds DESC LIMIT 10",
+        stages="limb_errors",
+    ),
+    result_view(
+        "limb_labels",
+        "The ranges of source frames in which people have marked a limb as wrong.",
+        f"""{TAKE}
+limb    VARCHAR    the limb
+annotator    VARCHAR    who marked it; NULL where the file does not name anybody
+{_RANGE}
+file    VARCHAR    the label file""",
+        "SELECT take, limb, annotator, start_seconds, stop_seconds FROM limb_labels ORDER BY take, limb, start",
+        stages="evaluate_limb_errors",
+    ),
+    result_view(
+        "limb_error_metrics",
+        "Precision, recall and F of limb errors against manual labels, over frames (p1, r1, f1) and segments.",
+        """scope    VARCHAR    all, group (such as legs) or limb
+name    VARCHAR    of which group or limb; all for all
+detector    VARCHAR    sensors, or the annotator that is compared with another one
+annotator    VARCHAR    whose labels count as right; all: those of every annotator, one after the other
+tau_deg    DOUBLE    the error above which frames are wrong; NULL where annotators are compared
+p1    DOUBLE    precision by frames
+r1    DOUBLE    recall by frames
+f1    DOUBLE    F measure by frames
+p2    DOUBLE    precision by segments
+r2    DOUBLE    recall by segments
+f2    DOUBLE    F measure by segments
+frames_both    BIGINT    frames that both mark
+frames_automatic    BIGINT    frames that the detector marks
+frames_manual    BIGINT    frames that the annotator marks
+segments_automatic_hit    BIGINT    segments of the detector that are right
+segments_automatic    BIGINT    segments of the detector
+segments_manual_hit    BIGINT    manual segments that were found
+segments_manual    BIGINT    manual segments
+frames    BIGINT    frames of limbs that count
+takes    BIGINT    takes that were compared
+printed_p1    DOUBLE    precision by frames as a publication prints it for other takes; NULL where it prints none
+printed_r1    DOUBLE    recall by frames as printed
+printed_source    VARCHAR    the publication and its table""",
+        "SELECT name, annotator, tau_deg, p1, r1, f1, f2 FROM limb_error_metrics "
+        "WHERE detector = 'sensors' AND tau_deg = 45 ORDER BY name, annotator",
+        stages="evaluate_limb_errors",
     ),
 )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from kinedex.catalog.limbs import LIMB_NAMES
+
 
 @dataclass(frozen=True)
 class Macro:
@@ -167,6 +169,8 @@ _NAME = ("take", None, "name of a take")
 _SET_NAME = ("set_name", None, "upper, lower or mix")
 _NAMES_OF = """(SELECT coalesce(list(f.name ORDER BY f.number), []) FROM features AS f
      WHERE f.feature_set = {feature_set} AND (({word} >> CAST(f.bit AS UBIGINT)) & 1) = 1)"""
+_LIMB = f"""CASE WHEN limb_name IS NULL OR limb_name IN ({", ".join(f"'{name}'" for name in LIMB_NAMES)})
+    THEN limb_name ELSE error('no limb is named ' || limb_name || '; the limbs are {", ".join(LIMB_NAMES)}') END"""
 
 MACROS = (
     Macro(
@@ -374,6 +378,49 @@ FROM cells AS c JOIN features AS f ON f.number = c.number
 GROUP BY c.run, c.kind, c.column
 ORDER BY c.run, c.kind, c.column""",
         "SELECT * FROM template_columns((SELECT min(subclass) FROM templates))",
+        needs="results",
+    ),
+    Macro(
+        "limb_errors_above",
+        (
+            ("limb_name", None, "a limb, such as lshank; NULL for all"),
+            ("degrees_above", "45", "the error that the frames exceed"),
+            ("min_seconds", "0", "shortest duration that counts"),
+        ),
+        "The ranges of source frames in which the error of a limb, compared with its sensor, is above a threshold.",
+        f"""WITH wrong AS (
+    SELECT e.stage, e.take, e.take_id, e.limb, e.source_frame, e.t, coalesce(e.degrees, e.swing_deg) AS error,
+        e.source_frame - row_number() OVER (PARTITION BY e.stage, e.take_id, e.limb ORDER BY e.source_frame) AS run
+    FROM limb_errors AS e
+    WHERE e.valid AND coalesce(e.degrees, e.swing_deg) > degrees_above AND ({_LIMB} IS NULL OR e.limb = limb_name)),
+rates AS (
+    SELECT r.stage, r.take_id, r.limb, (max(r.t) - min(r.t)) / greatest(count(*) - 1, 1) AS step
+    FROM limb_errors AS r GROUP BY r.stage, r.take_id, r.limb)
+SELECT w.take, w.take_id, w.limb, min(w.source_frame) AS start, max(w.source_frame) + 1 AS stop,
+    min(w.t) AS start_seconds, count(*) * any_value(s.step) AS seconds, max(w.error) AS peak_deg,
+    avg(w.error) AS mean_deg
+FROM wrong AS w JOIN rates AS s ON s.stage = w.stage AND s.take_id = w.take_id AND s.limb = w.limb
+GROUP BY w.stage, w.take, w.take_id, w.limb, w.run
+HAVING count(*) * any_value(s.step) >= min_seconds - 1e-9
+ORDER BY w.take, w.limb, start""",
+        "SELECT * FROM limb_errors_above('lshank', 45, min_seconds := 0.2)",
+        needs="results",
+    ),
+    Macro(
+        "worst_limbs",
+        (("n", "10", "number of limbs"),),
+        "The limbs of takes that are wrong for the largest share of their frames, compared with their sensors.",
+        """SELECT e.take, e.take_id, e.limb, coalesce(any_value(w.frames), 0) / count(*) AS wrong,
+    coalesce(any_value(w.seconds), 0) AS wrong_seconds, median(coalesce(e.degrees, e.swing_deg)) AS median_deg,
+    max(coalesce(e.degrees, e.swing_deg)) AS peak_deg
+FROM limb_errors AS e LEFT JOIN (
+    SELECT r.stage, r.take_id, r.limb, sum(r.stop - r.start) AS frames, sum(r.seconds) AS seconds
+    FROM limb_error_runs AS r WHERE r.kind = 'distance' GROUP BY r.stage, r.take_id, r.limb) AS w
+    ON w.stage = e.stage AND w.take_id = e.take_id AND w.limb = e.limb
+WHERE e.valid
+GROUP BY e.stage, e.take, e.take_id, e.limb
+ORDER BY wrong DESC, median_deg DESC, e.take, e.limb LIMIT n""",
+        "SELECT * FROM worst_limbs(n := 5)",
         needs="results",
     ),
 )
