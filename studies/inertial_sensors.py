@@ -1,6 +1,6 @@
-"""`python -m studies.inertial_sensors DATA`: print how far simulated sensors are from real ones, in motion and at rest.
+"""`python -m studies.inertial_sensors DATA`: print how far simulated sensors are from real ones, and hinges from limbs.
 
-DATA is a folder with imu/broad, and any of imu/feet, imu/apdm, imu/xio and imu/xsens. It takes half a minute.
+DATA is a folder with imu/broad and cmu, and any of imu/apdm, imu/xio and imu/xsens. It takes half a minute.
 """
 
 from __future__ import annotations
@@ -15,11 +15,15 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.configs import config_names
+from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.imu_grades import load_grade
+from kinedex.catalog.limbs import LIMBS
+from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.inertial.limb_orientation import HINGE
 from kinedex.ops.inertial.noise import generator, measured
 from kinedex.ops.inertial.orientation_filter import TO_NORTH_WEST_UP
-from kinedex.ops.inertial.rotations import interpolate, multiply, rotate
+from kinedex.ops.inertial.rotations import conjugate, distance_deg, interpolate, multiply, rotate
 from kinedex.ops.inertial.sensor_model import (
     SensorMotion,
     field_in_sensor,
@@ -30,7 +34,10 @@ from kinedex.ops.inertial.sensor_model import (
     turn_rates,
 )
 from kinedex.pipelines.evaluation.markdown import grid
+from kinedex.pipelines.inertial.limb_motion import take_limbs
 from kinedex.storage.formats.imu.recording import read_recording
+from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, MotionFile
+from kinedex.storage.formats.motion.segments import Segments, read_segments
 
 F64 = npt.NDArray[np.float64]
 
@@ -45,6 +52,7 @@ STILL_DEG_S, STILL_S = 1.0, 0.5
 ALLAN_S = 60.0
 """A rest of so many seconds has an Allan deviation; a shorter one has a noise density alone."""
 
+HINGES = ("thigh", "shank", "upperarm", "forearm")
 BANDS_HZ = ((1.0, 5.0), (5.0, 20.0), (20.0, 50.0))
 ONE = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -226,8 +234,42 @@ def real_rests(data: Path, trials: Sequence[Trial]) -> list[Rest]:
     return [one for one in found if one is not None]
 
 
+def hinge_errors(data: Path) -> list[list[str]]:
+    """Return by how much orientations of hinges differ from those of nodes, limb by limb, on the takes of CMU.
+
+    The frames of both may differ by a turn that does not change, the mean one, which is taken off.
+    """
+    joints = load_feature_set().joints
+    mappings = load_mappings("auto", joints)
+    found: dict[str, list[F64]] = {limb: [] for limb in HINGES}
+    for path in sorted(data.glob("cmu/[0-9]*/*.amc")):
+        skeleton = path.with_name(f"{path.stem.partition('_')[0]}.asf")
+        read = read_segments(MotionFile(path, skeleton), mappings, joints, DEFAULT_SETTINGS, LIMBS)
+        full = take_limbs(read, joints, LIMBS).limbs
+        hinge = take_limbs(Segments(read.body), joints, LIMBS).limbs
+        for limb, errors in found.items():
+            for side in "lr":
+                one, other = full[side + limb], hinge[side + limb]
+                if other.basis == HINGE:
+                    good = one.valid & ~one.jump & other.valid
+                    errors.append(_apart(one.orientation[good], other.orientation[good]))
+    rows = []
+    for limb, errors in found.items():
+        whole = np.concatenate(errors)
+        low, middle, high = np.percentile(whole, [50, 90, 95])
+        rows.append([limb, str(len(errors)), f"{low:.1f}", f"{middle:.1f}", f"{high:.1f}"])
+    return rows
+
+
+def _apart(first: F64, second: F64) -> F64:
+    """Return angles in degrees between streams (T, 4), after the turn between their frames that fits best."""
+    between = multiply(conjugate(first), second)
+    _, vectors = np.linalg.eigh(between.T @ between)
+    return distance_deg(between, vectors[:, -1])
+
+
 def report(data: Path) -> str:
-    """Return both tables as Markdown."""
+    """Return the tables as Markdown."""
     trials = [read_trial(path) for path in sorted((data / "imu" / "broad").glob("*.hdf5"))]
     moving = [
         [
@@ -258,6 +300,9 @@ def report(data: Path) -> str:
             "## At rest: noise densities, °/s/√Hz and m/s²/√Hz, by band",
             "",
             *grid(["sensor", "Hz", *bands, "Allan deviation of gyr, least"], still),
+            "## Limbs of takes by hinges, against the rotations of their nodes, degrees",
+            "",
+            *grid(["limb", "limbs of takes", "median", "90 %", "95 %"], hinge_errors(data)),
         ]
     )
 
