@@ -8,10 +8,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from kinedex.catalog.sensorsets import SensorSet
 from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
 from kinedex.pipelines.inertial.recording_parameters import ReadImuParameters
 from kinedex.pipelines.ingestion.failures import Failure
-from kinedex.storage.formats.imu.recording import belongs_to, recognised, session_of
+from kinedex.storage.formats.imu.recording import belongs_to, has_readings, session_of
 from kinedex.storage.formats.motion.sources import readable
 
 ENDINGS = (".txt", ".csv", ".tsv", ".parquet", ".h5", ".hdf5", ".mvnx")
@@ -55,11 +56,14 @@ class FoundRecordings:
         The recordings, by name.
     failures : list of Failure
         Files that belong to no take, or that are no sensor files.
+    passed_over : list of str
+        Tables without columns of a sensor.
     """
 
     root: Path
     recordings: list[SensorRecording]
     failures: list[Failure]
+    passed_over: list[str]
 
 
 def source_root(source: str) -> Path:
@@ -84,7 +88,7 @@ def sensor_files(root: Path) -> list[Path]:
     return found
 
 
-def find_recordings(params: ReadImuParameters, takes: Mapping[str, int]) -> FoundRecordings:
+def find_recordings(params: ReadImuParameters, takes: Mapping[str, int], sensor_set: SensorSet) -> FoundRecordings:
     """Find the recordings below the source of a stage.
 
     Parameters
@@ -93,6 +97,8 @@ def find_recordings(params: ReadImuParameters, takes: Mapping[str, int]) -> Foun
         The source, and the pattern of paths.
     takes : mapping of str to int
         The takes of the store, name → id.
+    sensor_set : SensorSet
+        The file of sensors.
 
     Raises
     ------
@@ -105,6 +111,7 @@ def find_recordings(params: ReadImuParameters, takes: Mapping[str, int]) -> Foun
         raise KinedexError(f"no sensor files ({', '.join(ENDINGS)}) below {params.source}; is this the right folder?")
     pattern = re.compile(params.match)
     failures: list[Failure] = []
+    passed_over: list[str] = []
     groups: dict[tuple[str, str], list[Path]] = {}
     beside: dict[Path, list[Path]] = {}
     for path in paths:
@@ -113,8 +120,10 @@ def find_recordings(params: ReadImuParameters, takes: Mapping[str, int]) -> Foun
             continue
         relative = path.relative_to(root).as_posix()
         try:
-            take, name = _named(relative, pattern, takes)
-            recognised(path)
+            if not has_readings(path, sensor_set):
+                passed_over.append(relative)
+                continue
+            take, name = _named(path, relative, pattern, takes)
         except KinedexError as fault:
             failures.append(rejection(root, path, fault))
             continue
@@ -125,14 +134,14 @@ def find_recordings(params: ReadImuParameters, takes: Mapping[str, int]) -> Foun
         )
         for (take, name), files in sorted(groups.items(), key=lambda group: group[0][1])
     ]
-    return FoundRecordings(root, recordings, failures)
+    return FoundRecordings(root, recordings, failures, [readable(name) for name in passed_over])
 
 
 def _all_beside(files: Iterable[Path], beside: Mapping[Path, Sequence[Path]]) -> tuple[Path, ...]:
     return tuple(one for file in files for one in beside.get(file, ()))
 
 
-def _named(relative: str, pattern: re.Pattern[str], takes: Mapping[str, int]) -> tuple[str, str]:
+def _named(path: Path, relative: str, pattern: re.Pattern[str], takes: Mapping[str, int]) -> tuple[str, str]:
     """Return the take of a file and the name of its recording, by its path below the source."""
     found = pattern.search(relative)
     if found is None or not found["take"]:
@@ -147,7 +156,7 @@ def _named(relative: str, pattern: re.Pattern[str], takes: Mapping[str, int]) ->
         near = did_you_mean(take, takes)
         raise KinedexError(f"no take is called '{readable(take)}'{near}; name the folder after a take, or set `match`")
     own = found.groupdict().get("recording")
-    return take, readable(f"{take}/{own}" if own else session_of(relative))
+    return take, readable(f"{take}/{own}" if own else session_of(path, relative))
 
 
 def rejection(root: Path, path: Path, fault: Exception) -> Failure:

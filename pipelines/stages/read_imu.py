@@ -51,8 +51,9 @@ class ReadImu(Stage[ReadImuParameters]):
     def run(self, context: StageContext, params: ReadImuParameters) -> dict[str, object]:
         """Read the recordings that are new or changed; each is committed whole."""
         store = context.open()
-        found = find_recordings(params, take_ids(store))
-        sensors = sensor_set_of(params.sensors).entries.model_dump()
+        sensor_set = sensor_set_of(params.sensors)
+        found = find_recordings(params, take_ids(store), sensor_set)
+        sensors = sensor_set.entries.model_dump()
         chosen = params.model_dump(exclude={"source", "sensors", "match"})
         tasks = []
         for recording in found.recordings:
@@ -69,6 +70,9 @@ class ReadImu(Stage[ReadImuParameters]):
         unchanged = {task.recording.name for task in tasks} - {task.recording.name for task in fresh}
         failures.extend(_earlier_failures(store, context.key(), unchanged))
         done = self._read(context, fresh, unchanged, failures)
+        if found.passed_over:
+            few = ", ".join(found.passed_over[:3])
+            context.say(f"passed over, without columns of a sensor: {counted(len(found.passed_over), 'file')}: {few}")
         for line in failure_messages(failures):
             context.say(line)
         if unchanged:

@@ -27,6 +27,13 @@ def recognises(path: Path, head: bytes) -> bool:
     return head.lstrip(b"\xef\xbb\xbf").startswith(b"//") and re.search(rb"^(Packet)?Counter\b", head, re.M) is not None
 
 
+def session_of(path: str, head: bytes) -> str:
+    """Return the path of a file without the number of its sensor at the end, by which files of a session are named."""
+    device = _DEVICE.search(head.decode("latin-1"))
+    number = re.escape(device[1]) if device else "[0-9A-Fa-f]{8}"
+    return re.sub(rf"[-_]{number}\.[^./]+$", "", path)
+
+
 def read(path: Path, given: Given) -> list[RawSensor]:
     """Read the sensor of a file.
 

@@ -17,7 +17,6 @@ a limb's name is worn on that limb.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -84,7 +83,6 @@ FORMATS = {
 """Name → format; a file is of the first that recognises it."""
 
 _HEAD = 1 << 16
-_NUMBERED = re.compile(r"_[0-9A-F]{8}\.txt$", re.IGNORECASE)
 
 
 def read_recording(
@@ -202,9 +200,24 @@ def belongs_to(path: Path) -> Path | None:
     return xio.beside(path)
 
 
-def session_of(path: str) -> str:
-    """Return the name of a recording by the path of a file of it: those of MT Manager end in a sensor's number."""
-    return _NUMBERED.sub("", path)
+def session_of(file: Path, path: str) -> str:
+    """Return the name of a file's recording: its path, without the sensor's number at the end of MT Manager's.
+
+    Parameters
+    ----------
+    file : Path
+        The file.
+    path : str
+        Its path as it is to be named, with "/" between folders.
+    """
+    return mtmanager.session_of(path, beginning(file)) if recognised(file) == "mtmanager" else path
+
+
+def has_readings(path: Path, sensor_set: SensorSet) -> bool:
+    """Return False for a table without columns of a sensor, which stands beside recordings."""
+    if sensor_set.entries.columns is not None or recognised(path) != "table":
+        return True
+    return tables.has_readings(path, ("acc", "gyr", "orientation"))
 
 
 def beginning(path: Path) -> bytes:

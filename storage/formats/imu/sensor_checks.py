@@ -44,8 +44,8 @@ _DEFAULT_UNITS = {"acc": "m/s2", "gyr": "rad/s", "mag": "uT"}
 _WORLDS = {"NWU": NWU, "ENU": ENU, "NED": NED}
 _TO_NWU = {NWU: None, ENU: TO_NORTH_WEST_UP, NED: exp(np.array([np.pi, 0.0, 0.0]))}
 _TURNING_RAD_S = 0.1  # slower turning is mostly noise
+_STILL_RAD_S = 0.1
 _ALIKE = 0.7
-_FEW_TURNS = 20
 _WAY_OUT = "in a file of sensors"
 
 
@@ -95,11 +95,9 @@ class _Checks:
             raise self.error("nothing was measured")
         if orientation is not None:
             orientation = readings.bridge(times, orientation, LONGEST_GAP_S)
-        if acc is not None and self.set.unit("acc") is None and "acc" not in self.raw.units:
-            acc = acc * self.factor_by_gravity(acc)
-        elif acc is not None:
-            self.check_gravity(acc)
         self.check_rates(times, acc, gyr, orientation)
+        if acc is not None:
+            acc = acc * self.acc_factor(times, acc, gyr, orientation)
         frame = ""
         if orientation is not None:
             frame = self.world(orientation, acc, mag)
@@ -162,39 +160,32 @@ class _Checks:
         unit = self.set.unit(name) or self.raw.units.get(name) or _DEFAULT_UNITS[name]
         return values * UNITS[name][unit]
 
-    def factor_by_gravity(self, acc: F64) -> float:
-        """Return the size of the unit of accelerations, by gravity, where nobody states it."""
-        size = readings.typical_length(acc)
-        for factor in UNITS["acc"].values():
-            if abs(size * factor / GRAVITY - 1) <= OFF_GRAVITY:
-                return factor
-        if np.isfinite(size):
-            raise self.error(
-                f"the median of |acc| is {size:.3g}, which is gravity in no known unit; state `units: {{acc: m/s2}}` "
-                f"or g {_WAY_OUT}, and leave out accelerations without gravity"
-            )
-        return 1.0
+    def acc_factor(self, times: F64, acc: F64, gyr: F64 | None, orientation: F64 | None) -> float:
+        """Return what accelerations are still to be multiplied by; refuse a unit that gravity contradicts.
 
-    def check_gravity(self, acc: F64) -> None:
-        """Refuse a unit of accelerations that gravity contradicts."""
-        size = readings.typical_length(acc)
-        if not np.isfinite(size) or abs(size / GRAVITY - 1) <= OFF_GRAVITY:
-            return
+        Gravity is looked for in the mean in the world, at rest, and in the median; one that fits is enough. Where
+        nobody states the unit, the one that fits is taken.
+        """
+        sizes = _gravity_sizes(times, acc, gyr, orientation)
+        if not sizes or any(_fits(size) for size in sizes):
+            return 1.0
         stated = self.set.unit("acc")
-        unit = stated or self.raw.units["acc"]
-        raw = size / UNITS["acc"][unit]
-        other = next(
-            (name for name, factor in UNITS["acc"].items() if abs(raw * factor / GRAVITY - 1) <= OFF_GRAVITY), None
-        )
-        told = f"the median of |acc| is {raw:.3g} {unit}, and gravity is {GRAVITY / UNITS['acc'][unit]:.3g}"
+        unit = stated or self.raw.units.get("acc") or _DEFAULT_UNITS["acc"]
+        own = UNITS["acc"][unit]
+        factors = {name: factor / own for name, factor in UNITS["acc"].items()}
+        other = next((name for name in factors if any(_fits(size * factors[name]) for size in sizes)), None)
+        found = f"|acc| is {sizes[0] / own:.3g} {unit}, and gravity is {GRAVITY / own:.3g}"
+        if other is not None and stated is None and "acc" not in self.raw.units:
+            return factors[other]
         if other is not None:
-            raise self.error(f"{told}; state `units: {{acc: {other}}}` {_WAY_OUT}")
-        if stated is None:
+            raise self.error(f"{found}; state `units: {{acc: {other}}}` {_WAY_OUT}")
+        if stated is None and not any(0.5 <= size / GRAVITY <= 2 for size in sizes):
             raise self.error(
-                f"{told}; are these accelerations without gravity? To read them in spite of this, state `units: {{acc: "
-                f"{unit}}}` {_WAY_OUT}"
+                f"{found}; are these accelerations without gravity, or in a unit of their own? To read them in spite "
+                f"of this, state `units: {{acc: {unit}}}` {_WAY_OUT}"
             )
-        self.warnings.append(told)
+        self.warnings.append(f"{found}: the sensor moves fast all the time, or its unit is wrong")
+        return 1.0
 
     def unit_quaternions(self) -> F64 | None:
         """Return the orientations, sensor → world, of length 1; quaternions of zeros are missing."""
@@ -299,6 +290,21 @@ class _Checks:
         if orientation is not None:
             orientation = multiply(orientation, from_matrix(matrix.T))
         return acc, gyr, mag, orientation
+
+
+def _gravity_sizes(times: F64, acc: F64, gyr: F64 | None, orientation: F64 | None) -> list[float]:
+    """Return the lengths that gravity may have: the median, the mean in the world, and the median at rest."""
+    sizes = [readings.typical_length(acc)]
+    if orientation is not None:
+        mean = np.ma.masked_invalid(rotate(orientation, acc)).mean(axis=0).filled(np.nan)
+        sizes.append(float(np.linalg.norm(mean)))
+    if gyr is not None:
+        sizes.append(readings.typical_length(acc[np.linalg.norm(gyr, axis=1) < _STILL_RAD_S]))
+    return [size for size in sizes if np.isfinite(size)]
+
+
+def _fits(size: float) -> bool:
+    return bool(abs(size / GRAVITY - 1) <= OFF_GRAVITY)
 
 
 def _first_beyond(values: F64) -> int | None:

@@ -87,8 +87,8 @@ def recognises(path: Path, head: bytes) -> bool:
     return path.suffix.lower() in (".csv", ".txt", ".tsv", ".parquet") or head.startswith(b"PAR1")
 
 
-def has_readings(path: Path) -> bool:
-    """Return True for a table with columns of accelerations or angular velocities, by names that are known."""
+def has_readings(path: Path, wanted: Iterable[str] = ("acc", "gyr")) -> bool:
+    """Return True for a table with columns of one of some channels, by names that are known."""
     try:
         if _is_parquet(path):
             with pq.ParquetFile(path) as file:
@@ -100,7 +100,7 @@ def has_readings(path: Path) -> bool:
         channels = _known(path, header).channels.values()
     except (SourceError, OSError, pa.ArrowException):
         return False
-    return any("acc" in parts or "gyr" in parts for parts in channels)
+    return any(channel in parts for parts in channels for channel in wanted)
 
 
 def _is_parquet(path: Path) -> bool:

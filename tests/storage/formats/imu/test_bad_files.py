@@ -12,7 +12,7 @@ import pytest
 from kinedex.catalog.configs import parse_yaml
 from kinedex.catalog.sensorsets import SensorSet, parse_sensor_set
 from kinedex.ops.errors import ConfigError, SourceError
-from kinedex.ops.inertial.rotations import conjugate, distance_deg, exp, multiply
+from kinedex.ops.inertial.rotations import conjugate, distance_deg, exp, multiply, rotate
 from kinedex.storage.formats.imu import recording
 from kinedex.storage.formats.imu.recording import ENU, NED, NWU, read_recording
 from tests.imu_files import Samples, csv_text, dot_text, mtmanager_text, mvnx_text, opal_text, turning, write_hdf5
@@ -45,7 +45,7 @@ SCALED = {
     "acc in g, stated as m/s²": (
         {"acc": KNOWN.acc / 9.80665}, "units: {acc: m/s2}", "1 m/s2, and gravity is 9.81", "units: {acc: g}",
     ),
-    "acc without gravity": ({"acc": KNOWN.acc / 5}, "{}", "gravity in no known unit", None),
+    "acc without gravity": ({"acc": KNOWN.acc / 5}, "{}", "are these accelerations without gravity", None),
     "gyr in degrees": ({"gyr": np.degrees(KNOWN.gyr)}, "{}", "its unit is taken as rad/s", "units: {gyr: deg/s}"),
     "gyr in radians, stated as degrees": (
         {}, "units: {gyr: deg/s}", "its unit is taken as deg/s", "units: {gyr: rad/s}",
@@ -77,6 +77,18 @@ def test_gyr_in_degrees_is_noticed_by_gravity_where_there_are_no_quaternions(tmp
     path.write_text(csv_text(replace(KNOWN, gyr=10 * KNOWN.gyr)).replace("q_", "other_"))
     with pytest.raises(SourceError, match="10 times as fast as gravity"):
         read_recording(path)
+
+
+def test_a_sensor_that_never_rests_is_read_with_a_warning_at_most(tmp_path: Path) -> None:
+    """The mean in the world is gravity whatever the sensor does; without orientations the median can be anything."""
+    shaken = KNOWN.acc + rotate(conjugate(KNOWN.orientation), 17 * np.sin(9 * KNOWN.times)[:, None] * [1, 0, 0])
+    assert np.median(np.linalg.norm(shaken, axis=1)) > 1.3 * 9.81
+    path = write(tmp_path, replace(KNOWN, acc=shaken))
+    assert read_recording(path).sensors[0].warnings == ()
+    path.write_text(csv_text(replace(KNOWN, acc=shaken)).replace("q_", "other_"))
+    (sensor,) = read_recording(path).sensors
+    assert "moves fast all the time" in sensor.warnings[0]
+    np.testing.assert_allclose(sensor.acc, shaken, atol=1e-6)
 
 
 def test_acc_in_g_that_nobody_states_is_recognised(tmp_path: Path) -> None:
