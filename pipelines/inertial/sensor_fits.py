@@ -196,10 +196,12 @@ def _worn(take: WornTake, clocks: Clocks) -> list[_Worn]:
 def _options(worn: Sequence[_Worn], params: CalibrationSettings) -> Options:
     """Return what a calibration assumes: what the parameters state, or what magnetometers allow."""
     magnetometers = all(one.sensor.magnetometer for one in worn)
+    shared = magnetometers if params.world == "auto" else params.world == "shared"
     return Options(
-        shared=magnetometers if params.world == "auto" else params.world == "shared",
+        shared=shared,
         vertical_known=params.vertical == "known",
-        drift=not magnetometers if params.heading == "auto" else params.heading == "drift",
+        # who states that sensors share a world states that their headings are held
+        drift=not (magnetometers or shared) if params.heading == "auto" else params.heading == "drift",
         seed=params.seed,
     )
 

@@ -40,7 +40,8 @@ class CalibrationSettings(BaseModel):
     )
     heading: Literal["auto", "fixed", "drift"] = Field(
         "auto",
-        description="drift: a slow drift of each sensor's heading is corrected; auto: where one has no magnetometer",
+        description="drift: a slow drift of each sensor's heading is corrected; auto: where one has no magnetometer, "
+        "unless `global` is shared",
     )
     seed: int = Field(0, ge=0, description="seed of the guesses that a calibration begins with")
 
