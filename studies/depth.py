@@ -201,7 +201,7 @@ def aims(found: Mapping[tuple[str, str], Tracks]) -> list[str]:
         lines.append([f"{name}: off by more than 10 cm", f"{100 * (errors > OFF_CM).mean():.1f} %", "≤ 1.5 %"])
         lines.append([f"{name}: combined by the better part", f"{combined / min(parts):.2f}", "< 1"])
     ends = np.concatenate([track.found for track in next(iter(found.values()))[FORWARD].values()])
-    lines.append(["all five ends found", f"{100 * ends.mean():.0f} %", "≥ 60 %"])
+    lines.append(["all five ends found", f"{100 * ends.mean():.1f} %", "≥ 60 %"])
     return grid(["", "reached", "aim"], lines)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from typing import NamedTuple
 
 import numba as nb
@@ -37,6 +39,7 @@ APART_M = 0.1
 
 _LAMBDA = 0.5  # of the ends' distance in Eq. 8.6; the rest is the distance from the previous pose
 _FEET = 12  # maps in which the two lowest extrema are the feet
+_EVERY_MAP = np.array([*itertools.permutations(range(len(END_EFFECTORS)))], np.int64)
 
 
 class Proposals(NamedTuple):
@@ -57,7 +60,9 @@ class Proposals(NamedTuple):
     maps : int64 array (M, 5)
         For each map the extremum that is taken for each of the five ends.
     sums : float64 array (M,)
-        For each map the sum of distances from the previous ends in metres; NaN for one of the lowest as feet.
+        For each map the sum of distances from the previous ends in metres; NaN for one that does not come from them.
+    turns : float64 array (C,)
+        The degrees by which the facing direction was turned for each.
     """
 
     poses: F64
@@ -67,6 +72,7 @@ class Proposals(NamedTuple):
     origins: I64
     maps: I64
     sums: F64
+    turns: F64
 
 
 class Lookup:
@@ -95,7 +101,7 @@ class Lookup:
         self.index = index
         self.among = among
         count = min(NEIGHBOURS, len(index.poses))
-        most = MOST_MAPS + _FEET
+        most = max(MOST_MAPS + _FEET, len(_EVERY_MAP))
         self._centres = pose_centres(index.poses)
         self._maps, self._sums = np.empty((most, 5), np.int64), np.empty(most)
         self._queries = np.empty((most, 15), np.float32)
@@ -113,6 +119,8 @@ class Lookup:
         *,
         compare: bool = True,
         jumped: bool = False,
+        every: bool = False,
+        turn_deg: float = 0.0,
     ) -> Proposals:
         """Propose poses for a frame.
 
@@ -130,6 +138,10 @@ class Lookup:
             False for costs without the distance from the previous pose.
         jumped : bool, optional
             Try the two lowest extrema as feet, as at a start.
+        every : bool, optional
+            Try all maps of the five ends to the first five extrema, and no others.
+        turn_deg : float, optional
+            Turn the facing direction by so many degrees, from Z towards X.
 
         Returns
         -------
@@ -137,13 +149,17 @@ class Lookup:
             The candidates and the maps that were tried.
         """
         maps = 0
-        if len(extrema) >= 5 and previous is not None:
+        if len(extrema) >= 5 and every:
+            maps = len(_EVERY_MAP)
+            self._maps[:maps], self._sums[:maps] = _EVERY_MAP, np.nan
+        elif len(extrema) >= 5 and previous is not None:
             ends = np.ascontiguousarray(previous[END_EFFECTORS])
             maps = near_maps(extrema[: self.among], ends, self._maps, self._sums)
-        if len(extrema) >= 5 and (previous is None or jumped or not maps):
+        if len(extrema) >= 5 and not every and (previous is None or jumped or not maps):
             maps = feet_maps(extrema[:5], self._maps, self._sums, maps)
         found = _propose(
-            extrema, centre, facing, np.zeros((len(JOINTS), 3)) if previous is None else previous,
+            extrema, centre, turned_direction(facing, turn_deg),
+            np.zeros((len(JOINTS), 3)) if previous is None else previous,
             previous is not None and compare, maps, self._maps, self.index.poses, self._centres, self._queries,
             self.index.ordered, self.index.order, self.index.edges, self.index.boxes, self._rows, self._squares,
             self._costs, self._poses, self._found,
@@ -157,7 +173,16 @@ class Lookup:
             chosen,
             self._maps[:maps].copy(),
             self._sums[:maps].copy(),
+            np.full(found, turn_deg),
         )
+
+
+def turned_direction(facing: F64, degrees: float) -> F64:
+    """Return a horizontal direction (3,), turned about Y by so many degrees, from Z towards X."""
+    if degrees == 0.0:
+        return facing
+    cosine, sine = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    return np.array([cosine * facing[0] + sine * facing[2], 0.0, cosine * facing[2] - sine * facing[0]])
 
 
 @nb.njit(cache=True, nogil=True)

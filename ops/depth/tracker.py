@@ -12,6 +12,7 @@ from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.cones import ConeBody, body_distance
 from kinedex.ops.depth.extrema import COUNT, ExtremaRoom, extrema_room, find_source, geodesic_extrema, tips_first
 from kinedex.ops.depth.facing_direction import facing_from_points, point_centre, sample_step
+from kinedex.ops.depth.facing_search import TURN_FRAMES, TURNED_SHARE, add_turned, best_of_rows, propose_start
 from kinedex.ops.depth.graph import EDGE_M, GraphRoom, build_graph, edge_threshold, graph_room
 from kinedex.ops.depth.image_search import DepthView
 from kinedex.ops.depth.lookup import JUMP_M, Lookup, Proposals
@@ -54,7 +55,7 @@ class TrackerSettings:
         Those that take part, of "local" and "database". Without "database" it lends only the pose of a start; without
         "local" it is not compared with the pose before.
     candidates : int
-        Poses of the database that are tried in a frame; 1 as printed.
+        Poses of the database that are tried in a frame, beside one that faces another direction; 1 as printed.
     rate_hz : float
         Frames per second.
 
@@ -83,6 +84,11 @@ class TrackerSettings:
     def is_printed(self) -> bool:
         """True for the form of the thesis."""
         return self.form == "printed"
+
+    @property
+    def most_candidates(self) -> int:
+        """The most candidates that a frame has in its result."""
+        return self.candidates if self.is_printed else self.candidates + 1
 
 
 class Candidate(NamedTuple):
@@ -135,9 +141,10 @@ class FrameResult(NamedTuple):
     maps : int64 array (M, 5)
         The maps of ends to extrema that were tried.
     sums : float64 array (M,)
-        Their sums of distances from the previous ends; NaN for the lowest as feet.
+        Their sums of distances from the previous ends; NaN for maps that do not come from them.
     candidates : tuple of Candidate
-        The poses that were tried, by their lookup cost.
+        The poses that were tried, by their lookup cost, and last the one that faces another direction; at a start the
+        best of those that were tried. Their rows differ.
     unseen : bool array (24,)
         Joints whose cones are nearest to no point.
     started : bool
@@ -243,7 +250,7 @@ class Reconstructor:
         self._before: F64 | None = None  # the pose before it, where the one follows from the other
         self._last: F64 | None = None  # the extrema of the last frame
         self._facing = _TOWARDS.copy()
-        self._absent = self._missing = 0
+        self._absent = self._missing = self._frames = 0
 
     def skip(self, frames: int = 1) -> None:
         """Pass over frames that are missing; after more than `MISSING_S` without one the tracker starts anew."""
@@ -339,13 +346,13 @@ class Reconstructor:
             pose, hypothesis = local, "local"
         if previous is None or "database" in self.settings.hypotheses:
             proposals = self._propose(scene, previous)
-            candidates, best, trial = self._try(proposals, scene)
-            if trial is not None:
-                row = int(proposals.rows[best])
-                database = self._fit(trial, self._steps, RETRIEVED_SIGMA_M)
+            candidates, best, database = self._try(proposals, scene, previous is None)
+            if database is not None:
+                row = candidates[best].row
                 parts[1] = cost = self._cost(database, scene)
                 cost_database = cost.total
-                if not cost_local <= cost_database:
+                is_turned = previous is not None and proposals.turns[best] != 0.0
+                if not cost_local * (TURNED_SHARE if is_turned else 1.0) <= cost_database:
                     pose, hypothesis = database, "database"
         return FrameResult(
             np.full((len(JOINTS), 3), np.nan) if pose is None else pose, hypothesis, cost_local, cost_database, row,
@@ -366,28 +373,55 @@ class Reconstructor:
         return moved if self._cost(moved, scene).total < self._cost(previous, scene).total else previous
 
     def _propose(self, scene: _Scene, previous: F64 | None) -> Proposals:
-        """Look poses up; also with the lowest extrema as feet where an extremum has jumped."""
-        first = scene.extrema[:5]
+        """Look poses up; also with the lowest extrema as feet where an extremum has jumped, and for another direction.
+
+        As printed only for the direction that the person is known to face.
+        """
+        extrema, centre, facing = scene.extrema, scene.centre, scene.facing
+        if previous is None and not self.settings.is_printed:
+            return propose_start(self.lookup, extrema, centre, facing)
+        first = extrema[:5]
         jumped = self._last is None or bool(
             (np.linalg.norm(first[:, None] - self._last[None], axis=2).min(axis=1, initial=np.inf) > JUMP_M).any()
         )
         compare = "local" in self.settings.hypotheses
-        return self.lookup.propose(scene.extrema, scene.centre, scene.facing, previous, compare=compare, jumped=jumped)
+        found = self.lookup.propose(extrema, centre, facing, previous, compare=compare, jumped=jumped)
+        if self.settings.is_printed:
+            return found
+        self._frames += 1
+        if self._frames % TURN_FRAMES:
+            return found
+        return add_turned(found, self.lookup, extrema, centre, facing, self._frames // TURN_FRAMES - 1)
 
-    def _try(self, proposals: Proposals, scene: _Scene) -> tuple[tuple[Candidate, ...], int, F64 | None]:
-        """Give each candidate two short steps; return all, the number of the best one, and its pose."""
+    def _try(
+        self, proposals: Proposals, scene: _Scene, is_start: bool
+    ) -> tuple[tuple[Candidate, ...], int, F64 | None]:
+        """Give each proposal two short steps, and fit the best one; at a start the best of them.
+
+        Returns the candidates, the number of the one that is taken, and its pose.
+        """
         poses, costs = list(proposals.poses), [np.nan] * len(proposals.poses)
         if len(poses) > 1:
             poses = [self._fit(pose, TRIAL_STEPS, (RETRIEVED_SIGMA_M[0],) * 2) for pose in poses]
             costs = [self._cost(pose, scene).total for pose in poses]
-        best = int(np.argmin(costs)) if len(poses) > 1 else len(poses) - 1
+        chosen = [*range(len(poses))]
+        if is_start:
+            chosen = best_of_rows(proposals, costs, self.settings.most_candidates)
         candidates = tuple(
-            Candidate(int(row), float(cost), int(origin), float(trial), float(ends))
-            for row, cost, origin, trial, ends in zip(
-                proposals.rows, proposals.costs, proposals.origins, costs, proposals.ends, strict=True
+            Candidate(
+                int(proposals.rows[k]), float(proposals.costs[k]), int(proposals.origins[k]), float(costs[k]),
+                float(proposals.ends[k]),
             )
-        )
-        return candidates, best, poses[best] if poses else None
+            for k in chosen
+        )  # fmt: skip
+        if not chosen:
+            return candidates, -1, None
+        if not is_start:
+            best = int(np.argmin(costs)) if len(poses) > 1 else 0
+            return candidates, best, self._fit(poses[best], self._steps, RETRIEVED_SIGMA_M)
+        fits = [self._fit(poses[k], self._steps, RETRIEVED_SIGMA_M) for k in chosen]
+        best = int(np.argmin([self._cost(pose, scene).total for pose in fits]))
+        return candidates, best, fits[best]
 
     def _fit(self, pose: F64, steps: int, sigma: tuple[float, float]) -> F64:
         return self._poses.fit(pose, steps, sigma, self.settings.form)
@@ -408,7 +442,7 @@ class Reconstructor:
 
 _NO_PROPOSALS = Proposals(
     np.empty((0, len(JOINTS), 3)), np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0, np.int64),
-    np.empty((0, 5), np.int64), np.empty(0),
+    np.empty((0, 5), np.int64), np.empty(0), np.empty(0),
 )  # fmt: skip
 
 

@@ -162,7 +162,7 @@ class LiveTracker:
             form, candidates=1 if form == "printed" else TrackerSettings.candidates,
             rate_hz=rate_hz or camera.rate_hz or USUAL_HZ,
         )  # fmt: skip
-        records = FrameRecords(settings.candidates) if keep else None
+        records = FrameRecords(settings.most_candidates) if keep else None
         made = cls(camera, room, placement_of(camera, room), bones, database, settings, stride, records)
         made._measured = [] if body == ESTIMATE else None
         made.load_kernels()

@@ -286,7 +286,7 @@ def contradicts(image: F32, background: F32 | None) -> bool:
 def _results(tracker: Reconstructor, images: Iterable[tuple[int, F32 | None]], frames: int) -> FrameRecords:
     """Return the results of images in their order."""
     tracker.restart()
-    found = FrameRecords(tracker.settings.candidates, frames)
+    found = FrameRecords(tracker.settings.most_candidates, frames)
     for _, image in images:
         if image is None:
             tracker.skip()
