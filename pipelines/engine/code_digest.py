@@ -17,6 +17,7 @@ built-in parts work without more. Plugins count where they are used (`part_diges
 from __future__ import annotations
 
 import ast
+import gc
 import hashlib
 import importlib.util
 import json
@@ -24,7 +25,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -88,10 +89,12 @@ def _place(root: Callable[..., object] | type | str) -> Place:
 def _digest(roots: tuple[Place, ...]) -> str:
     if any(module.partition(".")[0] != PACKAGE for module, _ in roots):
         return Sources().digest(roots)
-    known = _known_digests()
     key = " ".join(":".join(place) for place in roots)
+    known = _known_digests()
     if key not in known:
-        known[key] = Sources().digest(roots)
+        with _uncollected():
+            digest = Sources().digest(roots)
+        known = _known_digests() | {key: digest}  # with those that other processes have made meanwhile
         other = _KNOWN.with_name(f"{_KNOWN.name}.{os.getpid()}")
         with suppress(OSError):  # where the installation is read-only, they are made again each time
             _KNOWN.parent.mkdir(exist_ok=True)
@@ -100,17 +103,34 @@ def _digest(roots: tuple[Place, ...]) -> str:
     return known[key]
 
 
-@lru_cache(maxsize=1)
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Keep the garbage collector away: it would go through growing syntax trees, half of the time, and free nothing."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
 def _known_digests() -> dict[str, str]:
     """Return the digests of earlier processes by their roots, unless a file of the rooms is another one by now."""
-    files = sorted(file for room in ("ops", "catalog", "storage", "pipelines") for file in (ROOT / room).rglob("*.py"))
-    stamps = json.dumps([(str(file), *_stamp(file)) for file in files])
-    code = hashlib.sha256(f"{sys.version_info} {stamps}".encode()).hexdigest()
+    code = _code_state()
     with suppress(OSError, ValueError):
         known = json.loads(_KNOWN.read_text(encoding="utf-8"))
         if isinstance(known, dict) and known.get("code") == code:
             return known
     return {"code": code}
+
+
+@lru_cache(maxsize=1)
+def _code_state() -> str:
+    """Return a hash of Python's version, and of times and sizes of the files of the rooms."""
+    files = sorted(file for room in ("ops", "catalog", "storage", "pipelines") for file in (ROOT / room).rglob("*.py"))
+    stamps = json.dumps([(str(file), *_stamp(file)) for file in files])
+    return hashlib.sha256(f"{sys.version_info} {stamps}".encode()).hexdigest()
 
 
 @dataclass

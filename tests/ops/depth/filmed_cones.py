@@ -13,7 +13,7 @@ from tests.ops.depth.cone_bodies import BODY, HEIGHT, POSE
 from tests.plain_python import PLAIN
 
 SCALE = 4 if PLAIN else 1
-"""How much smaller images are where kernels run as plain Python."""
+"""Images are smaller by this factor where kernels run as plain Python."""
 
 MATRIX = np.array([[126.0 / SCALE, 0, 79.5 / SCALE], [0, 126.0 / SCALE, 71.5 / SCALE], [0, 0, 1]])
 SIZE = (160 // SCALE, 144 // SCALE)
