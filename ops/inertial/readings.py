@@ -65,7 +65,7 @@ def compare_with_gravity(times: F64, acc: F64, gyr: F64) -> tuple[float, float, 
     rows = np.concatenate([acc, gyr], axis=1)
     smooth = np.stack([np.convolve(row, kernel, "valid") for row in rows.T], axis=1)
     at = np.convolve(times, kernel, "valid")
-    size = np.nanmedian(np.linalg.norm(smooth[:, :3], axis=1))
+    size = typical_length(smooth[:, :3])
     gravity = smooth[:, :3] / size if size > 0 else smooth[:, :3]
     steps = np.diff(at)[:, None]
     turning = np.diff(gravity, axis=0) / steps

@@ -270,7 +270,7 @@ class _Checks:
         """Warn of orientations in which gravity is not vertical."""
         if acc is None:
             return
-        mean = np.nanmedian(rotate(orientation, acc), axis=0)
+        mean = _median_up(orientation, acc)
         size = float(np.linalg.norm(mean))
         if size > 0 and abs(mean[2]) < 0.8 * size:
             tilt = np.degrees(np.arccos(abs(mean[2]) / size))
@@ -307,6 +307,13 @@ def _fits(size: float) -> bool:
     return bool(abs(size / GRAVITY - 1) <= OFF_GRAVITY)
 
 
+def _median_up(orientation: F64, acc: F64) -> F64:
+    """Return the median of accelerations in the world, (3,); zeros where none is known."""
+    found = rotate(orientation, acc)
+    known = np.isfinite(found).all(axis=1)
+    return np.median(found[known], axis=0) if known.any() else np.zeros(3)
+
+
 def _first_beyond(values: F64) -> int | None:
     """Return the first sample with a number that no sensor reads; NaN is none."""
     beyond = np.flatnonzero((np.abs(values) > LARGEST).any(axis=1))
@@ -315,7 +322,7 @@ def _first_beyond(values: F64) -> int | None:
 
 def _shown_world(orientation: F64, acc: F64 | None, mag: F64 | None) -> str | None:
     """Return the world that gravity and the field show; None where they show none."""
-    if acc is not None and np.nanmedian(rotate(orientation, acc)[:, 2]) < -0.5 * GRAVITY:
+    if acc is not None and _median_up(orientation, acc)[2] < -0.5 * GRAVITY:
         return NED
     found = field_axis(orientation, mag) if mag is not None else ""
     return found if found in (NWU, ENU) else None

@@ -97,9 +97,12 @@ def has_readings(path: Path, wanted: Iterable[str] = ("acc", "gyr")) -> bool:
             with path.open("rb") as text:
                 lines = decoded(path, text.read(_HEAD)).replace("\r", "\n").split("\n")
             header, _ = _joined(_header_rows(path, lines, Given())[0])
-        channels = _known(path, header).channels.values()
     except (SourceError, OSError, pa.ArrowException):
         return False
+    try:
+        channels = _known(path, header).channels.values()
+    except SourceError:
+        return True  # some of them: `read` names what is wrong
     return any(channel in parts for parts in channels for channel in wanted)
 
 
@@ -132,7 +135,7 @@ def layout_of(path: Path, header: Sequence[str], given: Given) -> Layout:
     if not layout.channels:
         raise SourceError(
             path, "has no columns of a sensor; expected acc_x, acc_y, acc_z, gyr_x … or `columns:` in a file of "
-            f"sensors (`--set sensors=FILE.yaml`), got {', '.join(header[:12])[:300]}",
+            f"sensors, got {', '.join(header[:12])[:300]}",
         )  # fmt: skip
     if len(layout.channels) > MOST_SENSORS:
         raise SourceError(path, f"has {len(layout.channels)} sensors, and {MOST_SENSORS} are read at most")
@@ -151,22 +154,12 @@ def _known(path: Path, header: Sequence[str]) -> Layout:
         elif layout.time is None and (time := _TIME.fullmatch(plain)):
             layout.time = place
             layout.time_unit = unit_name(time["unit"] or "", "time") or ""
-        elif (match := _CHANNEL.fullmatch(plain)) and (match["sensor"] or "").lower() not in _OTHERS:
-            channel = next(key for key in _WORDS if match[key])
-            axis = match["axis"].lower()
-            if channel == "orientation" and axis in "0123":
-                axis = "wxyz"[int(axis)]
-            sensor = match["sensor"] or ""
-            if axis not in _AXES[channel]:
-                continue
+        elif (column := _column(path, plain)) is not None:
+            sensor, channel, axis, unit = column
             if axis in found.setdefault((sensor, channel), {}):
                 raise SourceError(path, f"has two columns for {channel} {axis} of one sensor: see '{plain}'")
             found[sensor, channel][axis] = place
-            if match["unit"] and channel != "orientation":
-                unit = unit_name(match["unit"], channel)
-                if unit is None:
-                    known = ", ".join(UNITS[channel])
-                    raise SourceError(path, f"column '{plain}' has a unit that is unknown; known: {known}")
+            if unit:
                 layout.units.setdefault(sensor, {})[channel] = unit
     for (sensor, channel), axes in found.items():
         missing = [axis for axis in _AXES[channel] if axis not in axes]
@@ -175,6 +168,26 @@ def _known(path: Path, header: Sequence[str]) -> Layout:
             raise SourceError(path, f"has {have} and lacks {channel} {', '.join(missing)}")
         layout.channels.setdefault(sensor, {})[channel] = [axes[axis] for axis in _AXES[channel]]
     return layout
+
+
+def _column(path: Path, name: str) -> tuple[str, str, str, str] | None:
+    """Return sensor, channel, axis and unit of a column by its name; None for one that is none of a sensor's."""
+    match = _CHANNEL.fullmatch(name)
+    if match is None or (match["sensor"] or "").lower() in _OTHERS:
+        return None
+    channel = next(key for key in _WORDS if match[key])
+    axis, unit = match["axis"].lower(), ""
+    if channel == "orientation" and axis in "0123":
+        axis = "wxyz"[int(axis)]
+    elif channel != "orientation" and match["unit"]:
+        stated = unit_name(match["unit"], channel)
+        if stated is None:
+            raise SourceError(
+                path, f"column '{name}' has a unit that is unknown; known: {', '.join(UNITS[channel])}; rename the "
+                "column, and state its unit in a file of sensors",
+            )  # fmt: skip
+        unit = stated
+    return (match["sensor"] or "", channel, axis, unit) if axis in _AXES[channel] else None
 
 
 def _named(path: Path, header: Sequence[str], columns: Columns) -> Layout:
