@@ -129,9 +129,9 @@ def imu(
 ) -> None:
     """Put simulated inertial sensors on the limbs of takes.
 
-    The takes' sources are read again at their own rate. DIR has a folder for each take, DIR/windows.csv the class of
-    each window, DIR/segments.csv annotated segments, and DIR/truth mounts and clocks. The same command makes the same
-    bytes.
+    The takes' sources are read again at their own rate. DIR/recordings has a folder for each take, DIR/windows.csv the
+    class of each window, DIR/segments.csv annotated segments, and DIR/truth mounts and clocks. The same command makes
+    the same bytes.
     """
     from dataclasses import asdict
 

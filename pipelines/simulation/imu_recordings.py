@@ -22,8 +22,12 @@ from kinedex.pipelines.simulation.imu_pieces import take_pieces
 from kinedex.pipelines.simulation.imu_sensors import SampledPiece, Wearing, Worn, sample_piece, worn_sensors
 from kinedex.pipelines.simulation.imu_windows import Segment, Windowing, segment_rows, window_rows
 
-DATASET, SEGMENTS, WINDOWS, TRUTH = "dataset.yaml", "segments.csv", "windows.csv", "truth/sensors.csv"
-"""The files of a data set beside the folders of its takes."""
+RECORDINGS = "recordings"
+"""The folder of a data set with a folder for each take."""
+
+DATASET, SENSORS = "dataset.yaml", "sensors.yaml"
+SEGMENTS, WINDOWS, TRUTH = "segments.csv", "windows.csv", "truth/sensors.csv"
+"""The files of a data set beside it."""
 
 Progress = Callable[[str, int], AbstractContextManager[Any]]
 
@@ -176,9 +180,11 @@ class _DataSet:
         self.segments: list[list[object]] = []
         self.windows: list[list[object]] = []
         self.truth: list[list[object]] = []
+        self.limbs: dict[str, None] = {}
 
     def write(self, takes: Iterable[TakeToSimulate], progress: Progress) -> Simulated:
         """Write all takes, and the tables beside them."""
+        (self.folder / RECORDINGS).mkdir()
         with progress("sensors", len(self.homes)) as bar:
             for take in takes:
                 self._take(take)
@@ -191,6 +197,7 @@ class _DataSet:
         (self.folder / "truth").mkdir()
         columns = [f"{name}_{axis}" for name in ("q_global", "q_mount") for axis in "wxyz"]
         _table(self.folder / TRUTH, ["file", "take", "sensor", "offset_s", "ppm", *columns], self.truth)
+        (self.folder / SENSORS).write_bytes(self._sensors().encode())
         (self.folder / DATASET).write_bytes(self._description().encode())
         return self.made
 
@@ -207,7 +214,8 @@ class _DataSet:
         if take.source_hz < self.wearing.rate_hz * (1 - 1e-6):
             made.slower.append(take.take)
         worn = worn_sensors(self.wearing, take.take, take.actor, found.pieces[0].limbs)
-        home = self.folder / self.homes[take.take]
+        self.limbs.update(dict.fromkeys(found.pieces[0].limbs))
+        home = self.folder / RECORDINGS / self.homes[take.take]
         home.mkdir()
         files = []
         for number, piece in enumerate(found.pieces):
@@ -236,6 +244,13 @@ class _DataSet:
             quaternions = [f"{value:.12g}" for value in (*worn.q_global, *worn.mounts[limb])]
             offset = worn.clock.offset_s - begin
             self.truth.append([file, take.take, limb, f"{offset:.9f}", f"{worn.clock.ppm:.6f}", *quaternions])
+
+    def _sensors(self) -> str:
+        """Return the file of sensors, which states the units: the median force on a hand that swings is not gravity."""
+        units = {"acc": "m/s2", "gyr": "rad/s", "mag": "1" if self.request.form in CLOCKLESS else "uT"}
+        content = {"sensors": {limb: limb for limb in self.limbs}, "units": units, "frame": "NWU"}
+        head = "# The sensors of this data set: `--set sensors=` this file, `--set recordings=` the folder beside it.\n"
+        return head + yaml.safe_dump(content, sort_keys=False)
 
     def _description(self) -> str:
         wearing = self.wearing

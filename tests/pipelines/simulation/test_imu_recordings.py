@@ -11,6 +11,8 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
+from kinedex.catalog.sensorsets import load_sensor_set
+from kinedex.ops.errors import SourceError
 from kinedex.ops.inertial.orientation_filter import estimate
 from kinedex.ops.inertial.rotations import conjugate, distance_deg, interpolate, multiply
 from kinedex.pipelines.commands.cli import app
@@ -61,8 +63,8 @@ def test_a_recording_is_read_back_with_its_truth(store: Path, tmp_path: Path) ->
     code, output = simulate(store, "x_al_hop_1", "-o", tmp_path / "r", "--seed", 5, *LIMBS, "--json")
     assert code == 0, output
     document = json.loads(output[output.index("{") :])
-    assert document["recordings"] == {"x_al_hop_1": ["x_al_hop_1/imu.parquet"]}
-    recording = read_recording(tmp_path / "r" / "x_al_hop_1" / "imu.parquet")
+    assert document["recordings"] == {"x_al_hop_1": ["recordings/x_al_hop_1/imu.parquet"]}
+    recording = read_recording(tmp_path / "r" / "recordings" / "x_al_hop_1" / "imu.parquet")
     assert [sensor.name for sensor in recording.sensors] == ["pelvis", "lthigh", "rthigh"]
     (limbs,) = stored_limbs(open_store(store), "test/limb_orientations", ["x_al_hop_1"])
     for sensor, true in zip(recording.sensors, rows(tmp_path / "r" / "truth" / "sensors.csv"), strict=True):
@@ -79,16 +81,31 @@ def test_a_recording_is_read_back_with_its_truth(store: Path, tmp_path: Path) ->
         assert np.sqrt(np.mean(off**2)) == pytest.approx(2.0, abs=0.8), "soft tissue of 2 degrees"
 
 
+def test_hands_that_swing_are_read_by_the_file_of_sensors(store: Path, tmp_path: Path) -> None:
+    code, output = simulate(store, "x_al_hop_1", "-o", tmp_path / "r", "--seed", 5, "--limb", "hands")
+    assert code == 0, output
+    path = tmp_path / "r" / "recordings" / "x_al_hop_1" / "imu.parquet"
+    sensors = read_recording(path, sensor_set=load_sensor_set(tmp_path / "r" / "sensors.yaml")).sensors
+    assert [sensor.name for sensor in sensors] == ["lhand", "rhand"]
+    with pytest.raises(SourceError, match="gravity in no known unit"):
+        read_recording(path)
+
+
 def test_the_same_command_makes_the_same_bytes_and_seeds_differ(store: Path, tmp_path: Path) -> None:
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         code, output = simulate(store, "-o", tmp_path / name, "--seed", seed, "--where", "true", "--limb", "pelvis")
         assert code == 0, output
     assert content(tmp_path / "a") == content(tmp_path / "b")
     assert content(tmp_path / "a").keys() == content(tmp_path / "c").keys()
-    assert content(tmp_path / "a")["x_bo_sway_2/imu.parquet"] != content(tmp_path / "c")["x_bo_sway_2/imu.parquet"]
+    assert (
+        content(tmp_path / "a")["recordings/x_bo_sway_2/imu.parquet"]
+        != content(tmp_path / "c")["recordings/x_bo_sway_2/imu.parquet"]
+    )
     alone = simulate(store, "x_bo_sway_2", "-o", tmp_path / "d", "--seed", 1, "--limb", "pelvis", "--limb", "lthigh")
     assert alone[0] == 0
-    first, second = (read_recording(tmp_path / folder / "x_bo_sway_2/imu.parquet").sensors[0] for folder in ("a", "d"))
+    first, second = (
+        read_recording(tmp_path / folder / "recordings/x_bo_sway_2/imu.parquet").sensors[0] for folder in ("a", "d")
+    )
     assert first.acc.tobytes() == second.acc.tobytes(), "other takes and sensors do not matter"
 
 
@@ -96,9 +113,12 @@ def test_all_forms_hold_the_same_readings(store: Path, tmp_path: Path) -> None:
     for form in ("parquet", "npz", "xsens-txt"):
         code, output = simulate(store, "x_al_hop_1", "-o", tmp_path / form, "--seed", 3, *LIMBS, "--format", form)
         assert code == 0, output
-    table = read_recording(tmp_path / "parquet" / "x_al_hop_1" / "imu.parquet").sensors
-    arrays = np.load(tmp_path / "npz" / "x_al_hop_1" / "imu.npz")
-    texts = [read_recording(path).sensors[0] for path in sorted((tmp_path / "xsens-txt" / "x_al_hop_1").iterdir())]
+    table = read_recording(tmp_path / "parquet" / "recordings" / "x_al_hop_1" / "imu.parquet").sensors
+    arrays = np.load(tmp_path / "npz" / "recordings" / "x_al_hop_1" / "imu.npz")
+    texts = [
+        read_recording(path).sensors[0]
+        for path in sorted((tmp_path / "xsens-txt" / "recordings" / "x_al_hop_1").iterdir())
+    ]
     assert arrays["limbs"].tolist() == ["pelvis", "lthigh", "rthigh"]
     assert {sensor.name for sensor in texts} == {"pelvis", "lthigh", "rthigh"}
     for i, sensor in enumerate(table):
@@ -142,7 +162,7 @@ def test_perfect_sensors_lead_a_filter_back_to_the_limb(store: Path, tmp_path: P
         store, "x_al_hop_1", "-o", tmp_path / "r", "--seed", 2, "--limb", "pelvis", "--grade", "perfect"
     )
     assert code == 0, output
-    (sensor,) = read_recording(tmp_path / "r" / "x_al_hop_1" / "imu.parquet").sensors
+    (sensor,) = read_recording(tmp_path / "r" / "recordings" / "x_al_hop_1" / "imu.parquet").sensors
     found = estimate(sensor.rate_hz, sensor.acc, sensor.gyr, sensor.mag)
     assert np.median(distance_deg(found, sensor.orientation)) < 4.0
 
