@@ -11,6 +11,7 @@ from benchmarks import (
     depth,
     depth_frame,
     depth_lookup,
+    depth_recordings,
     indexing,
     inertial,
     keyframes,
@@ -43,6 +44,7 @@ PARTS: dict[str, Callable[[Store], Sequence[Figure]]] = {
     "depth": depth.figures,
     "depth_frame": depth_frame.figures,
     "depth_lookup": lambda opened: list(depth_lookup.figures(opened)),
+    "depth_recordings": depth_recordings.figures,
     "inertial": lambda _: inertial.figures(),
 }
 

@@ -64,18 +64,18 @@ def figures(store: Store) -> list[Figure]:
     """Time the plain pass, the extrema, the parts of the preparation, and the whole frame."""
     made = recording(store)
     points = round(np.mean([len(cloud.points) for cloud in made.clouds]))
-    plain = _each(made, lambda k: plain_pass(made, k, 1))
+    plain = mean_of_best(made, lambda k: plain_pass(made, k, 1))
     library, reason = _scipy(made)
-    anew = _each(made, lambda k: [plain_pass(made, k, count) for count in range(1, COUNT + 1)], 3)
+    anew = mean_of_best(made, lambda k: [plain_pass(made, k, count) for count in range(1, COUNT + 1)], 3)
     room = extrema_room(max(len(cloud.points) for cloud in made.clouds))
-    twenty = _each(made, lambda k: _ordered_extrema(made, k, room))
-    first = _each(made, lambda k: geodesic_extrema(made.graphs[k], made.sources[k], 1, room))
+    twenty = mean_of_best(made, lambda k: _ordered_extrema(made, k, room))
+    first = mean_of_best(made, lambda k: geodesic_extrema(made.graphs[k], made.sources[k], 1, room))
     one = f"a plain pass over {points:,} points"
     return [
         _figure("plain pass of Dijkstra's algorithm", plain, reason or "scipy's", library),
         _figure("first geodesic extremum", first, one, plain),
         _figure(f"{COUNT} extrema", twenty, f"1/{RESTARTED_SHARE} of searches that start anew", anew / RESTARTED_SHARE),
-        *(_figure(name, _each(made, work), one, plain) for name, work in _parts(made).items()),
+        *(_figure(name, mean_of_best(made, work), one, plain) for name, work in _parts(made).items()),
         _figure("whole frame, forward", _whole(made), f"{FRAME_PASSES} plain passes", FRAME_PASSES * plain),
     ]
 
@@ -84,7 +84,7 @@ def _figure(name: str, spent: float, other: str, other_spent: float | None) -> F
     return Figure(f"depth: {name}", 1, "frames", spent, other, other_spent)
 
 
-def _each(made: Recording, work: Callable[[int], object], runs: int = RUNS) -> float:
+def mean_of_best(made: Recording, work: Callable[[int], object], runs: int = RUNS) -> float:
     """Return the mean over the frames of the best time that work takes for each; the runs go through all frames."""
     times = np.full((runs + 1, len(made.images)), np.inf)
     for run in range(runs + 1):
@@ -149,7 +149,7 @@ def _whole(made: Recording) -> float:
             made.tracker.restart()
         made.tracker.step(made.images[k])
 
-    return _each(made, work)
+    return mean_of_best(made, work)
 
 
 def plain_pass(made: Recording, k: int, count: int) -> int:
@@ -211,4 +211,4 @@ def _scipy(made: Recording) -> tuple[float | None, str]:
         csr_matrix((graph.lengths, graph.neighbours, graph.starts), (len(graph.body), len(graph.body)))
         for graph in made.graphs
     ]
-    return _each(made, lambda k: shortest(matrices[k], indices=made.sources[k])), ""
+    return mean_of_best(made, lambda k: shortest(matrices[k], indices=made.sources[k])), ""
