@@ -47,6 +47,7 @@ from kinedex.storage.snapshot.schemas import (
 )
 from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.history import history_problems
+from kinedex.storage.store.imu_checks import imu_problems
 from kinedex.storage.store.pose_checks import pose_problems
 from kinedex.storage.store.reconstruction_checks import reconstruction_problems
 from kinedex.storage.store.report_sums import wrong_files
@@ -195,8 +196,13 @@ class _Verification:
                     found = self._file("results", result, result_schema(kind)) or self._result_rows(result)
                     sound &= not found
                     yield from found
-        for file, problem in (*pose_problems(self.store), *reconstruction_problems(self.store)) if sound else ():
+        for file, problem in self._result_problems() if sound else ():
             yield self._found("results", file, problem)
+
+    def _result_problems(self) -> Iterator[tuple[str, str]]:
+        """Yield the problems of results whose rows are compared with each other."""
+        for problems in (pose_problems, reconstruction_problems, imu_problems):
+            yield from problems(self.store)
 
     def _file(self, kind: Kind, part: AnyPart, schema: pa.Schema) -> list[Finding]:
         """Check a part as a file: size, checksum, number of rows, schema."""

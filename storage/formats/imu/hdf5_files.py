@@ -75,15 +75,15 @@ def hdf5_contents(path: Path) -> Hdf5Contents:
     """
     check_header(path)
     try:
-        told = json.loads(_run(path, ()))
+        listing = json.loads(_run(path, ()))
     except ValueError:
         raise SourceError(path, "is damaged: the names of its data sets cannot be read") from None
     datasets = {}
-    for name, item in told["datasets"].items():
+    for name, item in listing["datasets"].items():
         shape = tuple(int(size) for size in item["shape"])
         for field, kind in zip(item["fields"] or [""], item["kinds"], strict=True):
             datasets[f"{name}/{field}" if field else name] = Dataset(shape, kind)
-    return Hdf5Contents(datasets, told["attributes"])
+    return Hdf5Contents(datasets, listing["attributes"])
 
 
 def hdf5_arrays(path: Path, contents: Hdf5Contents, names: Sequence[str]) -> list[npt.NDArray[Any]]:

@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 import yaml
 from rich.console import Console
@@ -15,7 +16,9 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.inertial.rotations import distance_deg
 from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.runner import run_pipeline
+from kinedex.storage.store.imu_checks import imu_problems
 from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.verification import verify
 from tests.imu_files import mtmanager_text, turning, write_hdf5, write_parquet, write_xio
 from tests.pipelines.archives import write_archive
 
@@ -81,6 +84,27 @@ def test_a_recording_is_tied_to_its_take_and_its_limbs(line: Line) -> None:
     assert of["x_kick/MT_01", "00B421EE"][0]["t"] == pytest.approx(10 / 50)
     q = np.array([list(row["orientation"].values()) for row in of["x_walk/sim.parquet", "lhand"]])
     assert distance_deg(q, turning().orientation).max() < 1e-6
+
+
+def test_verify_compares_sensors_with_their_samples(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = open_store(line.folder / "store")
+    assert verify(store) == []
+    whole = store.result("imu_samples")
+    numbers = whole.column("sample").to_numpy()
+    changed = {
+        "has 59 samples": whole.slice(0, whole.num_rows - 1),
+        "must be numbered": whole.set_column(3, "sample", pa.array(numbers[::-1])),
+        "times must ascend": whole.set_column(4, "t", pa.array(np.zeros(len(numbers)))),
+    }
+    pieces = type(store).result_pieces
+    for message, table in changed.items():
+
+        def changed_pieces(self: Store, kind: str, *rest: object, table: pa.Table = table) -> object:
+            return iter([table]) if kind == "imu_samples" else pieces(self, kind, *rest)
+
+        monkeypatch.setattr(type(store), "result_pieces", changed_pieces)
+        ((_, problem),) = imu_problems(store)
+        assert message in problem
 
 
 def test_a_sensor_that_no_limb_claims_is_a_row_of_the_log(line: Line) -> None:
