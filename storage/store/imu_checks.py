@@ -65,9 +65,8 @@ def _piece_problem(
     numbers, times = piece.column("sample").to_numpy(), piece.column("t").to_numpy()
     squares = [pc.struct_field(piece.column("orientation"), axis).to_numpy() ** 2 for axis in "wxyz"]
     lengths = np.sqrt(np.sum(squares, axis=0))
-    starts = (
-        np.flatnonzero(np.r_[True, (names[1:] != names[:-1]) | (sensors[1:] != sensors[:-1])]) if len(names) else []
-    )
+    changes = (names[1:] != names[:-1]) | (sensors[1:] != sensors[:-1])
+    starts: list[int] = [0, *(np.flatnonzero(changes) + 1).tolist()] if len(names) else []
     for start, stop in zip(starts, [*starts[1:], len(names)], strict=True):
         key = (str(names[start]), str(sensors[start]))
         where = f"recording {key[0]}, sensor {key[1]}"
