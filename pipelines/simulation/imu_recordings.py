@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
@@ -21,6 +19,7 @@ from kinedex.pipelines.simulation.imu_files import CLOCKLESS, WRITERS
 from kinedex.pipelines.simulation.imu_pieces import take_pieces
 from kinedex.pipelines.simulation.imu_sensors import SampledPiece, Wearing, Worn, sample_piece, worn_sensors
 from kinedex.pipelines.simulation.imu_windows import Segment, Windowing, segment_rows, window_rows
+from kinedex.storage.formats.csv_cells import csv_line
 
 RECORDINGS = "recordings"
 """The folder of a data set with a folder for each take."""
@@ -277,8 +276,5 @@ class _DataSet:
 
 
 def _table(path: Path, header: list[str], rows: list[list[object]]) -> None:
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(header)
-    table.writerows(rows)
-    path.write_bytes(text.getvalue().encode())
+    """Write a CSV file in which no name is a formula of a spreadsheet."""
+    path.write_bytes("".join([csv_line(header), *map(csv_line, rows)]).encode())
