@@ -55,7 +55,7 @@ def change(**values: object) -> Callable[[Rows], object]:
         ("reconstruction_frames", change(joints=None), "frames without a pose than it counts"),
         ("reconstruction_frames", change(hypothesis="guess"), "frame 3 has no such hypothesis"),
         ("reconstruction_frames", change(cost_local=1.0, cost_database=0.5), "a hypothesis that does not cost least"),
-        ("reconstruction_frames", lambda rows: lent(rows).update(archive_frame=10**6), "does not have"),
+        ("reconstruction_frames", lambda rows: lent(rows).update(archive_frame=10**6), "another origin than"),
         ("reconstruction_frames", lambda rows: lent(rows).update(archive_take=None), "a frame without a take"),
         ("depth_votes", lambda rows: rows.clear(), "has no winner among its votes"),
         ("depth_votes", lambda rows: [row.update(winner=True) for row in rows], "has no winner among its votes"),
