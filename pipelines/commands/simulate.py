@@ -124,6 +124,10 @@ def imu(
     form: Annotated[str, typer.Option("--format", help="parquet, npz or xsens-txt.")] = "parquet",
     window: Annotated[float, typer.Option(metavar="SECONDS", help="Length of the windows with labels.")] = 2.0,
     step: Annotated[float, typer.Option(metavar="SECONDS", help="From one window to the next.")] = 1.0,
+    stand: Annotated[
+        float,
+        typer.Option(min=0, max=60, metavar="SECONDS", help="Rest in the first pose before, and in the last after."),
+    ] = 0.0,
     at: AtOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -142,7 +146,7 @@ def imu(
     from kinedex.pipelines.simulation.imu_takes import simulate_imu
     from kinedex.pipelines.simulation.imu_windows import Windowing
 
-    request = Request(tuple(limbs or ()), grade, Wearing(seed, rate), form, Windowing(window, step))
+    request = Request(tuple(limbs or ()), grade, Wearing(seed, rate, stand_s=stand), form, Windowing(window, step))
     made = simulate_imu(open_for_reading(store, at), takes or (), where, request, output, Terminal().progress)
     if as_json:
         print_json(asdict(made) | {"folder": output})

@@ -65,6 +65,9 @@ class SimulateImuParameters(BaseModel):
         default_factory=lambda: [0.0, 0.0, 0.0],
         description="from the middle of a limb to its sensor, in metres and in the limb's own axes",
     )
+    stand_s: float = Field(
+        0.0, ge=0, le=60, description="seconds that the actor rests in the first pose before a piece, and in the last"
+    )
     declination_deg: float = Field(0.0, ge=-180, le=180, description="degrees from X of F_GI to magnetic north")
 
     @field_validator("limbs")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -169,11 +169,7 @@ class _DataSet:
 
     def __init__(self, folder: Path, homes: Mapping[str, str], request: Request) -> None:
         self.folder, self.homes, self.request = folder, homes, request
-        wearing = request.wearing
-        self.wearing = Wearing(
-            wearing.seed, wearing.rate_hz, load_grade(request.grade), wearing.lever_m, wearing.field_ut,
-            wearing.inclination_deg, wearing.declination_deg,
-        )  # fmt: skip
+        self.wearing = replace(request.wearing, grade=load_grade(request.grade))
         self.made = Simulated()
         self.entries: dict[str, Any] = {}
         self.segments: list[list[object]] = []
@@ -258,6 +254,7 @@ class _DataSet:
             "seed": wearing.seed,
             "grade": Path(self.request.grade).stem,
             "rate_hz": wearing.rate_hz,
+            "stand_s": wearing.stand_s,
             "lever_m": list(wearing.lever_m),
             "field": {
                 "strength_ut": wearing.field_ut,

@@ -17,7 +17,7 @@ from kinedex.ops.inertial.sensor_model import (
     sensor_motion,
     world_turn,
 )
-from kinedex.pipelines.simulation.imu_pieces import Piece
+from kinedex.pipelines.simulation.imu_pieces import LimbPiece, Piece
 
 F64 = npt.NDArray[np.float64]
 
@@ -38,6 +38,8 @@ class Wearing:
         From the middle of a limb to its sensor, in metres and in the limb's own axes.
     field_ut, inclination_deg, declination_deg : float
         The magnetic field: strength, degrees below the horizon, and degrees between X of F_GI and magnetic north.
+    stand_s : float
+        Seconds that the actor holds the first pose before each piece, and the last one after it.
     """
 
     seed: int = 0
@@ -47,12 +49,15 @@ class Wearing:
     field_ut: float = FIELD_UT
     inclination_deg: float = INCLINATION_DEG
     declination_deg: float = 0.0
+    stand_s: float = 0.0
 
     def __post_init__(self) -> None:
         if self.seed < 0:
             raise ParameterError("seed", "at least 0", self.seed)
         if not 1.0 <= self.rate_hz <= 10_000.0:
             raise ParameterError("rate_hz", "1 to 10,000 Hz", self.rate_hz)
+        if not 0.0 <= self.stand_s <= 60.0:
+            raise ParameterError("stand_s", "0 to 60 seconds", self.stand_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,14 +138,15 @@ def sample_piece(piece: Piece, number: int, take: str, worn: Worn, wearing: Wear
     wearing : Wearing
         Rate, grade and field.
     """
-    first = next(iter(piece.limbs.values())).times
+    limbs = {limb: _held(own, wearing.stand_s) for limb, own in piece.limbs.items()}
+    first = next(iter(limbs.values())).times
     start, stop = worn.clock.of_take(np.array([first[0], first[-1]]))
     ticks = np.arange(np.ceil(start * wearing.rate_hz - 1e-6), np.floor(stop * wearing.rate_hz + 1e-6) + 1)
     times = ticks / wearing.rate_hz
     take_times = np.clip(worn.clock.to_take(times), first[0], first[-1])
     field_ut = magnetic_field(wearing.field_ut, wearing.inclination_deg, wearing.declination_deg)
     readings = {}
-    for limb, own in piece.limbs.items():
+    for limb, own in limbs.items():
         motion = sensor_motion(
             own.times, own.position, own.orientation, take_times, worn.q_global, worn.mounts[limb],
             np.array(wearing.lever_m),
@@ -148,3 +154,18 @@ def sample_piece(piece: Piece, number: int, take: str, worn: Worn, wearing: Wear
         random = generator(wearing.seed, "noise", take, limb, str(number))
         readings[limb] = measured(motion, wearing.grade, field_ut, random)
     return SampledPiece(piece, times, take_times, readings)
+
+
+def _held(own: LimbPiece, seconds: float) -> LimbPiece:
+    """Return a limb that rests in its first and its last pose before and after."""
+    step = (own.times[-1] - own.times[0]) / (len(own.times) - 1)
+    frames = round(seconds / step)
+    if not frames:
+        return own
+    ahead = own.times[0] - step * np.arange(frames, 0, -1)
+    behind = own.times[-1] + step * np.arange(1, frames + 1)
+    place, turn = (
+        np.concatenate([np.repeat(rows[:1], frames, axis=0), rows, np.repeat(rows[-1:], frames, axis=0)])
+        for rows in (own.position, own.orientation)
+    )
+    return LimbPiece(np.concatenate([ahead, own.times, behind]), place, turn)

@@ -129,6 +129,19 @@ def test_all_forms_hold_the_same_readings(store: Path, tmp_path: Path) -> None:
     assert offsets["pelvis"] == pytest.approx(0.0, abs=0.01), "samples are counted from the take's beginning"
 
 
+def test_actors_rest_before_and_after_where_they_are_asked_to(store: Path, tmp_path: Path) -> None:
+    code, output = simulate(
+        store, "x_al_hop_1", "-o", tmp_path / "r", "--seed", 2, "--limb", "pelvis", "--grade", "perfect", "--stand", 3
+    )
+    assert code == 0, output
+    (sensor,) = read_recording(tmp_path / "r" / "recordings" / "x_al_hop_1" / "imu.parquet").sensors
+    assert (sensor.times[0], sensor.times[-1]) == pytest.approx((-3.0, 599 / 120 + 3.0), abs=0.011)
+    still = (sensor.times < -0.5) | (sensor.times > 599 / 120 + 0.5)
+    assert np.linalg.norm(sensor.gyr[still], axis=1).max() < 0.05
+    np.testing.assert_allclose(np.linalg.norm(sensor.acc[still], axis=1), 9.81, atol=0.05)
+    assert {row["class"] for row in rows(tmp_path / "r" / "windows.csv")} == {"", "hop"}
+
+
 def test_windows_have_the_class_of_their_take(store: Path, tmp_path: Path) -> None:
     code, output = simulate(
         store, "--where", "true", "-o", tmp_path / "r", "--seed", 0, "--limb", "pelvis", "--window", 1, "--step", 0.5
