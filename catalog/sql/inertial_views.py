@@ -115,7 +115,8 @@ t    DOUBLE    its time in seconds
 degrees    DOUBLE    the whole angle, 0 to 180; NULL where it is not known, and for basis none
 swing_deg    DOUBLE    turn of the limb's long axis; NULL where it is not known
 twist_deg    DOUBLE    turn about the long axis; NULL where it is not known, and for basis none
-valid    BOOLEAN    the frame counts: take and sensor are known, and the limb does not jump""",
+valid    BOOLEAN    the frame counts: take and sensor are known, and the limb does not jump
+tau_deg    DOUBLE    the error above which the take's frames are wrong, as in `limb_error_runs`""",
         "SELECT take, limb, median(coalesce(degrees, swing_deg)) AS median_deg, count(*) FILTER (valid) AS frames "
         "FROM limb_errors GROUP BY take, limb ORDER BY median_deg DESC",
         stages="limb_errors",

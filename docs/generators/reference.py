@@ -98,6 +98,11 @@ PARTS = {
         ("`units`", "kinedex.catalog.sensorsets", "Units"),
         ("`columns`", "kinedex.catalog.sensorsets", "Columns"),
     ),
+    "printed": (
+        ("", "kinedex.catalog.printed_figures", "PrintedFigures"),
+        ("an item of `figures`", "kinedex.catalog.printed_figures", "PrintedFigure"),
+        ("an item of `limbs`", "kinedex.catalog.printed_figures", "PrintedError"),
+    ),
     "imu_grades": (
         ("", "kinedex.catalog.imu_grades", "GradeFile"),
         ("a `Channel`", "kinedex.catalog.imu_grades", "Channel"),
@@ -131,6 +136,7 @@ WHERE = {
     "sensors do not state. [Files of sensors](inertial.md#files).",
     "imu_grades": "`kinedex simulate imu --grade`, `simulate_imu.grade`: the errors of simulated sensors. Those named "
     "after devices have their source in the file.",
+    "printed": "`evaluate_limb_errors.printed`: figures of a publication, in columns beside ours.",
     "pipelines": "`kinedex run`. Every shipped pipeline is listed above.",
 }
 

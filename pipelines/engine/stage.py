@@ -131,6 +131,8 @@ BUILT_IN = {
     "limb_orientations": "kinedex.pipelines.stages.limb_orientations:LimbOrientations",
     "synchronise": "kinedex.pipelines.stages.synchronise:Synchronise",
     "calibrate_sensors": "kinedex.pipelines.stages.calibrate_sensors:CalibrateSensors",
+    "limb_errors": "kinedex.pipelines.stages.limb_errors:LimbErrors",
+    "evaluate_limb_errors": "kinedex.pipelines.stages.evaluate_limb_errors:EvaluateLimbErrors",
     "simulate_imu": "kinedex.pipelines.stages.simulate_imu:SimulateImu",
     "break_track": "kinedex.pipelines.stages.break_track:BreakTrack",
 }

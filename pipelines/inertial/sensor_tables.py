@@ -86,3 +86,12 @@ def stored_clocks(store: Store, stage: str) -> dict[tuple[int, str], Clock]:
         for row in store.result(SYNC, stage=stage).to_pylist()
         if row["offset_s"] is not None
     }
+
+
+def stored_calibrations(store: Store, stage: str) -> dict[tuple[int, str, str], dict[str, Any]]:
+    """Return the rows of sensors with a mount that a stage has found, by take, recording and sensor."""
+    return {
+        (row["take_id"], row["recording"], row["sensor"]): row
+        for row in store.result(CALIBRATION, stage=stage).to_pylist()
+        if row["left_out"] is None
+    }

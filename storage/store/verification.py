@@ -48,6 +48,7 @@ from kinedex.storage.snapshot.schemas import (
 from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.history import history_problems
 from kinedex.storage.store.imu_checks import imu_problems
+from kinedex.storage.store.limb_error_checks import limb_error_problems
 from kinedex.storage.store.pose_checks import pose_problems
 from kinedex.storage.store.reconstruction_checks import reconstruction_problems
 from kinedex.storage.store.report_sums import wrong_files
@@ -93,9 +94,10 @@ def verify(store: Snapshot) -> list[Finding]:
     """Check everything that a version of a store records about its files.
 
     These are every part's size, checksum, row count, schema, takes and order of rows; that the frames of every take
-    are 0, 1, …, as many as its row in takes records; that no take is live twice; that pose databases are whole, and
-    that the results of takes made from depth agree with each other; older manifests; the checksums of reports; leftover
-    files; the history of runs; the index's checksums, counts and bit slices; and what repairs have set aside.
+    are 0, 1, …, as many as its row in takes records; that no take is live twice; that pose databases are whole, that
+    the results of takes made from depth agree with each other, and so do limb errors and their runs; older manifests;
+    the checksums of reports; leftover files; the history of runs; the index's checksums, counts and bit slices; and
+    what repairs have set aside.
 
     Parameters
     ----------
@@ -201,7 +203,7 @@ class _Verification:
 
     def _result_problems(self) -> Iterator[tuple[str, str]]:
         """Yield the problems of results whose rows are compared with each other."""
-        for problems in (pose_problems, reconstruction_problems, imu_problems):
+        for problems in (pose_problems, reconstruction_problems, imu_problems, limb_error_problems):
             yield from problems(self.store)
 
     def _file(self, kind: Kind, part: AnyPart, schema: pa.Schema) -> list[Finding]:

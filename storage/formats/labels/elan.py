@@ -7,9 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
 
+from kinedex.catalog.limbs import LIMBS
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.labels.segments import Label, LabelFile, ManualSegment, TakeLabels
 from kinedex.storage.formats.labels.texts import LONGEST_SECONDS, label_bytes, refuse_long, refuse_many, shown
+
+ERROR = "error"
+"""The class of labels that mark a limb as wrong."""
 
 DEEPEST = 100
 """Levels of elements; EAF files have six."""
@@ -196,18 +200,27 @@ class _Document:
         label = one.value or one.tier.strip()
         if not label:
             raise self.error(f"annotation {one.name} has no value and its tier no name: there is no class", one.line)
+        annotator, limb = _limb_of_tier(one.tier) if label == ERROR else ("", "")
+        place = f"annotation {one.name}"
         return ManualSegment(
-            take, label, start / 1000, stop / 1000, self.path, one.line, True, f"annotation {one.name}"
-        )
+            take, label, start / 1000, stop / 1000, self.path, one.line, True, place, limb, annotator
+        )  # fmt: skip
+
+
+def _limb_of_tier(tier: str) -> tuple[str, str]:
+    """Return the annotator and the limb of a tier such as A1:lshank or lshank; empty texts where it names none."""
+    annotator, _, limb = tier.rpartition(":")
+    return (annotator.strip(), limb.strip()) if limb.strip() in LIMBS else ("", "")
 
 
 def read(path: str | Path) -> LabelFile:
     """Read the annotations of an EAF file.
 
     An annotation's class is its value, or the name of its tier if the value is empty: so files with a tier for each
-    class and files with one tier of values are both read correctly. Tiers that depend on another tier (PARENT_REF)
-    describe its annotations further and are ignored. The take is that of kinedex's own property, or else the one that
-    the file is named after.
+    class and files with one tier of values are both read correctly. An annotation of the value `error` in a tier that
+    is named after a limb, or after an annotator and a limb (`A1:lshank`), is about that limb. Tiers that depend on
+    another tier (PARENT_REF) describe its annotations further and are ignored. The take is that of kinedex's own
+    property, or else the one that the file is named after.
 
     Parameters
     ----------

@@ -79,6 +79,10 @@ class ManualSegment:
         True if start and stop are seconds.
     place : str
         The element of the file, in formats whose lines mean little.
+    limb : str
+        The limb that the label is about; empty where none is named.
+    annotator : str
+        The person who made the label; empty where none is named.
     """
 
     take: str
@@ -89,6 +93,8 @@ class ManualSegment:
     line: int | None = None
     in_seconds: bool = False
     place: str = ""
+    limb: str = ""
+    annotator: str = ""
 
     def source_frames(self, rate_hz: float) -> tuple[int, int]:
         """Return the source frames [start, stop); seconds become the nearest frame, a half the later one."""

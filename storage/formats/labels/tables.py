@@ -28,6 +28,9 @@ SECONDS = ("start_seconds", "stop_seconds")
 COLUMNS = (*NAMES, *FRAMES)
 """The columns of ground truth in CSV."""
 
+OPTIONAL = ("limb", "annotator")
+"""Columns, and keys in JSON, that a label may have: the limb that it is about, and the person who made it."""
+
 _WRITTEN = ("take", "class", "subclass", *FRAMES, *SECONDS, "cost", "confidence")
 _MOST_DIGITS = 15
 _MOST_VALUES = 4 * MOST_LABELS  # lists and objects of a JSON file, which take far more memory than their text
@@ -74,7 +77,9 @@ def _rows(labels: TakeLabels) -> Iterator[dict[str, object]]:
 
 
 def read_csv(path: str | Path) -> LabelFile:
-    """Read a CSV file with a header and the columns take, class, start, stop; further columns are ignored.
+    """Read a CSV file with a header and the columns take, class, start, stop.
+
+    The columns limb and annotator may be there, too; further ones are ignored.
 
     Separator, encoding and decimal comma are those of `storage.formats.csv_tables`, so that files of Excel are read.
 
@@ -126,7 +131,10 @@ def _csv_rows(path: str, table: CsvTable) -> Iterator[tuple[str, ManualSegment |
         if start >= stop:
             unit = "half-open source frames" if edges is FRAMES else "seconds"
             raise SourceError(path, f"start {start} must be before stop {stop} ({unit})", line=line)
-        yield take, ManualSegment(take, texts["class"], start, stop, path, line, edges is SECONDS)
+        about = {name: row[name] for name in OPTIONAL if name in header}
+        for name, text in about.items():
+            refuse_long(path, len(text), line, name)
+        yield take, ManualSegment(take, texts["class"], start, stop, path, line, edges is SECONDS, **about)
 
 
 def _frame(path: str, line: int, name: str, text: str) -> int:
@@ -149,7 +157,8 @@ def _second(path: str, line: int, name: str, text: str) -> float:
 def read_json(path: str | Path) -> LabelFile:
     """Read {"takes": [{"take": …, "segments": [{"class": …, "start": …, "stop": …}]}]}; further keys are ignored.
 
-    start and stop are source frames, half-open; a segment that has neither may have start_seconds and stop_seconds.
+    start and stop are source frames, half-open; a segment that has neither may have start_seconds and stop_seconds. It
+    may have a limb and an annotator, both texts.
 
     Parameters
     ----------
@@ -218,7 +227,8 @@ def _segment(path: str | Path, take: str, value: Any, place: str) -> ManualSegme
     start, stop = (_edge(path, value, key, place, in_seconds) for key in (SECONDS if in_seconds else FRAMES))
     if start >= stop:
         raise SourceError(path, f"{place}: start {start} must be before stop {stop}")
-    return ManualSegment(take, label, start, stop, str(path), None, in_seconds, place)
+    about = {key: _name(path, value, key, place) for key in OPTIONAL if value.get(key) is not None}
+    return ManualSegment(take, label, start, stop, str(path), None, in_seconds, place, **about)
 
 
 def _edge(path: str | Path, value: dict[str, Any], key: str, place: str, in_seconds: bool) -> float:

@@ -1,0 +1,80 @@
+"""Counts of frames and segments whose value is above a threshold, for many thresholds in one pass."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.evaluation.metrics import Bounds, Counts
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+
+def threshold_counts(values: F64, manual: Bounds, thresholds: Sequence[float]) -> list[Counts]:
+    """Compare the runs of frames above each threshold with manual segments, as `metrics.compare` does for one.
+
+    A run at τ ends where the value falls to τ or less. So the runs are the frames above τ less the pairs of neighbours
+    of which both are, and the runs that a manual segment overlaps are the manual frames above τ less the pairs of
+    successive manual frames between which no value falls to τ: all are counts of numbers above τ.
+
+    Parameters
+    ----------
+    values : float64 array (T,)
+        The value of each frame, without NaN.
+    manual : int64 array (S, 2) or sequence of (int, int)
+        Half-open ranges of frames, in any order; those that overlap count each frame once.
+    thresholds : sequence of float
+        The thresholds τ, ascending.
+
+    Returns
+    -------
+    list of Counts
+        One for each threshold.
+
+    Raises
+    ------
+    ParameterError
+        Thresholds do not ascend, a value is NaN, or a segment is empty or beyond the frames.
+    """
+    limits = np.asarray(thresholds, np.float64)
+    if not (np.diff(limits) > 0).all():
+        raise ParameterError("thresholds", "ascending", list(thresholds))
+    if np.isnan(values).any():
+        raise ParameterError("values", "numbers", "NaN")
+    bounds = np.asarray(manual, np.int64).reshape(-1, 2)
+    if len(bounds) and not (bounds.min() >= 0 and (bounds[:, 0] < bounds[:, 1]).all() and bounds.max() <= len(values)):
+        raise ParameterError("manual", f"ranges with 0 ≤ start < stop ≤ {len(values)}", bounds.tolist()[:4])
+    edges = np.zeros(len(values) + 1, np.int64)
+    np.add.at(edges, bounds[:, 0], 1)
+    np.add.at(edges, bounds[:, 1], -1)
+    marked = np.flatnonzero(np.cumsum(edges[:-1]) > 0)
+    both = _above(values[marked], limits)
+    automatic = _above(values, limits)
+    runs = automatic - _above(np.minimum(values[:-1], values[1:]), limits)
+    hit = both - _above(_least_between(values, marked), limits)
+    peaks = np.array([values[start:stop].max() for start, stop in bounds.tolist()], np.float64)
+    found = _above(peaks, limits)
+    columns = (both, automatic, hit, runs, found)
+    return [
+        Counts(int(b), int(a), len(marked), int(h), int(r), int(f), len(bounds))
+        for b, a, h, r, f in zip(*columns, strict=True)
+    ]
+
+
+def _above(values: F64, limits: F64) -> I64:
+    """Return how many values are above each threshold."""
+    passed = np.bincount(np.searchsorted(limits, values, side="left"), minlength=len(limits) + 1)
+    return np.asarray(passed[::-1].cumsum()[::-1][1:])
+
+
+def _least_between(values: F64, marked: I64) -> F64:
+    """Return the least value from each marked frame to the next, both included."""
+    if len(marked) < 2:
+        return np.empty(0)
+    # each piece reaches up to the next marked frame, whose own value is added
+    least = np.minimum.reduceat(values[: marked[-1] + 1], marked)[:-1]
+    return np.minimum(least, values[marked[1:]])

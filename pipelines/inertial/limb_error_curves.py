@@ -1,0 +1,168 @@
+"""The errors of a take's limbs against their sensors, and the runs of frames in which a limb is wrong or jumps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.inertial.disagreement import (
+    Run,
+    RunRules,
+    auto_tau,
+    direction_errors,
+    errors,
+    jump_runs,
+    runs,
+)
+from kinedex.ops.inertial.drift import HeadingDrift
+from kinedex.ops.inertial.limb_orientation import NONE, long_axis
+from kinedex.ops.inertial.rotations import interpolate
+from kinedex.pipelines.inertial.error_parameters import LimbErrorsParameters
+from kinedex.pipelines.inertial.limb_motion import LimbMotion
+from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake
+
+F64 = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class LimbCurve:
+    """The errors of a limb against its sensor.
+
+    Attributes
+    ----------
+    limb, recording, sensor : str
+        Names.
+    times : float64 array (T,)
+        Seconds of the take.
+    degrees, swing, twist : float64 array (T,)
+        Degrees; NaN where not known. Of limbs of which only the axis is known, all but the swing are.
+    valid : bool array (T,)
+        The frames that count.
+    jump : bool array (T,)
+        The frames in which the limb turns too fast for a person.
+    """
+
+    limb: str
+    recording: str
+    sensor: str
+    times: F64
+    degrees: F64
+    swing: F64
+    twist: F64
+    valid: Flags
+    jump: Flags
+
+    @property
+    def error(self) -> F64:
+        """The error that is judged: the whole angle, or the swing where only that is known."""
+        return np.where(np.isfinite(self.degrees), self.degrees, self.swing)
+
+    @property
+    def rate_hz(self) -> float:
+        """Frames per second; 1 for a single frame."""
+        return (len(self.times) - 1) / float(self.times[-1] - self.times[0]) if len(self.times) > 1 else 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class TakeErrors:
+    """The errors of a take's limbs.
+
+    Attributes
+    ----------
+    curves : tuple of LimbCurve
+        One for each limb.
+    tau_deg : float
+        The error above which a frame is wrong.
+    runs : dict of str to (list of Run, list of Run)
+        Limb → the runs of wrong frames, and those of jumps.
+    left_out : list of str
+        Sentences on sensors that judge nothing.
+    """
+
+    curves: tuple[LimbCurve, ...]
+    tau_deg: float
+    runs: Mapping[str, tuple[list[Run], list[Run]]]
+    left_out: list[str] = field(default_factory=list)
+
+
+Calibrations = Mapping[tuple[int, str, str], Mapping[str, Any]]
+"""The rows of `sensor_calibration` with a mount, by take, recording and sensor."""
+
+
+def take_errors(
+    take: WornTake, clocks: Mapping[tuple[int, str], Clock], calibrations: Calibrations, params: LimbErrorsParameters
+) -> TakeErrors:
+    """Compare the limbs of a take with the sensors that were worn on them.
+
+    Of several sensors on one limb, the one with the most frames judges it.
+
+    Parameters
+    ----------
+    take : WornTake
+        The take.
+    clocks : mapping of (int, str) to Clock
+        The clocks of recordings.
+    calibrations : mapping of (int, str, str) to mapping
+        The calibrations of sensors.
+    params : LimbErrorsParameters
+        Threshold and rules.
+    """
+    found: dict[str, LimbCurve] = {}
+    left_out = []
+    for sensor in take.sensors:
+        clock = clocks.get((take.take_id, sensor.recording))
+        row = calibrations.get((take.take_id, sensor.recording, sensor.sensor))
+        if clock is None or row is None:
+            left_out.append(f"{sensor.sensor} of {sensor.recording} has no clock or no mount")
+            continue
+        curve = _curve(take.limbs[sensor.limb], sensor, clock, row)
+        other = found.get(sensor.limb)
+        if other is not None:
+            better = curve.valid.sum() > other.valid.sum()
+            kept, lost = (curve, other) if better else (other, curve)
+            left_out.append(f"{lost.limb} is judged by {kept.sensor} of {kept.recording}, not by {lost.sensor} as well")
+            curve = kept
+        found[sensor.limb] = curve
+    curves = tuple(found.values())
+    tau = auto_tau((one.error, one.valid) for one in curves) if params.tau == "auto" else params.tau
+    rules = RunRules(tau, params.low, params.gap_s, params.min_s)
+    return TakeErrors(curves, tau, {one.limb: _runs(one, rules) for one in curves}, left_out)
+
+
+def _runs(curve: LimbCurve, rules: RunRules) -> tuple[list[Run], list[Run]]:
+    return runs(curve.error, curve.valid, curve.rate_hz, rules), jump_runs(curve.error, curve.jump)
+
+
+def _curve(limb: LimbMotion, sensor: WornSensor, clock: Clock, row: Mapping[str, Any]) -> LimbCurve:
+    orientation, known = interpolate(sensor.times, sensor.orientation, clock.sensor_time(limb.times))
+    knots: Iterable[Mapping[str, float]] = row["drift"] or ()
+    drift = HeadingDrift(np.array([one["t"] for one in knots]), np.array([one["degrees"] for one in knots]))
+    orientation = drift.corrected(limb.times, orientation)
+    q_global = _values(row["q_global"])
+    gap = np.full(len(limb.times), np.nan)
+    if limb.basis == NONE:
+        swing = direction_errors(orientation, limb.direction, q_global, _values(row["direction"]))
+        degrees = twist = gap
+    else:
+        axis = long_axis(limb.orientation, limb.direction)
+        swings = bool(np.isfinite(axis).all())
+        found = errors(orientation, limb.orientation, q_global, _values(row["q_mount"]), axis if swings else _ANY)
+        degrees = found.degrees
+        swing, twist = (found.swing, found.twist) if swings else (gap, gap)
+    judged = np.isfinite(degrees) | np.isfinite(swing)
+    valid = known & limb.valid & ~limb.jump & judged
+    return LimbCurve(
+        limb.limb, sensor.recording, sensor.sensor, limb.times, degrees, swing, twist, valid, limb.jump
+    )  # fmt: skip
+
+
+_ANY = np.array([1.0, 0.0, 0.0])  # the whole angle is the same for every axis
+
+
+def _values(row: Mapping[str, float]) -> F64:
+    return np.array(list(row.values()))

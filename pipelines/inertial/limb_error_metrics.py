@@ -1,0 +1,162 @@
+"""Precision, recall and F of limb errors against manual labels, over thresholds, limbs, groups and annotators."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.limbs import LIMBS
+from kinedex.catalog.printed_figures import PrintedFigures
+from kinedex.ops.evaluation.metrics import Counts, compare
+from kinedex.ops.evaluation.threshold_counts import threshold_counts
+from kinedex.pipelines.inertial.limb_error_tables import JudgedLimb
+from kinedex.pipelines.inertial.limb_labels import PlacedLabel
+
+I64 = npt.NDArray[np.int64]
+
+SENSORS, RUNS, ALL = "sensors", "runs", "all"
+"""Detectors: the errors above each threshold, and the stored runs; and the name of what is pooled."""
+
+Scope = tuple[str, str]
+"""Scope and name: ("all", "all"), ("group", "legs") or ("limb", "lshank")."""
+
+Pair = tuple[str, str]
+"""Detector and annotator."""
+
+
+@dataclass
+class LimbCounts:
+    """The counts of takes, which add up.
+
+    Attributes
+    ----------
+    taus : sequence of float
+        The thresholds in degrees.
+    above : dict
+        Scope and annotator → the counts at each threshold.
+    between : dict
+        Scope, detector and annotator → the counts of stored runs, or of one annotator, against another.
+    frames, takes : dict
+        Scope and annotator → the frames of limbs that count, and the ids of takes.
+    """
+
+    taus: Sequence[float]
+    above: dict[tuple[Scope, str], list[Counts]] = field(default_factory=dict)
+    between: dict[tuple[Scope, Pair], Counts] = field(default_factory=lambda: defaultdict(Counts))
+    frames: dict[tuple[Scope, Pair], int] = field(default_factory=lambda: defaultdict(int))
+    takes: dict[tuple[Scope, Pair], set[int]] = field(default_factory=lambda: defaultdict(set))
+
+    def add(
+        self,
+        limb: JudgedLimb,
+        annotators: Iterable[str],
+        labels: Iterable[PlacedLabel],
+        runs: Sequence[tuple[int, int]],
+    ) -> None:
+        """Count a limb of a take against everybody who looked at the take.
+
+        Frames that do not count are taken out of both sides first.
+
+        Parameters
+        ----------
+        limb : JudgedLimb
+            Its errors.
+        annotators : iterable of str
+            Who looked at the take.
+        labels : iterable of PlacedLabel
+            Their labels of this limb.
+        runs : sequence of (int, int)
+            The stored runs of wrong frames.
+        """
+        counted = limb.valid & np.isfinite(limb.error)
+        place = np.concatenate([[0], np.cumsum(counted)])
+        values = limb.error[counted]
+        own = {annotator: list[tuple[int, int]]() for annotator in annotators}
+        for label in labels:
+            own[label.annotator].append((label.start, label.stop))
+        manual = {annotator: _without_gaps(segments, place) for annotator, segments in own.items()}
+        stored = _without_gaps(runs, place)
+        for annotator, segments in manual.items():
+            above = threshold_counts(values, segments, self.taus)
+            against_runs = compare(stored, segments)
+            for whose in (annotator, ALL):
+                self._add_above(limb, whose, above, len(values))
+                self._add_between(limb, (RUNS, whose), against_runs, len(values))
+            for other, theirs in manual.items():
+                if other != annotator:
+                    self._add_between(limb, (other, annotator), compare(theirs, segments), len(values))
+
+    def _add_above(self, limb: JudgedLimb, annotator: str, counts: list[Counts], frames: int) -> None:
+        for scope in _scopes(limb.limb):
+            before = self.above.get((scope, annotator), [Counts()] * len(counts))
+            self.above[scope, annotator] = [a + b for a, b in zip(before, counts, strict=True)]
+            self._add_frames(scope, (SENSORS, annotator), frames, limb.take_id)
+
+    def _add_between(self, limb: JudgedLimb, pair: Pair, counts: Counts, frames: int) -> None:
+        for scope in _scopes(limb.limb):
+            self.between[scope, pair] += counts
+            self._add_frames(scope, pair, frames, limb.take_id)
+
+    def _add_frames(self, scope: Scope, pair: Pair, frames: int, take_id: int) -> None:
+        self.frames[scope, pair] += frames
+        self.takes[scope, pair].add(take_id)
+
+
+def _scopes(limb: str) -> tuple[Scope, Scope, Scope]:
+    return (ALL, ALL), ("group", LIMBS[limb].group), ("limb", limb)
+
+
+def _without_gaps(segments: Sequence[tuple[int, int]], place: I64) -> I64:
+    """Return segments in the numbers of the frames that count; those without such a frame are dropped."""
+    found = place[np.asarray(segments, np.int64).reshape(-1, 2)]
+    return found[found[:, 0] < found[:, 1]]
+
+
+def metric_rows(counts: LimbCounts, printed: PrintedFigures | None) -> Iterator[dict[str, Any]]:
+    """Yield the rows of `limb_error_metrics`: all, groups and limbs; sensors over τ, runs, annotators.
+
+    Parameters
+    ----------
+    counts : LimbCounts
+        The counts of all takes.
+    printed : PrintedFigures or None
+        Figures that stand beside ours.
+    """
+    for (scope, annotator), several in sorted(counts.above.items()):
+        for tau, one in zip(counts.taus, several, strict=True):
+            known = None if printed is None else printed.figure(scope[1], annotator, tau)
+            beside = {} if known is None or printed is None else {
+                "printed_p1": known.p1, "printed_r1": known.r1, "printed_source": printed.source,
+            }  # fmt: skip
+            yield {**_row(counts, scope, (SENSORS, annotator), one), "tau_deg": tau, **beside}
+    for (scope, pair), one in sorted(counts.between.items()):
+        yield _row(counts, scope, pair, one)
+
+
+def _row(counts: LimbCounts, scope: Scope, pair: Pair, one: Counts) -> dict[str, Any]:
+    measures = {name: getattr(one, name) for name in ("p1", "r1", "f1", "p2", "r2", "f2")}
+    return {
+        "scope": scope[0],
+        "name": scope[1],
+        "detector": pair[0],
+        "annotator": pair[1],
+        **{name: None if math.isnan(value) else value for name, value in measures.items()},
+        **asdict(one),
+        "frames": counts.frames[scope, pair],
+        "takes": len(counts.takes[scope, pair]),
+    }
+
+
+def runs_by_limb(rows: Iterable[Mapping[str, Any]]) -> dict[tuple[int, str], list[tuple[int, int]]]:
+    """Return the ranges of the stored runs of wrong frames by take and limb."""
+    found: dict[tuple[int, str], list[tuple[int, int]]] = {}
+    for row in rows:
+        if row["kind"] == "distance":
+            found.setdefault((row["take_id"], row["limb"]), []).append((row["start"], row["stop"]))
+    return found

@@ -1,0 +1,160 @@
+"""Labels of wrong limbs on the takes that sensors judge: who marked which frames of which limb."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from kinedex.catalog.limbs import LIMB_NAMES
+from kinedex.ops.errors import SourceError, did_you_mean
+from kinedex.pipelines.console.wording import counted, few
+from kinedex.pipelines.inertial.limb_error_tables import JudgedLimb
+from kinedex.storage.formats.labels.elan import ERROR
+from kinedex.storage.formats.labels.ground_truth import read_ground_truth
+from kinedex.storage.formats.labels.segments import LabelFile, ManualSegment
+
+UNNAMED = "unnamed"
+"""The annotator of labels that name nobody."""
+
+WITHOUT_LIMBS = {".vtt": "WebVTT", ".txt": "Audacity labels"}
+"""Endings of the formats of labels that have no place for a limb."""
+
+
+@dataclass(frozen=True)
+class LimbLabels:
+    """The labels of limb errors in label files.
+
+    Attributes
+    ----------
+    segments : dict of (str, str, str) to list of ManualSegment
+        Annotator, take and limb → the segments.
+    looked_at : dict of str to set of str
+        Annotator → the takes that they looked at: all that a file of theirs names.
+    remarks : list of str
+        Labels that were excluded.
+    """
+
+    segments: dict[tuple[str, str, str], list[ManualSegment]] = field(default_factory=dict)
+    looked_at: dict[str, set[str]] = field(default_factory=dict)
+    remarks: list[str] = field(default_factory=list)
+
+    @property
+    def annotators(self) -> list[str]:
+        """The names of the annotators, sorted."""
+        return sorted(self.looked_at)
+
+
+def read_limb_labels(paths: Iterable[Path]) -> LimbLabels:
+    """Read labels of limb errors from label files.
+
+    Parameters
+    ----------
+    paths : iterable of Path
+        CSV or JSON files with `limb`, or files of ELAN with a tier for each limb.
+
+    Raises
+    ------
+    SourceError
+        A file is damaged or of a format without limbs, or a label of the class error names no limb, or one that does
+        not exist.
+    """
+    labels = LimbLabels()
+    others: set[str] = set()
+    for path in paths:
+        form = WITHOUT_LIMBS.get(path.suffix.lower())
+        if form is not None:
+            raise SourceError(
+                path, f"{form} has no place for the limb of a label; use CSV or JSON with `limb`, or ELAN with tiers "
+                "named after limbs, such as lshank or A1:lshank"
+            )  # fmt: skip
+        others |= _add(labels, read_ground_truth(path))
+    if others:
+        labels.remarks.append(f"labels of other classes than {ERROR} are excluded: {few(sorted(others))}")
+    return labels
+
+
+def _add(labels: LimbLabels, file: LabelFile) -> set[str]:
+    """Add the labels of a file; return the classes that are not those of errors."""
+    own = [one for one in file.segments if one.label == ERROR]
+    for one in own:
+        if one.limb not in LIMB_NAMES:
+            raise one.error(_unknown_limb(one))
+        place = (one.annotator or UNNAMED, one.take, one.limb)
+        labels.segments.setdefault(place, []).append(one)
+    # a file in which nobody marked anything still shows that somebody looked
+    for annotator in {one.annotator or UNNAMED for one in own} or {UNNAMED}:
+        labels.looked_at.setdefault(annotator, set()).update(file.takes)
+    return {one.label for one in file.segments} - {ERROR}
+
+
+def _unknown_limb(one: ManualSegment) -> str:
+    if one.limb:
+        hint = did_you_mean(one.limb, LIMB_NAMES)
+        return f"no limb is named '{one.limb}'{hint}; the limbs are {', '.join(LIMB_NAMES)}"
+    return (
+        f"the label '{ERROR}' names no limb; CSV and JSON have `limb` for it, in ELAN the tier is named after the "
+        "limb, such as lshank, or after annotator and limb, such as A1:lshank"
+    )
+
+
+@dataclass(frozen=True)
+class PlacedLabel:
+    """A label in the source frames [start, stop) of a judged limb."""
+
+    judged: JudgedLimb
+    annotator: str
+    start: int
+    stop: int
+    file: str
+
+
+def placed_labels(labels: LimbLabels, take: Sequence[JudgedLimb]) -> list[PlacedLabel]:
+    """Return the labels of a take's judged limbs, by annotator, limb and start; those that are there twice once.
+
+    Raises
+    ------
+    SourceError
+        A label ends beyond its take.
+    """
+    found: dict[tuple[str, str, int, int], PlacedLabel] = {}
+    for annotator in labels.annotators:
+        for judged in take:
+            for one in labels.segments.get((annotator, judged.take, judged.limb), ()):
+                start, stop = one.source_frames(judged.rate_hz)
+                if one.in_seconds and stop == len(judged.error) + 1:
+                    stop -= 1  # the last frame ends half a frame before a time that is rounded up
+                if stop > len(judged.error):
+                    length = counted(len(judged.error), "source frame")
+                    raise one.error(f"the label ends at source frame {stop}, beyond {judged.take}, which has {length}")
+                if start < stop:
+                    place = (annotator, judged.limb, start, stop)
+                    found.setdefault(place, PlacedLabel(judged, annotator, start, stop, one.path))
+    return [found[place] for place in sorted(found)]
+
+
+def unused_labels(labels: LimbLabels, judged: Collection[tuple[str, str]], takes: Collection[str]) -> list[str]:
+    """Return remarks on labels of takes, or limbs of takes, that no sensor judges.
+
+    Parameters
+    ----------
+    labels : LimbLabels
+        The labels.
+    judged : collection of (str, str)
+        The takes and limbs that are judged.
+    takes : collection of str
+        The takes that are judged.
+    """
+    named = {take for looked_at in labels.looked_at.values() for take in looked_at}
+    limbs = sorted(
+        {f"{take} {limb}" for _, take, limb in labels.segments if take in takes and (take, limb) not in judged}
+    )
+    remarks = [*labels.remarks]
+    if named - set(takes):
+        remarks.append(f"labels of takes without sensors are excluded: {few(sorted(named - set(takes)))}")
+    if limbs:
+        remarks.append(f"labels of limbs without sensors are excluded: {few(limbs)}")
+    silent = sorted(set(takes) - named)
+    if silent:
+        remarks.append(f"takes with sensors that nobody has labelled are not evaluated: {few(silent)}")
+    return remarks

@@ -1,0 +1,165 @@
+"""Stage evaluate_limb_errors: limb errors compared with what people marked, over thresholds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar
+
+from rich import box
+from rich.table import Table
+
+from kinedex.catalog.printed_figures import load_printed
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.console.tables import plain_text
+from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.digests import Reading, files_digest, hash_of
+from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.inertial.error_parameters import EvaluateLimbErrorsParameters
+from kinedex.pipelines.inertial.limb_error_metrics import LimbCounts, metric_rows, runs_by_limb
+from kinedex.pipelines.inertial.limb_error_tables import RUNS, judged_limbs
+from kinedex.pipelines.inertial.limb_labels import (
+    LimbLabels,
+    PlacedLabel,
+    placed_labels,
+    read_limb_labels,
+    unused_labels,
+)
+from kinedex.pipelines.inertial.sensor_tables import result_table
+from kinedex.storage.formats.labels.ground_truth import ground_truth_files
+from kinedex.storage.store.store import Store
+
+METRICS, LABELS = "limb_error_metrics", "limb_labels"
+
+SIMULATED = "limb_labels.csv"
+"""The label file of simulated annotators, which `break_track` writes beside reports."""
+
+
+class EvaluateLimbErrors(Stage[EvaluateLimbErrorsParameters]):
+    """Limb errors compared with what people marked, over thresholds (thesis, Section 7.6.3)."""
+
+    name = "evaluate_limb_errors"
+    parameters = EvaluateLimbErrorsParameters
+    inputs: ClassVar = {"errors": Input("limb_errors"), "broken": Input("break_track", optional=True)}
+
+    def external_digest(self, params: EvaluateLimbErrorsParameters, store: Store | None) -> str:
+        """Return a hash of the label files, and of the file of printed figures."""
+        printed = "" if params.printed is None else load_printed(params.printed).model_dump_json()
+        if params.ground_truth is None or store is None:
+            return printed
+        try:
+            return printed + files_digest(_label_files(store, params.ground_truth))
+        except KinedexError:
+            return printed + "none to be read"
+
+    def reading(self, params: EvaluateLimbErrorsParameters, store: Store) -> Reading:
+        """Return a digest of nothing: errors are results of another stage."""
+        return Reading(hash_of(), "")
+
+    def run(self, context: StageContext, params: EvaluateLimbErrorsParameters) -> dict[str, object]:
+        """Count frames and segments of limbs against every annotator, and store the metrics."""
+        store = context.open()
+        files = self._files(context, store, params)
+        if not files:
+            empty = {kind: result_table(kind, (), context.run) for kind in (METRICS, LABELS)}
+            context.put_results(**empty)
+            context.say(
+                f"no labels, nothing to evaluate; `--set {context.stage}.ground_truth=PATTERN` names label files"
+            )
+            return {"evaluated_takes": 0}
+        labels = read_limb_labels(files)
+        counts, placed, remarks = _counted(context, store, labels, params)
+        for remark in remarks:
+            context.say(remark)
+        printed = None if params.printed is None else load_printed(params.printed)
+        rows = list(metric_rows(counts, printed))
+        context.put_results(
+            limb_error_metrics=result_table(METRICS, rows, context.run),
+            limb_labels=result_table(LABELS, map(_label_row, placed), context.run),
+        )
+        takes = {take_id for ids in counts.takes.values() for take_id in ids}
+        if rows:
+            context.terminal.show(_table(rows))
+        context.say(
+            f"{counted(len(takes), 'take')}, {counted(len(placed), 'label')} of "
+            f"{counted(len(labels.annotators), 'annotator')}"
+        )
+        return {"evaluated_takes": len(takes), "labels": len(placed), "annotators": labels.annotators}
+
+    def _files(self, context: StageContext, store: Store, params: EvaluateLimbErrorsParameters) -> list[Path]:
+        if params.ground_truth is not None:
+            return _label_files(store, params.ground_truth)
+        if "broken" not in context.inputs:
+            return []
+        stage = store.manifest.stages[context.key(context.inputs["broken"])]
+        written = [context.store_path / str(name) for name in stage.summary.get("files", ())]
+        return [path for path in written if path.name.endswith(SIMULATED)]
+
+
+def _label_files(store: Store, pattern: str) -> list[Path]:
+    """Return label files by a path or a glob: an absolute one, or one below the folders of the takes."""
+    if Path(pattern).is_file():
+        return [Path(pattern)]
+    roots = sorted({row["source_root"] for row in store.take_rows.to_pylist() if row["source_root"]})
+    return ground_truth_files(pattern, [root for root in roots if Path(root).is_dir()])
+
+
+def _counted(
+    context: StageContext, store: Store, labels: LimbLabels, params: EvaluateLimbErrorsParameters
+) -> tuple[LimbCounts, list[PlacedLabel], list[str]]:
+    """Count every judged limb, and return the labels on them with remarks on the others."""
+    stage = context.key(context.inputs["errors"])
+    runs = runs_by_limb(store.result(RUNS, stage=stage).to_pylist())
+    counts, placed = LimbCounts(params.taus), list[PlacedLabel]()
+    judged: set[tuple[str, str]] = set()
+    for take in judged_limbs(store, stage):
+        own = placed_labels(labels, take)
+        placed += own
+        for limb in take:
+            judged.add((limb.take, limb.limb))
+            looked = [name for name in labels.annotators if limb.take in labels.looked_at[name]]
+            counts.add(
+                limb,
+                looked,
+                [one for one in own if one.judged.limb == limb.limb],
+                runs.get((limb.take_id, limb.limb), []),
+            )
+    return counts, placed, unused_labels(labels, judged, {take for take, _ in judged})
+
+
+def _label_row(one: PlacedLabel) -> dict[str, Any]:
+    return {
+        "take_id": one.judged.take_id,
+        "take": one.judged.take,
+        "limb": one.judged.limb,
+        "annotator": one.annotator,
+        "start": one.start,
+        "stop": one.stop,
+        "start_seconds": one.start / one.judged.rate_hz,
+        "stop_seconds": one.stop / one.judged.rate_hz,
+        "file": one.file,
+    }
+
+
+def _table(rows: list[dict[str, Any]]) -> Table:
+    """Return rows of all limbs and of groups: the best threshold by frames, runs as stored, and annotators."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    names = ("limbs", "detector", "against", "τ", "P", "R", "F (frames)", "F (segments)", "printed P / R")
+    for column in names:
+        table.add_column(column, justify="left" if column in names[:3] else "right")
+    wanted: dict[tuple[str, str, str], dict[str, Any]] = {}
+    for row in rows:
+        key = (row["name"], row["detector"], row["annotator"])
+        if row["scope"] == "limb":
+            continue
+        if key not in wanted or (row["f1"] or 0.0) > (wanted[key]["f1"] or 0.0):
+            wanted[key] = row
+        if row.get("printed_p1") is not None:
+            wanted[(*key[:2], f"{key[2]} (as printed)")] = row
+    for key, row in wanted.items():
+        tau = "–" if row.get("tau_deg") is None else f"{row['tau_deg']:g}°"
+        figures = ("–" if row[name] is None else f"{row[name]:.2f}" for name in ("p1", "r1", "f1", "f2"))
+        known = row.get("printed_p1") is not None
+        beside = f"{row['printed_p1']:.2f} / {row['printed_r1']:.2f}" if known else ""
+        table.add_row(*map(plain_text, key), tau, *figures, beside)
+    return table
