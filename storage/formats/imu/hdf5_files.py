@@ -25,7 +25,8 @@ SIGNATURE = b"\x89HDF\r\n\x1a\n"
 MOST_BYTES = 4 << 30
 """Data sets that take more memory together are not read."""
 
-_CHILD = Path(__file__).with_name("hdf5_child.py")
+_PROGRAM = "kinedex.storage.formats.imu.hdf5_child:main"
+_CHILD = Path(__file__).with_name(_PROGRAM.partition(":")[0].rpartition(".")[2] + ".py")
 _PLACES = {0: (13, 14, 24), 1: (13, 14, 28), 2: (9, 10, 12), 3: (9, 10, 12)}
 _PATIENCE_S = 60
 _BYTES_A_SECOND = 4 << 20

@@ -197,7 +197,11 @@ def is_sensor_file(path: Path) -> bool:
 
 def belongs_to(path: Path) -> Path | None:
     """Return the file that a file is read with, such as readings beside quaternions; None for one of its own."""
-    return xio.beside(path)
+    main = xio.beside(path)
+    try:
+        return main if main is not None and recognised(path) == "xio" else None
+    except SourceError:
+        return None
 
 
 def session_of(file: Path, path: str) -> str:

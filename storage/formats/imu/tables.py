@@ -305,7 +305,8 @@ def _parquet(path: Path, given: Given) -> list[RawSensor]:
             columns = {i: _numbers(path, table, header[i]) for i in layout.columns()}
             names = None
             if layout.sensor is not None:
-                names = [str(name) for name in table.column(header[layout.sensor]).to_pylist()]
+                column = table.column(header[layout.sensor])
+                names = ["" if name is None else str(name) for name in column.to_pylist()]
     except SourceError:
         raise
     except (OSError, pa.ArrowException, ValueError, TypeError, KeyError, IndexError) as fault:
@@ -357,7 +358,7 @@ def sensors_of(
     keys = list(layout.channels)
     chosen: dict[str, tuple[str, I64 | slice]] = {key or path.stem: (key, slice(None)) for key in keys}
     if names is not None:
-        chosen = {name: ("", rows) for name, rows in _rows_by_name(path, names).items()}
+        chosen = {name: ("", rows) for name, rows in _rows_by_name(path, names, lines).items()}
     found = []
     for name, (key, rows) in chosen.items():
         sensor = RawSensor(name, units=dict(layout.units.get(key, {})), times=None if times is None else times[rows])
@@ -368,9 +369,13 @@ def sensors_of(
     return found
 
 
-def _rows_by_name(path: Path, names: Sequence[str]) -> dict[str, I64]:
+def _rows_by_name(path: Path, names: Sequence[str], lines: I64 | None) -> dict[str, I64]:
     """Return name → its rows, in the order in which the names begin."""
     rows: dict[str, list[int]] = {}
+    if "" in names:
+        row = names.index("")
+        line = None if lines is None else int(lines[row])
+        raise SourceError(path, f"row {row} (from 0) has no name in its column of sensors", line=line)
     for row, name in enumerate(names):
         rows.setdefault(name, []).append(row)
     if len(rows) > MOST_SENSORS:

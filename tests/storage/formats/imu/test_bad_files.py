@@ -11,7 +11,7 @@ import pytest
 
 from kinedex.catalog.configs import parse_yaml
 from kinedex.catalog.sensorsets import SensorSet, parse_sensor_set
-from kinedex.ops.errors import ConfigError, SourceError
+from kinedex.ops.errors import ConfigError, KinedexError, SourceError
 from kinedex.ops.inertial.rotations import conjugate, distance_deg, exp, multiply, rotate
 from kinedex.storage.formats.imu import recording
 from kinedex.storage.formats.imu.recording import ENU, NED, NWU, read_recording
@@ -194,6 +194,21 @@ def test_hdf5_files_that_are_damaged_are_refused_before_and_by_the_library(tmp_p
         path.write_bytes(data)
         with pytest.raises(SourceError, match=message):
             read_recording(path)
+
+
+def test_without_the_package_an_hdf5_file_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_hdf5(tmp_path / "a.h5", KNOWN)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(KinedexError, match=r"pip install 'kinedex\[imu\]'"):
+        read_recording(path)
+
+
+def test_a_row_of_no_sensor_is_refused(tmp_path: Path) -> None:
+    lines = csv_text(KNOWN).splitlines()
+    rows = ["sensor," + lines[0], *("lhand," + line for line in lines[1:5]), "," + lines[5]]
+    (tmp_path / "a.csv").write_text("\n".join(rows))
+    with pytest.raises(SourceError, match=r"a.csv:6: row 4 \(from 0\) has no name"):
+        read_recording(tmp_path / "a.csv")
 
 
 def test_hdf5_does_not_read_other_files(tmp_path: Path) -> None:
