@@ -48,6 +48,7 @@ from kinedex.storage.snapshot.schemas import (
 from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.history import history_problems
 from kinedex.storage.store.imu_checks import imu_problems
+from kinedex.storage.store.limb_checks import limb_problems
 from kinedex.storage.store.limb_error_checks import limb_error_problems
 from kinedex.storage.store.pose_checks import pose_problems
 from kinedex.storage.store.reconstruction_checks import reconstruction_problems
@@ -203,7 +204,8 @@ class _Verification:
 
     def _result_problems(self) -> Iterator[tuple[str, str]]:
         """Yield the problems of results whose rows are compared with each other."""
-        for problems in (pose_problems, reconstruction_problems, imu_problems, limb_error_problems):
+        checks = (pose_problems, reconstruction_problems, imu_problems, limb_problems, limb_error_problems)
+        for problems in checks:
             yield from problems(self.store)
 
     def _file(self, kind: Kind, part: AnyPart, schema: pa.Schema) -> list[Finding]:

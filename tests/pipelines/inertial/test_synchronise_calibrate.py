@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from kinedex.pipelines.stages.limb_orientations import LimbOrientations
 from kinedex.pipelines.stages.synchronise import Synchronise
 from kinedex.storage.snapshot.row_groups import RowGroups
 from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.store.limb_checks import limb_problems
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 from tests.pipelines.archives import context, write_archive
@@ -58,9 +60,11 @@ def put_sensors(made: Path, still: str = "") -> None:
         for limb in (*LIMBS, "head"):
             channels = ["gyr", "mag", "orientation"]
             names = {"take": found.take, "recording": f"{found.take}.csv", "sensor": f"s-{limb}", "limb": limb}
-            sensors.append({"run": "run-1", "take_id": found.take_id, "channels": channels, **names})
             if limb in LIMBS:
                 samples.append(samples_of(found.limbs[limb], found.take, found.take == still))
+            count = samples[-1].num_rows if limb in LIMBS else 0
+            row = {"run": "run-1", "take_id": found.take_id, "channels": channels, "samples": count}
+            sensors.append(row | names)
     with place.writer() as writer:
         recordings = pa.Table.from_pylist(sensors, schema=result_schema("imu_recordings"))
         writer.put_results("imu_recordings", recordings, stage="test/read_imu", run="run-1")
@@ -200,6 +204,48 @@ def test_a_take_without_a_clock_is_left_out_and_the_others_go_on(synchronised: P
     assert left["x_bo_sway_1"] == "the clock of the recording was not found"
     assert left["x_al_hop_1"] is None
     assert {row["offset_s"] for row in synchronise(tmp_path, offset_s=0.25)} == {0.25}
+
+
+def changed(**values: object) -> Callable[[list[dict[str, Any]]], None]:
+    """Return what changes values of the first row."""
+    return lambda rows: rows[0].update(values)
+
+
+CONTRADICTIONS: list[tuple[str, str, Callable[[list[dict[str, Any]]], object], str]] = [
+    ("sensor_sync", "synchronise", changed(offset_s=None), "has neither a clock nor the reason"),
+    ("sensor_sync", "synchronise", changed(correlation=1.5), "has a correlation beyond -1 and 1"),
+    ("sensor_calibration", "calibrate_sensors", changed(q_mount=None), "has neither a mount nor the reason"),
+    ("sensor_calibration", "calibrate_sensors", changed(left_out="why"), "or both"),
+    ("sensor_calibration", "calibrate_sensors", changed(inliers=1.5), "has a share beyond 0 and 1"),
+    ("sensor_calibration", "calibrate_sensors", changed(q_global=dict.fromkeys("wxyz", 1.0)), "not of length 1"),
+    (
+        "limb_orientations",
+        "limb_orientations",
+        changed(orientation=dict.fromkeys("wxyz", 1.0)),
+        "has an orientation",
+    ),
+    ("limb_orientations", "limb_orientations", changed(orientation=None), "frame 0 is valid without its orientation"),
+    ("limb_orientations", "limb_orientations", changed(source_frame=1), "frame 1 is there twice"),
+]
+
+
+def test_what_contradicts_itself_is_found(synchronised: Path, tmp_path: Path) -> None:
+    calibrate(synchronised)
+    shutil.copytree(synchronised / "store", tmp_path / "store")
+    whole = open_store(tmp_path / "store", at="newest")
+    assert list(limb_problems(whole)) == []
+    for kind, stage, change, message in CONTRADICTIONS:
+        before = whole.result(kind, stage=f"test/{stage}")
+        rows = before.slice(0, 20).to_pylist()
+        change(rows)
+        after = pa.concat_tables([pa.Table.from_pylist(rows, schema=before.schema), before.slice(20)])
+        with context(tmp_path / "store").writer() as writer:
+            writer.put_results(kind, after, stage=f"test/{stage}", run="run-1")
+            writer.commit()
+            ((_, problem),) = limb_problems(writer.store)
+            assert message in problem
+            writer.put_results(kind, before, stage=f"test/{stage}", run="run-1")
+            writer.commit()
 
 
 def test_rows_are_found_by_the_value_of_a_column(synchronised: Path) -> None:
