@@ -23,6 +23,8 @@ WITHOUT = {
     "NoFoldsError": "the archive has too few takes for a split; the message counts them",
     "TimeLimitError": "a query took longer than the limit that it was given; the message names the limit",
     "UnwritableError": "the disk refuses a file of an export; the message names the file and the reason",
+    "MissingPackageError": "a package is not installed; the message has the command of pip",
+    "UnusableRecording": "a key of a recordings file does not fit; the message names the key",
     "WorkerDied": "a task needs more memory than there is; the message names the option",
 }
 """Classes whose errors have no remedy of their own: the message itself is the way out."""
