@@ -172,7 +172,8 @@ def estimated(sensor: ImuSensor) -> tuple[F64, list[str]]:
     mag = None if sensor.mag is None else _filled(times, sensor.mag, grid)
     if acc is None or gyr is None or (sensor.mag is not None and mag is None):
         raise KinedexError(f"sensor '{sensor.name}' has a channel without a single reading")
-    found, _ = interpolate(grid, estimate(sensor.rate_hz, acc, gyr, mag), np.clip(times, grid[0], grid[-1]))
+    even = estimate(sensor.rate_hz, acc, gyr, mag)
+    found, _ = interpolate(grid, even, np.clip(times, grid[0], grid[-1]), 2.0 / sensor.rate_hz)
     found[~(np.isfinite(sensor.acc).all(axis=1) & np.isfinite(sensor.gyr).all(axis=1))] = np.nan
     warnings = []
     if mag is None and any(stop - start > _LONGEST_BRIDGE_S for start, stop in sensor.gaps):

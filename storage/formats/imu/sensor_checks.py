@@ -106,7 +106,7 @@ class _Checks:
         acc, gyr, mag, orientation = self.turned(acc, gyr, mag, orientation)
         return ImuSensor(
             self.raw.name, times, rate_hz, acc, gyr, mag, orientation, frame,
-            _gaps(times, (acc, gyr, orientation), mag), tuple(self.warnings),
+            _gaps(times, rate_hz, (acc, gyr, orientation), mag), tuple(self.warnings),
         )  # fmt: skip
 
     def times(self) -> tuple[F64, float]:
@@ -337,8 +337,13 @@ def _measured_rate(times: F64) -> float | None:
     return float(np.rint(steps / step).sum() / (times[-1] - times[0]))
 
 
-def _gaps(times: F64, parts: tuple[F64 | None, ...], mag: F64 | None) -> tuple[tuple[float, float], ...]:
-    """Return the intervals of more than 50 ms in which not everything was measured; the field counts where alone."""
+def _gaps(
+    times: F64, rate_hz: float, parts: tuple[F64 | None, ...], mag: F64 | None
+) -> tuple[tuple[float, float], ...]:
+    """Return the intervals of more than 50 ms in which not everything was measured; the field counts where alone.
+
+    Of a sensor below 30 Hz they are longer than one and a half steps.
+    """
     known = np.ones(len(times), bool)
     present = [part for part in parts if part is not None] or [part for part in (mag,) if part is not None]
     for part in present:
@@ -347,5 +352,5 @@ def _gaps(times: F64, parts: tuple[F64 | None, ...], mag: F64 | None) -> tuple[t
     if len(at) == 0:
         return ((float(times[0]), float(times[-1])),)
     at = np.concatenate([times[:1], at, times[-1:]])
-    long = np.flatnonzero(np.diff(at) > LONGEST_GAP_S * (1 + 1e-9))
+    long = np.flatnonzero(np.diff(at) > max(LONGEST_GAP_S, 1.5 / rate_hz) * (1 + 1e-9))
     return tuple((float(at[i]), float(at[i + 1])) for i in long)

@@ -145,6 +145,10 @@ def test_short_runs_of_missing_samples_are_interpolated_and_long_ones_are_gaps(t
     assert sensor.gaps == ((pytest.approx(99 / 200), pytest.approx(0.6)),)
 
 
+def test_a_slow_sensor_has_no_gaps_between_its_samples(tmp_path: Path) -> None:
+    assert read_recording(write(tmp_path, turning(30, rate_hz=10.0))).sensors[0].gaps == ()
+
+
 def test_the_field_shows_the_world_and_a_header_that_says_otherwise_is_a_warning(tmp_path: Path) -> None:
     enu = replace(KNOWN, orientation=multiply(exp(np.array([0, 0, np.pi / 2])), KNOWN.orientation))
     ned = replace(KNOWN, orientation=multiply(exp(np.array([np.pi, 0, 0])), KNOWN.orientation))
