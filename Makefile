@@ -69,7 +69,8 @@ test: lint types
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal
 	@$(MAKE) --no-print-directory check-kernels
 
-# The compiled kernels once with bounds checks, and once as plain Python, which warns where compiled code does not.
+# The compiled kernels once with bounds checks, in little-optimised code, as most of the time goes into compilation; and
+# once as plain Python, which warns where compiled code does not.
 check-kernels: setup
 	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 NUMBA_CACHE_DIR=build/numba-boundscheck $(BIN)/pytest -n auto --dist worksteal -m "not slow" tests/ops
 	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -n auto --dist worksteal -W ignore::RuntimeWarning -m "not slow and not shared" tests/ops

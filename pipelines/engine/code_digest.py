@@ -92,8 +92,7 @@ def _digest(roots: tuple[Place, ...]) -> str:
     key = " ".join(":".join(place) for place in roots)
     known = _known_digests()
     if key not in known:
-        with _uncollected():
-            digest = Sources().digest(roots)
+        digest = Sources().digest(roots)
         known = _known_digests() | {key: digest}  # with those that other processes have made meanwhile
         other = _KNOWN.with_name(f"{_KNOWN.name}.{os.getpid()}")
         with suppress(OSError):  # where the installation is read-only, they are made again each time
@@ -332,6 +331,7 @@ class Sources:
             hasher.update(f"{module}:{name}={text}\n".encode())
         return hasher.hexdigest()[:16]
 
+    @_uncollected()
     def reached(self, roots: Iterable[Place]) -> dict[Place, str]:
         """Return all definitions that are reached from some, and the hash of each."""
         waiting: list[Place | None] = []
