@@ -57,20 +57,6 @@ def changed(package: Path, before: dict[str, str], file: str, old: str, new: str
     return {name for name in before if before[name] != after[name]}
 
 
-def test_a_docstring_or_a_comment_changes_nothing(package: Path, before: dict[str, str]) -> None:
-    undo = [
-        edited(path, lambda text: text.replace('"""', '"""Other words. ', 1) + "\n# a remark\n")
-        for path in sorted(package.rglob("*.py"))
-        if path.read_text(encoding="utf-8").startswith('"""')
-    ]
-    assert len(undo) > 100
-    try:
-        assert digests(package) == before
-    finally:
-        for one in undo:
-            one()
-
-
 def test_an_annotation_of_a_function_changes_nothing(package: Path, before: dict[str, str]) -> None:
     old, new = "def did_you_mean(name: str,", "def did_you_mean(name: 'str | None',"
     assert changed(package, before, "ops/errors.py", old, new) == set()
@@ -183,3 +169,17 @@ def test_functions_of_this_program_have_a_digest() -> None:
     assert code_digest(analyse) == code_digest(f"{analyse.__module__}:analyse")
     assert code_digest(analyse) != code_digest(analyse, learn_runs)
     assert len(code_digest(analyse)) == 16
+
+
+def test_a_docstring_or_a_comment_changes_nothing(package: Path, before: dict[str, str]) -> None:
+    undo = [
+        edited(path, lambda text: text.replace('"""', '"""Other words. ', 1) + "\n# a remark\n")
+        for path in sorted(package.rglob("*.py"))
+        if path.read_text(encoding="utf-8").startswith('"""')
+    ]
+    assert len(undo) > 100
+    try:
+        assert digests(package) == before
+    finally:
+        for one in undo:
+            one()
