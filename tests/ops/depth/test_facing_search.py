@@ -36,7 +36,7 @@ def test_a_start_finds_a_pose_that_faces_any_direction() -> None:
         for row in range(200)
         if POSES[row, END_EFFECTORS[2:4], 1].max() < POSES[row, END_EFFECTORS, 1][[0, 1, 4]].min()
     ]
-    for degrees in (0.0, *TURNS_DEG):
+    for degrees in (0.0, 180.0, -45.0):
         row = 11 if degrees in ALL_MAPS_DEG else feet_down[0]
         pose = filmed(row, degrees)
         extrema = pose[END_EFFECTORS][[2, 4, 0, 3, 1]]
@@ -52,7 +52,7 @@ def test_a_frame_adds_one_pose_of_the_direction_whose_turn_it_is() -> None:
     pose = filmed(5, 0.0)
     extrema = pose[END_EFFECTORS]
     own = LOOKUP.propose(extrema, CENTRE, TOWARDS, pose)
-    for number in range(9):
+    for number in (0, 2, 8):
         found = add_turned(own, LOOKUP, extrema, CENTRE, TOWARDS, number)
         assert len(found.rows) == len(own.rows) + 1 == len(set(found.rows.tolist()))
         assert found.turns.tolist() == [*[0.0] * len(own.rows), TURNS_DEG[number % 7]]

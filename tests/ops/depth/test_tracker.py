@@ -16,6 +16,9 @@ from kinedex.ops.simulation.depth_flesh import Surface
 from kinedex.ops.simulation.depth_rays import ConeRays
 from tests.ops.depth.cone_bodies import BODY, HEIGHT, POSE, random_pose
 from tests.ops.depth.pose_material import BONES, random_directions
+from tests.plain_python import slow_as_python
+
+pytestmark = slow_as_python  # each kernel has its own test as plain Python
 
 SIZE, FOCAL, CENTRE = (150, 120), 126.0, (70.0, 59.5)
 MATRIX = [[FOCAL, 0, CENTRE[0]], [0, FOCAL, CENTRE[1]], [0, 0, 1]]
