@@ -98,8 +98,10 @@ def _errors(sensor: F64, track: F64, q_global: F64, q_mount: F64, axis: F64, out
         out[2, k] = degrees * 2.0 * math.atan2(abs(along), abs(w))
 
 
-def mount_direction(sensor: F64, directions: F64, q_global: F64, weights: F64 | None = None) -> F64:
+def mount_direction(sensor: F64, directions: F64, q_global: F64) -> F64:
     """Return the limb's long axis in the sensor's axes, for limbs of which only that axis is known.
+
+    It is a weighted mean over the frames, (s²/(s² + e²))² with s = 12° once and 6° six times.
 
     Parameters
     ----------
@@ -109,8 +111,6 @@ def mount_direction(sensor: F64, directions: F64, q_global: F64, weights: F64 | 
         Unit vectors along the limb in the take's world; NaN where unknown.
     q_global : float64 array (4,)
         F_GI → the take's world, from another limb.
-    weights : float64 array (T,) or None
-        Weights of the frames; None: robust ones, (s²/(s² + e²))² with s = 12° once and 6° six times.
 
     Returns
     -------
@@ -123,13 +123,9 @@ def mount_direction(sensor: F64, directions: F64, q_global: F64, weights: F64 | 
         No frame is known, or the directions cancel each other.
     """
     known = np.isfinite(sensor).all(axis=1) & np.isfinite(directions).all(axis=1)
-    if weights is not None:
-        known &= weights > 0.0
     if not known.any():
         raise ParameterError("sensor and directions", "known together in some frame", "none")
     local = rotate(conjugate(multiply(q_global, sensor[known])), directions[known])
-    if weights is not None:
-        return _unit(np.average(local, axis=0, weights=weights[known]))
     # the medoid of frames spread evenly is a start that wrong frames do not move
     some = local[np.linspace(0, len(local) - 1, min(len(local), 300)).astype(np.int64)]
     apart = np.arccos(np.clip(some @ some.T, -1.0, 1.0))

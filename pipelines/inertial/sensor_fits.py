@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
 from kinedex.ops.inertial.disagreement import mount_direction
-from kinedex.ops.inertial.drift import HeadingDrift
 from kinedex.ops.inertial.hand_eye import Options, Stream, StreamFit, calibrate
 from kinedex.ops.inertial.limb_orientation import NONE
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
@@ -259,8 +258,3 @@ def _thinned(streams: Sequence[Stream]) -> list[Stream]:
             valid[np.flatnonzero(stream.valid)[::every]] = True
         thinned.append(replace(stream, valid=valid))
     return thinned
-
-
-def drift_of(one: SensorFit) -> HeadingDrift:
-    """Return the correction of a sensor's heading."""
-    return HeadingDrift.none() if one.fit is None else one.fit.drift

@@ -132,8 +132,7 @@ def test_a_limb_of_which_only_the_axis_is_known_is_judged_by_its_swing() -> None
     e = d.direction_errors(sensor, directions, world, along)
     assert np.nanmax(e[61:]) < 1e-5
     assert np.isnan(e[60])
-    weighted = d.mount_direction(sensor, directions, world, weights=(np.arange(200) > 60).astype(float))
-    np.testing.assert_allclose(weighted, along, atol=1e-12)
+    np.testing.assert_allclose(d.mount_direction(sensor[61:], directions[61:], world), along, atol=1e-12)
     with pytest.raises(ParameterError, match="known together in some frame"):
         d.mount_direction(sensor, directions * np.nan, world)
 
