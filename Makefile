@@ -5,6 +5,7 @@ BIN    := $(VENV)/bin
 STORE  ?= build/demo-store
 TRACKING_STORE ?= build/tracking-store
 DEPTH_STORE ?= build/depth-store
+INERTIAL_STORE ?= build/inertial-store
 DATA   ?=
 METHOD ?= thesis
 FUZZ_SECONDS ?= 20
@@ -16,7 +17,7 @@ ATTACK  ?=
 WORKERS ?= $(shell $(PYTHON) -c 'import os; print(len(os.sched_getaffinity(0)) + 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) + 1)')
 NIGHTLY ?=
 
-.PHONY: setup demo demo-tracking demo-depth test lint types check-kernels fuzz attack bench docs links wheel sbom audit lock clean help
+.PHONY: setup demo demo-tracking demo-depth demo-inertial test lint types check-kernels fuzz attack bench docs links wheel sbom audit lock clean help
 .DEFAULT_GOAL := help
 
 help:
@@ -25,6 +26,7 @@ help:
 	@echo "make demo METHOD=best      the same job with all frames of a take labelled together"
 	@echo "make demo-tracking         film takes of a synthetic archive, track, stabilise, evaluate, print where the page is"
 	@echo "make demo-depth            film takes by a depth camera, reconstruct them with the archive's poses, evaluate"
+	@echo "make demo-inertial         put simulated sensors on takes, break the takes, judge them by the sensors"
 	@echo "make test                  lint, types and all tests"
 	@echo "make fuzz                  broken files against every reader (FUZZ_SECONDS=20 for each, FUZZ_SEED=0)"
 	@echo "make attack                attacks on a store, counted (ATTACK=kills for one, NIGHTLY=1 for all of each)"
@@ -56,6 +58,9 @@ demo-tracking: setup
 
 demo-depth: setup
 	@$(BIN)/kinedex demo "$(DEPTH_STORE)" --depth --minutes 3
+
+demo-inertial: setup
+	@$(BIN)/kinedex demo "$(INERTIAL_STORE)" --inertial --minutes 3
 
 # ---- checks ----------------------------------------------------------------------------------------------
 lint: setup

@@ -151,7 +151,7 @@ def run_depth_demo(store: Path, minutes: float, executor: str, workers: int | No
     data = store.parent / f"{store.name}-archive-{minutes:g}min"
     make_archive(data, minutes, ACTORS, SEED, workers, console)
     common: dict[str, Any] = {"executor": executor, "workers": workers, "terminal": terminal}
-    run_pipeline("ingest", store, settings={"source": str(data), "ingest.patterns": _patterns()}, **common)
+    run_pipeline("ingest", store, settings={"source": str(data), "ingest.patterns": shipped_patterns()}, **common)
     recordings = store.parent / f"{store.name}-recordings"
     if not (recordings / RECORDINGS).is_file():
         console.print(f"depth recordings of the actor '{FILMED}' in {recordings}", style="bold", markup=False)
@@ -169,7 +169,7 @@ def run_depth_demo(store: Path, minutes: float, executor: str, workers: int | No
     return run_pipeline("reconstruct", store, assignments=settings, **common)
 
 
-def _patterns() -> list[str]:
+def shipped_patterns() -> list[str]:
     """Return the patterns of the shipped pipelines, which fit the synthetic archive."""
     from kinedex.catalog.configs import config_path, load_yaml
 

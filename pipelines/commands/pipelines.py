@@ -36,7 +36,7 @@ def demo(
         typer.Argument(
             metavar="STORE",
             help="Directory of the store; created where it is missing.",
-            show_default="build/demo-store; build/tracking-store with --tracking; build/depth-store with --depth",
+            show_default="build/demo-store; build/tracking-store with --tracking, and so on",
         ),
     ] = None,
     data: Annotated[
@@ -45,7 +45,9 @@ def demo(
     minutes: Annotated[
         float | None,
         typer.Option(
-            min=1, help="Minutes of motion in the synthetic archive.", show_default="30; 3 with --tracking or --depth"
+            min=1,
+            help="Minutes of motion in the synthetic archive.",
+            show_default="30; 3 with --tracking, --depth or --inertial",
         ),
     ] = None,
     method: Annotated[str, typer.Option(help="Method of annotation: thesis or best.")] = "thesis",
@@ -55,6 +57,9 @@ def demo(
     depth: Annotated[
         bool, typer.Option("--depth", help="Film takes by a simulated depth camera, and reconstruct them.")
     ] = False,
+    inertial: Annotated[
+        bool, typer.Option("--inertial", help="Put simulated inertial sensors on takes, and judge the takes by them.")
+    ] = False,
     executor: ExecutorOption = "processes",
     workers: WorkersOption = None,
 ) -> None:
@@ -63,17 +68,18 @@ def demo(
     The archive is synthetic, and made where it is missing; --data runs the same on an archive of your own.
     """
     from kinedex.pipelines.commands.demo import run_demo, run_depth_demo, run_tracking_demo
+    from kinedex.pipelines.commands.inertial_demo import run_inertial_demo
     from kinedex.pipelines.console.terminal import message_console
 
-    if tracking and depth:
-        raise typer.BadParameter("--tracking and --depth are different demos; choose one")
-    if (tracking or depth) and data is not None:
-        name = "--tracking" if tracking else "--depth"
-        raise typer.BadParameter(f"{name} films takes of the synthetic archive; leave out --data")
-    if tracking or depth:
-        store = store or Path("build/tracking-store" if tracking else "build/depth-store")
-        run_filmed = run_tracking_demo if tracking else run_depth_demo
-        show_outcome(run_filmed(store, minutes or 3.0, executor, workers, message_console()), store)
+    others = {"tracking": run_tracking_demo, "depth": run_depth_demo, "inertial": run_inertial_demo}
+    chosen = [name for name, on in (("tracking", tracking), ("depth", depth), ("inertial", inertial)) if on]
+    if len(chosen) > 1:
+        raise typer.BadParameter(f"{' and '.join(f'--{name}' for name in chosen)} are different demos; choose one")
+    if chosen and data is not None:
+        raise typer.BadParameter(f"--{chosen[0]} uses takes of the synthetic archive; leave out --data")
+    if chosen:
+        store = store or Path(f"build/{chosen[0]}-store")
+        show_outcome(others[chosen[0]](store, minutes or 3.0, executor, workers, message_console()), store)
         return
     store = store or Path("build/demo-store")
     show_outcome(run_demo(store, data, minutes or 30.0, executor, workers, message_console(), method), store)

@@ -135,6 +135,7 @@ BUILT_IN = {
     "evaluate_limb_errors": "kinedex.pipelines.stages.evaluate_limb_errors:EvaluateLimbErrors",
     "simulate_imu": "kinedex.pipelines.stages.simulate_imu:SimulateImu",
     "break_track": "kinedex.pipelines.stages.break_track:BreakTrack",
+    "report_limb_errors": "kinedex.pipelines.stages.report_limb_errors:ReportLimbErrors",
 }
 """The built-in stages, in the form of entry points."""
 

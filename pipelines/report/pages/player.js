@@ -8,11 +8,13 @@
 // Every svg.plot of a [data-take] shows a playhead; data-left and data-width, in percent, place a take within a plot.
 // data-one and data-other are the captions of an interval and of what stands beside it. Where #motions has rays, a box
 // draws them: lines from the cameras to the places that they saw. Where it has clouds, points of a depth camera are drawn.
+// Where it has triads, the axes of limbs are drawn as the take has them and, dashed, as sensors report them; those of the
+// limb in data-limb stand out.
 // The document gets the event "playhead" (detail: take, frame, seconds) at every picture, and "playend" on close.
 (() => {
   const source = document.getElementById("motions"), player = document.getElementById("player");
   if (!source || !player || !window.DecompressionStream) return;
-  const { joints, parents, motions, near = [], rays = [], clouds = [] } = JSON.parse(source.textContent);
+  const { joints, parents, motions, near = [], rays = [], clouds = [], triads = [] } = JSON.parse(source.textContent);
   for (const one of near) { let sum = 0; one[1] = one[1].map(step => sum += step); }
   const canvas = player.querySelector("canvas"), pen = canvas.getContext("2d"), playerPen = pen;
   const [what, now, play, time, speed, loop, close, wide] =
@@ -110,6 +112,8 @@
         pen.stroke();
       });
     }
+    const axes = pen === playerPen ? triads.find(one => one.rows && one.take === motion.take) : null;
+    if (axes) drawTriads(pen, axes, position, onto, colour);
     pen.restore();
     return points.some(point => point);
   }
@@ -125,6 +129,29 @@
       const [x, y] = onto(point);
       pen.fillRect(x - 1.5, y - 1.5, 3, 3);
     }
+  }
+
+  // Seven points of each limb: its middle, the tips of the take's axes, and those of the sensor's.
+  function drawTriads(pen, axes, position, onto, colour) {
+    const chosen = attribute(playing.block, "limb");
+    axes.limbs.forEach((limb, l) => {
+      const middle = place(axes, 7 * l, position);
+      if (!middle) return;
+      pen.globalAlpha = chosen && chosen !== limb ? 0.25 : 1;
+      for (let tip = 1; tip < 7; tip++) {
+        const end = place(axes, 7 * l + tip, position);
+        if (!end) continue;
+        pen.strokeStyle = colour(`axis-${"xyz"[(tip - 1) % 3]}`);
+        pen.lineWidth = tip < 4 ? 3 : 2.5;
+        pen.setLineDash(tip < 4 ? [] : [5, 5]);
+        pen.beginPath();
+        pen.moveTo(...onto(middle));
+        pen.lineTo(...onto(end));
+        pen.stroke();
+      }
+    });
+    pen.setLineDash([]);
+    pen.globalAlpha = 1;
   }
 
   // A ray that passes by its joint at more than 10 cm is drawn in the colour of faults.
@@ -203,6 +230,7 @@
     const seen = await unpack(rays.find(one => one.take === chosen.take));
     if (wide) wide.parentElement.hidden = !seen;
     await unpack(clouds.find(one => one.take === chosen.take));
+    await unpack(triads.find(one => one.take === chosen.take));
     if (example && !block.dataset.nearStart) {
       const [one, other] = [heading(example, index(example, partner(block, +block.dataset.start, shown))), heading(shown, index(shown, +block.dataset.start))];
       if (one !== null && other !== null) playing.facing = one - other;

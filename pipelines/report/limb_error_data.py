@@ -1,0 +1,269 @@
+"""The content of the page about limb errors, from the results of the stages that compared takes with sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from kinedex.catalog.limbs import LIMB_NAMES
+from kinedex.ops.inertial.disagreement import TAU_DEG
+from kinedex.pipelines.recordings.stored_results import earlier_rows
+from kinedex.storage.snapshot.row_groups import RowGroups
+from kinedex.storage.store.store import Store
+
+F64 = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class StageKeys:
+    """The stages whose results a page shows, each "<pipeline>/<stage>".
+
+    Attributes
+    ----------
+    errors, clocks, calibration, sensors, limbs : str
+        The stages limb_errors, synchronise, calibrate_sensors, read_imu and limb_orientations, or break_track instead
+        of the last one.
+    evaluation : str or None
+        The stage evaluate_limb_errors.
+    """
+
+    errors: str
+    clocks: str
+    calibration: str
+    sensors: str
+    limbs: str
+    evaluation: str | None = None
+
+
+@dataclass(frozen=True)
+class MarkedRun:
+    """An interval of a limb that is wrong.
+
+    Attributes
+    ----------
+    start_s, stop_s : float
+        Seconds of the take.
+    peak_deg, mean_deg : float or None
+        Its errors; None for manual ones and where no frame counts.
+    jump : bool
+        The take's limb jumps there.
+    """
+
+    start_s: float
+    stop_s: float
+    peak_deg: float | None = None
+    mean_deg: float | None = None
+    jump: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class LimbErrors:
+    """The errors of a limb in a take.
+
+    Attributes
+    ----------
+    limb : str
+        Its name.
+    basis : str
+        How its orientation is known.
+    times : float64 array (T,)
+        Seconds of the source's frames.
+    degrees, swing, twist : float64 array (T,)
+        Errors; NaN where a frame does not count.
+    tau_deg : float
+        The threshold.
+    automatic : tuple of MarkedRun
+        The runs above it.
+    manual : dict of str to tuple of MarkedRun
+        Annotator → the intervals that this person marked.
+    """
+
+    limb: str
+    basis: str
+    times: F64
+    degrees: F64
+    swing: F64
+    twist: F64
+    tau_deg: float
+    automatic: tuple[MarkedRun, ...] = ()
+    manual: Mapping[str, tuple[MarkedRun, ...]] = field(default_factory=dict)
+
+    @property
+    def known(self) -> F64:
+        """The errors of the frames that count."""
+        return self.degrees[np.isfinite(self.degrees)]
+
+    @property
+    def wrong(self) -> float:
+        """The share of them above τ; 0 where none counts."""
+        known = self.known
+        return float((known > self.tau_deg).mean()) if len(known) else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class TakeErrors:
+    """A take that was compared with sensors.
+
+    Attributes
+    ----------
+    take_id : int
+        Its id.
+    take : str
+        Its name.
+    frames : int
+        Its length in analysis frames.
+    seconds : float
+        Its length.
+    limbs : tuple of LimbErrors
+        The limbs with a sensor.
+    clocks, calibrations : tuple of dict
+        Its rows of `sensor_sync` and `sensor_calibration`.
+    """
+
+    take_id: int
+    take: str
+    frames: int
+    seconds: float
+    limbs: tuple[LimbErrors, ...]
+    clocks: tuple[Mapping[str, Any], ...] = ()
+    calibrations: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def wrong(self) -> float:
+        """The share of all frames of its limbs that are above τ."""
+        known = sum(len(one.known) for one in self.limbs)
+        return sum(one.wrong * len(one.known) for one in self.limbs) / known if known else 0.0
+
+    @property
+    def worst(self) -> LimbErrors | None:
+        """The limb with the largest share of wrong frames; of equal ones that with the largest error."""
+        known = [one for one in self.limbs if len(one.known)]
+        return max(known, key=lambda one: (one.wrong, float(one.known.max())), default=None)
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A take, recording or sensor that was left out, with the reason."""
+
+    take: str
+    what: str
+    reason: str
+
+
+def refusals(
+    clocks: Sequence[Mapping[str, Any]],
+    calibrations: Sequence[Mapping[str, Any]],
+    log: Sequence[Mapping[str, Any]],
+) -> list[Refusal]:
+    """Return what was left out, and why; a sensor without a clock is not listed beside its recording.
+
+    Parameters
+    ----------
+    clocks, calibrations, log : sequence of dict
+        Rows of `sensor_sync`, `sensor_calibration` and `ingest_log`.
+    """
+    found = [Refusal("", str(row["source"]), str(row["message"])) for row in log]
+    without = set()
+    for row in clocks:
+        if row["left_out"]:
+            without.add((row["take_id"], row["recording"]))
+            found.append(Refusal(str(row["take"]), f"recording {row['recording']}", str(row["left_out"])))
+    for row in calibrations:
+        if row["left_out"] and (row["take_id"], row["recording"]) not in without:
+            what = f"{row['limb']}, sensor {row['sensor']}"
+            found.append(Refusal(str(row["take"]), what, str(row["left_out"])))
+    return found
+
+
+class StoredErrors:
+    """The errors of takes that stages have stored; the frames of a take are read when it is asked for.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    keys : StageKeys
+        The stages.
+    """
+
+    def __init__(self, store: Store, keys: StageKeys) -> None:
+        self._store, self._names = store, {take_id: name for name, take_id in store.take_ids.items()}
+        live = set(store.manifest.live_takes)
+        self._rows = RowGroups(store, "limb_errors", keys.errors, "take_id")
+        self.clocks = [row for row in earlier_rows(store, "sensor_sync", keys.clocks) if row["take_id"] in live]
+        self.calibrations = [
+            row for row in earlier_rows(store, "sensor_calibration", keys.calibration) if row["take_id"] in live
+        ]
+        self.log = earlier_rows(store, "ingest_log", keys.sensors)
+        self.metrics = earlier_rows(store, "limb_error_metrics", keys.evaluation) if keys.evaluation else []
+        self._runs = earlier_rows(store, "limb_error_runs", keys.errors)
+        self._labels = earlier_rows(store, "limb_labels", keys.evaluation) if keys.evaluation else []
+        self._annotators = sorted({str(row["annotator"] or UNNAMED) for row in self._labels})
+        self.take_ids = [take_id for take_id in self._rows.values if take_id in live]
+        self._taus: dict[int, float] = {}
+
+    def tau_of(self, take_id: int) -> float:
+        """Return the τ of a take in degrees."""
+        if take_id not in self._taus:
+            rows = self._rows.rows(take_id)
+            self._taus[take_id] = float(rows.column("tau_deg")[0].as_py()) if rows.num_rows else TAU_DEG
+        return self._taus[take_id]
+
+    def take(self, take_id: int) -> TakeErrors:
+        """Return a take with the errors of its limbs."""
+        frames = self._store.take_frames[take_id]
+        rows = self._rows.rows(take_id)
+        calibrations = tuple(row for row in self.calibrations if row["take_id"] == take_id)
+        bases = {str(row["limb"]): str(row["basis"] or "") for row in calibrations if not row["left_out"]}
+        present = set(pc.unique(rows.column("limb")).to_pylist())
+        limbs = tuple(self._limb(take_id, limb, bases.get(limb, ""), rows) for limb in LIMB_NAMES if limb in present)
+        last = max((float(one.times[-1]) for one in limbs if len(one.times)), default=0.0)
+        return TakeErrors(
+            take_id, self._names[take_id], frames, max(frames / self._store.rate_hz, last), limbs,
+            tuple(row for row in self.clocks if row["take_id"] == take_id), calibrations,
+        )  # fmt: skip
+
+    def _limb(self, take_id: int, limb: str, basis: str, rows: pa.Table) -> LimbErrors:
+        """Return a limb; where several recordings cover a frame, one in which it counts goes before the others."""
+        own = rows.filter(pc.equal(rows.column("limb"), limb))
+        frame, valid = own.column("source_frame").to_numpy(), _floats(own, "valid") > 0.0
+        order = np.lexsort((~valid, frame))
+        order = order[np.concatenate([[True], np.diff(frame[order]) > 0])] if len(order) else order
+        whole, swing, twist = (_floats(own, name) for name in ("degrees", "swing_deg", "twist_deg"))
+        degrees = np.where(np.isfinite(whole), whole, swing)
+        counted = [np.where(valid, values, np.nan)[order] for values in (degrees, swing, twist)]
+        return LimbErrors(
+            limb, basis, _floats(own, "t")[order], counted[0], counted[1], counted[2], self.tau_of(take_id),
+            tuple(_run(row) for row in self._runs if (row["take_id"], row["limb"]) == (take_id, limb)),
+            self._manual(take_id, limb),
+        )  # fmt: skip
+
+    def _manual(self, take_id: int, limb: str) -> dict[str, tuple[MarkedRun, ...]]:
+        """Return what each annotator marked in a limb; nothing from any of them is a row of its own."""
+        found: dict[str, list[MarkedRun]] = {who: [] for who in self._annotators}
+        for row in self._labels:
+            if (row["take_id"], row["limb"]) == (take_id, limb):
+                marked = MarkedRun(float(str(row["start_seconds"])), float(str(row["stop_seconds"])))
+                found[str(row["annotator"] or UNNAMED)].append(marked)
+        return {who: tuple(runs) for who, runs in found.items()}
+
+
+UNNAMED = "manual"
+"""The name of annotators that label files do not name."""
+
+
+def _floats(rows: pa.Table, column: str) -> F64:
+    values: F64 = pc.cast(rows.column(column), pa.float64()).to_numpy(zero_copy_only=False)
+    return values
+
+
+def _run(row: Mapping[str, Any]) -> MarkedRun:
+    return MarkedRun(
+        row["start_seconds"], row["stop_seconds"], row["peak_deg"], row["mean_deg"], jump=row["kind"] == "jump"
+    )
