@@ -157,7 +157,7 @@ def standing(limbs: dict[str, LimbMotion]) -> dict[str, LimbMotion]:
             for values in (one.position, one.direction)
         )
         axis /= np.linalg.norm(axis, axis=1)[:, None]
-        known = np.isfinite(orientation).all(axis=1)
+        known = np.logical_and.reduce(np.isfinite(orientation), axis=1)
         found[name] = LimbMotion(
             name, one.basis, grid, orientation, place, axis, known, np.zeros(len(grid), np.bool_)
         )  # fmt: skip
@@ -184,10 +184,10 @@ def make_trial(name: str, actor: str, limbs: dict[str, LimbMotion], grade: str, 
 
 def judge(trial: Trial) -> Judged:
     """Find clock and mounts of a trial from itself, errors and all, and compare its limbs with the sensors."""
-    found = synchronise(trial.take, RECORDING, SynchroniseParameters())
+    found = synchronise(trial.take, RECORDING, SynchroniseParameters.model_validate({}))
     assert found.clock is not None, found.left_out
     clocks = {(1, RECORDING): found.clock}
-    fits = fit_together(FitTask((trial.take,), clocks, CalibrateParameters()))
+    fits = fit_together(FitTask((trial.take,), clocks, CalibrateParameters.model_validate({})))
     return Judged(trial, found.clock, fits, _curves(trial.take, found.clock, fits))
 
 
@@ -195,7 +195,7 @@ def _curves(take: WornTake, clock: Clock, fits: Sequence[SensorFit]) -> tuple[Li
     rows: dict[tuple[int, str, str], Any] = {
         (1, RECORDING, one.sensor): {"drift": (), **calibration_row(one)} for one in fits if not one.left_out
     }
-    return take_errors(take, {(1, RECORDING): clock}, rows, LimbErrorsParameters()).curves
+    return take_errors(take, {(1, RECORDING): clock}, rows, LimbErrorsParameters.model_validate({})).curves
 
 
 def labels_of(trial: Trial, limb: str) -> list[tuple[int, int]]:
@@ -239,7 +239,7 @@ def quantities(judged: Sequence[Judged]) -> list[list[str]]:
     scales = {"orientation, °": 1.0, "angular velocity, °/s": 5.0, "acceleration, m/s²": 0.1}
     rows = []
     for place, (name, step) in enumerate(scales.items()):
-        taus = step * np.arange(1, 181)
+        taus = [step * k for k in range(1, 181)]
         counts = []
         for one in judged:
             for curve in one.curves:
@@ -285,7 +285,7 @@ def bases(judged: Sequence[Judged], joints: dict[str, dict[str, LimbMotion]]) ->
             for name in ("lshank", "rshank"):
                 limbs[name] = _of_basis(basis, limbs[name], one.trial.true[name], joints[one.trial.take.take][name])
             take = replace(one.trial.take, limbs=limbs)
-            fits = fit_together(FitTask((take,), {(1, RECORDING): one.clock}, CalibrateParameters()))
+            fits = fit_together(FitTask((take,), {(1, RECORDING): one.clock}, CalibrateParameters.model_validate({})))
             counts.append(replace(one, fits=fits, curves=_curves(take, one.clock, fits)).counts("shank", TAUS))
         figures = [pooled(some) for some in zip(*counts, strict=True)]
         rows.append([basis, *(f"{one.p1:.2f} / {one.r1:.2f} / {one.f1:.3f}" for one in figures)])
