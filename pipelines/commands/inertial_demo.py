@@ -76,7 +76,8 @@ def run_inertial_demo(store: Path, minutes: float, executor: str, workers: int |
     chosen = f"name IN ({', '.join(repr(name) for name in names)})"
     settings = {
         "source": str(data),
-        "recordings": str(recordings),
+        "recordings": str(recordings / "recordings"),
+        "sensors": str(recordings / "sensors.yaml"),
         "where": chosen,
     }
     outcome = run_pipeline(PIPELINE, store, assignments=settings, **common)
@@ -105,6 +106,7 @@ def figures(store: Store, recordings: Path) -> list[str]:
     """
     with (recordings / TRUTH).open(newline="", encoding="utf-8") as file:
         truth = {(row["file"], row["sensor"]): row for row in csv.DictReader(file)}
+    truth = {(file.removeprefix("recordings/"), sensor): row for (file, sensor), row in truth.items()}
     offsets = {file: float(row["offset_s"]) for (file, _), row in truth.items()}
     clocks = earlier_rows(store, "sensor_sync", f"{PIPELINE}/synchronise")
     late = [
