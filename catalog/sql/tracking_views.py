@@ -166,16 +166,20 @@ reason    VARCHAR    the reason for which they were withdrawn""",
     ),
     result_view(
         "track_metrics",
-        "The distances of tracked and stabilised takes from the truth.",
+        "The distances of tracked and stabilised takes from the truth, and the angles between their limbs and sensors.",
         f"""{TAKE}
-reference    VARCHAR    the truth: a take, or a file of positions
-scope    VARCHAR    take, joint, or part: frames with and without trouble
-name    VARCHAR    which joint or part; all joints for a take
+reference    VARCHAR    the truth, a take or a file of positions; or sensors
+scope    VARCHAR    take, joint, or part: frames with and without trouble; sensors, or limb: angles against sensors
+name    VARCHAR    which joint, part or limb; all for a take
 frames    BIGINT    frames that were compared
 mean_mm    DOUBLE    mean distance
 sd_mm    DOUBLE    standard deviation over the frames' means
 median_mm    DOUBLE    median distance
-max_mm    DOUBLE    greatest mean of a frame""",
+max_mm    DOUBLE    greatest mean of a frame
+mean_deg    DOUBLE    mean angle between limb and sensor; NULL for distances
+sd_deg    DOUBLE    standard deviation of the angles
+median_deg    DOUBLE    median angle
+max_deg    DOUBLE    greatest angle""",
         "SELECT take, mean_mm, max_mm FROM track_metrics WHERE scope = 'take' ORDER BY take",
         stages="evaluate_track",
     ),

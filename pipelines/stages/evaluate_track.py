@@ -1,4 +1,4 @@
-"""Stage evaluate_track: tracked and stabilised takes compared with the truth, where there is one."""
+"""Stage evaluate_track: tracked and stabilised takes compared with the truth, and with sensors, where known."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from kinedex.pipelines.engine.digests import Reading, files_digest, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.recordings.stored_results import earlier_rows
 from kinedex.pipelines.tracking.recordings import stored_rows
+from kinedex.pipelines.tracking.sensor_judges import SENSORS, judged_by_sensors
 from kinedex.pipelines.tracking.track_evaluation import compared, metrics_table, poses_of, truth_reference
 from kinedex.pipelines.tracking.tracked_takes import STABILISED, TRACKED
 from kinedex.storage.store.store import Store
@@ -32,11 +33,15 @@ class Params(BaseModel):
 
 
 class EvaluateTrack(Stage[Params]):
-    """Tracked and stabilised takes compared with the truth, where there is one."""
+    """Tracked and stabilised takes compared with the truth, and with sensors that were worn, where there are some."""
 
     name = "evaluate_track"
     parameters = Params
-    inputs: ClassVar = {"tracks": Input("track"), "stabilised": Input("stabilise", optional=True)}
+    inputs: ClassVar = {
+        "tracks": Input("track"),
+        "stabilised": Input("stabilise", optional=True),
+        "errors": Input("limb_errors", optional=True),
+    }
 
     def external_digest(self, params: Params, store: Store | None) -> str:
         """Return a hash of the files of truth."""
@@ -51,16 +56,18 @@ class EvaluateTrack(Stage[Params]):
         return Reading(hash_of(sorted((row["name"], row["checksum"], row["recipe"]) for row in rows)), "")
 
     def run(self, context: StageContext, params: Params) -> dict[str, object]:
-        """Compare every take whose truth is known, and store the figures."""
+        """Compare every take whose truth is known, or that wore sensors, and store the figures."""
         store = context.open()
         recordings = stored_rows(store)
         rows: list[dict[str, Any]] = []
         without = []
+        tracked: set[int] = set()
         for role in ("tracks", "stabilised"):
             if role not in context.inputs:
                 continue
             stage = context.key(context.inputs[role])
             for row in earlier_rows(store, "tracks", stage):
+                tracked.add(int(str(row["take_id"])))
                 known = recordings.get(str(row["recording"]), {})
                 truth = params.truth or known.get("truth")
                 if truth is None:
@@ -69,16 +76,34 @@ class EvaluateTrack(Stage[Params]):
                 folder = Path(known["file"]).parent if known and params.truth is None else Path()
                 reference = truth_reference(store, truth, folder, known.get("recording"))
                 rows += compared(row, poses_of(store, stage, int(str(row["take_id"]))), reference)
-        context.put_results(track_metrics=metrics_table(rows, context.run))
+        judged: list[dict[str, Any]] = []
+        if "errors" in context.inputs:
+            judged = judged_by_sensors(store, context.key(context.inputs["errors"]), tracked)
+        context.put_results(track_metrics=metrics_table([*rows, *judged], context.run))
         takes = [row for row in rows if row["scope"] == "take"]
         if takes:
             context.terminal.show(_table(rows))
-        else:
+        if judged:
+            context.terminal.show(_sensor_table(judged))
+        if not takes and not judged:
             context.say("no truth is known: set `truth` of the recording, or of this stage, to a take or a motion file")
+        wholes = [row for row in judged if row["scope"] == SENSORS]
         return {
             "takes": {row["take"]: round(row["mean_mm"], 3) for row in takes},
             "without_truth": without,
+            **({"degrees": {row["take"]: round(row["mean_deg"], 3) for row in wholes}} if wholes else {}),
         }
+
+
+def _sensor_table(rows: list[dict[str, Any]]) -> Table:
+    """Return a row for each take, and each of its limbs: the angles against the sensors."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in ("take", "limb", "mean °", "sd", "median", "max"):
+        table.add_column(column, justify="left" if column in ("take", "limb") else "right")
+    for row in sorted(rows, key=lambda row: (_subject(row["take"]), -row["take"].endswith(TRACKED))):
+        texts = (f"{row[name]:.1f}" for name in ("mean_deg", "sd_deg", "median_deg", "max_deg"))
+        table.add_row(plain_text(row["take"]), plain_text(row["name"]), *texts)
+    return table
 
 
 def _table(rows: list[dict[str, Any]]) -> Table:

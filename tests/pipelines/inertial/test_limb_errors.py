@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
 from kinedex.ops.errors import SourceError
@@ -15,10 +16,12 @@ from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.inertial.limb_tables import limb_table, stored_limbs
 from kinedex.pipelines.stages.calibrate_sensors import CalibrateSensors
 from kinedex.pipelines.stages.evaluate_limb_errors import EvaluateLimbErrors
+from kinedex.pipelines.stages.evaluate_track import EvaluateTrack
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.pipelines.stages.limb_errors import LimbErrors
 from kinedex.pipelines.stages.limb_orientations import LimbOrientations
 from kinedex.pipelines.stages.synchronise import Synchronise
+from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 from tests.pipelines.archives import context, write_archive
@@ -218,3 +221,24 @@ def test_labels_that_cannot_be_used_are_errors(
 
 def test_without_labels_there_is_nothing_to_evaluate(judged: Path) -> None:
     assert evaluate(judged) == {"evaluated_takes": 0}
+
+
+def test_sensors_judge_tracked_takes(judged: Path) -> None:
+    store = open_store(judged / "store", at="newest")
+    take_id = store.take_ids[TAKE]
+    with context(judged / "store").writer() as writer:
+        row = {"run": "run-1", "take_id": take_id, "take": TAKE, "recording": "none"}
+        tracks = pa.Table.from_pylist([row], schema=result_schema("tracks"))
+        writer.put_results("tracks", tracks, stage="test/track", run="run-1")
+        writer.commit()
+    place = dataclasses.replace(stage_context(judged, "evaluate_track"), inputs={**INPUTS, "tracks": "track"})
+    done = EvaluateTrack().run(place, EvaluateTrack.parameters())
+    assert done["without_truth"] == [TAKE]
+    store = open_store(judged / "store", at="newest")
+    rows = store.sql("SELECT * FROM track_metrics ORDER BY name").to_pylist()
+    assert [(row["scope"], row["name"]) for row in rows] == [
+        ("sensors", "all"), ("limb", "lshank"), ("limb", "rhand"), ("limb", "torso")
+    ]  # fmt: skip
+    assert rows[1]["max_deg"] == pytest.approx(DEGREES, abs=1.0)
+    assert (rows[1]["reference"], rows[1]["mean_mm"]) == ("sensors", None)
+    assert rows[0]["frames"] == sum(row["frames"] for row in rows[1:])
