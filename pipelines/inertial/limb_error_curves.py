@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -27,16 +27,19 @@ from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake
 
 F64 = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
+Names = npt.NDArray[np.str_]
 
 
 @dataclass(frozen=True, eq=False)
 class LimbCurve:
-    """The errors of a limb against its sensor.
+    """The errors of a limb against its sensor, or against those of several recordings of the take.
 
     Attributes
     ----------
-    limb, recording, sensor : str
-        Names.
+    limb : str
+        Its name.
+    recording, sensor : str array (T,)
+        The recording and the sensor that judge each frame.
     times : float64 array (T,)
         Seconds of the take.
     degrees, swing, twist : float64 array (T,)
@@ -48,8 +51,8 @@ class LimbCurve:
     """
 
     limb: str
-    recording: str
-    sensor: str
+    recording: Names
+    sensor: Names
     times: F64
     degrees: F64
     swing: F64
@@ -99,7 +102,8 @@ def take_errors(
 ) -> TakeErrors:
     """Compare the limbs of a take with the sensors that were worn on them.
 
-    Of several sensors on one limb, the one with the most frames judges it.
+    Of several sensors on one limb, the one with the most frames judges it, and the others the frames that it lacks: the
+    recordings of a take may cover one part of it each.
 
     Parameters
     ----------
@@ -124,14 +128,23 @@ def take_errors(
         other = found.get(sensor.limb)
         if other is not None:
             better = curve.valid.sum() > other.valid.sum()
-            kept, lost = (curve, other) if better else (other, curve)
-            left_out.append(f"{lost.limb} is judged by {kept.sensor} of {kept.recording}, not by {lost.sensor} as well")
-            curve = kept
+            kept, filler = (curve, other) if better else (other, curve)
+            if (kept.valid & filler.valid).any():
+                first, second = (f"{one.sensor[0]} of {one.recording[0]}" for one in (kept, filler))
+                left_out.append(f"{kept.limb}: where {first} and {second} both know a frame, the former judges it")
+            curve = _filled(kept, filler)
         found[sensor.limb] = curve
     curves = tuple(found.values())
     tau = auto_tau((one.error, one.valid) for one in curves) if params.tau == "auto" else params.tau
     rules = RunRules(tau, params.low, params.gap_s, params.min_s)
     return TakeErrors(curves, tau, {one.limb: _runs(one, rules) for one in curves}, left_out)
+
+
+def _filled(one: LimbCurve, other: LimbCurve) -> LimbCurve:
+    """Return a curve with the frames of another one where its own do not count."""
+    lacks = other.valid & ~one.valid
+    names = ("recording", "sensor", "degrees", "swing", "twist", "valid")
+    return replace(one, **{name: np.where(lacks, getattr(other, name), getattr(one, name)) for name in names})
 
 
 def _runs(curve: LimbCurve, rules: RunRules) -> tuple[list[Run], list[Run]]:
@@ -156,8 +169,9 @@ def _curve(limb: LimbMotion, sensor: WornSensor, clock: Clock, row: Mapping[str,
         swing, twist = (found.swing, found.twist) if swings else (gap, gap)
     judged = np.isfinite(degrees) | np.isfinite(swing)
     valid = known & limb.valid & ~limb.jump & judged
+    recording, name = (np.full(len(limb.times), text) for text in (sensor.recording, sensor.sensor))
     return LimbCurve(
-        limb.limb, sensor.recording, sensor.sensor, limb.times, degrees, swing, twist, valid, limb.jump
+        limb.limb, recording, name, limb.times, degrees, swing, twist, valid, limb.jump
     )  # fmt: skip
 
 

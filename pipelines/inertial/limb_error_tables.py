@@ -37,12 +37,11 @@ def _rows(take_id: int, take: str, one: LimbCurve, tau_deg: float, run: str, sch
         "run": run,
         "take_id": take_id,
         "take": take,
-        "recording": one.recording,
-        "sensor": one.sensor,
         "limb": one.limb,
         "tau_deg": tau_deg,
     }
     columns = {name: pa.repeat(pa.scalar(value, schema.field(name).type), frames) for name, value in constants.items()}
+    columns["recording"], columns["sensor"] = pa.array(one.recording.tolist()), pa.array(one.sensor.tolist())
     columns["source_frame"] = pa.array(np.arange(frames, dtype=np.int32))
     columns["t"], columns["valid"] = pa.array(one.times), pa.array(one.valid)
     for name, values in (("degrees", one.degrees), ("swing_deg", one.swing), ("twist_deg", one.twist)):
