@@ -59,7 +59,7 @@ def world_turn(heading_deg: float) -> F64:
 def magnetic_field(
     strength_ut: float = FIELD_UT, inclination_deg: float = INCLINATION_DEG, declination_deg: float = 0.0
 ) -> F64:
-    """Return the magnetic field in F_GI (thesis, A.4 to A.7).
+    """Return the magnetic field in F_GI (thesis, Eq. A.4 to A.7).
 
     Parameters
     ----------

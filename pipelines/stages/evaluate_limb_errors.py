@@ -155,7 +155,7 @@ def _table(rows: list[dict[str, Any]]) -> Table:
         if key not in wanted or (row["f1"] or 0.0) > (wanted[key]["f1"] or 0.0):
             wanted[key] = row
         if row.get("printed_p1") is not None:
-            wanted[(*key[:2], f"{key[2]} (as printed)")] = row
+            wanted[(*key[:2], f"{key[2]}, τ as printed")] = row
     for key, row in wanted.items():
         tau = "–" if row.get("tau_deg") is None else f"{row['tau_deg']:g}°"
         figures = ("–" if row[name] is None else f"{row[name]:.2f}" for name in ("p1", "r1", "f1", "f2"))
