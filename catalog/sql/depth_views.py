@@ -89,7 +89,7 @@ remarks    VARCHAR[]    what makes the frame doubtful""",
 source_frame    INTEGER    frame of the recording, from 0
 direction    VARCHAR    forward or backward in time
 hypothesis    VARCHAR    local or database
-candidate    INTEGER    number of the database's candidate, from 1: cheapest first, one facing elsewhere last; NULL: local
+candidate    INTEGER    number of the candidate, from 1, cheapest first, one facing elsewhere last; NULL: local
 archive_take    VARCHAR    the take that it comes from; NULL for local
 archive_frame    INTEGER    its frame
 ends    INTEGER[]    the extremum, from 1, that counts as left and right fingers, left and right toes, top of the head
