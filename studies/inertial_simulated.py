@@ -1,15 +1,16 @@
 """`python -m studies.inertial_simulated DATA`: print how well simulated sensors find errors that are put into takes.
 
-DATA is a folder with cmu and hdm05. Five takes of CMU and pieces of takes of HDM05 wear five sensors; all takes stand
-for 3 s at both ends, the tracker has 40 Hz and smooth noise of 1.5°, and all limbs but the torso are broken. It takes
-half a minute.
+DATA is a folder with cmu and hdm05. Five takes of CMU, pieces of HDM05's takes and takes of a synthetic archive wear
+five sensors; all of them stand for 3 s at both ends, the tracker has 40 Hz and smooth noise of 1.5°, and all limbs but
+the torso are broken. It takes a minute.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,6 @@ from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.evaluation.metrics import Counts, pooled
 from kinedex.ops.evaluation.threshold_counts import threshold_counts
-from kinedex.ops.inertial.hand_eye import Stream, calibrate
 from kinedex.ops.inertial.limb_orientation import NONE
 from kinedex.ops.inertial.noise import generator
 from kinedex.ops.inertial.orientation_filter import estimate
@@ -42,15 +42,18 @@ from kinedex.pipelines.inertial.synchronisation import synchronise
 from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake, stream_of
 from kinedex.pipelines.simulation.imu_pieces import LimbPiece, Piece, take_pieces
 from kinedex.pipelines.simulation.imu_sensors import SampledPiece, Wearing, Worn, sample_piece, worn_sensors
+from kinedex.pipelines.synth.archive import write_archive
 from kinedex.storage.formats.motion.reader import MotionFile, ReadSettings
 from kinedex.storage.formats.motion.segments import read_segments
 
 F64 = npt.NDArray[np.float64]
 
 CMU = ("01_01", "02_05", "02_10", "03_04", "86_09")
-HDM05 = ("01", "05", "12")
-"""The takes: of CMU by name, of HDM05 by number; of these the longest pieces, cut to so many seconds at most."""
-MOST_S = 60.0
+"""The takes of CMU."""
+LEAST_S, MOST_S = 3.0, 60.0
+"""Pieces of HDM05, whose takes are clips in a row, have so many seconds at least, all pieces so many at most."""
+SYNTHETIC_MINUTES = 6.0
+"""The size of the synthetic archive, whose clips wear no sensors."""
 
 GRAVITY = np.array([0.0, 0.0, 9.81])
 STAND_S, EASE_S, NOISE_DEG, SENSOR_HZ, TRACK_HZ = 3.0, 1.0, 1.5, 100.0, 40.0
@@ -58,6 +61,16 @@ LEVER_M = (0.03, 0.0, 0.02)
 TAUS = (15.0, 20.0, 45.0)
 SHARES = (0.2, 0.4, 0.6, 0.7)
 RECORDING = "imu"
+
+
+@dataclass(frozen=True)
+class Source:
+    """A take's files and actor, and whether it is divided into pieces at jumps."""
+
+    motion: Path
+    skeleton: Path
+    actor: str
+    is_divided: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,13 +117,14 @@ class Judged:
         return [pooled(some) for some in zip(*own, strict=True)]
 
 
-def read_trials(paths: Sequence[tuple[Path, Path, str]], grade: str, seed: int = 0) -> Iterator[Trial]:
-    """Yield takes of Acclaim files (motion, skeleton, actor) that wear sensors of a grade, broken."""
-    for motion, skeleton, actor in paths:
-        limbs = read_limbs(motion, skeleton)
-        kept = piece_of(limbs)
-        still = standing({name: part(one, kept) for name, one in limbs.items()})
-        yield make_trial(motion.stem, actor, still, grade, seed)
+def read_trials(takes: Sequence[Source], grade: str, seed: int = 0) -> Iterator[Trial]:
+    """Yield takes that wear sensors of a grade, broken."""
+    for take in takes:
+        limbs = read_limbs(take.motion, take.skeleton)
+        for number, kept in enumerate(pieces_of(limbs) if take.is_divided else [piece_of(limbs)], 1):
+            still = standing({name: part(one, kept) for name, one in limbs.items()})
+            name = f"{take.motion.stem} piece {number}" if take.is_divided else take.motion.stem
+            yield make_trial(name, take.actor, still, grade, seed)
 
 
 def read_limbs(motion: Path, skeleton: Path, *, turns: bool = True) -> dict[str, LimbMotion]:
@@ -126,6 +140,14 @@ def piece_of(limbs: dict[str, LimbMotion]) -> slice:
     piece = max(take_pieces(limbs, WORN, True).pieces, key=lambda one: one.stop - one.start)
     times = next(iter(limbs.values())).times
     return slice(piece.start, min(piece.stop, piece.start + int(MOST_S / (times[1] - times[0]))))
+
+
+def pieces_of(limbs: dict[str, LimbMotion]) -> list[slice]:
+    """Return the frames between jumps wherever those last `LEAST_S`."""
+    times = next(iter(limbs.values())).times
+    least = LEAST_S / (times[1] - times[0])
+    found = take_pieces(limbs, WORN, True).pieces
+    return [slice(one.start, one.stop) for one in found if one.stop - one.start >= least]
 
 
 def every_frame(times: F64) -> slice:
@@ -182,13 +204,33 @@ def make_trial(name: str, actor: str, limbs: dict[str, LimbMotion], grade: str, 
     return Trial(slow, WornTake(1, name, broken.limbs, sensors, {}), broken.truth, worn, sampled)
 
 
+def judge_together(trials: Sequence[Trial]) -> list[Judged]:
+    """Calibrate trials of one actor together, each with the clock that was found from itself."""
+    clocks: dict[tuple[int, str], Clock] = {}
+    takes = list[WornTake]()
+    for number, trial in enumerate(trials, 1):
+        clocks[number, RECORDING] = clock_of(trial)
+        takes.append(replace(trial.take, take_id=number))
+    fits = fit_together(FitTask(tuple(takes), clocks, CalibrateParameters.model_validate({"from": "actor"})))
+    return [
+        Judged(trial, clocks[number, RECORDING], own, _curves(trial.take, clocks[number, RECORDING], own))
+        for number, trial in enumerate(trials, 1)
+        for own in [[one for one in fits if one.take_id == number]]
+    ]
+
+
 def judge(trial: Trial) -> Judged:
     """Find clock and mounts of a trial from itself, errors and all, and compare its limbs with the sensors."""
+    clock = clock_of(trial)
+    fits = fit_together(FitTask((trial.take,), {(1, RECORDING): clock}, CalibrateParameters.model_validate({})))
+    return Judged(trial, clock, fits, _curves(trial.take, clock, fits))
+
+
+def clock_of(trial: Trial) -> Clock:
+    """Find the clock of a trial from itself."""
     found = synchronise(trial.take, RECORDING, SynchroniseParameters.model_validate({}))
     assert found.clock is not None, found.left_out
-    clocks = {(1, RECORDING): found.clock}
-    fits = fit_together(FitTask((trial.take,), clocks, CalibrateParameters.model_validate({})))
-    return Judged(trial, found.clock, fits, _curves(trial.take, found.clock, fits))
+    return found.clock
 
 
 def _curves(take: WornTake, clock: Clock, fits: Sequence[SensorFit]) -> tuple[LimbCurve, ...]:
@@ -312,71 +354,94 @@ def known_by_joints(motion: Path, skeleton: Path) -> dict[str, LimbMotion]:
     return {name: part(one, every_frame(one.times)) for name, one in found.items()}
 
 
-def robustness(judged: Sequence[Judged]) -> list[str]:
-    """Return the worst q_L of a shank over takes when so large a part drifts to 120°, noise of 1.5° beside it."""
-    found = []
+def robustness(judged: Sequence[Judged]) -> list[list[str]]:
+    """Return the worst q_L of a shank when a part of it drifts to 120°: alone, and beside four sound limbs."""
+    rows = [["this limb alone"], ["with four other limbs"]]
     for share in SHARES:
-        worst = 0.0
+        worst = [0.0, 0.0]
         for one in judged:
-            limb = one.trial.true["lshank"]
-            sensor = next(sensor for sensor in one.trial.take.sensors if sensor.limb == "lshank")
-            count = len(limb.times)
-            wrong = np.zeros(count)
-            first = round(0.5 * (1.0 - share) * count)
-            stop = first + round(share * count)
-            wrong[first:stop] = np.linspace(0.0, np.radians(120.0), stop - first)
-            axis = generator(0, "robustness", one.trial.take.take).normal(size=3)
-            track = multiply(limb.orientation, exp(wrong[:, None] * axis / np.linalg.norm(axis)))
-            clock = Clock(one.trial.worn.clock.offset_s, one.trial.worn.clock.ppm)
-            orientation, known = interpolate(sensor.times, sensor.orientation, clock.sensor_time(limb.times))
-            (fit,) = calibrate([Stream("lshank", one.trial.take.take, limb.times, orientation, track, known)])
-            worst = max(worst, float(distance_deg(fit.q_mount, one.trial.worn.mounts["lshank"])))
-        found.append(f"{worst:.1f}")
-    return found
+            clocks = {(1, RECORDING): Clock(one.trial.worn.clock.offset_s, one.trial.worn.clock.ppm)}
+            limbs = {**one.trial.true, "lshank": drifting(one.trial.true["lshank"], share, one.trial.take.take)}
+            for place, chosen in enumerate((("lshank",), tuple(limbs))):
+                sensors = tuple(sensor for sensor in one.trial.take.sensors if sensor.limb in chosen)
+                take = replace(one.trial.take, limbs={limb: limbs[limb] for limb in chosen}, sensors=sensors)
+                fits = fit_together(FitTask((take,), clocks, CalibrateParameters.model_validate({})))
+                fit = next(fit for fit in fits if fit.limb == "lshank").fit
+                assert fit is not None
+                worst[place] = max(worst[place], float(distance_deg(fit.q_mount, one.trial.worn.mounts["lshank"])))
+        for row, value in zip(rows, worst, strict=True):
+            row.append(f"{value:.1f}")
+    return rows
 
 
-def sources(data: Path) -> dict[str, list[tuple[Path, Path, str]]]:
-    """Return motion file, skeleton and actor of the takes of both archives."""
-    cmu = [(data / "cmu" / name[:2] / f"{name}.amc", data / "cmu" / name[:2] / f"{name[:2]}.asf") for name in CMU]
-    hdm05 = [(data / "hdm05/takes" / f"HDM_mm_take{number}.amc", data / "hdm05/takes/HDM_mm.asf") for number in HDM05]
-    return {
-        "CMU": [(motion, skeleton, motion.stem[:2]) for motion, skeleton in cmu if motion.is_file()],
-        "HDM05": [(motion, skeleton, "mm") for motion, skeleton in hdm05 if motion.is_file()],
-    }
+def drifting(limb: LimbMotion, share: float, name: str) -> LimbMotion:
+    """Return a limb of which so large a part, in the middle, drifts linearly to 120° about a random axis."""
+    count = len(limb.times)
+    first = round(0.5 * (1.0 - share) * count)
+    stop = first + round(share * count)
+    angle = np.zeros(count)
+    angle[first:stop] = np.linspace(0.0, np.radians(120.0), stop - first)
+    axis = generator(0, "robustness", name).normal(size=3)
+    turn = exp(angle[:, None] * axis / np.linalg.norm(axis))
+    return replace(limb, orientation=multiply(limb.orientation, turn))
 
 
-def lines(data: Path) -> Iterator[str]:
+def sources(data: Path) -> dict[str, list[Source]]:
+    """Return the takes of both archives that there are."""
+    cmu = [
+        Source(data / "cmu" / name[:2] / f"{name}.amc", data / "cmu" / name[:2] / f"{name[:2]}.asf", name[:2])
+        for name in CMU
+    ]
+    hdm05 = [
+        Source(motion, motion.parent / "HDM_mm.asf", "mm", is_divided=True)
+        for motion in sorted((data / "hdm05/takes").glob("HDM_mm_take*.amc"))
+    ]
+    return {"CMU": [one for one in cmu if one.motion.is_file()], "HDM05": hdm05}
+
+
+def synthetic(folder: Path) -> list[Source]:
+    """Write a synthetic archive, and return its takes."""
+    write_archive(folder, minutes=SYNTHETIC_MINUTES, actors=2, jobs=1)
+    takes = sorted((folder / "takes").glob("*.amc"))
+    return [
+        Source(one, one.parent / f"{'_'.join(one.stem.split('_')[:2])}.asf", one.stem.split("_")[1]) for one in takes
+    ]
+
+
+def lines(archives: Mapping[str, Sequence[Source]]) -> Iterator[str]:
     """Yield the tables as Markdown."""
     calibrated, found = list[list[str]](), list[list[str]]()
     good = list[Judged]()
-    for archive, paths in sources(data).items():
-        for grade in ("good", "cheap"):
-            judged = [judge(trial) for trial in read_trials(paths, grade)]
-            if not judged:
-                continue
+    for archive, takes in archives.items():
+        for grade in ("good", "cheap") if takes else ():
+            trials = list(read_trials(takes, grade))
+            judged = [judge(trial) for trial in trials]
             good = judged if (archive, grade) == ("CMU", "good") else good
-            name = f"{archive}, {grade}"
-            calibrated.append([name, *calibration_errors(judged)])
-            found += [[f"{name}, {limbs}s", *detection(judged, limbs)] for limbs in ("shank", "hand")]
-    if not calibrated:
-        raise SystemExit(f"{data}: has neither cmu nor hdm05 with the takes of this study")
-    header = ["takes, sensors", "offset, worst, ms", "q_G median, worst, °", "q_L median, 95 %, worst, °"]
+            rows = {f"{archive}, {grade}": judged}
+            if takes[0].is_divided:
+                rows[f"{archive}, {grade}, pieces together"] = judge_together(trials)
+            for name, some in rows.items():
+                calibrated.append([name, str(len(some)), *calibration_errors(some)])
+                found += [[f"{name}, {limbs}s", *detection(some, limbs)] for limbs in ("shank", "hand")]
+    header = ["takes, sensors", "number", "offset, worst, ms", "q_G median, worst, °", "q_L median, 95 %, worst, °"]
     yield from grid(header, calibrated)
     at = [f"P / R / F (frames), τ = {tau:g}°" for tau in TAUS]
     yield from grid(["takes, sensors", *at], found)
     if good:
         yield from grid(["CMU, good, best threshold", "τ", "P", "R", "F (frames)"], quantities(good))
-        joints = {motion.stem: known_by_joints(motion, skeleton) for motion, skeleton, _ in sources(data)["CMU"]}
+        joints = {one.motion.stem: known_by_joints(one.motion, one.skeleton) for one in archives["CMU"]}
         yield from grid(["CMU, good, shanks", *at], bases(good, joints))
-        yield from grid(["wrong frames", *(f"{share:.0%}" for share in SHARES)], [["q_L worst, °", *robustness(good)]])
+        yield from grid(["q_L worst, °", *(f"{share:.0%} wrong" for share in SHARES)], robustness(good))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path, help="folder with cmu and hdm05")
-    for line in lines(parser.parse_args(arguments).data):
-        sys.stdout.write(line + "\n")
+    archives = sources(parser.parse_args(arguments).data)
+    with tempfile.TemporaryDirectory() as folder:
+        for line in lines({**archives, "synthetic": synthetic(Path(folder) / "archive")}):
+            sys.stdout.write(line + "\n")
 
 
 if __name__ == "__main__":

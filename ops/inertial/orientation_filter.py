@@ -14,6 +14,10 @@ F64 = npt.NDArray[np.float64]
 TO_NORTH_WEST_UP = exp(np.array([0.0, 0.0, -0.5 * np.pi]))
 """The turn from east-north-up to the inertial world F_GI: X magnetic north, Y west, Z up."""
 
+SETTINGS = {"magNewMinGyr": 0.0}
+"""By default the filter learns the field's strength only in sensors that turn by 20°/s. A shank that hardly moves then
+has no magnetometer, and its heading drifts as the gyroscope does."""
+
 
 def estimate(rate_hz: float, acc: F64, gyr: F64, mag: F64 | None = None) -> F64:
     """Estimate the orientations of a sensor from its readings, looking forward and backward in time.
@@ -52,7 +56,7 @@ def estimate(rate_hz: float, acc: F64, gyr: F64, mag: F64 | None = None) -> F64:
         return np.empty((0, 4))
     vqf = imu_package("vqf", "estimated orientations of sensors need")
     rows = [None if values is None else np.ascontiguousarray(values, np.float64) for values in (gyr, acc, mag)]
-    found = vqf.offlineVQF(*rows, 1.0 / rate_hz)
+    found = vqf.offlineVQF(*rows, 1.0 / rate_hz, SETTINGS)
     return multiply(TO_NORTH_WEST_UP, np.asarray(found["quat6D" if mag is None else "quat9D"], np.float64))
 
 
