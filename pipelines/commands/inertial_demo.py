@@ -71,7 +71,7 @@ def run_inertial_demo(store: Path, minutes: float, executor: str, workers: int |
             made = simulate_imu(
                 opened, names, None, Request(WORN, "good", Wearing(SEED)), recordings, terminal.progress
             )
-            console.print(f"    {made.seconds:.0f} s, {made.samples:,} samples", markup=False)
+            console.print(f"    {made.seconds:.0f} s of motion, {made.samples:,} samples", markup=False)
     console.print(f"store: {store}", markup=False)
     chosen = f"name IN ({', '.join(repr(name) for name in names)})"
     settings = {

@@ -37,6 +37,7 @@ from kinedex.pipelines.report.limb_error_figures import (
     error_top,
 )
 from kinedex.pipelines.report.limb_triads import MOST_BYTES, packed_triads
+from kinedex.pipelines.report.mapping_demonstration import MappingCurve, mapping_curves
 from kinedex.pipelines.report.motions import Motions, embed, script_json
 from kinedex.pipelines.report.page_environment import page_environment
 from kinedex.storage.store.store import Store
@@ -142,6 +143,8 @@ class PageContent:
         The agreement with annotators.
     left_out : sequence of Refusal
         What was left out.
+    mappings : sequence of MappingCurve
+        The demonstration of the thesis's Figure 7.14; empty where the page does not have it.
     """
 
     title: str
@@ -154,13 +157,14 @@ class PageContent:
     without_axes: int = 0
     agreement: Sequence[AgreementCard] = ()
     left_out: Sequence[Refusal] = field(default=())
+    mappings: Sequence[MappingCurve] = ()
 
 
 SIMULATED = "simulated"
 """The word in the names of annotators that are nobody."""
 
 
-def limb_errors_page(store: Store, keys: StageKeys, title: str, most: int) -> str:
+def limb_errors_page(store: Store, keys: StageKeys, title: str, most: int, *, demonstration: bool = False) -> str:
     """Return the HTML of the page.
 
     Parameters
@@ -173,6 +177,8 @@ def limb_errors_page(store: Store, keys: StageKeys, title: str, most: int) -> st
         The title.
     most : int
         So many takes are shown, those first of whose frames the largest share is wrong.
+    demonstration : bool
+        Show how a wrong mapping between sensor and limb hides errors (thesis, Figure 7.14).
     """
     stored = StoredErrors(store, keys)
     wrong = {take_id: stored.take(take_id).wrong for take_id in stored.take_ids}
@@ -186,6 +192,7 @@ def limb_errors_page(store: Store, keys: StageKeys, title: str, most: int) -> st
             embed(store, [take.take for take in takes], "auto", "report_limb_errors"), triads, without,
             agreement_cards(stored.metrics, float(np.median(taus)) if taus else 45.0),
             refusals(stored.clocks, stored.calibrations, stored.log),
+            mapping_curves() if demonstration else (),
         )
     )  # fmt: skip
 
@@ -274,7 +281,7 @@ def rendered(content: PageContent) -> str:
             takes=[_shown(take, content, top) for take in content.takes], refusals=content.left_out,
             agreement=content.agreement, printed=any(card.at.get("printed_source") for card in content.agreement),
             simulated=any(SIMULATED in card.against for card in content.agreement),
-            width=CHART_WIDTH, height=CHART_HEIGHT,
+            width=CHART_WIDTH, height=CHART_HEIGHT, mappings=content.mappings,
             motions=content.motions, motions_json=script_json(motions), without_axes=content.without_axes,
         )
     )  # fmt: skip

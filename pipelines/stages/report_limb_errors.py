@@ -23,6 +23,9 @@ class Params(BaseModel):
 
     title: str = Field("Takes against inertial sensors", description="title of the page")
     takes: int = Field(20, ge=1, description="takes on the page, those first in which most frames are wrong")
+    demonstration: bool = Field(
+        False, description="show how a wrong mapping between sensor and limb hides errors, on orientations made for it"
+    )
 
 
 class ReportLimbErrors(Stage[Params]):
@@ -58,7 +61,7 @@ class ReportLimbErrors(Stage[Params]):
             limbs=context.key(inputs.get("broken", inputs["limbs"])),
             evaluation=context.key(inputs["evaluation"]) if "evaluation" in inputs else None,
         )
-        page = limb_errors_page(context.open(), keys, params.title, params.takes)
+        page = limb_errors_page(context.open(), keys, params.title, params.takes, demonstration=params.demonstration)
         path = context.report_file("limb-errors.html")
         size = write_page(page, path)
         context.say(f"report: {path.resolve()} ({size / 1e3:.0f} kB)")

@@ -13,7 +13,8 @@ from kinedex.storage.snapshot.snapshot import Snapshot
 
 F64 = npt.NDArray[np.float64]
 
-_ANGLES = ("degrees", "swing_deg", "twist_deg")
+_ANGLES = ("degrees", "swing_deg", "twist_deg", "tau_deg")
+_SHARES = ("p1", "r1", "f1", "p2", "r2", "f2")
 _KINDS = ("distance", "jump")
 
 
@@ -21,8 +22,8 @@ def limb_error_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
     """Yield the problems of limb errors, their runs and metrics, each with the part that has it.
 
     The frames of a limb must be 0, 1, …, angles lie between 0 and 180 degrees, and a frame that counts have one. Runs
-    must lie within the frames of their limb, and those of wrong frames peak above τ. No count of metrics may exceed
-    the whole that it is of.
+    must lie within the frames of their limb, and those of wrong frames peak above τ. Labels must end after their
+    start. No count of metrics may exceed the whole that it is of, and measures lie between 0 and 1.
 
     Parameters
     ----------
@@ -37,7 +38,12 @@ def limb_error_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
             if problem:
                 yield part.path, problem
                 return
-    for kind, check in (("limb_error_runs", _run_problem), ("limb_error_metrics", _metric_problem)):
+    checks = {
+        "limb_error_runs": _run_problem,
+        "limb_labels": _label_problem,
+        "limb_error_metrics": _metric_problem,
+    }
+    for kind, check in checks.items():
         for part in results.get(kind, ()):
             rows = pa.concat_tables(store.result_pieces(kind, [part]))
             problem = check(part.stage, rows, frames)
@@ -76,8 +82,15 @@ def _run_problem(stage: str, rows: pa.Table, frames: dict[tuple[str, int, str], 
             return f"{name}: no such kind of run"
         if not 0 <= row["start"] < row["stop"] <= frames.get((stage, row["take_id"], row["limb"]), 0):
             return f"{name}: is not within the frames of the limb"
-        if row["kind"] == "distance" and not row["peak_deg"] > row["tau_deg"]:
+        if row["kind"] == "distance" and not (row["peak_deg"] or 0.0) > row["tau_deg"]:
             return f"{name}: its error is not above {row['tau_deg']:g} degrees"
+    return ""
+
+
+def _label_problem(stage: str, rows: pa.Table, frames: dict[tuple[str, int, str], int]) -> str:
+    for row in rows.to_pylist():
+        if not 0 <= row["start"] < row["stop"]:
+            return f"{row['take']}, {row['limb']}: start {row['start']} is not before stop {row['stop']}"
     return ""
 
 
@@ -94,4 +107,7 @@ def _metric_problem(stage: str, rows: pa.Table, frames: dict[tuple[str, int, str
         for part, whole in wholes:
             if not 0 <= row[part] <= row[whole]:
                 return f"{row['name']}, {row['annotator']}: {part} {row[part]} is not within 0 and {whole} {row[whole]}"
+        for name in _SHARES:
+            if row[name] is not None and not 0.0 <= row[name] <= 1.0:
+                return f"{row['name']}, {row['annotator']}: {name} is not within 0 and 1"
     return ""

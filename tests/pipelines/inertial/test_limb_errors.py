@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pytest
+from typer.testing import CliRunner
 
 from kinedex.ops.errors import SourceError
 from kinedex.ops.inertial import rotations as r
+from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.inertial.limb_tables import limb_table, stored_limbs
 from kinedex.pipelines.stages.calibrate_sensors import CalibrateSensors
@@ -22,6 +26,7 @@ from kinedex.pipelines.stages.limb_errors import LimbErrors
 from kinedex.pipelines.stages.limb_orientations import LimbOrientations
 from kinedex.pipelines.stages.synchronise import Synchronise
 from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.store.limb_error_checks import limb_error_problems
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 from tests.pipelines.archives import context, write_archive
@@ -242,3 +247,57 @@ def test_sensors_judge_tracked_takes(judged: Path) -> None:
     assert rows[1]["max_deg"] == pytest.approx(DEGREES, abs=1.0)
     assert (rows[1]["reference"], rows[1]["mean_mm"]) == ("sensors", None)
     assert rows[0]["frames"] == sum(row["frames"] for row in rows[1:])
+
+
+def changed(**values: Any) -> Callable[[dict[str, Any]], None]:
+    return lambda row: row.update(values)
+
+
+CONTRADICTIONS: list[tuple[str, str, Callable[[dict[str, Any]], None], str]] = [
+    ("limb_errors", "limb_errors", changed(degrees=181.0), "degrees is not within 0 and 180"),
+    ("limb_errors", "limb_errors", changed(valid=True, degrees=None, swing_deg=None), "counts without an error"),
+    ("limb_errors", "limb_errors", changed(source_frame=1), "are not 0, 1, …"),
+    ("limb_errors", "limb_errors", changed(tau_deg=-1.0), "tau_deg is not within 0 and 180"),
+    ("limb_error_runs", "limb_errors", changed(kind="other"), "no such kind of run"),
+    ("limb_error_runs", "limb_errors", changed(stop=5000), "is not within the frames of the limb"),
+    ("limb_error_runs", "limb_errors", changed(take_id=99), "is not within the frames of the limb"),
+    ("limb_error_runs", "limb_errors", changed(kind="distance", peak_deg=30.0), "its error is not above 45 degrees"),
+    ("limb_error_runs", "limb_errors", changed(kind="distance", peak_deg=None), "its error is not above 45 degrees"),
+    ("limb_labels", "evaluate_limb_errors", changed(stop=0), "is not before stop 0"),
+    ("limb_error_metrics", "evaluate_limb_errors", changed(frames_both=10**6), "frames_both 1000000 is not within"),
+    ("limb_error_metrics", "evaluate_limb_errors", changed(p1=1.5), "p1 is not within 0 and 1"),
+]
+
+
+def test_parts_that_contradict_themselves_are_found(judged: Path, tmp_path: Path) -> None:
+    (tmp_path / "labels.csv").write_text(LABELS)
+    evaluate(judged, ground_truth=str(tmp_path / "labels.csv"), taus=[45])
+    shutil.copytree(judged / "store", tmp_path / "store")
+    for kind, stage, change, message in CONTRADICTIONS:
+        before = open_store(tmp_path / "store", at="newest").result(kind, stage=f"test/{stage}")
+        rows = before.slice(0, 1).to_pylist()
+        change(rows[0])
+        after = pa.concat_tables([pa.Table.from_pylist(rows, schema=before.schema), before.slice(1)])
+        with context(tmp_path / "store").writer() as writer:
+            writer.put_results(kind, after, stage=f"test/{stage}", run="run-1")
+            writer.commit()
+            ((path, problem),) = limb_error_problems(writer.store)
+            assert f"results/{kind}/" in path
+            assert message in problem
+            writer.put_results(kind, before, stage=f"test/{stage}", run="run-1")
+            writer.commit()
+
+
+@pytest.mark.parametrize("kind", ["limb_errors", "limb_error_runs", "limb_error_metrics", "limb_labels"])
+def test_a_damaged_part_fails_verification(judged: Path, tmp_path: Path, kind: str) -> None:
+    (tmp_path / "labels.csv").write_text(LABELS)
+    evaluate(judged, ground_truth=str(tmp_path / "labels.csv"), taus=[45])
+    shutil.copytree(judged / "store", tmp_path / "store")
+    (part,) = open_store(tmp_path / "store", at="newest").manifest.results[kind]
+    file = tmp_path / "store" / part.path
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    file.write_bytes(content)
+    found = CliRunner().invoke(app, ["verify", str(tmp_path / "store")])
+    assert found.exit_code == 1
+    assert part.path in found.stdout + found.stderr

@@ -15,6 +15,7 @@ from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.limb_tables import limb_table, struct_array
 from kinedex.pipelines.report.limb_error_figures import agreement_chart, box, curve_path, drift_curve, error_top
+from kinedex.pipelines.report.mapping_demonstration import mapping_curves
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.pipelines.stages.report_limb_errors import ReportLimbErrors
 from kinedex.storage.snapshot.schemas import result_schema
@@ -43,7 +44,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> str:
             writer.put_results(kind, table, stage=f"test/{ROLES[role]}", run="run-1")
         writer.commit()
     place = dataclasses.replace(context(made / "store", "report_limb_errors"), inputs=ROLES)
-    ReportLimbErrors().run(place, ReportLimbErrors.parameters())
+    ReportLimbErrors().run(place, ReportLimbErrors.parameters(demonstration=True))
     return (made / "store" / "results" / "reports" / "test" / "limb-errors.html").read_text(encoding="utf-8")
 
 
@@ -163,3 +164,14 @@ def test_shipped_pipelines_end_with_the_page(name: str) -> None:
     assert stages[:2] == ["ingest", "read_imu"]
     assert stages[-3:] == ["limb_errors", "evaluate_limb_errors", "report_limb_errors"]
     assert ("break_track" in stages) == (name == "chapter7")
+
+
+def test_the_page_shows_that_a_wrong_mapping_hides_errors(page: str) -> None:
+    right, mount, both = mapping_curves()
+    assert (*right.correct, right.peak, right.hidden) == pytest.approx((0.0, 0.0, 70.0, 42.5), abs=1e-9)
+    # the thesis: correct frames at 100 degrees, frame 200 only 40 above them, frame 485 at 100 like the correct ones
+    assert (*mount.correct, mount.peak, mount.hidden) == pytest.approx((100.0, 100.0, 140.0, 100.0), abs=0.3)
+    assert both.correct[1] - both.correct[0] > 40.0
+    section = page[page.index('id="mapping"') :]
+    assert section.count('class="mapping"') == 3
+    assert "off by 42.5°, shows 100° as well" in section
