@@ -27,7 +27,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
 
 
 def learned(store: Store, executor: Executor, advance: object = None) -> list[ClassRuns]:
-    setting: Setting = setting_of(KeyframeParameters(generations=15, population=20, steady=1, alternatives=2), store)  # type: ignore[call-arg]
+    setting: Setting = setting_of(KeyframeParameters(generations=6, population=12, steady=1, alternatives=2), store)  # type: ignore[call-arg]
     clips = training_clips(store, store.takes("class IS NOT NULL"))
     wanted = training_sets(clips, load_classes("own", [one.subclass for one in clips]))
     return learn(wanted, setting, ROUNDS, executor, advance=advance)  # type: ignore[arg-type]
