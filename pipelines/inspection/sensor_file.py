@@ -39,6 +39,8 @@ class InspectedSensor:
         From the first to the last one.
     frame : str or None
         The world of the file's own orientations.
+    frame_assumed : bool
+        Nothing shows that world: neither the file, its format, the field, nor the file of sensors.
     mean_acc_m_s2 : float or None
         The mean of |acc|.
     median_acc_m_s2 : float or None
@@ -60,6 +62,7 @@ class InspectedSensor:
     samples: int
     seconds: float
     frame: str | None
+    frame_assumed: bool
     mean_acc_m_s2: float | None
     median_acc_m_s2: float | None
     gyr_correlation: float | None
@@ -117,7 +120,7 @@ def _inspected(sensor: ImuSensor, recording: ImuRecording, sensor_set: SensorSet
     known = lengths[np.isfinite(lengths)]
     return InspectedSensor(
         sensor.name, sensor_set.limb(sensor.name, recording.files[sensor.name].name), sensor.channels, sensor.rate_hz,
-        len(sensor.times), float(sensor.times[-1] - sensor.times[0]), sensor.frame or None,
+        len(sensor.times), float(sensor.times[-1] - sensor.times[0]), sensor.frame or None, sensor.frame_assumed,
         _number(float(known.mean())) if len(known) else None,
         None if sensor.acc is None else _number(typical_length(sensor.acc)), correlation, ratio, sensor.gaps,
         tuple(rests(sensor.times, sensor.rate_hz, sensor.acc, sensor.gyr)), sensor.warnings,
@@ -143,7 +146,11 @@ def _add_sensor(found: Inspection, sensor: InspectedSensor) -> None:
             "times as large",
         )  # fmt: skip
     if sensor.frame:
-        found.add("orientation", f"sensor to {sensor.frame}")
+        assumed = (
+            ", which is assumed: nothing in the file shows it; `frame: NWU`, `ENU` or `NED` in a file of sensors "
+            "(--sensors) states it"
+        )
+        found.add("orientation", f"sensor to {sensor.frame}{assumed if sensor.frame_assumed else ''}")
     found.add("gaps", _intervals(sensor.gaps) or "none above 50 ms")
     found.add("rests", _intervals(sensor.rests) or "none of a second or more")
     found.add_all("warnings", sensor.warnings)

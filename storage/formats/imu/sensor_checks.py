@@ -98,15 +98,15 @@ class _Checks:
         self.check_rates(times, acc, gyr, orientation)
         if acc is not None:
             acc = acc * self.acc_factor(times, acc, gyr, orientation)
-        frame = ""
+        frame, assumed = "", False
         if orientation is not None:
-            frame = self.world(orientation, acc, mag)
+            frame, assumed = self.world(orientation, acc, mag)
             turn = _TO_NWU[frame]
             orientation = orientation if turn is None else multiply(turn, orientation)
         acc, gyr, mag, orientation = self.turned(acc, gyr, mag, orientation)
         return ImuSensor(
             self.raw.name, times, rate_hz, acc, gyr, mag, orientation, frame,
-            _gaps(times, rate_hz, (acc, gyr, orientation), mag), tuple(self.warnings),
+            _gaps(times, rate_hz, (acc, gyr, orientation), mag), tuple(self.warnings), assumed,
         )  # fmt: skip
 
     def times(self) -> tuple[F64, float]:
@@ -251,8 +251,11 @@ class _Checks:
         other = "deg/s" if unit == "rad/s" else "rad/s"
         return self.error(f"{found}; its unit is taken as {unit}: state `units: {{gyr: {other}}}` {_WAY_OUT}")
 
-    def world(self, orientation: F64, acc: F64 | None, mag: F64 | None) -> str:
-        """Return the world of the orientations: as the user states, as gravity and the field show, or by the header."""
+    def world(self, orientation: F64, acc: F64 | None, mag: F64 | None) -> tuple[str, bool]:
+        """Return the world of the orientations, and whether it is assumed.
+
+        The user's statement counts first, then gravity and the field, then the header.
+        """
         stated = self.set.entries.frame
         user, header = _WORLDS.get(stated or ""), self.raw.frame
         shown = _shown_world(orientation, acc, mag)
@@ -264,7 +267,7 @@ class _Checks:
                 f"{source} states orientations in {user or header}, and the mean of the field lies as in {shown}; "
                 f"{found} is used"
             )
-        return found
+        return found, not (user or shown or header)
 
     def check_upright(self, orientation: F64, acc: F64 | None) -> None:
         """Warn of orientations in which gravity is not vertical."""

@@ -70,6 +70,8 @@ class ImuSensor:
         Intervals of more than 50 ms without samples, seconds: the last time before and the first one after.
     warnings : tuple of str
         What is odd, in sentences for the user.
+    frame_assumed : bool
+        Neither the user, the file, its format nor the field shows `frame`.
     """
 
     name: str
@@ -82,6 +84,7 @@ class ImuSensor:
     frame: str = ""
     gaps: tuple[tuple[float, float], ...] = ()
     warnings: tuple[str, ...] = ()
+    frame_assumed: bool = False
 
     @property
     def channels(self) -> tuple[str, ...]:

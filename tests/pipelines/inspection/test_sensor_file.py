@@ -61,3 +61,18 @@ def test_a_file_of_positions_stays_motion_and_a_wrong_sensor_file_is_refused(tmp
     assert done.exit_code
     assert "--rate HZ" in str(done.output) + str(done.exception)
     assert "50 Hz" in inspected(tmp_path / "b.csv", "--rate", 50)
+
+
+def test_a_world_that_nothing_shows_is_named_as_assumed(tmp_path: Path) -> None:
+    lines = [line.split(",") for line in csv_text(turning()).splitlines()]
+    kept = [k for k, name in enumerate(lines[0]) if not name.startswith("mag")]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(",".join(line[k] for k in kept) for line in lines) + "\n")
+    shown = " ".join(inspected(path).split())
+    assert "sensor to north-west-up, which is assumed" in shown
+    assert "`frame: NWU`, `ENU` or `NED`" in shown
+    assert json.loads(inspected(path, "--json"))["sensors"][0]["frame_assumed"]
+    (tmp_path / "five.yaml").write_text("frame: NWU\n")
+    assert "assumed" not in inspected(path, "--sensors", tmp_path / "five.yaml")
+    (tmp_path / "b.csv").write_text(csv_text(turning()))
+    assert "assumed" not in inspected(tmp_path / "b.csv"), "the field shows the world"
