@@ -244,6 +244,8 @@ def test_results_of_a_stage_replace_its_earlier_ones_only(tmp_path: Path) -> Non
 def test_results_that_come_piece_by_piece_are_one_part_and_never_in_memory_at_once(tmp_path: Path) -> None:
     make_store(tmp_path, {"a": 5})
     alive: list[weakref.ref[pa.Table]] = []
+    gc.collect()
+    gc.freeze()  # or else every collection goes through all that the test process holds
 
     def pieces() -> Iterator[pa.Table]:
         for start in range(9):
