@@ -14,6 +14,7 @@ from benchmarks import (
     depth_recordings,
     indexing,
     inertial,
+    inertial_take,
     keyframes,
     learning,
     ranking,
@@ -46,6 +47,7 @@ PARTS: dict[str, Callable[[Store], Sequence[Figure]]] = {
     "depth_lookup": lambda opened: list(depth_lookup.figures(opened)),
     "depth_recordings": depth_recordings.figures,
     "inertial": lambda _: inertial.figures(),
+    "inertial_take": lambda _: inertial_take.figures(),
 }
 
 

@@ -19,6 +19,9 @@ F64 = npt.NDArray[np.float64]
 
 KIND = "limb_orientations"
 
+LEAST_PIECE = 50_000
+"""Rows of a row group at least: a reader of one limb of a long take reads little else."""
+
 
 @dataclass(frozen=True, eq=False)
 class StoredLimbs:
@@ -51,6 +54,19 @@ def limb_table(take_id: int, take: str, limbs: Mapping[str, LimbMotion], run: st
     schema = result_schema(KIND)
     tables = [_rows(take_id, take, one, run, schema) for one in limbs.values()]
     return pa.concat_tables(tables) if tables else schema.empty_table()
+
+
+def limb_pieces(take_id: int, take: str, limbs: Mapping[str, LimbMotion], run: str) -> Iterator[pa.Table]:
+    """Yield the rows of `limb_table` in pieces of whole limbs, each long enough to be a row group of its own."""
+    table = limb_table(take_id, take, limbs, run)
+    start = stop = 0
+    for one in limbs.values():
+        stop += len(one.times)
+        if stop - start >= LEAST_PIECE:
+            yield table.slice(start, stop - start)
+            start = stop
+    if stop > start:
+        yield table.slice(start)
 
 
 def _rows(take_id: int, take: str, one: LimbMotion, run: str, schema: pa.Schema) -> pa.Table:

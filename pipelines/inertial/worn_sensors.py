@@ -128,8 +128,7 @@ class WornTakes:
     def take(self, take_id: int) -> WornTake:
         """Return a take with its limbs and sensors."""
         rows = self._rows[take_id]
-        limbs = self._limbs.rows(take_id)
-        worn = limbs.filter(pc.is_in(limbs.column("limb"), pa.array(sorted({str(row["limb"]) for row in rows}))))
+        worn = self._limbs.rows(take_id, "limb", {str(row["limb"]) for row in rows})
         motions = limbs_of_rows(worn).limbs if worn.num_rows else {}
         return self._take(take_id, str(rows[0]["take"]), motions, rows)
 

@@ -14,7 +14,7 @@ from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.inertial.limb_sources import limb_tasks, read_limbs, reading_digest, with_stored_body
-from kinedex.pipelines.inertial.limb_tables import KIND, limb_table
+from kinedex.pipelines.inertial.limb_tables import KIND, limb_pieces
 from kinedex.pipelines.inertial.parameters import LimbOrientationsParameters
 from kinedex.storage.store.store import Store
 
@@ -58,7 +58,7 @@ class LimbOrientations(Stage[LimbOrientationsParameters]):
                     for remark in found.remarks:
                         context.say(f"{task.take}: {remark}")
                     bar.advance(1)
-                    yield limb_table(task.take_id, task.take, found.limbs, context.run)
+                    yield from limb_pieces(task.take_id, task.take, found.limbs, context.run)
 
         with context.writer() as writer:
             writer.put_results(KIND, tables(), stage=context.key(), run=context.run)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Collection, Hashable
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -33,6 +33,7 @@ class RowGroups:
         self._parts = [part for part in store.manifest.results.get(kind, ()) if part.stage == stage]
         self._places: dict[Hashable, list[tuple[int, int]]] = {}
         self._last: tuple[tuple[int, int], pa.Table] | None = None
+        self._known_ranges: dict[tuple[int, str], list[tuple[str | None, str | None]]] = {}
         for number, part in enumerate(self._parts):
             file = store.checked.part(part)
             with read_errors(file), pq.ParquetFile(file) as opened:
@@ -45,15 +46,49 @@ class RowGroups:
         """The values of the column, in the order in which they lie in the store."""
         return list(self._places)
 
-    def rows(self, value: Hashable) -> pa.Table:
-        """Return the rows with a value of the column, in their order; an empty table where there are none."""
+    def rows(self, value: Hashable, column: str = "", among: Collection[str] = ()) -> pa.Table:
+        """Return the rows with a value of the column, in their order; an empty table where there are none.
+
+        Parameters
+        ----------
+        value : hashable
+            The value.
+        column : str, optional
+            A second column, of text; row groups that hold none of `among` in it are not read.
+        among : collection of str, optional
+            The values of the second column that are wanted.
+        """
         schema = result_schema(self._kind)
         found = [schema.empty_table()]
         for place in self._places.get(value, ()):
+            if column and not self._may_hold(place, column, among):
+                continue
             group = self._group(place, schema)
-            wanted = pa.scalar(value, schema.field(self._column).type)
-            found.append(group.filter(pc.equal(group.column(self._column), wanted)))
+            mask = pc.equal(group.column(self._column), pa.scalar(value, schema.field(self._column).type))
+            if column:
+                mask = pc.and_(mask, pc.is_in(group.column(column), pa.array(sorted(among), pa.string())))
+            found.append(group if pc.all(mask).as_py() else group.filter(mask))
         return pa.concat_tables(found)
+
+    def _may_hold(self, place: tuple[int, int], column: str, among: Collection[str]) -> bool:
+        """Return whether a row group may hold one of some values of a column, by its least and its greatest one."""
+        low, high = self._ranges(place[0], column)[place[1]]
+        return low is None or high is None or any(low <= value <= high for value in among)
+
+    def _ranges(self, part: int, column: str) -> list[tuple[str | None, str | None]]:
+        """Return the least and the greatest value of a column in each row group of a part; None where not known."""
+        if (part, column) not in self._known_ranges:
+            file = self._store.checked.part(self._parts[part])
+            with read_errors(file), pq.ParquetFile(file) as opened:
+                metadata = opened.metadata
+                place = [metadata.schema.column(k).path for k in range(metadata.num_columns)].index(column)
+                statistics = [
+                    metadata.row_group(group).column(place).statistics for group in range(metadata.num_row_groups)
+                ]
+            self._known_ranges[part, column] = [
+                (one.min, one.max) if one is not None and one.has_min_max else (None, None) for one in statistics
+            ]
+        return self._known_ranges[part, column]
 
     def _group(self, place: tuple[int, int], schema: pa.Schema) -> pa.Table:
         """Return a row group; the last one is remembered, since neighbours follow each other."""

@@ -126,9 +126,13 @@ def number_rows(
         block = [(start + i + 1, line) for i, line in enumerate(lines[start : start + _AT_ONCE]) if line.strip()]
         if not block:
             continue
+        numbers.append(np.array([number for number, _ in block], np.int64))
+        plain = None if texts else table.plain_numbers([line for _, line in block])
+        if plain is not None:
+            blocks.append(plain)
+            continue
         rows = [table.cells(line, number) for number, line in block]
         blocks.append(table.numbers(rows, [number for number, _ in block]))
-        numbers.append(np.array([number for number, _ in block], np.int64))
         for column, values in zip(texts, found, strict=True):
             values.extend(cells[column].strip() for cells in rows)
     if not blocks:
@@ -145,6 +149,17 @@ class _Table:
     header: Sequence[str]
     wanted: list[int]
     texts: list[int]
+
+    def plain_numbers(self, lines: list[str]) -> F64 | None:
+        """Return the wanted cells of rows in which all of them are plain numbers; None for other rows."""
+        others = len(self.header) - 1
+        if any(line.count(self.separator) != others or '"' in line for line in lines):
+            return None
+        try:
+            found = np.loadtxt(lines, np.float64, comments=None, delimiter=self.separator, usecols=self.wanted, ndmin=2)
+        except ValueError:
+            return None
+        return found if found.shape == (len(lines), len(self.wanted)) and not (np.abs(found) > LARGEST).any() else None
 
     def cells(self, line: str, number: int) -> list[str]:
         """Return the cells of a row, once it has as many as are needed."""

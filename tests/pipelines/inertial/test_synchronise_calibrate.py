@@ -16,6 +16,7 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.inertial import rotations as r
 from kinedex.ops.inertial.rotations import Z_TO_Y
 from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.inertial import limb_tables
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.limb_tables import limb_table, stored_limbs, struct_array
 from kinedex.pipelines.inertial.worn_sensors import WornTakes
@@ -256,3 +257,24 @@ def test_rows_are_found_by_the_value_of_a_column(synchronised: Path) -> None:
     assert set(own.column("recording").to_pylist()) == {"x_al_hop_1.csv"}
     assert groups.rows("nothing").num_rows == 0
     assert len(WornTakes(store, "test/limb_orientations", "test/read_imu")) == 3
+
+
+def test_limbs_of_a_long_take_are_read_without_the_others(
+    synchronised: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(synchronised, tmp_path, dirs_exist_ok=True)
+    monkeypatch.setattr(limb_tables, "LEAST_PIECE", 1000)
+    given = LimbOrientations.parameters(limbs=["legs", "hands", "torso"])
+    LimbOrientations().run(stage_context(tmp_path, "limb_orientations"), given)
+    whole, divided = (
+        RowGroups(open_store(made / "store", at="newest"), "limb_orientations", "test/limb_orientations", "take_id")
+        for made in (synchronised, tmp_path)
+    )
+    for take_id in whole.values:
+        assert divided.rows(take_id).equals(whole.rows(take_id))
+        wanted = whole.rows(take_id, "limb", {"rhand"})
+        assert set(wanted.column("limb").to_pylist()) == {"rhand"}
+        assert divided.rows(take_id, "limb", {"rhand"}).equals(wanted)
+    places = divided._places[whole.values[0]]
+    assert len(places) > 1
+    assert sum(divided._may_hold(place, "limb", {"rhand"}) for place in places) < len(places)

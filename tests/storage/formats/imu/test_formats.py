@@ -14,6 +14,7 @@ from kinedex.catalog.configs import parse_yaml
 from kinedex.catalog.sensorsets import SensorSet, load_sensor_set, parse_sensor_set
 from kinedex.ops.inertial.orientation_filter import estimate
 from kinedex.ops.inertial.rotations import distance_deg, rotate
+from kinedex.storage.formats.imu.number_rows import _Table
 from kinedex.storage.formats.imu.recording import ENU, NWU, ImuSensor, read_recording, read_together
 from kinedex.storage.formats.imu.xsens_columns import PACKETS
 from tests.imu_files import (
@@ -200,3 +201,17 @@ def test_real_tables_are_read_by_the_shipped_files_of_sensors(shared: Path) -> N
     trial = next(folder.glob("broad/07*.hdf5"))
     (sensor,) = read_recording(trial, sensor_set=load_sensor_set("broad")).sensors
     assert (len(sensor.times), round(sensor.rate_hz, 3), sensor.channels) == (52518, 285.714, ("acc", "gyr", "mag"))
+
+
+def test_plain_rows_are_the_same_numbers_as_cell_by_cell(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    rows = [[repr(float(cell)) for cell in rng.normal(0, 10.0**k, 4)] for k in range(-8, 9)]
+    rows[3][0], rows[4][1] = " +1.5e-3 ", "-0"
+    lines = ["a,b,c,d", *(",".join(row) for row in rows)]
+    table = _Table(tmp_path, ",", lines[0].split(","), [3, 0, 1], [])
+    plain = table.plain_numbers(lines[1:])
+    assert plain is not None
+    slow = table.numbers([line.split(",") for line in lines[1:]], list(range(2, len(lines) + 1)))
+    assert plain.tobytes() == slow.tobytes()
+    for odd in ("1,2,3", "1,2,3,4,5", ",2,3,4", "x,2,3,4", '"1",2,3,4', "1e300,2,3,4"):
+        assert table.plain_numbers([*lines[1:], odd]) is None
