@@ -166,4 +166,6 @@ def _label(one: dict[str, object], take: dict[str, object]) -> Label:
     rates = float(str(take["source_rate_hz"])), float(str(take["rate_hz"])), int(str(take["source_frames"]))
     start, stop = (source_frame(int(str(one[name])), *rates) for name in ("start", "stop"))
     cost, confidence = (None if one[name] is None else float(str(one[name])) for name in ("cost", "confidence"))
-    return Label(str(one["class"]), start, max(stop, start + 1), str(one["subclass"]) or None, cost, confidence)
+    limb, annotator = str(one.get("limb") or ""), str(one.get("annotator") or "")
+    given = (str(one["subclass"]) or None, cost, confidence, limb, annotator if limb else "")
+    return Label(str(one["class"]), start, max(stop, start + 1), *given)

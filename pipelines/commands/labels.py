@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,6 +14,10 @@ from kinedex.pipelines.commands.options import AtOption, FormatOption, OutputOpt
 from kinedex.pipelines.commands.output import show_table
 from kinedex.pipelines.commands.store_access import open_for_reading
 from kinedex.pipelines.console.escapes import visible
+
+if TYPE_CHECKING:
+    from kinedex.storage.formats.labels.formats import Written
+    from kinedex.storage.formats.labels.segments import TakeLabels
 
 labels = group("labels", "Keep the labels of people; write and read label files.", ASK)
 
@@ -43,6 +48,9 @@ def export(
         ),
     ] = None,
     kept: Annotated[bool, typer.Option("--labels", help="Write the labels of people in place of annotations.")] = False,
+    limbs: Annotated[
+        bool, typer.Option("--limbs", help="Write the runs in which sensors find limbs wrong in place of annotations.")
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
     at: AtOption = None,
 ) -> None:
@@ -51,22 +59,32 @@ def export(
     Annotations that a person has rejected are left out.
     """
     from kinedex.pipelines.annotation.labels import annotate_stage, labels_kept, labels_of
-    from kinedex.pipelines.console.wording import counted, few
+    from kinedex.pipelines.inertial.limb_error_labels import limb_error_labels, limb_error_stage
     from kinedex.storage.formats.labels.formats import write_labels
 
     opened = open_for_reading(store, at)
     if kept and stage is not None:
         raise typer.BadParameter("labels are of no stage: give --stage or --labels")
-    by = "labelled by people" if kept else f"annotated by {(chosen := annotate_stage(opened, stage))}"
-    rejected = 0
-    if kept:
-        found = labels_kept(opened, take or (), where)
+    if kept and limbs:
+        raise typer.BadParameter("choose one of --labels and --limbs")
+    if limbs:
+        chosen = limb_error_stage(opened, stage)
+        found, by, rejected = limb_error_labels(opened, chosen, take or (), where), f"found wrong by {chosen}", 0
+    elif kept:
+        found, by, rejected = labels_kept(opened, take or (), where), "labelled by people", 0
     else:
+        chosen = annotate_stage(opened, stage)
         annotations = labels_of(opened, chosen, take or (), where)
-        found, rejected = annotations.takes, annotations.rejected
+        found, by, rejected = annotations.takes, f"annotated by {chosen}", annotations.rejected
     if kept and not found:
         raise KinedexError(f"{store}: no take has a label; `kinedex labels --help` shows how labels come in")
     written = write_labels(found, form, output, force=force)
+    _print_export(found, written, output, by, rejected)
+
+
+def _print_export(found: Sequence[TakeLabels], written: Written, output: str, by: str, rejected: int) -> None:
+    from kinedex.pipelines.console.wording import counted, few
+
     paths = written.paths
     inside = [one for one in found if one.take not in written.excluded]
     place = str(paths[0]) if len(paths) == 1 else f"{len(paths)} files in {output}"

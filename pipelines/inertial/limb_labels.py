@@ -10,9 +10,8 @@ from kinedex.catalog.limbs import LIMB_NAMES
 from kinedex.ops.errors import SourceError, did_you_mean
 from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.inertial.limb_error_tables import JudgedLimb
-from kinedex.storage.formats.labels.elan import ERROR
 from kinedex.storage.formats.labels.ground_truth import read_ground_truth
-from kinedex.storage.formats.labels.segments import LabelFile, ManualSegment
+from kinedex.storage.formats.labels.segments import ERROR, LabelFile, ManualSegment
 
 UNNAMED = "unnamed"
 """The annotator of labels that name nobody."""

@@ -142,15 +142,16 @@ def _label_row(one: PlacedLabel) -> dict[str, Any]:
 
 
 def _table(rows: list[dict[str, Any]]) -> Table:
-    """Return rows of all limbs and of groups: the best threshold by frames, runs as stored, and annotators."""
+    """Return rows of all limbs and of groups with a label: the best threshold by frames, stored runs, annotators."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     names = ("limbs", "detector", "against", "τ", "P", "R", "F (frames)", "F (segments)", "printed P / R")
     for column in names:
         table.add_column(column, justify="left" if column in names[:3] else "right")
     wanted: dict[tuple[str, str, str], dict[str, Any]] = {}
+    marked = {row["name"] for row in rows if row["frames_manual"]}
     for row in rows:
         key = (row["name"], row["detector"], row["annotator"])
-        if row["scope"] == "limb":
+        if row["scope"] == "limb" or (row["scope"] == "group" and row["name"] not in marked):
             continue
         if key not in wanted or (row["f1"] or 0.0) > (wanted[key]["f1"] or 0.0):
             wanted[key] = row

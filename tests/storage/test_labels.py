@@ -314,3 +314,26 @@ def test_what_other_programs_write_is_read(tmp_path: Path):
     (one,) = read(tmp_path, "json", '{"takes": [{"take": "a", "segments": [{"class": "b", "start": 1, "stop": 2}]}]}')
     assert (one.start, one.stop, one.in_seconds, one.line) == (1, 2, False, None)
     assert "takes[0].segments[0]: too long" in str(one.error("too long"))
+
+
+@pytest.mark.parametrize("form", ["csv", "json", "eaf"])
+def test_limbs_and_annotators_come_back(tmp_path: Path, form: str):
+    labels = (
+        Label("error", 0, 50, limb="lshank", annotator="A1"),
+        Label("error", 20, 60, limb="lshank", annotator="A1"),
+        Label("error", 20, 60, limb="rhand"),
+        Label("walk", 0, 100),
+    )
+    write_labels([TakeLabels("a take", 100.0, 500, labels)], form, tmp_path / f"some.{form}")
+    found = read_labels(tmp_path / f"some.{form}").segments
+    assert {(one.label, one.limb, one.annotator, *one.source_frames(100.0)) for one in found} == {
+        (one.label, one.limb, one.annotator, one.start, one.stop) for one in labels
+    }
+
+
+@pytest.mark.parametrize(("form", "label"), [("eaf", "walk"), ("vtt", "error"), ("txt", "error")])
+def test_a_format_without_a_place_for_the_limb_is_refused(tmp_path: Path, form: str, label: str):
+    labels = TakeLabels("a take", 100.0, 500, (Label(label, 0, 50, limb="lshank"),))
+    with pytest.raises(KinedexError, match=f"has no place for the limb of a label '{label}' \\(a take, lshank\\)"):
+        write_labels([labels], form, tmp_path / f"some.{form}")
+    assert not list(tmp_path.iterdir())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,11 +10,8 @@ from xml.parsers import expat
 
 from kinedex.catalog.limbs import LIMBS
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.labels.segments import Label, LabelFile, ManualSegment, TakeLabels
+from kinedex.storage.formats.labels.segments import ERROR, Label, LabelFile, ManualSegment, TakeLabels
 from kinedex.storage.formats.labels.texts import LONGEST_SECONDS, label_bytes, refuse_long, refuse_many, shown
-
-ERROR = "error"
-"""The class of labels that mark a limb as wrong."""
 
 DEEPEST = 100
 """Levels of elements; EAF files have six."""
@@ -34,8 +32,8 @@ _TYPE = '    <LINGUISTIC_TYPE GRAPHIC_REFERENCES="false" LINGUISTIC_TYPE_ID="cla
 def write(labels: TakeLabels) -> str:
     """Return an EAF file: a tier for each class, because annotations of one tier must not overlap.
 
-    Every annotation's value is its class. Where labels of one class overlap, the later one is in a further tier, named
-    after the class and a number.
+    Every annotation's value is its class. Errors of limbs have a tier for each limb and annotator, such as `lshank` or
+    `A1:lshank`. Where labels of one tier overlap, the later one is in a further tier, whose name ends in a number.
     """
     tiers = _tiers(labels.labels)
     placed = [(tier, one) for tier, members in tiers.items() for one in members]
@@ -63,13 +61,13 @@ def write(labels: TakeLabels) -> str:
 
 
 def _tiers(labels: Sequence[Label]) -> dict[str, list[Label]]:
-    """Divide labels into tiers without overlaps; the first tier of a class bears its name."""
-    classes = {one.label for one in labels}
+    """Divide labels into tiers without overlaps; the first tier of a class, or limb, bears its name."""
+    classes = {_tier_of(one) for one in labels}
     rows: dict[str, list[list[Label]]] = {name: [] for name in sorted(classes)}
     for one in sorted(labels, key=lambda one: (one.start, one.stop)):
-        free = next((row for row in rows[one.label] if row[-1].stop <= one.start), None)
+        free = next((row for row in rows[_tier_of(one)] if row[-1].stop <= one.start), None)
         if free is None:
-            rows[one.label].append([one])
+            rows[_tier_of(one)].append([one])
         else:
             free.append(one)
     tiers: dict[str, list[Label]] = {}
@@ -81,6 +79,13 @@ def _tiers(labels: Sequence[Label]) -> dict[str, list[Label]]:
                 tier = f"{name} ({again})"
             tiers[tier] = row
     return tiers
+
+
+def _tier_of(one: Label) -> str:
+    """Return the name of a label's tier: its class, or, for the error of a limb, annotator and limb."""
+    if one.label != ERROR or not one.limb:
+        return one.label
+    return f"{one.annotator}:{one.limb}" if one.annotator else one.limb
 
 
 @dataclass
@@ -208,8 +213,8 @@ class _Document:
 
 
 def _limb_of_tier(tier: str) -> tuple[str, str]:
-    """Return the annotator and the limb of a tier such as A1:lshank or lshank; empty texts where it names none."""
-    annotator, _, limb = tier.rpartition(":")
+    """Return the annotator and the limb of a tier such as A1:lshank or lshank (2); empty texts where it names none."""
+    annotator, _, limb = re.sub(r" \([0-9]{1,6}\)$", "", tier).rpartition(":")
     return (annotator.strip(), limb.strip()) if limb.strip() in LIMBS else ("", "")
 
 

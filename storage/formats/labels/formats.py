@@ -7,12 +7,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
+from kinedex.catalog.limbs import LIMB_NAMES
 from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
 from kinedex.storage.disk import whole_file
 from kinedex.storage.formats.labels import audacity, elan, tables, webvtt
 from kinedex.storage.formats.labels.file_names import file_names
-from kinedex.storage.formats.labels.segments import LabelFile, TakeLabels, is_writable
+from kinedex.storage.formats.labels.segments import ERROR, Label, LabelFile, TakeLabels, is_writable
 
 
 @dataclass(frozen=True)
@@ -29,12 +31,15 @@ class Format:
         Reads the labels of a file.
     several : bool
         True if one file can hold several takes, and names with control characters.
+    limbs : str
+        The labels whose limb has a place: "all", "errors" (those of the class `error`) or "none".
     """
 
     title: str
     write: Callable[[Sequence[TakeLabels]], str]
     read: Callable[[str | Path], LabelFile]
     several: bool = False
+    limbs: Literal["all", "errors", "none"] = "none"
 
 
 def _of_one(write: Callable[[TakeLabels], str]) -> Callable[[Sequence[TakeLabels]], str]:
@@ -46,9 +51,9 @@ def _of_one(write: Callable[[TakeLabels], str]) -> Callable[[Sequence[TakeLabels
 
 
 FORMATS: dict[str, Format] = {
-    "csv": Format("CSV", tables.write_csv, tables.read_csv, several=True),
-    "json": Format("JSON", tables.write_json, tables.read_json, several=True),
-    "eaf": Format("ELAN", _of_one(elan.write), elan.read),
+    "csv": Format("CSV", tables.write_csv, tables.read_csv, several=True, limbs="all"),
+    "json": Format("JSON", tables.write_json, tables.read_json, several=True, limbs="all"),
+    "eaf": Format("ELAN", _of_one(elan.write), elan.read, limbs="errors"),
     "vtt": Format("WebVTT", _of_one(webvtt.write), webvtt.read),
     "txt": Format("Audacity labels", _of_one(audacity.write), audacity.read),
 }
@@ -119,10 +124,12 @@ def write_labels(takes: Sequence[TakeLabels], form: str | None, output: str | Pa
     ------
     KinedexError
         The format is unknown, files exist already (none is written then), a file of a format for one take would hold
-        several, the format can hold none of the takes, or a file cannot be written.
+        several, the format can hold none of the takes, or has no place for the limb of a label, or a file
+        cannot be written.
     """
     folder = str(output).endswith("/") or os.path.isdir(output)
     kind = _format(form, output, folder)
+    _refuse_limbs(takes, kind)
     writable = [labels for labels in takes if is_writable(labels, quoted=FORMATS[kind].several)]
     inside = {labels.take for labels in writable}
     excluded = tuple(labels.take for labels in takes if labels.take not in inside)
@@ -149,6 +156,22 @@ def write_labels(takes: Sequence[TakeLabels], form: str | None, output: str | Pa
     own = {} if Path(output) in targets else {members[0].take: path.name for path, members in targets.items()}
     renamed = {take: name for take, name in own.items() if name != f"{take}.{kind}"}
     return Written(tuple(targets), renamed, excluded)
+
+
+def _refuse_limbs(takes: Sequence[TakeLabels], kind: str) -> None:
+    form = FORMATS[kind]
+    for labels in takes:
+        for one in labels.labels:
+            if one.limb and not _has_place(form, one):
+                raise KinedexError(
+                    f"{form.title} has no place for the limb of a label '{one.label}' ({labels.take}, {one.limb}); "
+                    f"use csv or json{', or eaf' if _has_place(FORMATS['eaf'], one) else ''}"
+                )
+
+
+def _has_place(form: Format, one: Label) -> bool:
+    is_error = one.label == ERROR and one.limb in LIMB_NAMES
+    return form.limbs == "all" or (form.limbs == "errors" and is_error)
 
 
 def _format(form: str | None, output: str | Path, folder: bool) -> str:

@@ -9,12 +9,15 @@ from dataclasses import dataclass
 
 from kinedex.ops.errors import SourceError
 
+ERROR = "error"
+"""The class of labels that mark a limb as wrong."""
+
 _NEVER = {"Cc", "Cs", "Zl", "Zp"}
 
 
 @dataclass(frozen=True)
 class Label:
-    """A class for the source frames [start, stop) of a take; its other fields are None if they are not known."""
+    """A class for the source frames [start, stop) of a take; its other fields are None, or empty, if not known."""
 
     label: str
     start: int
@@ -22,6 +25,8 @@ class Label:
     subclass: str | None = None
     cost: float | None = None
     confidence: float | None = None
+    limb: str = ""
+    annotator: str = ""
 
 
 @dataclass(frozen=True)
@@ -140,12 +145,13 @@ class LabelFile:
 
 
 def is_writable(labels: TakeLabels, *, quoted: bool) -> bool:
-    """Return whether a file gives back the names of a take and of its classes as they are.
+    """Return whether a file gives back the names of a take, its classes, limbs and annotators as they are.
 
     Readers remove spaces around names. Formats without quotes have no characters that end lines or that XML does not
     know.
     """
-    for text in (labels.take, *(one.label for one in labels.labels)):
+    about = {text for one in labels.labels for text in (one.limb, one.annotator) if one.limb and text}
+    for text in (labels.take, *(one.label for one in labels.labels), *about):
         odd = any(unicodedata.category(letter) in _NEVER or letter in "\ufffe\uffff" for letter in text)
         if not text or text != text.strip() or (odd and not quoted):
             return False

@@ -39,10 +39,13 @@ _MOST_VALUES = 4 * MOST_LABELS  # lists and objects of a JSON file, which take f
 def write_csv(takes: Sequence[TakeLabels]) -> str:
     """Return a CSV file of the labels of takes; start and stop are source frames, half-open, as in ground truth.
 
-    A take without labels has a row of its name alone. Names that a spreadsheet would compute are guarded.
+    A take without labels has a row of its name alone. The columns limb and annotator are there where a label has
+    a limb. Names that a spreadsheet would compute are guarded.
     """
     rows = ({"take": labels.take, **row} for labels in takes for row in [*_rows(labels)] or [dict[str, object]()])
-    return "".join([csv_line(_WRITTEN), *(csv_line(map(row.get, _WRITTEN)) for row in rows)])
+    has_limbs = any(one.limb for labels in takes for one in labels.labels)
+    columns = (*_WRITTEN, *OPTIONAL) if has_limbs else _WRITTEN
+    return "".join([csv_line(columns), *(csv_line(map(row.get, columns)) for row in rows)])
 
 
 def write_json(takes: Sequence[TakeLabels]) -> str:
@@ -61,6 +64,7 @@ def write_json(takes: Sequence[TakeLabels]) -> str:
 
 def _rows(labels: TakeLabels) -> Iterator[dict[str, object]]:
     for one in labels.labels:
+        about = {"limb": one.limb, "annotator": one.annotator or None} if one.limb else {}
         times = dict(zip(SECONDS, (round(labels.seconds(edge), 6) for edge in (one.start, one.stop)), strict=True))
         yield {
             "class": one.label,
@@ -70,6 +74,7 @@ def _rows(labels: TakeLabels) -> Iterator[dict[str, object]]:
             **times,
             "cost": None if one.cost is None else round(one.cost, 6),
             "confidence": None if one.confidence is None else round(one.confidence, 6),
+            **about,
         }
 
 

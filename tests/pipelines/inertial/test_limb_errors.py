@@ -25,6 +25,7 @@ from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.pipelines.stages.limb_errors import LimbErrors
 from kinedex.pipelines.stages.limb_orientations import LimbOrientations
 from kinedex.pipelines.stages.synchronise import Synchronise
+from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.limb_error_checks import limb_error_problems
 from kinedex.storage.store.store import open_store
@@ -247,6 +248,40 @@ def test_sensors_judge_tracked_takes(judged: Path) -> None:
     assert rows[1]["max_deg"] == pytest.approx(DEGREES, abs=1.0)
     assert (rows[1]["reference"], rows[1]["mean_mm"]) == ("sensors", None)
     assert rows[0]["frames"] == sum(row["frames"] for row in rows[1:])
+
+
+@pytest.mark.parametrize("form", ["csv", "json", "eaf"])
+def test_runs_leave_the_store_as_labels_that_agree_with_them(judged: Path, tmp_path: Path, form: str) -> None:
+    given = ["labels", "export", str(judged / "store"), "--limbs", "--format", form, "-o", f"{tmp_path / 'out'}/"]
+    done = CliRunner().invoke(app, given)
+    assert done.exit_code == 0, done.output
+    assert "1 segment of 3 takes, found wrong by test/limb_errors: 3 files in" in done.output
+    (one,) = read_labels(tmp_path / "out" / f"{TAKE}.{form}").segments
+    assert (one.label, one.limb, one.annotator) == ("error", "lshank", "")
+    assert one.source_frames(120.0) == (START, STOP)
+    summary = evaluate(judged, ground_truth=str(tmp_path / "out" / f"*.{form}"), taus=[45])
+    assert (summary["evaluated_takes"], summary["labels"]) == (3, 1)
+    runs = metrics(judged, "scope = 'all' AND detector = 'runs' AND annotator = 'all'")
+    assert (runs["p1"], runs["r1"], runs["p2"], runs["r2"]) == (1.0, 1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--format", "vtt"], "WebVTT has no place for the limb of a label 'error' (x_al_hop_1, lshank); use csv"),
+        (["--take", "x_al"], "did not compare 'x_al' with sensors"),
+        (["--stage", "other"], "no stage 'other' has compared limbs"),
+        (["--labels"], "choose one of --labels and --limbs"),
+    ],
+)  # fmt: skip
+def test_runs_that_cannot_be_exported_are_errors(
+    judged: Path, tmp_path: Path, options: list[str], message: str
+) -> None:
+    given = ["labels", "export", str(judged / "store"), "--limbs", "-o", str(tmp_path / "out"), *options]
+    done = CliRunner().invoke(app, given)
+    assert done.exit_code in (1, 2)
+    assert message in " ".join(done.output.replace("│", " ").split())
+    assert not (tmp_path / "out").exists()
 
 
 def changed(**values: Any) -> Callable[[dict[str, Any]], None]:
