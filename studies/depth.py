@@ -59,7 +59,7 @@ METHODS = {"local only": LOCAL, "database only": DATABASE, "combined, one candid
 PRINTED_METHODS = {"local only": PRINTED_LOCAL, "combined, one candidate": PRINTED}
 OFF_CM = 10.0
 OWN, ESTIMATED, MEAN = "own bones", "estimated body", "mean bones at his height"
-CAMERAS, AZIMUTHS = ("tof", "structured"), (45.0, 60.0, 90.0)
+CAMERAS, AZIMUTHS = ("tof", "structured"), (45.0, -45.0, 60.0, -60.0, 90.0)
 PROTOTYPE = {
     ("tof", OWN): ("10.1 / 7.3, 36 %", "15.4 / 6.8, 42 %", "4.1 / 2.4, 6 %", "3.5 / 2.4, 3 %", "2.8 / 1.9, 3 %"),
     ("tof", MEAN): ("10.8 / 7.6, 37 %", "16.4 / 7.0, 43 %", "4.7 / 3.3, 7 %", "3.8 / 2.9, 3 %", "3.3 / 2.6, 2 %"),

@@ -82,8 +82,9 @@ class Film:
     @property
     def name(self) -> str:
         """Its name in tables and folders."""
+        side = "left" if self.azimuth_deg > 0 else "right"
         return "-".join([self.camera, *([self.body] if self.body != "first" else []),
-                         *([f"{self.azimuth_deg:g}"] if self.azimuth_deg else [])])  # fmt: skip
+                         *([f"{side}-{abs(self.azimuth_deg):g}"] if self.azimuth_deg else [])])  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
