@@ -72,7 +72,7 @@ def test_the_boundary_of_a_probability_is_a_half() -> None:
     (view,) = cameras(1)
     column, _ = mask_pixel(view, *(view.rotation @ POSE[0] + view.translation)[:2] / 4.7)
     ramp = np.clip(127.5 - 4 * (np.arange(640) - column - 30), 0, 255)
-    mask = np.broadcast_to(ramp, (480, 640)).astype(np.uint8)
+    mask = np.broadcast_to(ramp, (480, 640)).astype(np.uint8, order="C")
     found = contour_room(CAPSULES, POSE)
     count, _ = find_contours(view, mask, POSE, CAPSULES, found)
     assert count > 30
