@@ -11,6 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from kinedex.catalog.limbs import WORN
+from kinedex.ops.errors import KinedexError
 from kinedex.ops.inertial.packages import imu_package
 from kinedex.ops.inertial.rotations import distance_deg
 from kinedex.pipelines.commands.demo import ACTORS, SEED, make_archive, shipped_patterns
@@ -48,7 +49,7 @@ def run_inertial_demo(store: Path, minutes: float, executor: str, workers: int |
     Raises
     ------
     KinedexError
-        A stage fails, or a package of the extra `imu` is missing.
+        A stage fails, no take is long enough, or a package of the extra `imu` is missing.
     """
     from kinedex.pipelines.simulation.imu_recordings import Request
     from kinedex.pipelines.simulation.imu_sensors import Wearing
@@ -61,9 +62,14 @@ def run_inertial_demo(store: Path, minutes: float, executor: str, workers: int |
     make_archive(data, minutes, ACTORS, SEED, workers, console)
     common: dict[str, Any] = {"executor": executor, "workers": workers, "terminal": terminal}
     run_pipeline("ingest", store, settings={"source": str(data), "ingest.patterns": shipped_patterns()}, **common)
-    recordings = store.parent / f"{store.name}-recordings"
+    recordings = store.parent / f"{store.name}-recordings-{minutes:g}min"
     with open_store(store) as opened:
         names = _long_takes(opened)
+        if not names:
+            raise KinedexError(
+                f"no take of {minutes:g} minutes of motion lasts {LEAST_S:g} s, which sensors need to be synchronised; "
+                "use --minutes 3"
+            )
         if not (recordings / TRUTH).is_file():
             console.print(
                 f"simulated sensors on {counted(len(names), 'take')} in {recordings}", style="bold", markup=False

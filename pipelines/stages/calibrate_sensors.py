@@ -53,7 +53,9 @@ class CalibrateSensors(Stage[CalibrationSettings]):
         for row in rows:
             for what, text in (("left out", row["left_out"]), ("warning", row.get("warning"))):
                 if text:
-                    context.say(f"{row['take']}, {row['sensor']}: {what}: {text}")
+                    named = str(text).startswith(f"{row['sensor']}: ")  # a sensor that is named after its limb
+                    sensor = "" if named else f", {row['sensor']}"
+                    context.say(f"{row['take']}{sensor}: {what}: {text}")
         found = [row for row in rows if not row["left_out"]]
         if found:
             context.terminal.show(_table(found))
