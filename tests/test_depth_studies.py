@@ -66,7 +66,7 @@ def test_recordings_of_the_study_are_made_once(tmp_path: Path, monkeypatch: pyte
     made = film_set(clips, bones, film)
     assert [one.name for one in made] == ["kick", "squat"]
     (folder,) = (tmp_path / "depth").iterdir()
-    assert folder.name.startswith("mm-tof_small-second-45-")
+    assert folder.name.startswith("mm-tof_small-second-left-45-")
     assert (made[0].truth[..., 2] < -0.8).all()  # the camera looks along −z
     assert len(made[0].images) == 2
     assert (made[0].images[0] != made[1].images[0]).any()  # class i has seed 100 + i
