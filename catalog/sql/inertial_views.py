@@ -25,7 +25,8 @@ direction    {VECTOR}    unit vector from the near to the far joint in the world
 basis    VARCHAR    full (a node's rotation, or markers), hinge (long axis and a joint's plane) or none (long axis)
 valid    BOOLEAN    the orientation is known, or for basis none the direction
 jump    BOOLEAN    the frame is at a turn faster than 2,500 degrees a second
-fit_mm    DOUBLE    root mean square distance of the markers to their shape; NULL where there are none""",
+fit_mm    DOUBLE    root mean square distance of the markers to their shape; NULL where there are none
+fingerprint    VARCHAR    a hash of all that the limbs of the take follow from, for reuse; NULL for broken ones""",
         "SELECT take, limb, max(basis) AS basis, count(*) FILTER (valid) AS valid, count(*) FILTER (jump) AS jumps "
         "FROM limb_orientations GROUP BY take, limb ORDER BY take, limb",
         stages="limb_orientations break_track",

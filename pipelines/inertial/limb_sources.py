@@ -143,6 +143,20 @@ def reading_digest(store: Store, takes: Sequence[str]) -> str:
     )
 
 
+def limb_fingerprints(store: Store, takes: Sequence[str], *more: object) -> dict[str, str]:
+    """Return a hash of all that the limbs of each take follow from, by the take's name."""
+    wanted = set(takes)
+    shared = hash_of(
+        [list(store.feature_set.joints), store.rate_hz, *more],
+        [_stated_limbs(mappings) for mappings in sources_of(store).mappings],
+    )
+    return {
+        row["name"]: hash_of(shared, row["take_id"], row["name"], row["checksum"], row["recipe"], row["frames"])
+        for row in store.take_rows.to_pylist()
+        if row["name"] in wanted
+    }
+
+
 def _stated_limbs(mappings: Mappings) -> list[object]:
     every = [one for group in (mappings.own, mappings.of_format) for some in group.values() for one in some]
     return [

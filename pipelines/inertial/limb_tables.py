@@ -10,8 +10,11 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
+from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
+from kinedex.storage.snapshot.parts import read_errors
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
@@ -49,27 +52,45 @@ class StoredLimbs:
         return float(f"{(len(times) - 1) / (times[-1] - times[0]):.9g}") if len(times) > 1 else 0.0
 
 
-def limb_table(take_id: int, take: str, limbs: Mapping[str, LimbMotion], run: str) -> pa.Table:
+def limb_table(
+    take_id: int, take: str, limbs: Mapping[str, LimbMotion], run: str, fingerprint: str | None = None
+) -> pa.Table:
     """Return the rows of a take's limbs, limb by limb, in the order of frames."""
     schema = result_schema(KIND)
-    tables = [_rows(take_id, take, one, run, schema) for one in limbs.values()]
+    tables = [_rows(take_id, take, one, run, fingerprint, schema) for one in limbs.values()]
     return pa.concat_tables(tables) if tables else schema.empty_table()
 
 
-def limb_pieces(take_id: int, take: str, limbs: Mapping[str, LimbMotion], run: str) -> Iterator[pa.Table]:
-    """Yield the rows of `limb_table` in pieces of whole limbs, each long enough to be a row group of its own."""
-    table = limb_table(take_id, take, limbs, run)
+def limb_pieces(rows: pa.Table) -> Iterator[pa.Table]:
+    """Yield the rows of a take's limbs in pieces of whole limbs, each long enough to be a row group of its own."""
+    limbs = rows.column("limb").combine_chunks().dictionary_encode().indices.to_numpy() if rows.num_rows else ()
     start = stop = 0
-    for one in limbs.values():
-        stop += len(one.times)
+    for _, stop in _runs(np.asarray(limbs, np.int64)):
         if stop - start >= LEAST_PIECE:
-            yield table.slice(start, stop - start)
+            yield rows.slice(start, stop - start)
             start = stop
     if stop > start:
-        yield table.slice(start)
+        yield rows.slice(start)
 
 
-def _rows(take_id: int, take: str, one: LimbMotion, run: str, schema: pa.Schema) -> pa.Table:
+def stored_fingerprints(store: Store, stage: str) -> dict[int, str]:
+    """Return the fingerprint of each take whose limbs a stage has stored; none where they cannot be read."""
+    found: dict[int, str] = {}
+    try:
+        for part in store.manifest.results.get(KIND, ()):
+            file = store.checked.part(part)
+            with read_errors(file), pq.ParquetFile(file) as opened:
+                if part.stage != stage or "fingerprint" not in opened.schema_arrow.names:
+                    continue
+                rows = opened.read(["take_id", "fingerprint"]).group_by(["take_id", "fingerprint"]).aggregate([])
+            ids, prints = (rows.column(name).to_pylist() for name in ("take_id", "fingerprint"))
+            found |= {take_id: one for take_id, one in zip(ids, prints, strict=True) if one is not None}
+    except KinedexError:
+        return {}  # repair removes them, and the stage makes all of them again
+    return found
+
+
+def _rows(take_id: int, take: str, one: LimbMotion, run: str, fingerprint: str | None, schema: pa.Schema) -> pa.Table:
     frames = len(one.times)
     columns = {
         "run": pa.repeat(pa.scalar(run), frames),
@@ -85,6 +106,7 @@ def _rows(take_id: int, take: str, one: LimbMotion, run: str, schema: pa.Schema)
         "valid": pa.array(one.valid),
         "jump": pa.array(one.jump),
         "fit_mm": _millimetres(one.fit_m, frames),
+        "fingerprint": pa.repeat(pa.scalar(fingerprint, pa.string()), frames),
     }
     return pa.table([columns[name] for name in schema.names], schema=schema)
 

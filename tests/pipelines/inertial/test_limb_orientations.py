@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,10 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.limbs import LIMB_NAMES
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.inertial.rotations import distance_deg
-from kinedex.pipelines.inertial.limb_motion import common_markers, take_limbs
-from kinedex.pipelines.inertial.limb_sources import limb_tasks, read_limbs
+from kinedex.pipelines.inertial.limb_motion import TakeLimbs, common_markers, take_limbs
+from kinedex.pipelines.inertial.limb_sources import LimbTask, limb_tasks, read_limbs
 from kinedex.pipelines.inertial.limb_tables import stored_limbs
+from kinedex.pipelines.stages import limb_orientations as stage_module
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.pipelines.stages.limb_orientations import LimbOrientations
 from kinedex.storage.formats.motion.reader import Body
@@ -146,3 +148,33 @@ def test_a_marker_that_is_seldom_seen_is_left_out() -> None:
     markers[:] = 0.0
     markers[:5, 0] = np.nan
     assert common_markers(markers).shape == (10, 4, 3)
+
+
+def test_unchanged_takes_are_not_read_again_and_the_rows_are_those_of_a_run_at_once(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read: list[str] = []
+
+    def reading(task: LimbTask) -> TakeLimbs:
+        read.append(task.take)
+        return read_limbs(task)
+
+    monkeypatch.setattr(stage_module, "read_limbs", reading)
+    given = LimbOrientations.parameters()
+
+    def again(code: str, where: str = "true", anew: bool = False) -> dict[str, object]:
+        place = replace(context(tmp_path / "store", "limb_orientations"), code=code, anew=anew)
+        read.clear()
+        return LimbOrientations().run(place, given.model_copy(update={"where": where}))
+
+    shutil.copytree(folder / "store", tmp_path / "store")
+    assert again("a")["unchanged"] == 0, "another code"
+    (whole,) = (store_in(tmp_path).result("limb_orientations"),)
+    again("a", "name <> 'x_al_hop_1'")
+    made = again("a")
+    assert read == ["x_al_hop_1"]
+    assert (made["takes"], made["unchanged"], made["frames"]) == (4, 3, 240 + 120 + 2 * 40)
+    assert store_in(tmp_path).result("limb_orientations").equals(whole)
+    assert again("a", anew=True)["unchanged"] == 0
+    again("b")
+    assert len(read) == 4
