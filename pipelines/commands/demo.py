@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -98,16 +99,12 @@ def run_tracking_demo(store: Path, minutes: float, executor: str, workers: int |
     KinedexError
         A stage fails.
     """
-    from kinedex.catalog.configs import config_path, load_yaml
     from kinedex.pipelines.simulation.camera_recordings import Request, simulate_cameras
 
     terminal = Terminal(console)
-    data = store.parent / f"{store.name}-archive-{minutes:g}min"
-    make_archive(data, minutes, ACTORS, SEED, workers, console)
-    patterns = load_yaml(config_path("pipelines", "stabilise")).mapping()["settings"]["patterns"]
     common: dict[str, Any] = {"executor": executor, "workers": workers, "terminal": terminal}
-    run_pipeline("ingest", store, settings={"source": str(data), "ingest.patterns": patterns}, **common)
-    recordings = store.parent / f"{store.name}-recordings"
+    data = ingest_archive(store, minutes, console, common)
+    recordings = recordings_folder(store, minutes)
     if not (recordings / "recordings.yaml").is_file():
         console.print(f"recordings of the actor '{FILMED}' in {recordings}", style="bold", markup=False)
         where = f"actor = '{FILMED}' AND class IS NOT NULL AND frames >= {LEAST_FRAMES}"
@@ -148,11 +145,9 @@ def run_depth_demo(store: Path, minutes: float, executor: str, workers: int | No
     from kinedex.pipelines.simulation.depth_recordings import RECORDINGS, Request, simulate_depth
 
     terminal = Terminal(console)
-    data = store.parent / f"{store.name}-archive-{minutes:g}min"
-    make_archive(data, minutes, ACTORS, SEED, workers, console)
     common: dict[str, Any] = {"executor": executor, "workers": workers, "terminal": terminal}
-    run_pipeline("ingest", store, settings={"source": str(data), "ingest.patterns": shipped_patterns()}, **common)
-    recordings = store.parent / f"{store.name}-recordings"
+    data = ingest_archive(store, minutes, console, common)
+    recordings = recordings_folder(store, minutes)
     if not (recordings / RECORDINGS).is_file():
         console.print(f"depth recordings of the actor '{FILMED}' in {recordings}", style="bold", markup=False)
         where = f"actor = '{FILMED}' AND class IS NOT NULL AND frames >= {LEAST_FRAMES}"
@@ -169,12 +164,32 @@ def run_depth_demo(store: Path, minutes: float, executor: str, workers: int | No
     return run_pipeline("reconstruct", store, assignments=settings, **common)
 
 
-def shipped_patterns() -> list[str]:
-    """Return the patterns of the shipped pipelines, which fit the synthetic archive."""
+def ingest_archive(store: Path, minutes: float, console: Console, run: Mapping[str, Any]) -> Path:
+    """Make the synthetic archive of a demo beside its store, ingest it, and return its folder.
+
+    Parameters
+    ----------
+    store : Path
+        Directory of the store.
+    minutes : float
+        Minutes of motion.
+    console : Console
+        Where messages are printed.
+    run : mapping of str to any
+        Executor, workers and terminal, as for `run_pipeline`.
+    """
     from kinedex.catalog.configs import config_path, load_yaml
 
-    found = load_yaml(config_path("pipelines", "reconstruct")).mapping()["settings"]["patterns"]
-    return [str(one) for one in found]
+    data = store.parent / f"{store.name}-archive-{minutes:g}min"
+    make_archive(data, minutes, ACTORS, SEED, run["workers"], console)
+    patterns = load_yaml(config_path("pipelines", "reconstruct")).mapping()["settings"]["patterns"]
+    run_pipeline("ingest", store, settings={"source": str(data), "ingest.patterns": patterns}, **run)
+    return data
+
+
+def recordings_folder(store: Path, minutes: float) -> Path:
+    """Return the folder of a demo's recordings: one for each length of the archive, since the takes differ."""
+    return store.parent / f"{store.name}-recordings-{minutes:g}min"
 
 
 def make_archive(

@@ -14,7 +14,7 @@ from kinedex.catalog.limbs import WORN
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.inertial.packages import imu_package
 from kinedex.ops.inertial.rotations import distance_deg
-from kinedex.pipelines.commands.demo import ACTORS, SEED, make_archive, shipped_patterns
+from kinedex.pipelines.commands.demo import SEED, ingest_archive, recordings_folder
 from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
@@ -58,11 +58,9 @@ def run_inertial_demo(store: Path, minutes: float, executor: str, workers: int |
     for package in ("vqf", "scipy.signal"):
         imu_package(package, "the demo of inertial sensors needs")
     terminal = Terminal(console)
-    data = store.parent / f"{store.name}-archive-{minutes:g}min"
-    make_archive(data, minutes, ACTORS, SEED, workers, console)
     common: dict[str, Any] = {"executor": executor, "workers": workers, "terminal": terminal}
-    run_pipeline("ingest", store, settings={"source": str(data), "ingest.patterns": shipped_patterns()}, **common)
-    recordings = store.parent / f"{store.name}-recordings-{minutes:g}min"
+    data = ingest_archive(store, minutes, console, common)
+    recordings = recordings_folder(store, minutes)
     with open_store(store) as opened:
         names = _long_takes(opened)
         if not names:

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.commands import inertial_demo
+from kinedex.pipelines.commands import demo, inertial_demo
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.console.terminal import Console
 from kinedex.pipelines.inertial.limb_tables import struct_array
@@ -77,7 +77,7 @@ def test_an_archive_without_long_takes_is_an_error(tmp_path: Path, monkeypatch: 
     def make(folder: Path, *_: object) -> None:
         write_archive(folder, {"x_al_hop_1.amc": 200})
 
-    monkeypatch.setattr(inertial_demo, "make_archive", make)
+    monkeypatch.setattr(demo, "make_archive", make)
     with pytest.raises(KinedexError, match=r"no take of 1 minutes of motion lasts 15 s.*use --minutes 3"):
         inertial_demo.run_inertial_demo(tmp_path / "store", 1.0, "serial", None, Console(quiet=True))
     assert not list(tmp_path.glob("*recordings*"))

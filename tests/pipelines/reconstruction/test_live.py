@@ -96,7 +96,7 @@ def test_half_written_files_are_waited_for_and_the_size_is_estimated(made: Path,
     writer = threading.Thread(target=write)
     writer.start()
     (*lines, end), messages = follow(made, frames, "--camera", camera, "--idle", 3, body="estimate")
-    writer.join()
+    writer.join(60)
     assert [(one["frame"], one["fault"]) for one in lines] == [(t, None) for t in range(FRAMES)]
     height = float(re.search(r"a person (\d\.\d\d) m tall, estimated", messages)[1])  # type: ignore[index]
     assert re.search(r"latency [\d.]+ ms in the median, 95 % within [\d.]+ ms, at worst", messages) or not any(
