@@ -80,7 +80,7 @@ def nearest_clips(clips: Sequence[U64], intervals: Sequence[U64], features: int)
         own = [place for place in range(len(intervals)) if least[place].argmin() == clip]
         short = [place for place in own if not np.isfinite(least[place, clip])]
         for place in short:  # warped as a whole, since half of no clip has room in it
-            costs = [align(_costs(words, intervals[place], features), *_ones(words, intervals[place])).cost
+            costs = [align(word_differences(words, intervals[place], features), *_ones(words, intervals[place])).cost
                      for words in clips]  # fmt: skip
             best = int(np.argmin(costs))
             found[place] = NearestClip(best, np.inf, _frames(clips[best], intervals[place], [], features))
@@ -118,15 +118,30 @@ def _frames(clip: U64, interval: U64, matches: Sequence[tuple[int, int]], featur
     frames = np.full(len(interval), -1, np.int64)
     for start, stop in matches or [(0, len(interval))]:
         part = interval[start:stop]
-        path = align(_costs(clip, part, features), *_ones(clip, part)).path
+        path = align(word_differences(clip, part, features), *_ones(clip, part)).path
         frames[start + path[:, 1]] = path[:, 0]
     last = np.maximum.accumulate(np.where(frames >= 0, np.arange(len(frames)), -1))
     held: I64 = np.where(last >= 0, frames[last], 0)
     return held
 
 
-def _costs(clip: U64, interval: U64, features: int) -> F64:
-    """Return the share of features that differ, float64 (K, L); 1 where a frame is invalid."""
+def word_differences(clip: U64, interval: U64, features: int) -> F64:
+    """Return the share of features that differ between every two frames of two motions.
+
+    Parameters
+    ----------
+    clip : uint64 array (K,)
+        The words of the one.
+    interval : uint64 array (L,)
+        The words of the other.
+    features : int
+        The number of features of a word.
+
+    Returns
+    -------
+    float64 array (K, L)
+        From 0 to 1; 1 where a frame is invalid.
+    """
     differing = np.bitwise_count((clip[:, None] ^ interval[None, :]) & np.uint64((1 << features) - 1)) / features
     invalid = (clip == NO_WORD)[:, None] | (interval == NO_WORD)[None, :]
     costs: F64 = np.where(invalid, 1.0, differing)

@@ -86,17 +86,24 @@ def words_of(frames: pa.Table) -> npt.NDArray[np.uint64]:
     return words
 
 
-def read_frames(files: CheckedFiles, manifest: Manifest, take_id: int, start: int, stop: int) -> pa.Table:
-    """Read the rows of frames [start, stop) of one live take, all columns."""
+def read_frames(
+    files: CheckedFiles, manifest: Manifest, take_id: int, start: int, stop: int, columns: Sequence[str] | None = None
+) -> pa.Table:
+    """Read the rows of frames [start, stop) of one live take: take_id and the columns that are asked for, or all."""
     part = next(part for part in manifest.frames if take_id in part.live)
-    table = _read(files, part, None, take_id, take_id)
+    table = _read(files, part, None if columns is None else ["take_id", *columns], take_id, take_id)
     ids = table.column("take_id").to_numpy()
     first = int(np.searchsorted(ids, take_id, side="left"))
     return table.slice(first + start, stop - start).combine_chunks()
 
 
-def read_takes(files: CheckedFiles, manifest: Manifest, take_ids: Iterable[int]) -> Iterator[tuple[int, pa.Table]]:
-    """Yield the rows of live takes with their ids, in the order of the parts; every row group is read once."""
+def read_takes(
+    files: CheckedFiles, manifest: Manifest, take_ids: Iterable[int], columns: Sequence[str] | None = None
+) -> Iterator[tuple[int, pa.Table]]:
+    """Yield the rows of live takes with their ids, in the order of the parts; every row group is read once.
+
+    The rows have take_id and the columns that are asked for, or all.
+    """
     asked = set(take_ids)
     for part in manifest.frames:
         wanted = np.array(sorted(asked.intersection(part.live)), np.int64)
@@ -106,7 +113,7 @@ def read_takes(files: CheckedFiles, manifest: Manifest, take_ids: Iterable[int])
         with read_errors(path), pq.ParquetFile(path) as file:
             held: dict[int, list[pa.Table]] = {}
             for group in _groups(file, int(wanted[0]), int(wanted[-1])):
-                table = file.read_row_group(group)
+                table = file.read_row_group(group, None if columns is None else ["take_id", *columns])
                 ids = table.column("take_id").to_numpy()
                 for take_id in wanted[(wanted >= ids[0]) & (wanted <= ids[-1])].tolist():
                     first, last = np.searchsorted(ids, take_id, "left"), np.searchsorted(ids, take_id, "right")

@@ -132,7 +132,9 @@ class Snapshot:
         masks = np.array([self.known.get(take, ALL_KNOWN) for take in words.take_ids.tolist()], np.uint64)
         return words if (masks == ALL_KNOWN).all() else replace(words, known=masks)
 
-    def frames(self, take: str, start: int = 0, stop: int | None = None) -> pa.Table:
+    def frames(
+        self, take: str, start: int = 0, stop: int | None = None, columns: Sequence[str] | None = None
+    ) -> pa.Table:
         """Return the frames [start, stop) of a take, one row per analysis frame.
 
         Every column is one chunk, so that `frames("a").column("rwrist").chunk(0).field("y").to_numpy()` is no copy.
@@ -145,6 +147,8 @@ class Snapshot:
             First frame.
         stop : int, optional
             Frame after the last; the take's end by default.
+        columns : sequence of str, optional
+            The columns to read beside take_id, such as names of joints; all by default.
 
         Raises
         ------
@@ -158,15 +162,17 @@ class Snapshot:
         end = count if stop is None else stop
         if not 0 <= start <= end <= count:
             raise ParameterError("frame range", f"within [0, {count}), the frames of {take}", (start, end))
-        return read_frames(self.checked, self.manifest, take_id, start, end)
+        return read_frames(self.checked, self.manifest, take_id, start, end, columns)
 
-    def frames_of(self, takes: Iterable[str]) -> Iterator[tuple[str, pa.Table]]:
+    def frames_of(self, takes: Iterable[str], columns: Sequence[str] | None = None) -> Iterator[tuple[str, pa.Table]]:
         """Yield the names and the frames of many takes, in the order in which they lie in the store.
 
         Parameters
         ----------
         takes : iterable of str
             Names of takes.
+        columns : sequence of str, optional
+            The columns to read beside take_id, such as names of joints; all by default.
 
         Raises
         ------
@@ -174,7 +180,7 @@ class Snapshot:
             No take has one of the names.
         """
         names = {self.take_id(take): take for take in takes}
-        for take_id, table in read_takes(self.checked, self.manifest, names):
+        for take_id, table in read_takes(self.checked, self.manifest, names, columns):
             yield names[take_id], table
 
     def labels(self, *, history: bool = False) -> pa.Table:
