@@ -17,7 +17,11 @@ ATTACK  ?=
 WORKERS ?= $(shell $(PYTHON) -c 'import os; print(len(os.sched_getaffinity(0)) + 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) + 1)')
 NIGHTLY ?=
 
-.PHONY: setup demo demo-tracking demo-depth demo-inertial test lint types check-kernels fuzz attack bench docs links wheel sbom audit lock clean help
+# The page of the explorer; node comes from the Python package index where there is none of that version.
+PAGE := pipelines/explorer/page
+PAGE_SOURCES := $(addprefix $(PAGE)/,package.json package-lock.json vite.config.ts tsconfig.json index.html) $(shell find $(PAGE)/src -type f 2>/dev/null)
+
+.PHONY: page explore setup demo demo-tracking demo-depth demo-inertial test lint types check-kernels fuzz attack bench docs links wheel sbom audit lock clean help
 .DEFAULT_GOAL := help
 
 help:
@@ -27,6 +31,8 @@ help:
 	@echo "make demo-tracking         film takes of a synthetic archive, track, stabilise, evaluate, print where the page is"
 	@echo "make demo-depth            film takes by a depth camera, reconstruct them with the archive's poses, evaluate"
 	@echo "make demo-inertial         put simulated sensors on takes, break the takes, judge them by the sensors"
+	@echo "make explore               the archive in a browser (STORE=dir for your own; the demo's store unless there is one)"
+	@echo "make page                  build the page of kinedex explore"
 	@echo "make test                  lint, types and all tests"
 	@echo "make fuzz                  broken files against every reader (FUZZ_SECONDS=20 for each, FUZZ_SEED=0)"
 	@echo "make attack                attacks on a store, counted (ATTACK=kills for one, NIGHTLY=1 for all of each)"
@@ -61,6 +67,21 @@ demo-depth: setup
 
 demo-inertial: setup
 	@$(BIN)/kinedex demo "$(INERTIAL_STORE)" --inertial --minutes 3
+
+# ---- the page of the explorer ----------------------------------------------------------------------------
+page: $(VENV)/page.stamp
+
+$(PAGE)/node_modules/run.stamp: $(PAGE)/package-lock.json $(PAGE)/.npmrc | setup
+	@cd $(PAGE) && npm ci --ignore-scripts --no-audit --no-fund --loglevel=error
+	@touch $@
+
+$(VENV)/page.stamp: $(PAGE)/node_modules/run.stamp $(PAGE_SOURCES)
+	@cd $(PAGE) && npx vite build --logLevel warn
+	@touch $@
+
+explore: setup page
+	@test -d "$(STORE)/manifest" || $(MAKE) --no-print-directory demo STORE="$(STORE)"
+	@$(BIN)/kinedex explore "$(STORE)"
 
 # ---- checks ----------------------------------------------------------------------------------------------
 lint: setup

@@ -25,6 +25,8 @@ WITHOUT = {
     "UnwritableError": "the disk refuses a file of an export; the message names the file and the reason",
     "MissingPackageError": "a package is not installed; the message has the command of pip",
     "UnusableRecording": "a key of a recordings file does not fit; the message names the key",
+    "ReadOnlyError": "an explorer was started with --read-only; the message names the option",
+    "NotFoundError": "an address of the explorer names a take that is not there",
     "WorkerDied": "a task needs more memory than there is; the message names the option",
 }
 """Classes whose errors have no remedy of their own: the message itself is the way out."""

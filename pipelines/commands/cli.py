@@ -11,6 +11,7 @@ from kinedex.pipelines.commands import (  # noqa: F401
     changes,
     drafts,
     duplicates,
+    explore,
     export,
     history,
     keyframes,

@@ -1,0 +1,32 @@
+"""The command `explore`, which shows a store in a browser."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from kinedex.pipelines.commands.app import ASK, command
+from kinedex.pipelines.commands.options import StorePath
+
+
+@command(ASK)
+def explore(
+    store: StorePath,
+    port: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="Port to listen on; 8734 or a free one unless given.")
+    ] = None,
+    host: Annotated[
+        str, typer.Option(metavar="NAME", help="Listen on this address instead of this machine alone.")
+    ] = "127.0.0.1",
+    read_only: Annotated[bool, typer.Option("--read-only", help="Refuse everything that writes.")] = False,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the address only.")] = False,
+) -> None:
+    """Open the archive in a browser: takes, search by example, labels.
+
+    A server on this machine shows the store until Ctrl-C. The address that it prints holds a token; nobody else can
+    open it.
+    """
+    from kinedex.pipelines.explorer.server import serve
+
+    serve(store, host, port, read_only=read_only, browser=not no_browser)

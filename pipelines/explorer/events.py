@@ -1,0 +1,93 @@
+"""Messages of the server to the pages that are open: `GET /api/events`, a stream of server-sent events.
+
+The kinds are `version` (a newer version of the store can be read), `labels` (labels have changed) and `job` (the
+progress of a job); each carries one JSON object.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+from collections.abc import AsyncIterator, Mapping
+from typing import TYPE_CHECKING
+
+from anyio import to_thread
+from starlette.responses import Response, StreamingResponse
+from starlette.routing import Route
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from kinedex.pipelines.explorer.archive import Archive
+
+WAIT_SECONDS = 1.0
+"""While a page listens, the store is looked at so often."""
+
+QUIET_SECONDS = 15.0
+"""After so long without a message an empty one is sent, so that connections that are gone are noticed."""
+
+
+class Events:
+    """The listeners of one server; any thread may publish."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._listeners: dict[asyncio.Queue[bytes | None], asyncio.AbstractEventLoop] = {}
+        self._closed = False
+
+    def publish(self, kind: str, message: Mapping[str, object]) -> None:
+        """Send a message to all pages that listen.
+
+        Parameters
+        ----------
+        kind : str
+            Name of the event: version, labels or job.
+        message : mapping
+            What happened, as JSON has it.
+        """
+        text = json.dumps(message, allow_nan=False)
+        self._send(f"event: {kind}\ndata: {text}\n\n".encode())
+
+    def close(self) -> None:
+        """End all streams; the server stops."""
+        self._closed = True
+        self._send(None)
+
+    def _send(self, chunk: bytes | None) -> None:
+        with self._lock:
+            for queue, loop in self._listeners.items():
+                loop.call_soon_threadsafe(queue.put_nowait, chunk)
+
+    async def listen(self, archive: Archive) -> AsyncIterator[bytes]:
+        """Yield the messages as they come, and look after the store meanwhile."""
+        queue: asyncio.Queue[bytes | None] = asyncio.Queue()
+        with self._lock:
+            self._listeners[queue] = asyncio.get_running_loop()
+        try:
+            yield b"retry: 1000\n\n"
+            quiet = 0.0
+            while not self._closed:
+                try:
+                    chunk = await asyncio.wait_for(queue.get(), WAIT_SECONDS)
+                except TimeoutError:
+                    quiet += WAIT_SECONDS
+                    chunk = b": quiet\n\n" if quiet >= QUIET_SECONDS else b""
+                    await to_thread.run_sync(archive.store)
+                if chunk is None:
+                    return
+                if chunk:
+                    quiet = 0.0
+                    yield chunk
+        finally:
+            with self._lock:
+                del self._listeners[queue]
+
+
+async def stream(request: Request) -> Response:
+    """Answer with the messages for as long as the page listens."""
+    archive: Archive = request.app.state.archive
+    return StreamingResponse(archive.events.listen(archive), media_type="text/event-stream")
+
+
+routes = [Route("/api/events", stream)]

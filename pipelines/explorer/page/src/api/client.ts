@@ -1,0 +1,59 @@
+// Requests to the server. Every failure is an ApiError with a message that a person can act on.
+
+export interface Remedy {
+  text: string;
+  command: string[];
+}
+
+export class ApiError extends Error {
+  constructor(
+    readonly status: number,
+    readonly type: string,
+    message: string,
+    readonly remedy: Remedy | null = null,
+  ) {
+    super(message);
+    this.name = "ApiError";
+  }
+}
+
+async function failure(response: Response): Promise<ApiError> {
+  try {
+    const { error } = (await response.json()) as { error: { type: string; message: string; remedy: Remedy | null } };
+    return new ApiError(response.status, error.type, error.message, error.remedy);
+  } catch {
+    return new ApiError(response.status, "HTTPError", `the server answered with status ${response.status}`);
+  }
+}
+
+async function request(path: string, options: RequestInit): Promise<Response> {
+  let response: Response;
+  try {
+    response = await fetch(path, options);
+  } catch (fault) {
+    if (fault instanceof DOMException && fault.name === "AbortError") throw fault;
+    throw new ApiError(0, "ConnectionError", "the server does not answer; is `kinedex explore` still running?");
+  }
+  if (!response.ok) throw await failure(response);
+  return response;
+}
+
+export async function get<T>(path: string, signal?: AbortSignal): Promise<T> {
+  return (await (await request(path, { signal })).json()) as T;
+}
+
+export async function post<T>(path: string, body: unknown, signal?: AbortSignal): Promise<T> {
+  return (await (await request(path, posted(body, signal))).json()) as T;
+}
+
+export async function getBytes(path: string, signal?: AbortSignal): Promise<ArrayBuffer> {
+  return (await request(path, { signal })).arrayBuffer();
+}
+
+export async function postBytes(path: string, body: unknown, signal?: AbortSignal): Promise<ArrayBuffer> {
+  return (await request(path, posted(body, signal))).arrayBuffer();
+}
+
+function posted(body: unknown, signal?: AbortSignal): RequestInit {
+  return { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body), signal };
+}

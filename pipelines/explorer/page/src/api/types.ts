@@ -1,0 +1,80 @@
+// What the server answers. Each subject adds its own types in its folder; these are shared.
+
+export interface Same {
+  command?: string;
+  python?: string;
+}
+
+export interface Feature {
+  bit: number;
+  name: string;
+  group: string;
+  description: string;
+}
+
+export interface Column {
+  name: string;
+  type: string;
+  numeric: boolean;
+}
+
+export interface StoreFacts extends Same {
+  name: string;
+  path: string;
+  version: number;
+  takes: number;
+  hours: number;
+  rate_hz: number;
+  read_only: boolean;
+  joints: string[];
+  parents: number[];
+  features: Feature[];
+  columns: Column[];
+  classes: string[];
+  stages: { annotate: string[]; learn: string[] };
+}
+
+export type Value = string | number | boolean | null | Value[] | { [name: string]: Value };
+
+export interface Filter {
+  column: string;
+  values?: (string | number | boolean | null)[];
+  min?: number;
+  max?: number;
+  contains?: string;
+}
+
+export interface Sort {
+  column: string;
+  descending?: boolean;
+}
+
+export interface Selection {
+  where?: string;
+  filters?: Filter[];
+}
+
+export interface TakesQuestion extends Selection {
+  sort?: Sort[];
+  columns?: string[];
+  offset?: number;
+  limit?: number;
+}
+
+export interface TakesBlock extends Same {
+  version: number;
+  total: number;
+  hours: number;
+  offset: number;
+  columns: string[];
+  rows: Value[][];
+}
+
+export interface Job {
+  id: string;
+  title: string;
+  state: "running" | "done" | "failed" | "stopped";
+  done?: number;
+  total?: number;
+  message?: string;
+}

@@ -1,0 +1,143 @@
+import { ActionIcon, Badge, Loader, Modal, Table, Text, useComputedColorScheme, useMantineColorScheme } from "@mantine/core";
+import { useDisclosure } from "@mantine/hooks";
+import { Suspense, useEffect } from "react";
+import { Link, Route, Switch, useLocation } from "wouter";
+
+import { useConnected, useEvents, useJobs } from "../api/events";
+import { useStore } from "../api/queries";
+import { Fault, FaultBoundary } from "./Fault";
+import { PAGES } from "./pages";
+import { SameBar } from "./SameBar";
+import { useShortcuts, useShownShortcuts } from "./shortcuts";
+
+/** The frame of every page: header, navigation, content, and the bar with the command that does the same. */
+export function Layout() {
+  useEvents();
+  const [location, navigate] = useLocation();
+  const [help, { open, close }] = useDisclosure(false);
+  const page = PAGES.find((one) => isShown(one.path, location));
+  useEffect(() => {
+    document.title = page === undefined ? "kinedex" : `${page.title} · kinedex`;
+  }, [page]);
+  useShortcuts("Everywhere", [
+    { keys: "?", what: "List the keys", run: open },
+    ...PAGES.map((one) => ({ keys: `g ${one.key}`, what: `Go to ${one.title}`, run: () => navigate(one.path) })),
+  ]);
+  return (
+    <div className="shell">
+      <a className="skip" href="#content">
+        Skip to the content
+      </a>
+      <Header onHelp={open} />
+      <nav className="shell-navigation" aria-label="Pages">
+        <ul>
+          {PAGES.map((one) => (
+            <li key={one.path}>
+              <Link href={one.path} aria-current={one === page ? "page" : undefined}>
+                {one.title}
+              </Link>
+            </li>
+          ))}
+        </ul>
+      </nav>
+      <main id="content" className="shell-content" tabIndex={-1}>
+        <FaultBoundary key={page?.path}>
+          <Suspense fallback={<Loader m="md" size="sm" aria-label="Loading" />}>
+            <Switch>
+              {PAGES.map((one) => (
+                <Route key={one.path} path={one.pattern} component={one.view} />
+              ))}
+              <Route>
+                <Text p="md">No page has this address.</Text>
+              </Route>
+            </Switch>
+          </Suspense>
+        </FaultBoundary>
+      </main>
+      <SameBar />
+      <Keys opened={help} close={close} />
+    </div>
+  );
+}
+
+function isShown(path: string, location: string): boolean {
+  return path === "/" ? location === "/" : location === path || location.startsWith(`${path}/`);
+}
+
+function Header({ onHelp }: { onHelp: () => void }) {
+  const store = useStore();
+  const jobs = useJobs().filter((job) => job.state === "running");
+  const connected = useConnected();
+  const facts = store.data;
+  return (
+    <header className="shell-header">
+      <Text fw={700}>kinedex</Text>
+      {facts !== undefined && (
+        <Text size="sm" truncate title={facts.path}>
+          {facts.name}{" "}
+          <span className="muted">
+            version {facts.version} · {facts.takes.toLocaleString("en")} takes · {facts.hours.toFixed(2)} h
+          </span>
+        </Text>
+      )}
+      {facts?.read_only === true && <Badge variant="outline">read only</Badge>}
+      {store.isError && <Fault fault={store.error} />}
+      <div style={{ flex: 1 }} />
+      <div role="status" aria-live="polite">
+        {!connected && <Badge color="red">no connection to the server</Badge>}
+        {jobs.map((job) => (
+          <Badge key={job.id} variant="light">
+            {job.title} {job.total !== undefined && job.total > 0 ? `${job.done ?? 0} of ${job.total}` : ""}
+          </Badge>
+        ))}
+      </div>
+      <ThemeSwitch />
+      <ActionIcon variant="default" aria-label="List the keys" title="Keys (?)" onClick={onHelp}>
+        ?
+      </ActionIcon>
+    </header>
+  );
+}
+
+function ThemeSwitch() {
+  const { setColorScheme } = useMantineColorScheme();
+  const scheme = useComputedColorScheme("light", { getInitialValueInEffect: false });
+  const other = scheme === "dark" ? "light" : "dark";
+  return (
+    <ActionIcon
+      variant="default"
+      aria-label={`Use the ${other} theme`}
+      title={`Use the ${other} theme`}
+      onClick={() => setColorScheme(other)}
+    >
+      {scheme === "dark" ? "☀" : "☾"}
+    </ActionIcon>
+  );
+}
+
+function Keys({ opened, close }: { opened: boolean; close: () => void }) {
+  const groups = useShownShortcuts();
+  return (
+    <Modal opened={opened} onClose={close} title="Keys" size="lg">
+      {groups.map((group) => (
+        <section key={group.title}>
+          <Text fw={600} mt="sm">
+            {group.title}
+          </Text>
+          <Table verticalSpacing={3}>
+            <Table.Tbody>
+              {group.shortcuts.map((one) => (
+                <Table.Tr key={one.keys}>
+                  <Table.Td w={140}>
+                    <kbd>{one.keys}</kbd>
+                  </Table.Td>
+                  <Table.Td>{one.what}</Table.Td>
+                </Table.Tr>
+              ))}
+            </Table.Tbody>
+          </Table>
+        </section>
+      ))}
+    </Modal>
+  );
+}

@@ -1,0 +1,63 @@
+// State in the address: what a page shows is in its query string, so that a link opens the same view.
+
+import { useCallback, useMemo } from "react";
+import { useLocation, useSearch } from "wouter";
+
+/** Return the value of a parameter of the address, and a function that sets it.
+ *
+ * A null removes the parameter. `push` makes an entry in the history of the browser; without it the entry is replaced,
+ * as it should be while somebody types, scrolls or drags. */
+export function useParameter(name: string): [string | null, (value: string | null, push?: boolean) => void] {
+  const search = useSearch();
+  const value = useMemo(() => new URLSearchParams(search).get(name), [search, name]);
+  const change = useParameters();
+  const set = useCallback(
+    (next: string | null, push = false) => change({ [name]: next }, push),
+    [change, name],
+  );
+  return [value, set];
+}
+
+/** Return a function that sets several parameters of the address in one step. */
+export function useParameters(): (values: Record<string, string | null>, push?: boolean) => void {
+  const [, navigate] = useLocation();
+  return useCallback(
+    (values, push = false) => {
+      const parameters = new URLSearchParams(window.location.search);
+      for (const [name, value] of Object.entries(values)) {
+        if (value === null || value === "") parameters.delete(name);
+        else parameters.set(name, value);
+      }
+      const text = parameters.toString();
+      if (text !== window.location.search.replace(/^\?/, ""))
+        navigate(window.location.pathname + (text === "" ? "" : `?${text}`), { replace: !push });
+    },
+    [navigate],
+  );
+}
+
+/** Return the value of a parameter that holds JSON, and a function that sets it; what is no JSON counts as absent. */
+export function useJsonParameter<T>(name: string, absent: T): [T, (value: T | null, push?: boolean) => void] {
+  const [text, set] = useParameter(name);
+  const value = useMemo(() => parsed(text, absent), [text, absent]);
+  const change = useCallback(
+    (next: T | null, push = false) => set(next === null ? null : JSON.stringify(next), push),
+    [set],
+  );
+  return [value, change];
+}
+
+function parsed<T>(text: string | null, absent: T): T {
+  if (text === null) return absent;
+  try {
+    return JSON.parse(text) as T;
+  } catch {
+    return absent;
+  }
+}
+
+/** Return the address of a take, with an interval if one is given. */
+export function takeAddress(name: string, from?: number, to?: number): string {
+  const interval = from === undefined || to === undefined ? "" : `?from=${from}&to=${to}`;
+  return `/take/${encodeURIComponent(name)}${interval}`;
+}

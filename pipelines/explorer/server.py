@@ -1,0 +1,153 @@
+"""The server of the explorer: a socket, uvicorn, and an end that Ctrl-C brings about quietly."""
+
+from __future__ import annotations
+
+import errno
+import socket
+import webbrowser
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import uvicorn
+
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.explorer.access import Rules, addresses, is_loopback, new_token
+from kinedex.pipelines.explorer.application import make_application, require_page
+from kinedex.pipelines.explorer.archive import Archive
+
+if TYPE_CHECKING:
+    from types import FrameType
+
+PORT = 8734
+"""The port unless another is asked for; if it is in use, a free one is taken."""
+
+GRACE_SECONDS = 2
+"""Requests that run when the server stops may take so long."""
+
+
+def open_socket(host: str, port: int | None) -> socket.socket:
+    """Return a socket that listens on a host.
+
+    Parameters
+    ----------
+    host : str
+        Name or address.
+    port : int or None
+        The port; None for `PORT`, or a free one where that is in use.
+
+    Raises
+    ------
+    KinedexError
+        The port is in use or not allowed, or the host is no address of this machine.
+    """
+    ports = [PORT, 0] if port is None else [port]
+    for number in ports:
+        try:
+            return _bound(host, number)
+        except OSError as fault:
+            if number == ports[-1] or fault.errno != errno.EADDRINUSE:
+                raise _refused(host, number, fault) from None
+    raise AssertionError("one port is always tried last")
+
+
+def _bound(host: str, port: int) -> socket.socket:
+    family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    opened = socket.socket(family, kind, protocol)
+    try:
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        opened.bind(address)
+        opened.listen(128)
+    except BaseException:
+        opened.close()
+        raise
+    return opened
+
+
+def _refused(host: str, port: int, fault: OSError) -> KinedexError:
+    """Return the error for a socket that cannot be opened, with a way out."""
+    if fault.errno == errno.EADDRINUSE:
+        return KinedexError(
+            f"--port {port}: the port is in use, perhaps by another `kinedex explore`; leave --port out to get a free "
+            "one"
+        )
+    if fault.errno == errno.EACCES:
+        return KinedexError(f"--port {port}: this user may not listen on it; choose one from 1024 to 65535")
+    return KinedexError(
+        f"--host {host}: cannot listen there: {fault.strerror or fault}; leave --host out to listen on this machine "
+        "alone"
+    )
+
+
+class Server(uvicorn.Server):
+    """Uvicorn, which ends the streams of events first when it is stopped: pages would keep it waiting."""
+
+    def __init__(self, config: uvicorn.Config, archive: Archive) -> None:
+        super().__init__(config)
+        self._archive = archive
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """Stop after the requests that run."""
+        self._archive.events.close()
+        super().handle_exit(sig, frame)
+
+
+def serve(store: Path, host: str, port: int | None, *, read_only: bool, browser: bool) -> None:
+    """Serve a store until Ctrl-C.
+
+    Parameters
+    ----------
+    store : Path
+        The directory of the store.
+    host : str
+        Name or address to listen on.
+    port : int or None
+        The port; a free one for None.
+    read_only : bool
+        Refuse everything that writes.
+    browser : bool
+        Open the page in a browser.
+
+    Raises
+    ------
+    KinedexError
+        There is no store or no built page, or the port is in use.
+    KeyboardInterrupt
+        Ctrl-C ended it.
+    """
+    require_page()
+    archive = Archive(store, read_only=read_only)
+    with open_socket(host, port) as listening:
+        rules = Rules.for_host(new_token(), host, listening.getsockname()[1])
+        (address,) = addresses(rules, host)
+        if not is_loopback(host):
+            _warn(host)
+        print(f"{store}: open {address}", flush=True)
+        print("Ctrl-C stops the server", flush=True)
+        config = uvicorn.Config(
+            make_application(archive, rules),
+            loop="asyncio",
+            http="h11",
+            ws="none",
+            lifespan="off",
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            proxy_headers=False,
+            timeout_graceful_shutdown=GRACE_SECONDS,
+        )
+        if browser:
+            webbrowser.open(address)
+        Server(config, archive).run([listening])
+
+
+def _warn(host: str) -> None:
+    """Report on standard error that other machines can connect."""
+    import sys
+
+    print(
+        f"warning: the server listens on {host}: everybody who can reach this machine and knows the address with its "
+        "token can read the store and label it, and the connection is not encrypted; leave --host out to listen on "
+        "this machine alone, and use an SSH tunnel to come from elsewhere",
+        file=sys.stderr,
+        flush=True,
+    )
