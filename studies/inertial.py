@@ -31,6 +31,8 @@ SETTINGS = {
 }
 """The settings of calibrations: with a magnetometer or not, and the options."""
 
+TAKEN_OUT = "the same, magnetometer's offset taken out"
+
 EVERY = 7
 """Every so many samples of BROAD are calibrated: its tracker is as fast as its sensor."""
 
@@ -115,17 +117,24 @@ def _foot(stream: Stream, fit: StreamFit) -> Foot:
 
 def broad_tables(trials: Sequence[Worn]) -> list[str]:
     """Return the tables of BROAD: orientations, offsets, calibrations."""
+    taken_out = [one.calibrated() for one in trials]
     rows = [
-        [name, *(f"{total:.2f} / {level:.2f}" for total, level in (orientation_errors(one, nine) for one in trials))]
-        for name, nine in (("offline, 9D", True), ("offline, 6D", False))
+        [name, *(f"{total:.2f} / {level:.2f}" for total, level in (orientation_errors(one, nine) for one in some))]
+        for name, some, nine in (
+            ("offline, 9D", trials, True),
+            (TAKEN_OUT, taken_out, True),
+            ("offline, 6D", trials, False),
+        )
     ]
     lags = [f"{1000 * lag([one], 5.0).offset_s:.1f}" for one in trials]
     lines = ["Orientations, total / inclination, RMS in degrees; and the lag of the readings:", ""]
     lines += grid(["trial", *(one.name for one in trials)], [*rows, ["lag, ms", *lags]])
     lines += ["Calibration: q_L off by / e, RMS, degrees:", ""]
     calibrated = []
-    for name, (magnetometer, options) in SETTINGS.items():
-        cells = [trial_calibration(one, magnetometer, options) for one in trials]
+    settings = [(name, trials, *how) for name, how in SETTINGS.items()]
+    settings.insert(2, (TAKEN_OUT, taken_out, True, Options()))
+    for name, some, magnetometer, options in settings:
+        cells = [trial_calibration(one, magnetometer, options) for one in some]
         calibrated.append([name, *(f"{off:.2f} / {e:.2f}" for off, e in cells)])
     return [*lines, *grid(["", *(one.name for one in trials)], calibrated)]
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.inertial.limb_orientation import segment_orientation
-from kinedex.ops.inertial.orientation_filter import TO_NORTH_WEST_UP, estimate
+from kinedex.ops.inertial.orientation_filter import TO_NORTH_WEST_UP, estimate, estimate_calibrated
 from kinedex.ops.inertial.rotations import Z_TO_Y, multiply
 
 F64 = npt.NDArray[np.float64]
@@ -57,6 +57,11 @@ class Worn:
     def orientation(self, magnetometer: bool) -> F64:
         """Return the sensor's orientations (N, 4), sensor → F_GI, with or without its magnetometer."""
         return estimate(self.rate_hz, self.acc, self.gyr, self.mag if magnetometer else None)
+
+    def calibrated(self) -> Worn:
+        """Return the sensor with the offset of its magnetometer taken out."""
+        assert self.mag is not None
+        return replace(self, mag=self.mag - estimate_calibrated(self.rate_hz, self.acc, self.gyr, self.mag)[1])
 
 
 def read_broad(path: Path) -> Worn:

@@ -26,7 +26,7 @@ from kinedex.ops.evaluation.metrics import Counts, pooled
 from kinedex.ops.evaluation.threshold_counts import threshold_counts
 from kinedex.ops.inertial.limb_orientation import NONE
 from kinedex.ops.inertial.noise import generator
-from kinedex.ops.inertial.orientation_filter import estimate
+from kinedex.ops.inertial.orientation_filter import estimate_calibrated
 from kinedex.ops.inertial.rotations import conjugate, distance_deg, exp, interpolate, log, multiply, rotate
 from kinedex.ops.inertial.sensor_model import centred_acceleration
 from kinedex.pipelines.evaluation.markdown import grid
@@ -195,12 +195,13 @@ def make_trial(name: str, actor: str, limbs: dict[str, LimbMotion], grade: str, 
     times = next(iter(limbs.values())).times
     slow = {limb: part(one, every_frame(times)) for limb, one in limbs.items()}
     broken = break_take(StoredLimbs(1, name, slow), [limb for limb in WORN if limb != "torso"], NOISE_DEG, 0, seed)
+    estimated = {
+        limb: estimate_calibrated(SENSOR_HZ, own.acc, own.gyr, own.mag)[0] for limb, own in sampled.readings.items()
+    }
     sensors = tuple(
-        WornSensor(
-            RECORDING, limb, limb, sampled.times, own.gyr, estimate(SENSOR_HZ, own.acc, own.gyr, own.mag), True
-        )
+        WornSensor(RECORDING, limb, limb, sampled.times, own.gyr, estimated[limb], True)
         for limb, own in sampled.readings.items()
-    )  # fmt: skip
+    )
     return Trial(slow, WornTake(1, name, broken.limbs, sensors, {}), broken.truth, worn, sampled)
 
 

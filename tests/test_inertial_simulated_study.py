@@ -20,7 +20,7 @@ def test_errors_of_a_take_are_found_by_the_sensors_that_it_wears(shared: Path) -
     assert judged.clock.offset_s == pytest.approx(trial.worn.clock.offset_s, abs=1e-3)
     for one in judged.fits:
         assert one.fit is not None
-        assert float(distance_deg(one.fit.q_global, trial.worn.q_global)) < 1.0
+        assert float(distance_deg(one.fit.q_global, trial.worn.q_global)) < 0.6
     (shanks,) = judged.counts("shank", [20.0])
     (hands,) = judged.counts("hand", [20.0])
     assert min(shanks.f1, hands.f1) > 0.95

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.inertial.field_offset import field_offset
 from kinedex.ops.inertial.packages import imu_package
 from kinedex.ops.inertial.rotations import exp, multiply, rotate
 
@@ -58,6 +59,25 @@ def estimate(rate_hz: float, acc: F64, gyr: F64, mag: F64 | None = None) -> F64:
     rows = [None if values is None else np.ascontiguousarray(values, np.float64) for values in (gyr, acc, mag)]
     found = vqf.offlineVQF(*rows, 1.0 / rate_hz, SETTINGS)
     return multiply(TO_NORTH_WEST_UP, np.asarray(found["quat6D" if mag is None else "quat9D"], np.float64))
+
+
+def estimate_calibrated(rate_hz: float, acc: F64, gyr: F64, mag: F64) -> tuple[F64, F64]:
+    """Estimate the orientations of a sensor whose magnetometer may have a constant offset, which is taken out first.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Samples per second.
+    acc, gyr, mag : float64 array (T, 3)
+        The readings, as for `estimate`.
+
+    Returns
+    -------
+    tuple[float64 array (T, 4), float64 array (3,)]
+        Sensor → F_GI, and the offset of the magnetometer in its own axes and unit.
+    """
+    offset = field_offset(rate_hz, estimate(rate_hz, acc, gyr), mag)
+    return estimate(rate_hz, acc, gyr, mag - offset), offset
 
 
 def field_axis(quaternions: F64, mag: F64) -> str:

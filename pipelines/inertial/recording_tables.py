@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from kinedex.catalog.sensorsets import SensorSet, load_sensor_set
 from kinedex.ops.errors import KinedexError, SourceError
-from kinedex.ops.inertial.orientation_filter import estimate
+from kinedex.ops.inertial.orientation_filter import estimate, estimate_calibrated
 from kinedex.ops.inertial.packages import MissingPackageError
 from kinedex.ops.inertial.rotations import interpolate
 from kinedex.pipelines.inertial.recording_files import SensorRecording, rejection
@@ -23,6 +23,7 @@ from kinedex.storage.snapshot.schemas import result_schema
 F64 = npt.NDArray[np.float64]
 
 _LONGEST_BRIDGE_S = 1.0
+_LARGEST_OFFSET = 0.05  # share of the field by which a calibrated magnetometer may be off
 _MOST_FILLED = 4
 """Samples of the even grid for each sample of the file: a recording with more holes is none."""
 
@@ -172,13 +173,25 @@ def estimated(sensor: ImuSensor) -> tuple[F64, list[str]]:
     mag = None if sensor.mag is None else _filled(times, sensor.mag, grid)
     if acc is None or gyr is None or (sensor.mag is not None and mag is None):
         raise KinedexError(f"sensor '{sensor.name}' has a channel without a single reading")
-    even = estimate(sensor.rate_hz, acc, gyr, mag)
+    warnings = []
+    if mag is None:
+        even = estimate(sensor.rate_hz, acc, gyr)
+    else:
+        even, offset = estimate_calibrated(sensor.rate_hz, acc, gyr, mag)
+        warnings += _offset_warning(mag, offset)
     found, _ = interpolate(grid, even, np.clip(times, grid[0], grid[-1]), 2.0 / sensor.rate_hz)
     found[~(np.isfinite(sensor.acc).all(axis=1) & np.isfinite(sensor.gyr).all(axis=1))] = np.nan
-    warnings = []
     if mag is None and any(stop - start > _LONGEST_BRIDGE_S for start, stop in sensor.gaps):
         warnings.append("without magnetometer, the estimated heading jumps at a gap of more than a second")
     return found, warnings
+
+
+def _offset_warning(mag: F64, offset: F64) -> list[str]:
+    """Return a warning of a magnetometer that is clearly not calibrated."""
+    share = float(np.linalg.norm(offset) / np.median(np.linalg.norm(mag - offset, axis=1)))
+    if share < _LARGEST_OFFSET:
+        return []
+    return [f"the magnetometer is off by {share:.0%} of the field, which was taken out before headings were estimated"]
 
 
 def _filled(times: F64, values: F64, grid: F64) -> F64 | None:

@@ -1,0 +1,114 @@
+"""The constant offset of a magnetometer, found from the sensor's own turns.
+
+A magnetised case adds a vector to the field that turns with the sensor; it pulls the heading by a degree for each
+hundredth of the field, and differently in each pose. Orientations from gyroscope and accelerometer alone drift slowly
+but know how the sensor turns: with these turns R the readings m fulfil R m = m₀ + R b with the field m₀ and the offset
+b, which is linear in both. Rooms bend the field, too, so that b is believed only as far as the residuals allow: it is
+the most likely one by a normal prior, with as many independent residuals as their correlation over time leaves.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.inertial.rotations import rotate
+
+F64 = npt.NDArray[np.float64]
+
+BLOCK_S = 0.1
+"""Readings are averaged over so many seconds."""
+
+PRIOR = 0.01
+"""Standard deviation of the offset of a calibrated magnetometer on each axis, as a share of the field."""
+
+LIKELY = 6.0
+"""An offset longer than so many standard deviations shows a magnetometer that is not calibrated: the prior widens."""
+
+LEAST_CORRELATED_S = 1.0
+"""Residuals are taken to be alike for so many seconds at least."""
+
+ROUNDS = 6
+OUTLIER = 2.0
+"""Residuals of so many standard deviations have a quarter of the weight."""
+
+_MEDIAN_SQUARE = 2.366
+"""The median of the sum of three squared standard normal numbers."""
+
+
+def field_offset(rate_hz: float, orientation: F64, mag: F64) -> F64:
+    """Estimate what a magnetometer adds to the field, in its own axes.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Samples per second.
+    orientation : float64 array (T, 4)
+        Orientations of the sensor without its magnetometer, sensor → a world whose heading is arbitrary.
+    mag : float64 array (T, 3)
+        The readings, in any unit.
+
+    Returns
+    -------
+    float64 array (3,)
+        In the unit of the readings; subtracting it calibrates them. Zeros where nothing turns, or no field is read.
+
+    Raises
+    ------
+    ParameterError
+        The rate is not positive, or shapes do not agree.
+    """
+    if not rate_hz > 0.0:
+        raise ParameterError("rate_hz", "positive", rate_hz)
+    if orientation.shape != (len(mag), 4) or mag.shape != (len(mag), 3):
+        raise ParameterError("orientation and mag", "of shapes (T, 4) and (T, 3)", (orientation.shape, mag.shape))
+    offset = np.zeros(3)
+    each = max(1, round(BLOCK_S * rate_hz))
+    if len(mag) < 2 * each:
+        return offset
+    fields, turns = _blocks(orientation, mag, each)
+    step_s = each / rate_hz
+    prior = (PRIOR * float(np.median(np.linalg.norm(fields, axis=1)))) ** 2
+    if not prior > 0.0:
+        return offset
+    offset, residuals = _fit(fields, turns, np.ones(len(fields)), 1e-6 * len(fields))
+    correlated_s = LEAST_CORRELATED_S
+    for _ in range(ROUNDS):
+        squares = np.einsum("ka,ka->k", residuals, residuals)
+        variance = max(float(np.median(squares)) / _MEDIAN_SQUARE, 1e-12 * prior)
+        weights = (1.0 + squares / (3.0 * OUTLIER**2 * variance)) ** -2
+        correlated_s = max(correlated_s, step_s * _correlated(np.sqrt(weights)[:, None] * residuals))
+        widened = max(prior, float(offset @ offset) / LIKELY**2)
+        offset, residuals = _fit(fields, turns, weights, variance * correlated_s / (step_s * widened))
+    return offset
+
+
+def _blocks(orientation: F64, mag: F64, each: int) -> tuple[F64, F64]:
+    """Return means over blocks of samples: of the readings in the world (K, 3), and of the turns (K, 3, 3)."""
+    count = len(mag) // each
+    rows = [rotate(orientation, mag)] + [rotate(orientation, axis) for axis in np.eye(3)]
+    fields, *columns = (values[: count * each].reshape(count, each, 3).mean(axis=1) for values in rows)
+    return fields, np.stack(columns, axis=2)
+
+
+def _correlated(residuals: F64) -> float:
+    """Return the number of neighbouring residuals (K, 3) that count as one, by their correlation until it vanishes."""
+    count = len(residuals)
+    spectrum = np.fft.rfft(residuals, 2 * count, axis=0)
+    products = np.fft.irfft((spectrum * spectrum.conj()).real.sum(axis=1), 2 * count)[:count]
+    if not products[0] > 0.0:
+        return 1.0
+    gone = np.flatnonzero(products <= 0.0)
+    stop = int(gone[0]) if len(gone) else count
+    return 1.0 + 2.0 * float(products[1:stop].sum()) / float(products[0])
+
+
+def _fit(fields: F64, turns: F64, weights: F64, stiffness: float) -> tuple[F64, F64]:
+    """Fit field and offset by weighted least squares, and return the offset and the residuals."""
+    total = weights.sum()
+    mean_field, mean_turn = np.tensordot(weights, fields, 1) / total, np.tensordot(weights, turns, 1) / total
+    y, x = fields - mean_field, turns - mean_turn
+    normal = np.einsum("k,kai,kaj->ij", weights, x, x) + stiffness * np.eye(3)
+    offset = np.linalg.solve(normal, np.einsum("k,kai,ka->i", weights, x, y))
+    return offset, y - x @ offset
