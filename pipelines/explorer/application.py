@@ -28,7 +28,10 @@ BUILT = Path(__file__).parent / "built"
 """The folder of the built page (`make page`)."""
 
 SUBJECTS = (
+    "curves",
     "events",
+    "lanes",
+    "motion",
     "store",
     "takes",
 )

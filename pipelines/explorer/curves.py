@@ -8,11 +8,13 @@ named by its subclass, kind and stage.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+from starlette.responses import Response
 
 from kinedex.ops.annotation.segments import local_minima
 from kinedex.ops.distances.curve_path import curve_paths
@@ -24,12 +26,19 @@ from kinedex.ops.templates.templates import Kind, QuantisedTemplate, quantise
 from kinedex.ops.templates.warping import align
 from kinedex.ops.words import ALL_KNOWN, U64
 from kinedex.pipelines.annotation.parameters import DEFAULT_TAU
+from kinedex.pipelines.explorer.addresses import get, take_of
 from kinedex.pipelines.explorer.lanes import words_of_take
-from kinedex.pipelines.explorer.motion import Interval, frames_of
+from kinedex.pipelines.explorer.motion import Interval, frames_of, whole_number
+from kinedex.pipelines.explorer.same import command_line, python_lines
 from kinedex.pipelines.report.nearest_examples import clips_of
 from kinedex.pipelines.templates.learning import SubclassTemplate
 from kinedex.pipelines.templates.stored_templates import choose_template, stored_templates
 from kinedex.storage.store.store import Store
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from kinedex.pipelines.explorer.archive import Archive
 
 Row = dict[str, Any]
 
@@ -314,3 +323,81 @@ def aligned_intervals(store: Store, one: Interval, other: Interval) -> Row:
         "frames": (other.start + frames).tolist(),
         "cost": float(differing[path[:, 0], path[:, 1]].mean()),
     }
+
+
+def _choice(request: Request) -> TemplateChoice:
+    """Return the template that an address names."""
+    asked = request.query_params
+    kind = asked.get("kind", "soft")
+    if kind not in ("soft", "hard"):
+        raise ParameterError("kind", "soft or hard", kind)
+    return TemplateChoice(
+        asked.get("template", ""),
+        "hard" if kind == "hard" else "soft",
+        asked.get("stage"),
+        _number(request, "delta", DELTA),
+    )
+
+
+def _number(request: Request, name: str, absent: float) -> float:
+    text = request.query_params.get(name)
+    try:
+        value = absent if text is None else float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ParameterError(name, f"a number in the address, such as {name}=0.1", text)
+    return value
+
+
+def _templates(archive: Archive, request: Request) -> Row:
+    store, take = take_of(archive, request)
+    same = {"command": command_line("kinedex", "templates", "list", store.path)}
+    return {**templates_of_take(store, take), **same, "python": python_lines(store.path, "store.templates()")}
+
+
+def _image(archive: Archive, request: Request) -> Row:
+    store, choice = archive.store(), _choice(request)
+    show = command_line("kinedex", "templates", "show", store.path, choice.name)
+    python = python_lines(store.path, f"store.template({choice.name!r}, {choice.kind!r}).plot()")
+    return {**template_image(store, choice), "command": show, "python": python}
+
+
+def _curve(archive: Archive, request: Request) -> Response:
+    curve = curve_of_template(*take_of(archive, request), _choice(request))
+    return Response(curve.tobytes(), media_type="application/octet-stream")
+
+
+def _hit(archive: Archive, request: Request) -> Row:
+    store, take = take_of(archive, request)
+    choice, tau = _choice(request), _number(request, "tau", DEFAULT_TAU)
+    found = nearest_hit(store, take, choice, whole_number(request, "frame"), tau)
+    where = f"take_id = {take}"
+    rank = f"store.rank({choice.name!r}, None, tau={tau:g}, delta={choice.delta:g}, where={where!r})"
+    return {**found, "python": python_lines(store.path, rank)}
+
+
+def _align(archive: Archive, request: Request) -> Row:
+    store = archive.store()
+    one, other = (
+        Interval(*(whole_number(request, f"{side}{name}") for name in ("take", "start", "stop")))
+        for side in ("", "other_")
+    )
+    parts = ", ".join(f"store[{each.take_id}][{each.start}:{each.stop}].words()" for each in (one, other))
+    features = len(store.feature_set.features)
+    lines = (
+        "from kinedex.ops.templates.nearest_clip import word_differences",
+        "from kinedex.ops.templates.warping import align",
+        f"costs = word_differences({parts}, {features})",
+        "align(costs, *(numpy.ones(length) for length in costs.shape)).path",
+    )
+    return {**aligned_intervals(store, one, other), "python": python_lines(store.path, "import numpy", *lines)}
+
+
+routes = [
+    get("/api/takes/{take:int}/templates", _templates),
+    get("/api/takes/{take:int}/curve", _curve),
+    get("/api/takes/{take:int}/hit", _hit),
+    get("/api/template", _image),
+    get("/api/align", _align),
+]

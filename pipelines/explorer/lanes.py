@@ -8,17 +8,25 @@ frame (bit i − 1 is feature Fi; 2⁶⁴ − 1 in an invalid frame), `GET /api/
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow.compute as pc
+from starlette.responses import Response
 
 from kinedex.ops.body.fault_marks import fault_marks
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
-from kinedex.pipelines.explorer.motion import PositionCache, frames_of
+from kinedex.pipelines.explorer.addresses import get, take_of
+from kinedex.pipelines.explorer.motion import POSITIONS, PositionCache, frames_of, whole_number
+from kinedex.pipelines.explorer.same import command_line, python_lines
 from kinedex.storage.store.store import Store
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from kinedex.pipelines.explorer.archive import Archive
 
 Row = dict[str, Any]
 F64 = npt.NDArray[np.float64]
@@ -53,7 +61,7 @@ def take_document(store: Store, take_id: int) -> Row:
     dict
         `take_id`, `name`, `frames`, `rate_hz`, `seconds`, `version` of the store; `columns`, the row of the take;
         `unknown`, the bits of features that its body lacks joints for; `warnings`; and `persons`, the takes of the
-        same source file (name and id), which are of other persons at the same time.
+        same source file (name and id), which are of other persons at the same time; `command`, `python`.
 
     Raises
     ------
@@ -78,6 +86,8 @@ def take_document(store: Store, take_id: int) -> Row:
         "unknown": [bit for bit in range(features) if not known >> bit & 1],
         "warnings": warnings,
         "persons": _persons(store, row),
+        "command": command_line("kinedex", "sql", store.path, f"SELECT * FROM takes WHERE take_id = {take_id}"),
+        "python": python_lines(store.path, f"take = store[{row['name']!r}]", "take.positions, take.features()"),
     }
 
 
@@ -116,7 +126,8 @@ def take_lanes(cache: PositionCache, store: Store, take_id: int) -> Row:
         `lanes`, a list of lanes. A lane has `id`, `group` (labels, ground_truth, annotations, compared, hits, limbs,
         duplicates or quality), `name`, `detail`, and `segments`, each with `start` and `stop` in analysis frames,
         `class` (the text on it), and what its source states: `confidence`, `cost`, `subclass`, `verdict`, `note`, ….
-        `suspect`, the figures of the take that lie beyond their limits; `limbs`, the limbs that have an error curve.
+        `suspect`, the figures of the take that lie beyond their limits; `limbs`, the limbs that have an error curve;
+        `command`, `python`.
 
     Raises
     ------
@@ -138,7 +149,14 @@ def take_lanes(cache: PositionCache, store: Store, take_id: int) -> Row:
         asked = "SELECT DISTINCT limb FROM limb_errors WHERE take_id = ? ORDER BY limb"
         limbs = [row["limb"] for row in store.sql(asked, [take_id]).to_pylist()]
     suspect = store.sql(_PLAIN.format(columns="* EXCLUDE (take_id, take)", view="suspect_takes"), [take_id])
-    return {"lanes": lanes, "suspect": suspect.to_pylist(), "limbs": limbs}
+    query = f"FROM annotations WHERE take_id = {take_id} ORDER BY start"
+    return {
+        "lanes": lanes,
+        "suspect": suspect.to_pylist(),
+        "limbs": limbs,
+        "command": command_line("kinedex", "sql", store.path, query),
+        "python": python_lines(store.path, f"store.sql({query!r})"),
+    }
 
 
 def _lane(group: str, name: str, segments: Iterable[Row], detail: str = "", id: str = "") -> Row:
@@ -365,7 +383,7 @@ def pose_reading(store: Store, take_id: int, frame: int) -> Row:
     -------
     dict
         `frame`, `valid`, and the names of the features that are `on`, `off` and `unknown`; in an invalid frame all are
-        unknown.
+        unknown; `command`, `python`.
 
     Raises
     ------
@@ -387,4 +405,39 @@ def pose_reading(store: Store, take_id: int, frame: int) -> Row:
         "on": features.named(value),
         "off": features.named(known & ~value),
         "unknown": features.named(every & ~known),
+        "command": command_line(
+            "kinedex", "sql", store.path, f"SELECT word FROM frames WHERE take_id = {take_id} AND frame = {frame}"
+        ),
+        "python": python_lines(store.path, f"store[{take_id}].features()[{frame}]"),
     }
+
+
+def _document(archive: Archive, request: Request) -> Row:
+    return take_document(*take_of(archive, request))
+
+
+def _words(archive: Archive, request: Request) -> Response:
+    words = words_of_take(*take_of(archive, request))
+    return Response(words.astype("<u8").tobytes(), media_type="application/octet-stream")
+
+
+def _lanes(archive: Archive, request: Request) -> Row:
+    return take_lanes(POSITIONS, *take_of(archive, request))
+
+
+def _limb_error(archive: Archive, request: Request) -> Response:
+    curve = limb_error_curve(*take_of(archive, request), request.query_params.get("limb", ""))
+    return Response(curve.tobytes(), media_type="application/octet-stream")
+
+
+def _pose(archive: Archive, request: Request) -> Row:
+    return pose_reading(*take_of(archive, request), whole_number(request, "frame"))
+
+
+routes = [
+    get("/api/takes/{take:int}", _document),
+    get("/api/takes/{take:int}/words", _words),
+    get("/api/takes/{take:int}/lanes", _lanes),
+    get("/api/takes/{take:int}/limb-error", _limb_error),
+    get("/api/takes/{take:int}/pose", _pose),
+]

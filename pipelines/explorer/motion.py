@@ -25,14 +25,23 @@ from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from threading import Lock
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
+from starlette.responses import Response, StreamingResponse
 
 from kinedex.ops.body.facing_direction import Placement, facing_yaw, start_at_origin
 from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.pipelines.explorer.addresses import Question, get, post, take_of
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from kinedex.pipelines.explorer.archive import Archive
 
 F32 = npt.NDArray[np.float32]
 
@@ -115,6 +124,10 @@ class PositionCache:
                 self._bytes += read.nbytes
             while self._bytes > self._most_bytes:
                 self._bytes -= self._held.popitem(last=False)[1].nbytes
+
+
+POSITIONS = PositionCache()
+"""The positions of the takes that pages have asked for lately."""
 
 
 def _names(store: Store, take_ids: Iterable[int]) -> dict[int, str]:
@@ -290,3 +303,60 @@ def facing_viewer(positions: npt.NDArray[np.floating], joints: Sequence[str]) ->
     root = joints.index("root") if "root" in joints else 0
     x, _, z = places[row, root] if known[row, root] else places[row][known[row]].mean(axis=0)
     return start_at_origin(places, Placement(float(x), float(z), float(yaws[row]) if len(whole) else 0.0))
+
+
+class FigureItem(Question):
+    """An interval of a take."""
+
+    take_id: int
+    start: int
+    stop: int
+
+
+class FiguresQuestion(Question):
+    """Intervals to be shown as small figures."""
+
+    items: Annotated[list[FigureItem], Field(max_length=MOST_FIGURES)]
+    frames: Annotated[int, Field(ge=1, le=2000)] = 120
+
+
+def whole_number(request: Request, name: str, absent: int | None = None) -> int:
+    """Return a parameter of an address that is a whole number.
+
+    Parameters
+    ----------
+    request : Request
+        The request.
+    name : str
+        Name of the parameter.
+    absent : int, optional
+        The value without it; it must be there unless given.
+
+    Raises
+    ------
+    ParameterError
+        It is missing, or no whole number.
+    """
+    text = request.query_params.get(name)
+    if text is None and absent is not None:
+        return absent
+    try:
+        return int(text or "")
+    except ValueError:
+        raise ParameterError(name, f"a whole number in the address, such as {name}=30", text) from None
+
+
+def _motion(archive: Archive, request: Request) -> Response:
+    store, take = take_of(archive, request)
+    first, step = whole_number(request, "first", 0), whole_number(request, "step", 1)
+    stop = whole_number(request, "stop", frames_of(store, take))
+    blocks = motion_blocks(POSITIONS, store, take, first, stop, step)
+    return StreamingResponse(blocks, media_type="application/octet-stream")
+
+
+def _figures(archive: Archive, asked: FiguresQuestion, _request: Request) -> Response:
+    items = [Interval(one.take_id, one.start, one.stop) for one in asked.items]
+    return Response(figures(POSITIONS, archive.store(), items, asked.frames), media_type="application/octet-stream")
+
+
+routes = [get("/api/takes/{take:int}/motion", _motion), post("/api/figures", _figures, FiguresQuestion)]
