@@ -133,15 +133,15 @@ def imu(
 ) -> None:
     """Put simulated inertial sensors on the limbs of takes.
 
-    The takes' sources are read again at their own rate. DIR/recordings has a folder for each take, DIR/windows.csv the
-    class of each window, DIR/segments.csv annotated segments, and DIR/truth mounts and clocks. The same command makes
-    the same bytes.
+    The takes' sources are read again at their own rate. DIR/README.md describes all files, and has code that loads the
+    windows: DIR/recordings has a folder for each take, DIR/windows.csv the class of each window, and DIR/truth mounts
+    and clocks. Pieces of takes shorter than a window are left out. The same command makes the same bytes.
     """
     from dataclasses import asdict
 
     from kinedex.pipelines.console.terminal import Terminal
     from kinedex.pipelines.console.wording import counted
-    from kinedex.pipelines.simulation.imu_recordings import DATASET, Request
+    from kinedex.pipelines.simulation.imu_recordings import README, Request
     from kinedex.pipelines.simulation.imu_sensors import Wearing
     from kinedex.pipelines.simulation.imu_takes import simulate_imu
     from kinedex.pipelines.simulation.imu_windows import Windowing
@@ -156,4 +156,4 @@ def imu(
     print_message(
         f"{counted(len(made.recordings), 'take')}, {made.seconds:,.1f} s, {made.samples:,} samples, in {output}"
     )
-    print_path(output / DATASET)
+    print_path(output / README)

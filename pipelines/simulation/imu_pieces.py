@@ -1,4 +1,4 @@
-"""The parts of a take that sensors can be simulated for: between jumps and gaps, two seconds or more."""
+"""The parts of a take that sensors can be simulated for: those between jumps and gaps that are long enough."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
 LEAST_SECONDS = 2.0
-"""Shorter pieces are left out."""
+"""Shorter pieces are left out unless windows are shorter."""
 
 SHORT_GAP_S = 0.1
 """Frames without an orientation are interpolated over gaps up to this long."""
@@ -60,7 +60,7 @@ class Pieces:
     pieces : tuple of Piece
         In the order of time.
     short : int
-        The number of pieces that were left out because they are shorter than 2 s.
+        The number of pieces that were left out because they are too short.
     lost_frames : int
         The frames in no piece.
     without : dict of str to str
@@ -73,7 +73,9 @@ class Pieces:
     without: dict[str, str]
 
 
-def take_pieces(limbs: Mapping[str, LimbMotion], wanted: tuple[str, ...], named: bool) -> Pieces:
+def take_pieces(
+    limbs: Mapping[str, LimbMotion], wanted: tuple[str, ...], named: bool, least_s: float = LEAST_SECONDS
+) -> Pieces:
     """Divide a take into pieces that sensors can be simulated for.
 
     Parameters
@@ -84,6 +86,8 @@ def take_pieces(limbs: Mapping[str, LimbMotion], wanted: tuple[str, ...], named:
         The limbs that wear sensors.
     named : bool
         True if the user named them; a limb that is known by its long axis alone is left out in any case.
+    least_s : float
+        Seconds that a piece must have.
     """
     without = {}
     usable: dict[str, tuple[LimbMotion, F64, F64, Bool]] = {}
@@ -106,7 +110,7 @@ def take_pieces(limbs: Mapping[str, LimbMotion], wanted: tuple[str, ...], named:
     # a jump stands between two frames that are both marked
     edges = np.flatnonzero(np.diff(good, prepend=False, append=False)).reshape(-1, 2).tolist()
     step = float(times[1] - times[0]) if len(times) > 1 else 0.0
-    long = [(start, stop) for start, stop in edges if (stop - start - 1) * step >= LEAST_SECONDS - 1e-9]
+    long = [(start, stop) for start, stop in edges if (stop - start - 1) * step >= least_s - 1e-9]
     pieces = tuple(
         Piece(
             start,

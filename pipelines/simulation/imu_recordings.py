@@ -10,13 +10,16 @@ from typing import Any
 
 import yaml
 
+from kinedex import __version__
 from kinedex.catalog.imu_grades import load_grade
 from kinedex.catalog.limbs import chosen_limbs
 from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.simulation.chosen_takes import recording_names
 from kinedex.pipelines.simulation.imu_files import CLOCKLESS, WRITERS
-from kinedex.pipelines.simulation.imu_pieces import take_pieces
+from kinedex.pipelines.simulation.imu_pieces import LEAST_SECONDS, take_pieces
+from kinedex.pipelines.simulation.imu_readme import readme
 from kinedex.pipelines.simulation.imu_sensors import SampledPiece, Wearing, Worn, sample_piece, worn_sensors
 from kinedex.pipelines.simulation.imu_windows import Segment, Windowing, segment_rows, window_rows
 from kinedex.storage.formats.csv_cells import csv_line
@@ -24,7 +27,7 @@ from kinedex.storage.formats.csv_cells import csv_line
 RECORDINGS = "recordings"
 """The folder of a data set with a folder for each take."""
 
-DATASET, SENSORS = "dataset.yaml", "sensors.yaml"
+README, DATASET, SENSORS = "README.md", "dataset.yaml", "sensors.yaml"
 SEGMENTS, WINDOWS, TRUTH = "segments.csv", "windows.csv", "truth/sensors.csv"
 """The files of a data set beside it."""
 
@@ -59,6 +62,11 @@ class Request:
         chosen_limbs(self.limbs)
         if self.form not in WRITERS:
             raise ParameterError("format", f"one of {', '.join(WRITERS)}", self.form)
+
+    @property
+    def least_seconds(self) -> float:
+        """The length that a piece of a take must have: a window, but between 0.5 s and 2 s, and some samples."""
+        return min(LEAST_SECONDS, max(0.5, self.windowing.seconds, 3.0 / self.wearing.rate_hz))
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,37 +108,58 @@ class Simulated:
         Samples of all sensors.
     clipped : int
         Samples beyond a range.
+    least_seconds : float
+        The length that a piece must have.
     short, lost_frames : int
-        Pieces that were left out because they are shorter than 2 s, and source frames in no piece.
+        Pieces that were left out because they are shorter, and source frames in no piece.
     without : dict of str to list of str
         Limb and reason → the takes in which it has no sensor.
     left_out : list of str
         The takes without any piece.
     slower : list of str
         The takes whose source is slower than the sensors: their readings are interpolated.
+    windows : int
+        Windows of all pieces.
+    classes : dict of str to int
+        Class → its windows.
     """
 
     recordings: dict[str, list[str]] = field(default_factory=dict)
     seconds: float = 0.0
     samples: int = 0
     clipped: int = 0
+    least_seconds: float = LEAST_SECONDS
     short: int = 0
     lost_frames: int = 0
     without: dict[str, list[str]] = field(default_factory=dict)
     left_out: list[str] = field(default_factory=list)
     slower: list[str] = field(default_factory=list)
+    windows: int = 0
+    classes: dict[str, int] = field(default_factory=dict)
 
     def remarks(self) -> list[str]:
         """Return sentences on what was left out or interpolated."""
         found = [f"{what} in {_few(takes)}" for what, takes in self.without.items()]
         if self.short:
-            found.append(f"{self.short} pieces shorter than 2 s between jumps and gaps were left out")
+            verb = "was" if self.short == 1 else "were"
+            pieces = counted(self.short, "piece")
+            found.append(f"{pieces} shorter than {self.least_seconds:g} s between jumps and gaps {verb} left out")
         if self.left_out:
-            found.append(f"no piece of 2 s: {_few(self.left_out)}")
+            found.append(f"no piece of {self.least_seconds:g} s: {_few(self.left_out)}")
         if self.slower:
             found.append(f"interpolated, for the source is slower than the sensors: {_few(self.slower)}")
         if self.clipped:
             found.append(f"{self.clipped:,} of {self.samples:,} samples are beyond the range of a sensor, and flagged")
+        labelled = sum(self.classes.values())
+        if labelled:
+            classes = counted(len(self.classes), "class", "classes")
+            found.append(f"{counted(self.windows, 'window')}, {labelled:,} with a class ({classes})")
+        elif self.recordings:
+            found.append(
+                f"{counted(self.windows, 'window')}, none with a class: the takes have neither labels nor "
+                "annotations nor a class of their own; `kinedex labels import` brings labels in, and "
+                "`kinedex run annotate` finds classes"
+            )
         return found
 
 
@@ -170,7 +199,7 @@ class _DataSet:
     def __init__(self, folder: Path, homes: Mapping[str, str], request: Request) -> None:
         self.folder, self.homes, self.request = folder, homes, request
         self.wearing = replace(request.wearing, grade=load_grade(request.grade))
-        self.made = Simulated()
+        self.made = Simulated(least_seconds=request.least_seconds)
         self.entries: dict[str, Any] = {}
         self.segments: list[list[object]] = []
         self.windows: list[list[object]] = []
@@ -188,17 +217,19 @@ class _DataSet:
             reasons = "; ".join(self.made.remarks()) or "no limb is known"
             raise KinedexError(f"sensors can be simulated for no take: {reasons}")
         _table(self.folder / SEGMENTS, ["file", "take", "origin", "class", "start", "stop"], self.segments)
-        _table(self.folder / WINDOWS, ["file", "take", "start", "stop", "class", "share"], self.windows)
+        _table(self.folder / WINDOWS, ["file", "take", "start", "stop", "class", "share", "actor"], self.windows)
         (self.folder / "truth").mkdir()
         columns = [f"{name}_{axis}" for name in ("q_global", "q_mount") for axis in "wxyz"]
         _table(self.folder / TRUTH, ["file", "take", "sensor", "offset_s", "ppm", *columns], self.truth)
         (self.folder / SENSORS).write_bytes(self._sensors().encode())
         (self.folder / DATASET).write_bytes(self._description().encode())
+        (self.folder / README).write_bytes(readme(self.request.form).encode())
         return self.made
 
     def _take(self, take: TakeToSimulate) -> None:
         made = self.made
-        found = take_pieces(take.limbs, chosen_limbs(self.request.limbs), bool(self.request.limbs))
+        wanted, named = chosen_limbs(self.request.limbs), bool(self.request.limbs)
+        found = take_pieces(take.limbs, wanted, named, self.request.least_seconds)
         for limb, reason in found.without.items():
             made.without.setdefault(f"{limb} has no sensor ({reason})", []).append(take.take)
         made.short += found.short
@@ -232,7 +263,10 @@ class _DataSet:
         rows = segment_rows(take.segments, sampled.take_times)
         self.segments += [[files[0], take.take, *row] for row in rows]
         windows = window_rows(rows, count, self.wearing.rate_hz, self.request.windowing)
-        self.windows += [[files[0], take.take, *row[:3], f"{row[3]:.4f}"] for row in windows]
+        self.windows += [[files[0], take.take, *row[:3], f"{row[3]:.4f}", take.actor or ""] for row in windows]
+        made.windows += len(windows)
+        for name in sorted({row[2] for row in windows} - {""}):
+            made.classes[name] = made.classes.get(name, 0) + sum(row[2] == name for row in windows)
         begin = float(sampled.times[0]) if self.request.form in CLOCKLESS else 0.0
         for i, limb in enumerate(sampled.readings):
             file = files[i] if len(files) == len(sampled.readings) > 1 else files[0]
@@ -242,15 +276,22 @@ class _DataSet:
 
     def _sensors(self) -> str:
         """Return the file of sensors, which states the units: the median force on a hand that swings is not gravity."""
-        units = {"acc": "m/s2", "gyr": "rad/s", "mag": "1" if self.request.form in CLOCKLESS else "uT"}
-        content = {"sensors": {limb: limb for limb in self.limbs}, "units": units, "frame": "NWU"}
-        head = "# The sensors of this data set: `--set sensors=` this file, `--set recordings=` the folder beside it.\n"
+        content = {"sensors": {limb: limb for limb in self.limbs}, "units": self._units(), "frame": "NWU"}
+        head = "# The sensors of this data set.\n"
+        if self.request.form != "npz":
+            head = "# The sensors of this data set: `--set sensors=` this file, `--set recordings=` `recordings`.\n"
         return head + yaml.safe_dump(content, sort_keys=False)
+
+    def _units(self) -> dict[str, str]:
+        return {"acc": "m/s2", "gyr": "rad/s", "mag": "1" if self.request.form in CLOCKLESS else "uT"}
 
     def _description(self) -> str:
         wearing = self.wearing
         content = {
+            "kinedex": __version__,
             "form": self.request.form,
+            "limbs": list(self.limbs),
+            "units": self._units(),
             "seed": wearing.seed,
             "grade": Path(self.request.grade).stem,
             "rate_hz": wearing.rate_hz,
@@ -263,11 +304,13 @@ class _DataSet:
             },
             "window_s": self.request.windowing.seconds,
             "step_s": self.request.windowing.step_s,
+            "windows": self.made.windows,
+            "windows_of_classes": dict(sorted(self.made.classes.items())),
             "takes": self.entries,
         }
         head = (
-            "# Inertial sensors that kinedex has simulated. Orientations in the files are the sensors' true ones.\n"
-            "# truth/sensors.csv has mounts, worlds and clocks; segments.csv and windows.csv count its samples.\n"
+            "# Inertial sensors that kinedex has simulated; README.md describes the files.\n"
+            "# Orientations in them are the sensors' true ones.\n"
         )
         return head + yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=200)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import shutil
 import uuid
@@ -58,5 +59,12 @@ def require_new(folder: Path) -> None:
     if folder.is_dir() and any(folder.iterdir()):
         raise KinedexError(
             f"{folder}: is not empty, and recordings are never overwritten; give a new folder, such as "
-            f"-o {folder / 'recordings'}"
+            f"-o {_free_name(folder)}"
         )
+
+
+def _free_name(folder: Path) -> Path:
+    """Return the first of `NAME-2`, `NAME-3`, … that does not exist beside a folder."""
+    absolute = folder.absolute()
+    numbers = (number for number in itertools.count(2) if not absolute.with_name(f"{absolute.name}-{number}").exists())
+    return folder.parent / f"{absolute.name}-{next(numbers)}"

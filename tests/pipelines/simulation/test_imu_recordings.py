@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
+import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +21,7 @@ from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.limb_tables import stored_limbs
 from kinedex.pipelines.simulation.imu_pieces import take_pieces
+from kinedex.pipelines.simulation.imu_recordings import Request, TakeToSimulate, write_data_set
 from kinedex.pipelines.simulation.imu_windows import Segment, Windowing, segment_rows, window_rows
 from kinedex.pipelines.stages.index import Index
 from kinedex.pipelines.stages.ingest import Ingest
@@ -127,6 +131,44 @@ def test_all_forms_hold_the_same_readings(store: Path, tmp_path: Path) -> None:
         assert text.times[0] == 0.0
     offsets = {one["sensor"]: float(one["offset_s"]) for one in rows(tmp_path / "xsens-txt" / "truth" / "sensors.csv")}
     assert offsets["pelvis"] == pytest.approx(0.0, abs=0.01), "samples are counted from the take's beginning"
+    assert float(arrays["rate_hz"]) == 100.0
+    windows = [loaded_windows(tmp_path / form) for form in ("parquet", "npz", "xsens-txt")]
+    by_table, by_arrays, by_texts = (np.stack(found["x"]) for found in windows)
+    assert by_table.shape == (3, 3, 200, 9)
+    np.testing.assert_allclose(by_arrays, by_table, rtol=1e-6)
+    order = np.argsort(["pelvis", "lthigh", "rthigh"])
+    np.testing.assert_allclose(by_texts[..., :6], by_table[:, order, :, :6], atol=1e-6)
+    assert {(*found["y"], *found["actors"]) for found in windows} == {("hop",) * 3 + ("al",) * 3}
+
+
+def loaded_windows(folder: Path) -> dict[str, list[object]]:
+    """Run the code of a data set's README in its folder."""
+    readme = (folder / "README.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```python\n(.*?)^```", readme, re.DOTALL | re.MULTILINE)
+    found: dict[str, list[object]] = {}
+    with contextlib.chdir(folder):
+        exec(compile(block, "README.md", "exec"), found)
+    return found
+
+
+def test_short_windows_keep_short_pieces_and_takes_without_class_are_reported(store: Path, tmp_path: Path) -> None:
+    short = limb((150, 151), frames=300)
+    assert len(take_pieces({"torso": short}, ("torso",), True).pieces) == 0
+    assert (
+        len(take_pieces({"torso": short}, ("torso",), True, Request(windowing=Windowing(1.0)).least_seconds).pieces)
+        == 2
+    )
+    assert Request(windowing=Windowing(0.1)).least_seconds == 0.5
+    assert Request(windowing=Windowing(30.0)).least_seconds == 2.0
+    takes = [TakeToSimulate("hop", None, {"torso": short}, 100.0)]
+    (tmp_path / "r").mkdir()
+    request = Request(("torso",), windowing=Windowing(1.0))
+    made = write_data_set(
+        tmp_path / "r", ["hop"], takes, request, lambda *_: contextlib.nullcontext(SimpleNamespace(advance=id))
+    )
+    assert (made.windows, made.classes) == (2, {})
+    assert "2 windows, none with a class" in made.remarks()[-1]
+    assert yaml.safe_load((tmp_path / "r" / "dataset.yaml").read_text())["windows_of_classes"] == {}
 
 
 def test_actors_rest_before_and_after_where_they_are_asked_to(store: Path, tmp_path: Path) -> None:
@@ -246,3 +288,4 @@ def test_requests_that_mean_nothing_are_refused(store: Path, tmp_path: Path) -> 
     code, output = simulate(store, "x_al_hop_1", "-o", tmp_path / "full", "--seed", 1)
     assert code != 0
     assert "not empty" in output
+    assert str(tmp_path / "full-2") in "".join(output.split())
