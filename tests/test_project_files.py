@@ -59,5 +59,5 @@ def test_the_workflows_call_targets_and_locks_that_there_are(name: str, jobs: se
 
 
 def test_the_locks_name_no_host() -> None:
-    for lock in ROOT.glob("requirements*.lock"):
+    for lock in [*ROOT.glob("requirements*.lock"), ROOT / "pipelines/explorer/page/package-lock.json"]:
         assert "://" not in lock.read_text(encoding="utf-8"), lock.name

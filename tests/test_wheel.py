@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import json
 import os
@@ -21,6 +22,8 @@ from tests.pipelines.archives import write_archive
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("ops", "catalog", "storage", "pipelines", "configs")
+PAGE = ROOT / "pipelines" / "explorer" / "page"
+BUILT = PAGE.parent / "built"
 STAND_IN = "WHOSE = 'the ops of PyPI'\n"
 
 pytestmark = pytest.mark.slow
@@ -73,7 +76,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
 
 def build_copy(folder: Path, umask: int, zone: str, seconds: int) -> dict[str, str]:
     """Build wheel and sdist of a copy of the checkout with other rights and times, and return their checksums."""
-    unneeded = shutil.ignore_patterns(".git", ".venv", "build", "dist", "__pycache__", "shared", "tests", "studies")
+    unneeded = shutil.ignore_patterns(".git", ".venv", "build", "dist", "__pycache__", "shared", "tests", "studies", "node_modules")
     copy, out = folder / "a copy", folder / "out"
     shutil.copytree(ROOT, copy, symlinks=True, ignore=unneeded)
     for path in copy.rglob("*"):
@@ -113,7 +116,7 @@ def test_sdist_and_wheel_hold_plain_folders_with_every_file(installed: Installed
         f"kinedex/{path.relative_to(ROOT)}"
         for room in ROOMS
         for path in (ROOT / room).rglob("*")
-        if path.is_file() and "__pycache__" not in path.parts
+        if path.is_file() and "__pycache__" not in path.parts and PAGE not in path.parents
     } | {"kinedex/__init__.py", "kinedex/__main__.py", "kinedex/py.typed"}
     with tarfile.open(installed.sdist) as packed:
         members = packed.getmembers()
@@ -122,6 +125,24 @@ def test_sdist_and_wheel_hold_plain_folders_with_every_file(installed: Installed
     with zipfile.ZipFile(installed.wheel) as packed_wheel:
         names = {name for name in packed_wheel.namelist() if ".dist-info/" not in name}
     assert names == shipped, "the wheel holds what the checkout has, and nothing beside kinedex"
+
+
+def test_the_page_of_the_explorer_is_packed_without_what_built_it(installed: Installed) -> None:
+    with tarfile.open(installed.sdist) as packed:
+        sources = {name.split("/explorer/", 1)[1] for name in packed.getnames() if "/explorer/" in name}
+    assert {"page/package-lock.json", "page/src/main.tsx"} <= sources, "the source distribution can build the page"
+    assert not [name for name in sources if "node_modules" in name]
+    if not (BUILT / "index.html").is_file():
+        missing = "the page of the explorer has not been built (make page)"
+        if os.environ.get("KINEDEX_BROWSER") == "required":
+            pytest.fail(missing)
+        pytest.skip(missing)
+    assert "built/index.html" in sources, "the source distribution installs without node"
+    page = installed.target / "kinedex" / "pipelines" / "explorer" / "built"
+    scripts = re.findall(r'(?:src|href)="/([^"]+)"', (page / "index.html").read_text(encoding="utf-8"))
+    assert scripts
+    assert all((page / name).is_file() for name in scripts)
+    assert sum(len(gzip.compress(path.read_bytes())) for path in page.rglob("*") if path.is_file()) < 2_000_000
 
 
 SEVERAL = """
