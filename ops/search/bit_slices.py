@@ -143,6 +143,58 @@ def slice_words(words: U64, offsets: I64, features: int) -> BitSlices:
     return BitSlices(bits, coarse.ravel(), first, frames.astype(np.int64), left.astype(np.int32), features)
 
 
+def unsliced_words(slices: BitSlices, takes: I64, starts: I64, words: U64) -> None:
+    """Write the words of some takes, which `slice_words` has sliced, into an array.
+
+    Parameters
+    ----------
+    slices : BitSlices
+        The slices.
+    takes : int64 array (S,)
+        The takes, as positions among those of the slices.
+    starts : int64 array (S,)
+        The place of the first word of each take in the array.
+    words : uint64 array (N,)
+        The array; `NO_WORD` is written for an invalid frame, and what belongs to none of the takes is left as it is.
+
+    Raises
+    ------
+    ParameterError
+        If a take is not there, or does not fit the array at its place.
+    """
+    if len(takes) and not 0 <= takes.min() <= takes.max() < len(slices):
+        raise ParameterError("takes", f"from 0 to {len(slices) - 1}", takes[:4].tolist())
+    if len(starts) != len(takes) or (len(takes) and not (starts.min() >= 0)):
+        raise ParameterError("starts", f"one place from 0 on for each of {len(takes)} takes", starts[:4].tolist())
+    if len(takes) and int((starts + slices.frames[takes]).max()) > len(words):
+        raise ParameterError("words", f"long enough for {len(takes)} takes", len(words))
+    _unslice(slices.bits, slices.first, slices.frames, slices.features, takes, starts, words)
+
+
+@njit(cache=True, nogil=True)
+def _unslice(bits, first, frames, features, takes, starts, words):  # type: ignore[no-untyped-def]
+    square = np.zeros(BLOCK, np.uint64)
+    for place in range(len(takes)):
+        take = takes[place]
+        for block in range(first[take], first[take + 1]):
+            done = (block - first[take]) * BLOCK
+            count = min(BLOCK, frames[take] - done)
+            at = block * (features + 1)
+            valid = bits[at + features]
+            square[features:] = 0
+            for row in range(features):
+                square[row] = bits[at + row]
+            _transpose(square)
+            to = starts[place] + done
+            for j in range(count):
+                words[to + j] = square[j]
+            if valid == ALL_BITS:
+                continue
+            for j in range(count):
+                if not valid >> np.uint64(j) & np.uint64(1):
+                    words[to + j] = NO_WORD
+
+
 @njit(cache=True, nogil=True)
 def _slice(words, offsets, first, features, bits, coarse):  # type: ignore[no-untyped-def]
     square = np.empty(BLOCK, np.uint64)

@@ -25,6 +25,7 @@ from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import ALL_KNOWN, TakeWords
 from kinedex.pipelines.engine.executors import batches_of, cores
+from kinedex.pipelines.search.bit_slices import stored_words
 from kinedex.pipelines.search.not_applied import Applicability, applicability
 from kinedex.pipelines.search.preselection import known_queries, preselect_stored, template_ranges, widest_margins
 from kinedex.storage.snapshot.schemas import result_schema
@@ -283,7 +284,7 @@ def _rank_batch(
 ) -> BatchHits:
     """Return the hits of each template in some takes."""
     begin = time.perf_counter()
-    words = store.words(take_ids)
+    words = stored_words(store, take_ids)
     coded = encode(words.words)
     queries = dict.fromkeys(query for one in templates for query in one.queries)
     hits = preselect_stored(store, words, list(queries))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
+from random import Random
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.search import bit_slice_search as slicesearch
 from kinedex.ops.search.bit_slice_search import search_slices
-from kinedex.ops.search.bit_slices import GRANULE, BitSlices, slice_words
+from kinedex.ops.search.bit_slices import GRANULE, BitSlices, slice_words, unsliced_words
 from kinedex.ops.search.gaps import UNBOUNDED, gap_bounds
 from kinedex.ops.search.inverted_lists import InvertedLists, inverted_lists
 from kinedex.ops.search.keyframe_search import keyframe_list, search_lists
@@ -95,6 +96,23 @@ def test_slices_hold_the_words() -> None:
         assert shown[40, : len(take)].tolist() == valid.tolist()
         assert not shown[:, len(take) :].any()
         np.testing.assert_array_equal(shown[:40, : len(take)].T, bits(np.where(valid, take, 0), 40))
+
+
+@settings(max_examples=50, deadline=None)
+@given(archives(longest=140), st.randoms(use_true_random=False))
+def test_words_come_back_from_their_slices(archive: list[U64], random: Random) -> None:
+    order = random.sample(range(len(archive)), len(archive) // 2)
+    starts = np.cumsum([1, *(len(archive[take]) + 1 for take in order)])
+    words = np.full(int(starts[-1]), 77, np.uint64)
+    unsliced_words(slices_of(archive), np.array(order, np.int64), starts[:-1], words)
+    assert words.tolist() == [77, *(word for take in order for word in (*archive[take].tolist(), 77))]
+
+
+def test_words_of_takes_that_are_not_there_or_do_not_fit_are_refused() -> None:
+    slices = slices_of([np.arange(30, dtype=np.uint64)])
+    for take, start, room in ((1, 0, 30), (-1, 0, 30), (0, 1, 30), (0, -1, 30)):
+        with pytest.raises(ParameterError):
+            unsliced_words(slices, np.array([take]), np.array([start]), np.zeros(room, np.uint64))
 
 
 @pytest.mark.parametrize("features", [1, 40, 63])

@@ -21,7 +21,7 @@ from kinedex.ops.search.bit_slice_search import search_slices
 from kinedex.ops.search.bit_slices import slice_words
 from kinedex.ops.words import NO_WORD, U64, TakeWords
 from kinedex.pipelines.search import bit_slices
-from kinedex.pipelines.search.bit_slices import Shard, SlicedWords, sliced_store, sliced_words
+from kinedex.pipelines.search.bit_slices import Shard, SlicedWords, sliced_store, sliced_words, stored_words
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.garbage_collection import collect
 from kinedex.storage.store.store import Store, open_store
@@ -114,6 +114,34 @@ def test_a_take_that_is_not_there_cannot_be_searched(tmp_path: Path) -> None:
     build_index(store, threads=1)
     with pytest.raises(KeyError, match="9"):
         sliced_store(store).select(np.array([1, 9]))
+
+
+def test_the_index_has_the_words_of_the_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = open_store(make_store(tmp_path / "store", {"a": 40, "b": 130, "c": 64}), at="newest")
+    build_index(first, threads=1)
+    store = changed(first, 0)
+    with StoreWriter.open(store.path, BODY) as writer:
+        writer.drop_takes([store.take_id("b")])
+        writer.commit()
+    store = open_store(store.path, at="newest")
+
+    def same(asked: list[int]) -> bool:
+        found, expected = stored_words(store, asked), store.words(asked)
+        pairs = [(found.take_ids, expected.take_ids), (found.offsets, expected.offsets), (found.words, expected.words)]
+        return all(np.array_equal(*pair) for pair in pairs)
+
+    asked = sorted(store.take_ids.values())
+    assert same(asked)  # without an index
+    build_index(store, threads=1)
+    store = open_store(store.path)
+    monkeypatch.setattr(Store, "words", None)
+    found = stored_words(store, asked[::-1])
+    monkeypatch.undo()
+    assert np.array_equal(found.words, store.words(asked).words)
+    assert same(asked[1:2])
+    assert same([])
+    with pytest.raises(StoreError, match="no live take"):
+        stored_words(store, [*asked, 999])
 
 
 # ---- while the index is replaced -------------------------------------------------------------------------
