@@ -76,7 +76,9 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
 
 def build_copy(folder: Path, umask: int, zone: str, seconds: int) -> dict[str, str]:
     """Build wheel and sdist of a copy of the checkout with other rights and times, and return their checksums."""
-    unneeded = shutil.ignore_patterns(".git", ".venv", "build", "dist", "__pycache__", "shared", "tests", "studies", "node_modules")
+    unneeded = shutil.ignore_patterns(
+        ".git", ".venv", "build", "dist", "__pycache__", "shared", "tests", "studies", "node_modules"
+    )
     copy, out = folder / "a copy", folder / "out"
     shutil.copytree(ROOT, copy, symlinks=True, ignore=unneeded)
     for path in copy.rglob("*"):

@@ -26,7 +26,7 @@ basis    VARCHAR    full (a node's rotation, or markers), hinge (long axis and a
 valid    BOOLEAN    the orientation is known, or for basis none the direction
 jump    BOOLEAN    the frame is at a turn faster than 2,500 degrees a second
 fit_mm    DOUBLE    root mean square distance of the markers to their shape; NULL where there are none
-fingerprint    VARCHAR    a hash of all that the limbs of the take follow from, for reuse; NULL for broken ones""",
+fingerprint    VARCHAR    a hash of all that the limbs of the take follow from, for reuse""",
         "SELECT take, limb, max(basis) AS basis, count(*) FILTER (valid) AS valid, count(*) FILTER (jump) AS jumps "
         "FROM limb_orientations GROUP BY take, limb ORDER BY take, limb",
         stages="limb_orientations break_track",
@@ -77,7 +77,8 @@ correlation    DOUBLE    correlation of angular speeds at the best offset, -1 to
 next_best    DOUBLE    the largest correlation 0.25 s or farther from it; NULL where there is none
 limbs    INTEGER    number of limbs that were correlated
 refined    BOOLEAN    the offset is that of the least orientation errors; false: of the correlation, or given
-left_out    VARCHAR    the reason for which the take has no offset; NULL where it has one""",
+left_out    VARCHAR    the reason for which the take has no offset; NULL where it has one
+fingerprint    VARCHAR    a hash of all that the rows of the take follow from, for reuse""",
         "SELECT take, recording, offset_s, correlation, next_best, left_out FROM sensor_sync ORDER BY correlation",
         stages="synchronise",
     ),
@@ -99,7 +100,8 @@ observability    DOUBLE    least eigenvalue of the normal equations; 0 where a d
 tilt_deg    DOUBLE    angle between the verticals of take and sensors, where it was fitted; else 0
 drift    STRUCT(t DOUBLE, degrees DOUBLE)[]    correction of the sensor's heading at knots, seconds of the take
 warning    VARCHAR    what makes the result doubtful; NULL where nothing does
-left_out    VARCHAR    the reason for which the mount was not found; NULL where it was""",
+left_out    VARCHAR    the reason for which the mount was not found; NULL where it was
+fingerprint    VARCHAR    a hash of all that the rows of the take follow from, for reuse""",
         "SELECT take, limb, round(inliers, 2) AS inliers, median_deg, observability, left_out "
         "FROM sensor_calibration ORDER BY median_deg DESC",
         stages="calibrate_sensors",
@@ -117,7 +119,8 @@ degrees    DOUBLE    the whole angle, 0 to 180; NULL where it is not known, and 
 swing_deg    DOUBLE    turn of the limb's long axis; NULL where it is not known
 twist_deg    DOUBLE    turn about the long axis; NULL where it is not known, and for basis none
 valid    BOOLEAN    the frame counts: take and sensor are known, and the limb does not jump
-tau_deg    DOUBLE    the error above which the take's frames are wrong, as in `limb_error_runs`""",
+tau_deg    DOUBLE    the error above which the take's frames are wrong, as in `limb_error_runs`
+fingerprint    VARCHAR    a hash of all that the rows of the take follow from, for reuse""",
         "SELECT take, limb, median(coalesce(degrees, swing_deg)) AS median_deg, count(*) FILTER (valid) AS frames "
         "FROM limb_errors GROUP BY take, limb ORDER BY median_deg DESC",
         stages="limb_errors",

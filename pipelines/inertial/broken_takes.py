@@ -41,7 +41,7 @@ class LimbLabel:
     kind : str
         The kind of error, for the truth.
     degrees : float
-        The largest error in it.
+        The largest error in it, to a hundredth.
     """
 
     take: str
@@ -103,7 +103,7 @@ def break_take(take: StoredLimbs, limbs: Iterable[str], noise_deg: float, annota
             for start, stop in labelled_runs(one.orientation, turned):
                 kinds = [error.kind for error in errors if error.start < stop and error.stop > start]
                 peak = float(np.nanmax(distance_deg(one.orientation[start:stop], turned[start:stop])))
-                truth.append(LimbLabel(take.take, name, start, stop, "truth", " ".join(kinds), peak))
+                truth.append(LimbLabel(take.take, name, start, stop, "truth", " ".join(kinds), round(peak, 2)))
             for number in range(annotators):
                 threshold = own_threshold(generator(seed, "annotator", str(number)))
                 random = generator(seed, "annotator", str(number), take.take, name)
@@ -144,5 +144,5 @@ def label_text(takes: Sequence[str], labels: Sequence[LimbLabel], with_kinds: bo
             lines.append(csv_line([take, *[None] * (len(header) - 1)]))
         for one in own:
             cells: list[object] = [take, ERROR, one.start, one.stop, one.limb, one.annotator]
-            lines.append(csv_line([*cells, one.kind, round(one.degrees, 2)] if with_kinds else cells))
+            lines.append(csv_line([*cells, one.kind, one.degrees] if with_kinds else cells))
     return "".join(lines)

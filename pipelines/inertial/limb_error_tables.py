@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,22 +24,17 @@ Flags = npt.NDArray[np.bool_]
 ERRORS, RUNS = "limb_errors", "limb_error_runs"
 
 
-def error_table(take_id: int, take: str, found: TakeErrors, run: str) -> pa.Table:
+def error_table(take_id: int, take: str, found: TakeErrors, run: str, fingerprint: str | None) -> pa.Table:
     """Return the rows of a take's errors, limb by limb, in the order of frames."""
     schema = result_schema(ERRORS)
-    tables = [_rows(take_id, take, one, found.tau_deg, run, schema) for one in found.curves]
+    shared = {"run": run, "take_id": take_id, "take": take, "tau_deg": found.tau_deg, "fingerprint": fingerprint}
+    tables = [_rows(one, shared, schema) for one in found.curves]
     return pa.concat_tables(tables) if tables else schema.empty_table()
 
 
-def _rows(take_id: int, take: str, one: LimbCurve, tau_deg: float, run: str, schema: pa.Schema) -> pa.Table:
+def _rows(one: LimbCurve, shared: Mapping[str, object], schema: pa.Schema) -> pa.Table:
     frames = len(one.times)
-    constants = {
-        "run": run,
-        "take_id": take_id,
-        "take": take,
-        "limb": one.limb,
-        "tau_deg": tau_deg,
-    }
+    constants = {**shared, "limb": one.limb}
     columns = {name: pa.repeat(pa.scalar(value, schema.field(name).type), frames) for name, value in constants.items()}
     columns["recording"], columns["sensor"] = pa.array(one.recording.tolist()), pa.array(one.sensor.tolist())
     columns["source_frame"] = pa.array(np.arange(frames, dtype=np.int32))
@@ -77,6 +72,62 @@ def _range(one: Run, curve: LimbCurve) -> dict[str, Any]:
         "peak_deg": one.peak_deg if known else None,
         "mean_deg": one.mean_deg if known else None,
     }
+
+
+@dataclass
+class ErrorFigures:
+    """Sums over the frames of a limb that count.
+
+    Attributes
+    ----------
+    frames, wrong : int
+        The number of frames, and of those above τ.
+    total, squares : float
+        The sums of errors and of their squares.
+    """
+
+    frames: int = 0
+    wrong: int = 0
+    total: float = 0.0
+    squares: float = 0.0
+
+    def add(self, error: F64, tau_deg: F64) -> None:
+        """Add frames, with the τ of each."""
+        self.frames += len(error)
+        self.wrong += int(np.count_nonzero(error > tau_deg))
+        self.total += float(error.sum())
+        self.squares += float(error @ error)
+
+    def texts(self) -> tuple[str, str, str]:
+        """Return mean, standard deviation, and the share of wrong frames."""
+        if not self.frames:
+            return "–", "–", "–"
+        mean = self.total / self.frames
+        deviation = math.sqrt(max(self.squares / self.frames - mean**2, 0.0))
+        return f"{mean:.1f}°", f"{deviation:.1f}°", f"{self.wrong / self.frames:.1%}"
+
+
+@dataclass(frozen=True)
+class StoredFigures:
+    """The figures of the errors that a stage has stored: those of each limb, and the τ of each take."""
+
+    limbs: dict[str, ErrorFigures]
+    taus: dict[int, float]
+
+
+def error_figures(store: Store, stage: str) -> StoredFigures:
+    """Return the figures of all errors that a stage has stored."""
+    found = StoredFigures({}, {})
+    parts = [part for part in store.manifest.results.get(ERRORS, ()) if part.stage == stage]
+    for rows in store.result_pieces(ERRORS, parts, ["take_id", "limb", "degrees", "swing_deg", "valid", "tau_deg"]):
+        for limb in pc.unique(rows.column("limb")).to_pylist():
+            own = rows.filter(pc.equal(rows.column("limb"), limb))
+            valid = own.filter(own.column("valid"))
+            error = pc.coalesce(valid.column("degrees"), valid.column("swing_deg")).to_numpy()
+            found.limbs.setdefault(limb, ErrorFigures()).add(error, valid.column("tau_deg").to_numpy())
+        taus = rows.group_by(["take_id"]).aggregate([("tau_deg", "min")])
+        found.taus.update(zip(*(taus.column(name).to_pylist() for name in ("take_id", "tau_deg_min")), strict=True))
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -143,15 +143,14 @@ def reading_digest(store: Store, takes: Sequence[str]) -> str:
     )
 
 
-def limb_fingerprints(store: Store, takes: Sequence[str], *more: object) -> dict[str, str]:
-    """Return a hash of all that the limbs of each take follow from, by the take's name."""
+def limb_fingerprints(store: Store, takes: Sequence[str], *more: object) -> dict[int, str]:
+    """Return a hash of all that the limbs of each take follow from, by the take's id in the order of names."""
     wanted = set(takes)
-    shared = hash_of(
-        [list(store.feature_set.joints), store.rate_hz, *more],
-        [_stated_limbs(mappings) for mappings in sources_of(store).mappings],
-    )
+    # another folder with the same mappings changes nothing for the takes that are there
+    stated = {repr(_stated_limbs(mappings)) for mappings in sources_of(store).mappings}
+    shared = hash_of([list(store.feature_set.joints), store.rate_hz, *more], sorted(stated))
     return {
-        row["name"]: hash_of(shared, row["take_id"], row["name"], row["checksum"], row["recipe"], row["frames"])
+        row["take_id"]: hash_of(shared, row["take_id"], row["name"], row["checksum"], row["recipe"], row["frames"])
         for row in store.take_rows.to_pylist()
         if row["name"] in wanted
     }

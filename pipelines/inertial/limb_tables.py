@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -10,20 +11,14 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
-from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
-from kinedex.storage.snapshot.parts import read_errors
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
 
 KIND = "limb_orientations"
-
-LEAST_PIECE = 50_000
-"""Rows of a row group at least: a reader of one limb of a long take reads little else."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,32 +57,48 @@ def limb_table(
 
 
 def limb_pieces(rows: pa.Table) -> Iterator[pa.Table]:
-    """Yield the rows of a take's limbs in pieces of whole limbs, each long enough to be a row group of its own."""
+    """Yield the rows of a take limb by limb, so that a reader of one limb of a long take reads little else."""
     limbs = rows.column("limb").combine_chunks().dictionary_encode().indices.to_numpy() if rows.num_rows else ()
-    start = stop = 0
-    for _, stop in _runs(np.asarray(limbs, np.int64)):
-        if stop - start >= LEAST_PIECE:
-            yield rows.slice(start, stop - start)
-            start = stop
-    if stop > start:
-        yield rows.slice(start)
+    for start, stop in _runs(np.asarray(limbs, np.int64)):
+        yield rows.slice(start, stop - start)
 
 
-def stored_fingerprints(store: Store, stage: str) -> dict[int, str]:
-    """Return the fingerprint of each take whose limbs a stage has stored; none where they cannot be read."""
-    found: dict[int, str] = {}
-    try:
-        for part in store.manifest.results.get(KIND, ()):
-            file = store.checked.part(part)
-            with read_errors(file), pq.ParquetFile(file) as opened:
-                if part.stage != stage or "fingerprint" not in opened.schema_arrow.names:
-                    continue
-                rows = opened.read(["take_id", "fingerprint"]).group_by(["take_id", "fingerprint"]).aggregate([])
-            ids, prints = (rows.column(name).to_pylist() for name in ("take_id", "fingerprint"))
-            found |= {take_id: one for take_id, one in zip(ids, prints, strict=True) if one is not None}
-    except KinedexError:
-        return {}  # repair removes them, and the stage makes all of them again
-    return found
+@dataclass
+class LimbFigures:
+    """The figures of the limbs that a stage has stored.
+
+    Attributes
+    ----------
+    bases : Counter of str
+        The number of limbs of each basis.
+    frames : int
+        The number of source frames of the takes.
+    jumped : int
+        The number of takes with jumps.
+    """
+
+    bases: Counter[str]
+    frames: int
+    jumped: int
+
+
+def limb_figures(store: Store, stage: str) -> LimbFigures:
+    """Return the figures of all limbs that a stage has stored."""
+    parts = [part for part in store.manifest.results.get(KIND, ()) if part.stage == stage]
+    limbs, columns = ["take_id", "limb", "basis"], ["take_id", "limb", "basis", "jump"]
+    counted = [rows.group_by(limbs).aggregate(_SUMS) for rows in store.result_pieces(KIND, parts, columns)]
+    bases, frames, jumped = Counter[str](), dict[int, int](), set[int]()
+    if counted:
+        merged = [(f"{name}_{how}", "sum") for name, how in _SUMS]
+        for row in pa.concat_tables(counted).group_by(limbs).aggregate(merged).to_pylist():
+            bases[row["basis"]] += 1
+            frames[row["take_id"]] = max(frames.get(row["take_id"], 0), row["take_id_count_sum"])
+            if row["jump_sum_sum"]:
+                jumped.add(row["take_id"])
+    return LimbFigures(bases, sum(frames.values()), len(jumped))
+
+
+_SUMS = [("take_id", "count"), ("jump", "sum")]
 
 
 def _rows(take_id: int, take: str, one: LimbMotion, run: str, fingerprint: str | None, schema: pa.Schema) -> pa.Table:

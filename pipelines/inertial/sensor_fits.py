@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import ceil
 
@@ -13,6 +13,7 @@ from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
 from kinedex.ops.inertial.disagreement import mount_direction
 from kinedex.ops.inertial.hand_eye import Options, Stream, StreamFit, calibrate
 from kinedex.ops.inertial.limb_orientation import NONE
+from kinedex.pipelines.engine.digests import hash_of
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.sensor_parameters import CalibrationSettings
 from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake, WornTakes, stream_of
@@ -97,17 +98,29 @@ class FitTask:
     foreign: bool = False
 
 
-def fit_tasks(
-    takes: WornTakes, clocks: Clocks, wearing: Mapping[int, Hashable], params: CalibrationSettings
-) -> Iterator[FitTask]:
-    """Yield what is calibrated together: each take, each wearing, or each take with the mounts of one.
+@dataclass(frozen=True)
+class FitGroups:
+    """The takes that are calibrated together, and the take that gives its mounts to all others, if one does.
+
+    Attributes
+    ----------
+    groups : tuple of (tuple of int)
+        Ids of takes, each in one group.
+    source : int or None
+        The take that `from` names.
+    """
+
+    groups: tuple[tuple[int, ...], ...]
+    source: int | None = None
+
+
+def fit_groups(takes: WornTakes, wearing: Mapping[int, Hashable], params: CalibrationSettings) -> FitGroups:
+    """Return which takes are calibrated together: each by itself, or those of a wearing.
 
     Parameters
     ----------
     takes : WornTakes
         The takes with sensors.
-    clocks : mapping of (int, str) to Clock
-        The clocks of recordings; sensors of others are left out.
     wearing : mapping of int to hashable
         The wearing of each take, by its id.
     params : CalibrationSettings
@@ -118,38 +131,83 @@ def fit_tasks(
     KinedexError
         `from` names no take with sensors.
     """
-    if params.source not in ("take", "actor"):
-        yield from _tasks_from_take(takes, clocks, wearing, params)
-        return
     groups: dict[Hashable, list[int]] = {}
     for take_id in takes.names:
         groups.setdefault(wearing[take_id] if params.source == "actor" else take_id, []).append(take_id)
-    for group in groups.values():
-        yield FitTask(tuple(takes.take(take_id) for take_id in group), _own(clocks, group), params)
+    source = None
+    if params.source not in ("take", "actor"):
+        source = next((take_id for take_id, name in takes.names.items() if name == params.source), None)
+        if source is None:
+            raise KinedexError(
+                f"from: no take with sensors is named '{params.source}'"
+                f"{did_you_mean(params.source, takes.names.values())}; "
+                "`take` calibrates each take by itself, `actor` all of a wearing together"
+            )
+    return FitGroups(tuple(map(tuple, groups.values())), source)
+
+
+def fit_fingerprints(
+    groups: FitGroups, wearing: Mapping[int, Hashable], prints: Mapping[int, str | None]
+) -> dict[int, str | None]:
+    """Return a hash of all that the calibration of each take follows from, those of other takes among it.
+
+    Parameters
+    ----------
+    groups : FitGroups
+        The takes that are calibrated together.
+    wearing : mapping of int to hashable
+        The wearing of each take.
+    prints : mapping of int to (str or None)
+        A hash of all that each take brings in; None where it is not known.
+    """
+    found: dict[int, str | None] = {}
+    for group in groups.groups:
+        origins: list[object] = [prints[take_id] for take_id in group]
+        if groups.source is not None:
+            origins += [prints[groups.source], wearing[group[0]] == wearing[groups.source]]
+        found |= dict.fromkeys(group, None if None in origins else hash_of(origins))
+    return {take_id: found[take_id] for take_id in prints}
+
+
+def fit_tasks(
+    takes: WornTakes,
+    groups: FitGroups,
+    fresh: Collection[int],
+    clocks: Clocks,
+    wearing: Mapping[int, Hashable],
+    params: CalibrationSettings,
+) -> Iterator[FitTask]:
+    """Yield the groups with takes that are to be calibrated.
+
+    Parameters
+    ----------
+    takes : WornTakes
+        The takes with sensors.
+    groups : FitGroups
+        The takes that are calibrated together.
+    fresh : collection of int
+        The takes that are to be calibrated: all of a group, or none.
+    clocks : mapping of (int, str) to Clock
+        The clocks of recordings; sensors of others are left out.
+    wearing : mapping of int to hashable
+        The wearing of each take, by its id.
+    params : CalibrationSettings
+        The parameters of the stage.
+    """
+    given = None
+    if groups.source is not None and fresh:
+        first = FitTask((takes.take(groups.source),), _own(clocks, [groups.source]), params)
+        given = {one.limb: one.fit for one in fit_together(first) if one.fit is not None and not one.left_out}
+    for group in groups.groups:
+        if group[0] in fresh:
+            task = FitTask(tuple(map(takes.take, group)), _own(clocks, group), params)
+            if groups.source is not None and group[0] != groups.source:
+                task = replace(task, given=given, foreign=wearing[group[0]] != wearing[groups.source])
+            yield task
 
 
 def _own(clocks: Clocks, take_ids: Sequence[int]) -> Clocks:
     return {key: clock for key, clock in clocks.items() if key[0] in take_ids}
-
-
-def _tasks_from_take(
-    takes: WornTakes, clocks: Clocks, wearing: Mapping[int, Hashable], params: CalibrationSettings
-) -> Iterator[FitTask]:
-    """Calibrate one take, and yield it and the other takes with its mounts."""
-    source = next((take_id for take_id, name in takes.names.items() if name == params.source), None)
-    if source is None:
-        raise KinedexError(
-            f"from: no take with sensors is named '{params.source}'"
-            f"{did_you_mean(params.source, takes.names.values())}; "
-            "`take` calibrates each take by itself, `actor` all of a wearing together"
-        )
-    first = FitTask((takes.take(source),), _own(clocks, [source]), params)
-    given = {one.limb: one.fit for one in fit_together(first) if one.fit is not None and not one.left_out}
-    yield first
-    for take_id in takes.names:
-        if take_id != source:
-            foreign = wearing[take_id] != wearing[source]
-            yield FitTask((takes.take(take_id),), _own(clocks, [take_id]), params, given, foreign)
 
 
 def fit_together(task: FitTask) -> list[SensorFit]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Iterable, Mapping
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,7 @@ from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
+Value = TypeVar("Value")
 
 SYNC, CALIBRATION = "sensor_sync", "sensor_calibration"
 
@@ -79,6 +80,26 @@ def result_table(kind: str, rows: Iterable[dict[str, Any]], run: str) -> pa.Tabl
     return pa.Table.from_pylist([{"run": run, **row} for row in rows], schema=result_schema(kind))
 
 
+def take_tables(kind: str, rows: Iterable[dict[str, Any]], takes: Iterable[int], run: str) -> list[pa.Table]:
+    """Return rows of a kind of results as one table for each take, in the order of takes.
+
+    Parameters
+    ----------
+    kind : str
+        The kind of results.
+    rows : iterable of dict
+        Rows with `take_id`; those of a take stay in their order.
+    takes : iterable of int
+        The ids of the takes.
+    run : str
+        Id of the run.
+    """
+    own: dict[int, list[dict[str, Any]]] = {take_id: [] for take_id in takes}
+    for row in rows:
+        own[row["take_id"]].append(row)
+    return [result_table(kind, some, run) for some in own.values()]
+
+
 def stored_clocks(store: Store, stage: str) -> dict[tuple[int, str], Clock]:
     """Return the clocks that a stage has found, by the id of the take and the recording."""
     return {
@@ -90,8 +111,17 @@ def stored_clocks(store: Store, stage: str) -> dict[tuple[int, str], Clock]:
 
 def stored_calibrations(store: Store, stage: str) -> dict[tuple[int, str, str], dict[str, Any]]:
     """Return the rows of sensors with a mount that a stage has found, by take, recording and sensor."""
+    columns = [name for name in result_schema(CALIBRATION).names if name not in ("run", "fingerprint")]
     return {
         (row["take_id"], row["recording"], row["sensor"]): row
-        for row in store.result(CALIBRATION, stage=stage).to_pylist()
+        for row in store.result(CALIBRATION, stage=stage).select(columns).to_pylist()
         if row["left_out"] is None
     }
+
+
+def by_take(found: Mapping[tuple[Any, ...], Value]) -> dict[int, list[tuple[tuple[Any, ...], Value]]]:
+    """Return clocks or calibrations with their keys by the id of the take, in order."""
+    own: dict[int, list[tuple[tuple[Any, ...], Value]]] = {}
+    for key in sorted(found):
+        own.setdefault(key[0], []).append((key, found[key]))
+    return own

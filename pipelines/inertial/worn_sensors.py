@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +12,11 @@ import pyarrow.compute as pc
 
 from kinedex.ops.inertial.hand_eye import Stream
 from kinedex.ops.inertial.rotations import interpolate
+from kinedex.pipelines.engine.digests import hash_of
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.limb_tables import limbs_of_rows, struct_rows
 from kinedex.storage.snapshot.row_groups import RowGroups
+from kinedex.storage.store.reused_results import stored_fingerprints
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
@@ -90,7 +92,7 @@ class WornTake:
 
 
 class WornTakes:
-    """The takes of a store in which sensors were worn on limbs, in any order.
+    """The takes of a store in which sensors were worn on limbs, sorted by name.
 
     Parameters
     ----------
@@ -103,14 +105,16 @@ class WornTakes:
     """
 
     def __init__(self, store: Store, limbs: str, sensors: str) -> None:
+        self._store, self._stage = store, limbs
         self._limbs = RowGroups(store, "limb_orientations", limbs, "take_id")
         self._samples = RowGroups(store, "imu_samples", sensors, "recording")
         worn: dict[int, list[dict[str, object]]] = {}
         for row in store.result("imu_recordings", stage=sensors).to_pylist():
             if row["take_id"] is not None and row["limb"] is not None:
                 worn.setdefault(row["take_id"], []).append(row)
-        self._rows = {take_id: worn[take_id] for take_id in self._limbs.values if take_id in worn}
-        self.without_limbs = sorted({str(rows[0]["take"]) for key, rows in worn.items() if key not in self._rows})
+        by_name = sorted((str(rows[0]["take"]), key) for key, rows in worn.items())
+        self._rows = {key: worn[key] for _, key in by_name if key in self._limbs}
+        self.without_limbs = [name for name, key in by_name if key not in self._limbs]
         """The names of takes with sensors whose limbs were not read."""
 
     @property
@@ -118,12 +122,26 @@ class WornTakes:
         """The ids and names of the takes."""
         return {take_id: str(rows[0]["take"]) for take_id, rows in self._rows.items()}
 
+    def fingerprints(self, *more: object, of: Callable[[int], object] = lambda _: None) -> dict[int, str | None]:
+        """Return a hash of all that the results of each take follow from, by its id; None where it is not known.
+
+        Parameters
+        ----------
+        more : object
+            All that the results of every take follow from, beside its limbs and its sensors.
+        of : callable, optional
+            Returns what those of the take with an id follow from, too.
+        """
+        limbs = stored_fingerprints(self._store, "limb_orientations", self._stage)
+        found: dict[int, str | None] = {}
+        for take_id, rows in self._rows.items():
+            sensors = sorted((str(row["recording"]), str(row["sensor"]), row["fingerprint"] or "") for row in rows)
+            known = take_id in limbs and all(one for _, _, one in sensors)
+            found[take_id] = hash_of(*more, limbs[take_id], sensors, of(take_id)) if known else None
+        return found
+
     def __len__(self) -> int:
         return len(self._rows)
-
-    def __iter__(self) -> Iterator[WornTake]:
-        """Yield the takes, one after the other."""
-        return map(self.take, self._rows)
 
     def take(self, take_id: int) -> WornTake:
         """Return a take with its limbs and sensors."""

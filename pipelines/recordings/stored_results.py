@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Collection, Iterable, Iterator
+from itertools import chain
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -55,7 +56,7 @@ def put_beside(
             yield left.set_column(place, left.schema.field("run"), pa.repeat(pa.scalar(run), left.num_rows))
         yield from tables
 
-    writer.put_results(kind, pieces(), stage=stage, run=run, keep=reused.stay)
+    writer.put_results(kind, chain(reused.stay, pieces()), stage=stage, run=run)
 
 
 def earlier_rows(store: Store, kind: str, stage: str) -> list[dict[str, object]]:

@@ -400,7 +400,7 @@ class _Work:
                     own = [part for part in parts_of_kind if part.stage == stage]
                     stay = [] if stage in records else [part for part in own if part.path not in bad_paths]
                     if own:
-                        writer.put_results(kind, [], stage=stage, run="", keep=stay)
+                        writer.put_results(kind, stay, stage=stage, run="")
                 if stage in records:
                     writer.forget_stage(stage)
                 else:

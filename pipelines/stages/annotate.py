@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from itertools import chain
 from typing import Any, ClassVar
 
 import polars as pl
@@ -195,7 +196,7 @@ def _annotate(
                 yield curves_table(batch, annotator, names, context.run)
 
     put = partial(writer.put_results, stage=context.key(), run=context.run)
-    put("distance_curves", curves(), keep=known.stay)
+    put("distance_curves", chain(known.stay, curves()))
     table = pa.concat_tables(segments)
     table = table.take(pc.sort_indices(table, [("take", "ascending")]))  # stable: within a take they are in order
     put("annotations", table)

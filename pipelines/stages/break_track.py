@@ -12,13 +12,16 @@ from kinedex.catalog.limbs import chosen_limbs
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.context import StageContext
-from kinedex.pipelines.engine.digests import Reading
+from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.inertial.broken_takes import LimbLabel, break_take, label_text
+from kinedex.pipelines.inertial.broken_labels import BrokenLabels
+from kinedex.pipelines.inertial.broken_takes import break_take
 from kinedex.pipelines.inertial.limb_sources import reading_digest
-from kinedex.pipelines.inertial.limb_tables import KIND, limb_table, stored_limbs
+from kinedex.pipelines.inertial.limb_tables import KIND, limb_pieces, limb_table, limbs_of_rows
 from kinedex.pipelines.inertial.parameters import BreakTrackParameters
-from kinedex.storage.disk import whole_file
+from kinedex.pipelines.inertial.reused_takes import ReusedTakes
+from kinedex.storage.snapshot.row_groups import RowGroups
+from kinedex.storage.store.reused_results import stored_fingerprints
 from kinedex.storage.store.store import Store
 
 LABELS, TRUTH = "limb_labels.csv", "limb_truth.csv"
@@ -40,32 +43,35 @@ class BreakTrack(Stage[BreakTrackParameters]):
     def run(self, context: StageContext, params: BreakTrackParameters) -> dict[str, object]:
         """Break the limbs of the takes, and write labels of what was done."""
         store = context.open()
-        names = store.takes_table(params.where)["name"].to_pylist()
+        names = set(store.takes_table(params.where)["name"].to_pylist())
         if not names:
             raise KinedexError(f"where: no take fits '{params.where}'; `--set {context.stage}.where=true` takes all")
-        limbs, takes = chosen_limbs(params.limbs), list[str]()
-        truth: list[LimbLabel] = []
-        labels: list[LimbLabel] = []
+        stage = context.key(context.inputs["limbs"])
+        groups = RowGroups(store, KIND, stage, "take_id")
+        takes = {take_id: name for name, take_id in store.take_ids.items() if name in names and take_id in groups}
+        marks = BrokenLabels(context.report_file(LABELS), context.report_file(TRUTH))
+        limbs, chosen = stored_fingerprints(store, KIND, stage), params.model_dump(exclude={"where"})
+
+        def fingerprint(take_id: int) -> str | None:
+            """Return a hash of all that a broken take follows from, and one of its labels in the files."""
+            found = marks.digest(takes[take_id])
+            return f"{hash_of(context.code, chosen, limbs[take_id])} {found}" if found and take_id in limbs else None
+
+        reuse = ReusedTakes(context, store, {take_id: fingerprint(take_id) for take_id in takes}, KIND)
 
         def tables() -> Iterator[pa.Table]:
-            with context.progress("takes", len(names)) as bar:
-                for one in stored_limbs(store, context.key(context.inputs["limbs"]), names):
-                    broken = break_take(one, limbs, params.noise_deg, params.annotators, params.seed)
-                    takes.append(one.take)
-                    truth.extend(broken.truth)
-                    labels.extend(broken.labels)
+            wanted = chosen_limbs(params.limbs)
+            with context.progress("takes", len(reuse.fresh)) as bar:
+                for take_id in reuse.fresh:
+                    one = limbs_of_rows(groups.rows(take_id))
+                    broken = break_take(one, wanted, params.noise_deg, params.annotators, params.seed)
+                    marks.put(one.take, broken.labels, broken.truth)
                     bar.advance(1)
-                    yield limb_table(one.take_id, one.take, broken.limbs, context.run)
+                    yield limb_table(take_id, one.take, broken.limbs, context.run, fingerprint(take_id))
 
-        with context.writer() as writer:
-            writer.put_results(KIND, tables(), stage=context.key(), run=context.run)
-            writer.commit()
-        files = []
-        for name, text in ((LABELS, label_text(takes, labels)), (TRUTH, label_text(takes, truth, with_kinds=True))):
-            path = context.report_file(name)
-            with whole_file(path) as temporary:
-                temporary.write_bytes(text.encode())
-            files.append(path.relative_to(context.store_path).as_posix())
+        reuse.put(KIND, tables(), limb_pieces)
+        marks.write(list(takes.values()))
+        labels, truth = marks.of(takes.values())
         kinds = Counter(one.kind for one in truth)
         listed = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items())) or "none"
         context.say(f"{counted(len(takes), 'take')}, wrong by 20 degrees and more: {listed}")
@@ -73,4 +79,9 @@ class BreakTrack(Stage[BreakTrackParameters]):
             f"{counted(len(labels), 'label')} of {counted(params.annotators, 'simulated annotator')}: "
             f"{context.report_file(LABELS).resolve()}"
         )
-        return {"takes": len(takes), "errors": len(truth), "labels": len(labels), "files": files}
+        reuse.report("not broken")
+        files = [path.relative_to(context.store_path).as_posix() for path in marks.files]
+        return {
+            "takes": len(takes), "unchanged": reuse.unchanged, "errors": len(truth), "labels": len(labels),
+            "files": files,
+        }  # fmt: skip

@@ -14,9 +14,16 @@ from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.inertial.sensor_fits import fit_tasks, fit_together
+from kinedex.pipelines.inertial.reused_takes import ReusedTakes
+from kinedex.pipelines.inertial.sensor_fits import fit_fingerprints, fit_groups, fit_tasks, fit_together
 from kinedex.pipelines.inertial.sensor_parameters import CalibrateParameters, CalibrationSettings
-from kinedex.pipelines.inertial.sensor_tables import CALIBRATION, calibration_row, result_table, stored_clocks
+from kinedex.pipelines.inertial.sensor_tables import (
+    CALIBRATION,
+    by_take,
+    calibration_row,
+    stored_clocks,
+    take_tables,
+)
 from kinedex.pipelines.inertial.worn_sensors import WornTakes
 from kinedex.storage.store.store import Store
 
@@ -43,24 +50,32 @@ class CalibrateSensors(Stage[CalibrationSettings]):
         limbs = context.key(context.inputs.get("broken", context.inputs["limbs"]))
         takes = WornTakes(store, limbs, context.key(context.inputs["sensors"]))
         clocks = stored_clocks(store, context.key(context.inputs["clocks"]))
+        wearing = _wearing(store, params.wearing)
+        groups = fit_groups(takes, wearing, params)
+        own_clocks = by_take(clocks)
+        brought = takes.fingerprints(context.code, params.model_dump(), of=own_clocks.get)
+        prints = fit_fingerprints(groups, wearing, brought)
+        reuse = ReusedTakes(context, store, prints, CALIBRATION)
         rows: list[dict[str, Any]] = []
-        tasks = fit_tasks(takes, clocks, _wearing(store, params.wearing), params)
-        with context.progress("calibrations", len(takes)) as bar:
+        tasks = fit_tasks(takes, groups, set(reuse.fresh), clocks, wearing, params)
+        with context.progress("calibrations", len(reuse.fresh)) as bar:
             for fits in context.executor.map(fit_together, tasks):
-                rows += [calibration_row(one) for one in fits]
+                rows += [calibration_row(one) | {"fingerprint": prints[one.take_id]} for one in fits]
                 bar.advance(len({one.take_id for one in fits}))
-        context.put_results(**{CALIBRATION: result_table(CALIBRATION, rows, context.run)})
+        reuse.put(CALIBRATION, take_tables(CALIBRATION, rows, reuse.fresh, context.run))
         for row in rows:
             for what, text in (("left out", row["left_out"]), ("warning", row.get("warning"))):
                 if text:
                     named = str(text).startswith(f"{row['sensor']}: ")  # a sensor that is named after its limb
                     sensor = "" if named else f", {row['sensor']}"
                     context.say(f"{row['take']}{sensor}: {what}: {text}")
-        found = [row for row in rows if not row["left_out"]]
+        every = context.open().result(CALIBRATION, stage=context.key()).to_pylist()
+        found = [row for row in every if not row["left_out"]]
         if found:
             context.terminal.show(_table(found))
-        context.say(f"{counted(len(found), 'sensor')} calibrated, {len(rows) - len(found)} left out")
-        return {"calibrated": len(found), "without_mount": len(rows) - len(found)}
+        context.say(f"{counted(len(found), 'sensor')} calibrated, {len(every) - len(found)} left out")
+        reuse.report("not calibrated")
+        return {"calibrated": len(found), "without_mount": len(every) - len(found), "unchanged": reuse.unchanged}
 
 
 def _wearing(store: Store, columns: list[str]) -> dict[int, Hashable]:

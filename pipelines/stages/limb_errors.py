@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar
 
-import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 from rich import box
 from rich.table import Table
@@ -20,12 +17,18 @@ from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.inertial.error_parameters import LimbErrorsParameters
 from kinedex.pipelines.inertial.limb_error_curves import take_errors
-from kinedex.pipelines.inertial.limb_error_tables import ERRORS, RUNS, error_table, run_rows
-from kinedex.pipelines.inertial.sensor_tables import result_table, stored_calibrations, stored_clocks
+from kinedex.pipelines.inertial.limb_error_tables import (
+    ERRORS,
+    RUNS,
+    ErrorFigures,
+    error_figures,
+    error_table,
+    run_rows,
+)
+from kinedex.pipelines.inertial.reused_takes import ReusedTakes
+from kinedex.pipelines.inertial.sensor_tables import by_take, stored_calibrations, stored_clocks, take_tables
 from kinedex.pipelines.inertial.worn_sensors import WornTakes
 from kinedex.storage.store.store import Store
-
-F64 = npt.NDArray[np.float64]
 
 
 class LimbErrors(Stage[LimbErrorsParameters]):
@@ -52,65 +55,50 @@ class LimbErrors(Stage[LimbErrorsParameters]):
         takes = WornTakes(store, limbs, context.key(context.inputs["sensors"]))
         clocks = stored_clocks(store, context.key(context.inputs["clocks"]))
         mounts = stored_calibrations(store, context.key(context.inputs["mounts"]))
-        rows: list[dict[str, Any]] = []
-        figures: dict[str, _Figures] = {}
-        taus: set[float] = set()
-        judged = 0
+        of_clocks, of_mounts = by_take(clocks), by_take(mounts)
+        prints = takes.fingerprints(
+            context.code, params.model_dump(), of=lambda take_id: (of_clocks.get(take_id), of_mounts.get(take_id))
+        )
+        reuse = ReusedTakes(context, store, prints, ERRORS, RUNS)
+        runs: list[dict[str, Any]] = []
 
         def tables() -> Iterator[pa.Table]:
-            nonlocal judged
-            with context.progress("errors", len(takes)) as bar:
-                for take in takes:
+            with context.progress("errors", len(reuse.fresh)) as bar:
+                for take in map(takes.take, reuse.fresh):
                     found = take_errors(take, clocks, mounts, params)
                     for text in found.left_out:
                         context.say(f"{take.take}: left out: {text}")
-                    for curve in found.curves:
-                        figures.setdefault(curve.limb, _Figures()).add(curve.error[curve.valid], found.tau_deg)
-                    if found.curves:
-                        judged += 1
-                        taus.add(round(found.tau_deg, 3))
-                    rows.extend(run_rows(take.take_id, take.take, found))
+                    runs.extend(run_rows(take.take_id, take.take, found))
                     bar.advance(1)
-                    yield error_table(take.take_id, take.take, found, context.run)
+                    yield error_table(take.take_id, take.take, found, context.run, prints[take.take_id])
 
         with context.writer() as writer:
-            writer.put_results(ERRORS, tables(), stage=context.key(), run=context.run)
-            writer.put_results(RUNS, result_table(RUNS, rows, context.run), stage=context.key(), run=context.run)
+            key, run = context.key(), context.run
+            writer.put_results(ERRORS, reuse.rows(ERRORS, tables()), stage=key, run=run)
+            run_tables = take_tables(RUNS, runs, reuse.fresh, run)
+            writer.put_results(RUNS, reuse.rows(RUNS, run_tables), stage=key, run=run)
             writer.commit()
-        if figures:
-            context.terminal.show(_table(figures))
-        frames, wrong = sum(one.frames for one in figures.values()), sum(row["kind"] == "distance" for row in rows)
-        counts = (counted(judged, "take"), f"{counted(frames, 'frame')} of limbs", counted(wrong, "wrong run"))
-        limits = " to ".join(f"{tau:g}°" for tau in sorted({min(taus), max(taus)})) if taus else "–"
-        context.say(f"{', '.join(counts)}, {counted(len(rows) - wrong, 'jump')}; τ {limits}")
-        return {"takes": judged, "frames": frames, "runs": wrong, "jumps": len(rows) - wrong}
+        figures = _report(context)
+        reuse.report("not compared")
+        return figures | {"unchanged": reuse.unchanged}
 
 
-@dataclass
-class _Figures:
-    """Sums over the frames of a limb that count."""
-
-    frames: int = 0
-    wrong: int = 0
-    total: float = 0.0
-    squares: float = 0.0
-
-    def add(self, error: F64, tau_deg: float) -> None:
-        self.frames += len(error)
-        self.wrong += int(np.count_nonzero(error > tau_deg))
-        self.total += float(error.sum())
-        self.squares += float(error @ error)
-
-    def texts(self) -> tuple[str, str, str]:
-        """Return mean, standard deviation, and the share of wrong frames."""
-        if not self.frames:
-            return "–", "–", "–"
-        mean = self.total / self.frames
-        deviation = math.sqrt(max(self.squares / self.frames - mean**2, 0.0))
-        return f"{mean:.1f}°", f"{deviation:.1f}°", f"{self.wrong / self.frames:.1%}"
+def _report(context: StageContext) -> dict[str, object]:
+    """Show the figures of all takes that the store has errors of, and return those of the stage's record."""
+    store, stage = context.open(), context.key()
+    found = error_figures(store, stage)
+    if found.limbs:
+        context.terminal.show(_table(found.limbs))
+    kinds = Counter(row["kind"] for row in store.result(RUNS, stage=stage).select(["kind"]).to_pylist())
+    wrong, jumps = kinds["distance"], kinds["jump"]
+    frames, taus = sum(one.frames for one in found.limbs.values()), {round(tau, 3) for tau in found.taus.values()}
+    counts = (counted(len(found.taus), "take"), f"{counted(frames, 'frame')} of limbs", counted(wrong, "wrong run"))
+    limits = " to ".join(f"{tau:g}°" for tau in sorted({min(taus), max(taus)})) if taus else "–"
+    context.say(f"{', '.join(counts)}, {counted(jumps, 'jump')}; τ {limits}")
+    return {"takes": len(found.taus), "frames": frames, "runs": wrong, "jumps": jumps}
 
 
-def _table(figures: dict[str, _Figures]) -> Table:
+def _table(figures: Mapping[str, ErrorFigures]) -> Table:
     """Return a row for each limb: its frames, their errors, and the share of those above τ."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for column in ("limb", "frames", "mean", "sd", "above τ"):

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 from typing import ClassVar
 
 import pyarrow as pa
@@ -14,7 +13,6 @@ from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.limb_sources import (
     limb_fingerprints,
     limb_tasks,
@@ -22,9 +20,9 @@ from kinedex.pipelines.inertial.limb_sources import (
     reading_digest,
     with_stored_body,
 )
-from kinedex.pipelines.inertial.limb_tables import KIND, limb_pieces, limb_table, limbs_of_rows, stored_fingerprints
+from kinedex.pipelines.inertial.limb_tables import KIND, LimbFigures, limb_figures, limb_pieces, limb_table
 from kinedex.pipelines.inertial.parameters import LimbOrientationsParameters
-from kinedex.storage.snapshot.row_groups import RowGroups
+from kinedex.pipelines.inertial.reused_takes import ReusedTakes
 from kinedex.storage.store.store import Store
 
 
@@ -49,72 +47,40 @@ class LimbOrientations(Stage[LimbOrientationsParameters]):
                 f"where: no take fits '{params.where}'; `kinedex sql STORE 'FROM takes'` lists what there is, and "
                 f"`--set {context.stage}.where=true` takes all"
             )
-        ids = {row["name"]: row["take_id"] for row in store.take_rows.select(["name", "take_id"]).to_pylist()}
         prints = limb_fingerprints(store, takes, params.chosen, context.code)
-        before = {} if context.anew or not context.code else stored_fingerprints(store, context.key())
-        fresh = [take for take in takes if before.get(ids[take]) != prints[take]]
-        tasks = limb_tasks(store, fresh, params.chosen)
-        results = zip(
-            tasks, context.executor.map(read_limbs, (with_stored_body(task, store) for task in tasks)), strict=True
-        )
-        counts = _Counts()
+        reuse = ReusedTakes(context, store, prints, KIND)
+        lacking, remarks = Counter[str](), 0
 
         def tables() -> Iterator[pa.Table]:
-            stored = RowGroups(store, KIND, context.key(), "take_id")
-            read = set(fresh)
-            with context.progress("limbs", len(takes)) as bar:
-                for take in takes:
-                    if take in read:
-                        task, found = next(results)
-                        counts.add(found.limbs)
-                        counts.lacking.update(f"{limb} ({reason})" for limb, reason in found.lacking.items())
-                        counts.remarks += len(found.remarks)
-                        for remark in found.remarks:
-                            context.say(f"{take}: {remark}")
-                        rows = limb_table(task.take_id, take, found.limbs, context.run, prints[take])
-                    else:
-                        rows = stored.rows(ids[take])
-                        counts.add(limbs_of_rows(rows).limbs)
-                        new_run = pa.repeat(pa.scalar(context.run), rows.num_rows)
-                        rows = rows.set_column(0, rows.schema.field(0), new_run)
+            nonlocal remarks
+            names = {take_id: take for take, take_id in store.take_ids.items()}
+            tasks = limb_tasks(store, [names[take_id] for take_id in reuse.fresh], params.chosen)
+            results = context.executor.map(read_limbs, (with_stored_body(task, store) for task in tasks))
+            with context.progress("limbs", len(tasks)) as bar:
+                for task, found in zip(tasks, results, strict=True):
+                    lacking.update(f"{limb} ({reason})" for limb, reason in found.lacking.items())
+                    remarks += len(found.remarks)
+                    for remark in found.remarks:
+                        context.say(f"{task.take}: {remark}")
                     bar.advance(1)
-                    yield from limb_pieces(rows)
+                    yield limb_table(task.take_id, task.take, found.limbs, context.run, prints[task.take_id])
 
-        with context.writer() as writer:
-            writer.put_results(KIND, tables(), stage=context.key(), run=context.run)
-            writer.commit()
-        counts.show(context, len(takes))
-        if unchanged := len(takes) - len(fresh):
-            context.say(f"unchanged: {counted(unchanged, 'take')}, not read again")
+        reuse.put(KIND, tables(), limb_pieces)
+        figures = limb_figures(context.open(), context.key())
+        _show(context, len(takes), figures, lacking)
+        reuse.report("not read")
         return {
-            "takes": len(takes), "unchanged": unchanged, "frames": counts.frames, "limbs": dict(counts.bases),
-            "jumped": counts.jumped, "remarks": counts.remarks,
+            "takes": len(takes), "unchanged": reuse.unchanged, "frames": figures.frames, "limbs": dict(figures.bases),
+            "jumped": figures.jumped, "remarks": remarks,
         }  # fmt: skip
 
 
-@dataclass
-class _Counts:
-    """The figures of a run: limbs by basis, and source frames, takes with jumps, limbs that lack, and remarks."""
-
-    bases: Counter[str] = field(default_factory=Counter)
-    lacking: Counter[str] = field(default_factory=Counter)
-    frames: int = 0
-    jumped: int = 0
-    remarks: int = 0
-
-    def add(self, limbs: Mapping[str, LimbMotion]) -> None:
-        """Count the limbs of a take."""
-        self.bases.update(one.basis for one in limbs.values())
-        self.jumped += any(one.jump.any() for one in limbs.values())
-        self.frames += max((len(one.times) for one in limbs.values()), default=0)
-
-    def show(self, context: StageContext, takes: int) -> None:
-        """Show the figures."""
-        shares = ", ".join(f"{count} {basis}" for basis, count in self.bases.most_common()) or "none"
-        frames = counted(self.frames, "source frame")
-        context.say(f"{counted(takes, 'take')}, {frames}; bases of limbs: {shares}")
-        for what, count in self.lacking.most_common():
-            context.say(f"not known in {counted(count, 'take')}: {what}")
-        if self.jumped:
-            what = "with turns faster than 2,500 degrees a second, marked as jumps"
-            context.say(f"{counted(self.jumped, 'take')} {what}")
+def _show(context: StageContext, takes: int, figures: LimbFigures, lacking: Counter[str]) -> None:
+    """Show the figures of all limbs, and the limbs that lack in the takes that were read."""
+    shares = ", ".join(f"{count} {basis}" for basis, count in figures.bases.most_common()) or "none"
+    context.say(f"{counted(takes, 'take')}, {counted(figures.frames, 'source frame')}; bases of limbs: {shares}")
+    for what, count in lacking.most_common():
+        context.say(f"not known in {counted(count, 'take')}: {what}")
+    if figures.jumped:
+        what = "with turns faster than 2,500 degrees a second, marked as jumps"
+        context.say(f"{counted(figures.jumped, 'take')} {what}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any, ClassVar
 
+import pyarrow.compute as pc
 from rich import box
 from rich.table import Table
 
@@ -13,8 +14,9 @@ from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.inertial.reused_takes import ReusedTakes
 from kinedex.pipelines.inertial.sensor_parameters import SynchroniseParameters
-from kinedex.pipelines.inertial.sensor_tables import SYNC, result_table, sync_row
+from kinedex.pipelines.inertial.sensor_tables import SYNC, sync_row, take_tables
 from kinedex.pipelines.inertial.synchronisation import synchronise
 from kinedex.pipelines.inertial.worn_sensors import WornTake, WornTakes
 from kinedex.storage.store.store import Store
@@ -40,22 +42,27 @@ class Synchronise(Stage[SynchroniseParameters]):
         store = context.open()
         limbs = context.key(context.inputs.get("broken", context.inputs["limbs"]))
         takes = WornTakes(store, limbs, context.key(context.inputs["sensors"]))
+        prints = takes.fingerprints(context.code, params.model_dump())
+        reuse = ReusedTakes(context, store, prints, SYNC)
         rows: list[dict[str, Any]] = []
-        with context.progress("clocks", len(takes)) as bar:
-            for found in context.executor.map(partial(_rows, params=params), takes):
-                rows += found
+        with context.progress("clocks", len(reuse.fresh)) as bar:
+            for own in context.executor.map(partial(_rows, params=params), map(takes.take, reuse.fresh)):
+                rows += [row | {"fingerprint": prints[row["take_id"]]} for row in own]
                 bar.advance(1)
-        context.put_results(**{SYNC: result_table(SYNC, rows, context.run)})
+        reuse.put(SYNC, take_tables(SYNC, rows, reuse.fresh, context.run))
         for name in takes.without_limbs:
             context.say(f"{name}: left out: its limbs were not read; `limb_orientations.where` selects takes")
         for row in rows:
             if row["left_out"]:
                 context.say(f"{row['take']}, {row['recording']}: left out: {row['left_out']}")
-        found = [row for row in rows if not row["left_out"]]
-        if found:
-            context.terminal.show(_table(found))
-        context.say(f"{counted(len(found), 'recording')} synchronised, {len(rows) - len(found)} left out")
-        return {"synchronised": len(found), "without_clock": len(rows) - len(found)}
+        shown = [row for row in rows if not row["left_out"]]
+        if shown:
+            context.terminal.show(_table(shown))
+        every = context.open().result(SYNC, stage=context.key())
+        found = every.num_rows - pc.count(every.column("left_out")).as_py()
+        context.say(f"{counted(found, 'recording')} synchronised, {every.num_rows - found} left out")
+        reuse.report("not synchronised")
+        return {"synchronised": found, "without_clock": every.num_rows - found, "unchanged": reuse.unchanged}
 
 
 def _rows(take: WornTake, params: SynchroniseParameters) -> list[dict[str, Any]]:

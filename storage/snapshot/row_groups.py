@@ -8,6 +8,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from kinedex.storage.snapshot.part_records import ResultPart
 from kinedex.storage.snapshot.parts import read_errors
 from kinedex.storage.snapshot.schemas import result_schema, with_columns
 from kinedex.storage.snapshot.snapshot import Snapshot
@@ -45,6 +46,18 @@ class RowGroups:
     def values(self) -> list[Hashable]:
         """The values of the column, in the order in which they lie in the store."""
         return list(self._places)
+
+    def __contains__(self, value: Hashable) -> bool:
+        return value in self._places
+
+    @property
+    def parts(self) -> list[tuple[ResultPart, list[Hashable]]]:
+        """The parts with the values of the column in each, in the order in which they lie there."""
+        found: list[tuple[ResultPart, list[Hashable]]] = [(part, []) for part in self._parts]
+        for value, places in self._places.items():
+            for number in dict.fromkeys(number for number, _ in places):
+                found[number][1].append(value)
+        return found
 
     def rows(self, value: Hashable, column: str = "", among: Collection[str] = ()) -> pa.Table:
         """Return the rows with a value of the column, in their order; an empty table where there are none.

@@ -246,14 +246,17 @@ class Snapshot:
                 tables.append(_with_origin(rows, origin_of(self.manifest, kind, part)))
         return pa.concat_tables(tables)
 
-    def result_pieces(self, kind: str, parts: Iterable[ResultPart]) -> Iterator[pa.Table]:
-        """Yield the rows of parts of one kind of result, one row group after the other."""
-        schema = result_schema(kind)
+    def result_pieces(
+        self, kind: str, parts: Iterable[ResultPart], columns: Sequence[str] | None = None
+    ) -> Iterator[pa.Table]:
+        """Yield the rows of parts of one kind of result, one row group after the other, with some columns or all."""
+        whole = result_schema(kind)
+        schema = whole if columns is None else pa.schema([whole.field(name) for name in columns], whole.metadata)
         for part in parts:
             file = self.checked.part(part)
             with read_errors(file), pq.ParquetFile(file) as opened:
                 for group in range(opened.num_row_groups):
-                    yield with_columns(opened.read_row_group(group), schema)
+                    yield with_columns(opened.read_row_group(group, columns=columns), schema)
 
 
 def _with_origin(rows: pa.Table, origin: Mapping[str, str | None]) -> pa.Table:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import groupby
+from typing import cast
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -25,11 +27,10 @@ class ResultChanges(VersionDraft):
     def put_results(
         self,
         kind: str,
-        tables: pa.Table | Iterable[pa.Table],
+        tables: pa.Table | Iterable[pa.Table | ResultPart],
         *,
         stage: str,
         run: str,
-        keep: Iterable[ResultPart] = (),
     ) -> None:
         """Set the results of one kind that a stage has, in place of its earlier ones.
 
@@ -37,37 +38,51 @@ class ResultChanges(VersionDraft):
         ----------
         kind : str
             One of `RESULT_KINDS`.
-        tables : pyarrow.Table or iterable of pyarrow.Table
+        tables : pyarrow.Table or iterable of pyarrow.Table or ResultPart
             Columns of `result_schema(kind)`; `run` may be missing. Without rows, the earlier results are only removed.
             Several tables, such as a generator makes, are written one by one as they come, so that they need not fit
-            into memory.
+            into memory. A part among them is one of the stage's earlier results that stays in this place, file and
+            rows as they are (`storage.store.reused_results`); such parts come in the order that they have.
         stage : str
             The stage, "<pipeline>/<stage>".
         run : str
             Id of the pipeline run.
-        keep : iterable of ResultPart, optional
-            Parts of the stage's earlier results that stay, files and rows as they are (`storage.store.reused_results`).
 
         Raises
         ------
         StoreError
-            A table does not fit, a part to keep is missing, or the disk is full; nothing is changed.
+            A table does not fit, a part is none of the stage's, or the disk is full; nothing is changed.
         """
         result_schema(kind)
-        stay = {part.path for part in keep}
         before = self._manifest.results.get(kind, ())
-        if stay - {part.path for part in before if part.stage == stage}:
-            raise StoreError(f"{self.path}: {min(stay)} is no part of the results {kind} of {stage}")
+        own = {part.path for part in before if part.stage == stage}
         given = [tables] if isinstance(tables, pa.Table) else tables
-        parts = write_pieces(self.path, f"results/{kind}", (_result_rows(kind, table, run) for table in given))
-        kept = tuple(part for part in before if part.stage != stage or part.path in stay)
-        width = len(result_schema(kind).names)
-        kept += tuple(
-            ResultPart(part.path, part.rows, part.bytes, part.sha256, stage, run, part.xxh3, width) for part in parts
-        )
+        ahead: dict[str, list[ResultPart]] = {}
+        written: list[ResultPart] = []
+        for stays, some in groupby(given, lambda one: isinstance(one, ResultPart)):
+            if not stays:
+                written += self._written(kind, some, stage, run)
+                continue
+            for part in cast("Iterator[ResultPart]", some):
+                if part.path not in own:
+                    raise StoreError(f"{self.path}: {part.path} is no part of the results {kind} of {stage}")
+                ahead[part.path], written = written, []
+        kept: tuple[ResultPart, ...] = ()
+        for part in before:
+            if part.stage != stage or part.path in ahead:
+                kept += (*ahead.get(part.path, ()), part)
+        kept += tuple(written)
         self._manifest = replace(self._manifest, results={**self._manifest.results, kind: kept})
         if kept != before:
             self._facts.name("results", kind)
+
+    def _written(self, kind: str, tables: Iterable[pa.Table], stage: str, run: str) -> list[ResultPart]:
+        """Write tables as parts of results, and return the records of these parts."""
+        parts = write_pieces(self.path, f"results/{kind}", (_result_rows(kind, table, run) for table in tables))
+        width = len(result_schema(kind).names)
+        return [
+            ResultPart(part.path, part.rows, part.bytes, part.sha256, stage, run, part.xxh3, width) for part in parts
+        ]
 
     def put_labels(self, labels: pa.Table) -> pa.Table:
         """Add labels; they stay for good, and a row takes the place of the one that it replaces.

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from kinedex.ops.errors import StoreError
 from kinedex.storage.snapshot.part_records import ResultPart
 from kinedex.storage.snapshot.parts import FULL_BYTES, read_errors
 from kinedex.storage.snapshot.snapshot import Snapshot
@@ -60,17 +61,51 @@ def reused_parts(
         A part is missing or cannot be read.
     """
     wanted = set(take_ids)
-    whole, again = [], []
-    for part in store.manifest.results.get(kind, ()) if wanted else ():
-        if part.stage == stage:
-            held = values_in(store, part, column)
-            if held <= wanted:
-                whole.append(part)
-            elif held & wanted:
-                again.append(part)
-    small = {part.path for group in worthwhile(whole, FULL_BYTES) for part in group}
-    stay = tuple(part for part in whole if part.path not in small)
-    return ReusedParts(stay, (*again, *(part for part in whole if part.path in small)))
+    held = {
+        part: values_in(store, part, column)
+        for part in (store.manifest.results.get(kind, ()) if wanted else ())
+        if part.stage == stage
+    }
+    whole = [part for part, values in held.items() if values <= wanted]
+    rewritten = {part for part, values in held.items() if not values <= wanted and values & wanted}
+    rewritten |= {part for group in worthwhile(whole, FULL_BYTES) for part in group}
+    while True:  # rows of a take that lie in several parts keep their order only if all of them are rewritten
+        moved = set().union(*(held[part] & wanted for part in rewritten))
+        more = {part for part in whole if part not in rewritten and held[part] & moved}
+        if not more:
+            break
+        rewritten |= more
+    return ReusedParts(
+        tuple(part for part in whole if part not in rewritten), tuple(part for part in held if part in rewritten)
+    )
+
+
+def stored_fingerprints(store: Snapshot, kind: str, stage: str, column: str = "take_id") -> dict[int | str, str]:
+    """Return the fingerprint of each take in a stage's results; none where they cannot be read.
+
+    Parameters
+    ----------
+    store : Snapshot
+        The store that has the results.
+    kind : str
+        A kind of results with the column and `fingerprint`.
+    stage : str
+        The stage, "<pipeline>/<stage>".
+    column : str, optional
+        The column that names the take or the recording of a row.
+    """
+    found: dict[int | str, str] = {}
+    columns = [column, "fingerprint"]
+    try:
+        for rows in store.result_pieces(
+            kind, [part for part in store.manifest.results.get(kind, ()) if part.stage == stage], columns
+        ):
+            pairs = rows.group_by(columns).aggregate([])
+            names, prints = (pairs.column(name).to_pylist() for name in columns)
+            found |= {name: one for name, one in zip(names, prints, strict=True) if one is not None}
+    except StoreError:
+        return {}  # repair removes them, and the stage makes all of them again
+    return found
 
 
 def values_in(store: Snapshot, part: ResultPart, column: str) -> set[int | str]:

@@ -16,7 +16,6 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.inertial import rotations as r
 from kinedex.ops.inertial.rotations import Z_TO_Y
 from kinedex.pipelines.engine.context import StageContext
-from kinedex.pipelines.inertial import limb_tables
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.limb_tables import limb_table, stored_limbs, struct_array
 from kinedex.pipelines.inertial.worn_sensors import WornTakes
@@ -26,6 +25,7 @@ from kinedex.pipelines.stages.limb_orientations import LimbOrientations
 from kinedex.pipelines.stages.synchronise import Synchronise
 from kinedex.storage.snapshot.row_groups import RowGroups
 from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.store import ordered_results
 from kinedex.storage.store.limb_checks import limb_problems
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
@@ -52,19 +52,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def put_sensors(made: Path, still: str = "") -> None:
+def put_sensors(made: Path, still: str = "", store: str = "store") -> None:
     """Store the readings of sensors on three limbs of each take, as `read_imu` does; in one take they may lie still."""
-    place = context(made / "store", "read_imu")
+    place = context(made / store, "read_imu")
     sensors: list[dict[str, Any]] = []
     samples: list[pa.Table] = []
-    for found in stored_limbs(open_store(made / "store", at="newest"), "test/limb_orientations"):
+    for found in stored_limbs(open_store(made / store, at="newest"), "test/limb_orientations"):
         for limb in (*LIMBS, "head"):
             channels = ["gyr", "mag", "orientation"]
             names = {"take": found.take, "recording": f"{found.take}.csv", "sensor": f"s-{limb}", "limb": limb}
             if limb in LIMBS:
                 samples.append(samples_of(found.limbs[limb], found.take, found.take == still))
             count = samples[-1].num_rows if limb in LIMBS else 0
-            row = {"run": "run-1", "take_id": found.take_id, "channels": channels, "samples": count}
+            row = {"run": "run-1", "take_id": found.take_id, "channels": channels, "samples": count, "fingerprint": "f"}
             sensors.append(row | names)
     with place.writer() as writer:
         recordings = pa.Table.from_pylist(sensors, schema=result_schema("imu_recordings"))
@@ -263,7 +263,7 @@ def test_limbs_of_a_long_take_are_read_without_the_others(
     synchronised: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shutil.copytree(synchronised, tmp_path, dirs_exist_ok=True)
-    monkeypatch.setattr(limb_tables, "LEAST_PIECE", 1000)
+    monkeypatch.setattr(ordered_results, "LEAST_ROWS", 1000)
     given = LimbOrientations.parameters(limbs=["legs", "hands", "torso"])
     LimbOrientations().run(stage_context(tmp_path, "limb_orientations"), given)
     whole, divided = (

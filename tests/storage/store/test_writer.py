@@ -21,6 +21,7 @@ import pytest
 from kinedex.ops.errors import KinedexError, ParameterError, StoreError
 from kinedex.storage.snapshot.manifest import StageRecord
 from kinedex.storage.snapshot.manifest_files import manifest_path, publish, read_newest, versions
+from kinedex.storage.snapshot.part_records import ResultPart
 from kinedex.storage.store import write_access as admission
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
@@ -292,9 +293,9 @@ def test_long_results_that_break_off_show_nothing_and_the_next_writer_removes_th
     make_store(tmp_path, {"a": 5})
     monkeypatch.setattr("kinedex.storage.snapshot.parts.FULL_BYTES", 1)
 
-    def pieces(*starts: int) -> Iterator[pa.Table]:
-        for start in starts:
-            yield hits(start)
+    def pieces(stays: ResultPart, *starts: int) -> Iterator[pa.Table | ResultPart]:
+        yield stays
+        yield from map(hits, starts)
         raise KinedexError("a worker failed")
 
     with StoreWriter.open(tmp_path, BODY) as writer:
@@ -302,7 +303,7 @@ def test_long_results_that_break_off_show_nothing_and_the_next_writer_removes_th
         writer.commit()
         (first,) = writer.manifest.results["hits"]
         with pytest.raises(KinedexError, match="a worker failed"):
-            writer.put_results("hits", pieces(2, 3), stage="p/search", run="r2", keep=[first])
+            writer.put_results("hits", pieces(first, 2, 3), stage="p/search", run="r2")
         assert writer.commit().version == 3
     store = open_store(tmp_path)
     assert store.result("hits").column("start").to_pylist() == [1]
@@ -321,15 +322,18 @@ def test_parts_of_earlier_results_may_stay(tmp_path: Path) -> None:
         writer.put_results("hits", hits(3), stage="two/search", run="r2")
         writer.commit()
         first, other = writer.manifest.results["hits"]
-        writer.put_results("hits", hits(4), stage="one/search", run="r3", keep=[first])
+        writer.put_results("hits", [first, hits(4)], stage="one/search", run="r3")
         writer.commit()
         found = open_store(tmp_path)
         assert found.result("hits", stage="one/search").column("start").to_pylist() == [1, 2, 4]
         assert [part.run for part in found.manifest.results["hits"]] == ["r1", "r2", "r3"]
-        writer.put_results("hits", hits(), stage="one/search", run="r4", keep=[first])
+        writer.put_results("hits", [hits(0), first, hits(5)], stage="one/search", run="r4")
+        writer.commit()
+        assert open_store(tmp_path).result("hits", stage="one/search").column("start").to_pylist() == [0, 1, 2, 5]
+        writer.put_results("hits", [first], stage="one/search", run="r5")
         writer.commit()
         with pytest.raises(StoreError, match="is no part of the results hits of one/search"):
-            writer.put_results("hits", hits(5), stage="one/search", run="r5", keep=[other])
+            writer.put_results("hits", [other, hits(5)], stage="one/search", run="r6")
     store = open_store(tmp_path)
     assert store.result("hits").column("start").to_pylist() == [1, 2, 3]
     assert verify(store) == []

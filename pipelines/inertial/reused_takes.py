@@ -1,0 +1,91 @@
+"""Takes whose results a stage reuses: those that follow from the same as before, by fingerprints in their rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+
+import pyarrow as pa
+
+from kinedex.ops.errors import StoreError
+from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.storage.snapshot.part_records import ResultPart
+from kinedex.storage.store.ordered_results import rows_in_order
+from kinedex.storage.store.reused_results import stored_fingerprints
+from kinedex.storage.store.store import Store
+
+Pieces = Callable[[pa.Table], Iterable[pa.Table]]
+
+
+class ReusedTakes:
+    """The takes of a stage, divided into those whose rows are reused and those that are computed.
+
+    A take is computed unless its earlier rows have its present fingerprint. Where the stage runs with `--force`, where
+    its code is not known, or where a part of its earlier results is damaged, all takes are.
+
+    Parameters
+    ----------
+    context : StageContext
+        The stage.
+    store : Store
+        The store with its earlier results.
+    prints : mapping of int to (str or None)
+        The ids of all takes in the order of results, each with a hash of all that its rows follow from; None where
+        that is not known.
+    kinds : str
+        The kinds of results of the stage, all with a column `take_id`, the first one with `fingerprint`.
+    """
+
+    def __init__(self, context: StageContext, store: Store, prints: Mapping[int, str | None], *kinds: str) -> None:
+        self._context, self._store = context, store
+        self._takes = tuple(prints)
+        reusable = bool(context.code) and not context.anew and _are_sound(store, context.key(), kinds)
+        before = stored_fingerprints(store, kinds[0], context.key()) if reusable else {}
+        self.fresh = tuple(one for one, print_ in prints.items() if print_ is None or before.get(one) != print_)
+        """The ids of the takes that are computed, in their order."""
+
+    @property
+    def unchanged(self) -> int:
+        """The number of takes whose rows are reused."""
+        return len(self._takes) - len(self.fresh)
+
+    def rows(
+        self, kind: str, tables: Iterable[pa.Table], pieces: Pieces = lambda rows: (rows,)
+    ) -> Iterator[pa.Table | ResultPart]:
+        """Yield the rows of all takes in their order, as `StoreWriter.put_results` takes them.
+
+        Parameters
+        ----------
+        kind : str
+            The kind of results.
+        tables : iterable of pyarrow.Table
+            The rows of each take of `fresh`, in their order.
+        pieces : callable, optional
+            Divides the rows of one take at the places where a row group may end.
+        """
+        context = self._context
+        return rows_in_order(
+            self._store, kind, context.key(), self._takes, self.fresh, tables, run=context.run, pieces=pieces
+        )
+
+    def put(self, kind: str, tables: Iterable[pa.Table], pieces: Pieces = lambda rows: (rows,)) -> None:
+        """Store the rows of all takes in a commit of their own; parameters as `rows`."""
+        with self._context.writer() as writer:
+            rows = self.rows(kind, tables, pieces)
+            writer.put_results(kind, rows, stage=self._context.key(), run=self._context.run)
+            writer.commit()
+
+    def report(self, what: str) -> None:
+        """Show how many takes were reused, if any; `what` is not done again, such as "not read"."""
+        if self.unchanged:
+            self._context.say(f"unchanged: {counted(self.unchanged, 'take')}, {what} again")
+
+
+def _are_sound(store: Store, stage: str, kinds: Iterable[str]) -> bool:
+    """Return whether all parts of a stage's results can be read."""
+    parts = [part for kind in kinds for part in store.manifest.results.get(kind, ()) if part.stage == stage]
+    try:
+        store.checked.parts(parts)
+    except StoreError:
+        return False  # repair removes them, and the stage makes all of them again
+    return True
