@@ -16,13 +16,15 @@ ATTACK  ?=
 # One process more than there are cores: tests of processes that wait for each other leave a core free.
 WORKERS ?= $(shell $(PYTHON) -c 'import os; print(len(os.sched_getaffinity(0)) + 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) + 1)')
 NIGHTLY ?=
+# The tests that `make check-kernels` runs with bounds checks.
+BOUNDED ?= not slow
 
 PAGE := pipelines/explorer/page
 PAGE_SOURCES := $(addprefix $(PAGE)/,package.json package-lock.json vite.config.ts tsconfig.json index.html) $(shell find $(PAGE)/src -type f 2>/dev/null)
 
 PAGE_INDEX := pipelines/explorer/built/index.html
 
-.PHONY: page check-page explore setup demo demo-tracking demo-depth demo-inertial test lint types check-kernels fuzz attack bench docs links wheel sbom audit lock clean help
+.PHONY: page check-page explore setup demo demo-tracking demo-depth demo-inertial test lint types compile-tests check-kernels fuzz attack bench docs links wheel sbom audit lock clean help
 .DEFAULT_GOAL := help
 
 help:
@@ -108,15 +110,22 @@ lint: setup
 types: setup
 	$(BIN)/mypy
 
-test: lint types check-page
+# Types, page and the modules of tests take one core each, so two of them go beside each other. numpy checks every index
+# of a kernel that runs as plain Python: bounds checks are compiled for the tests that do not run there.
+test: lint
+	@$(MAKE) --no-print-directory -j 2 types check-page compile-tests
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal
-	@$(MAKE) --no-print-directory check-kernels
+	@$(MAKE) --no-print-directory check-kernels BOUNDED="not slow and (slow_as_python or shared)"
 
-# The compiled kernels once with bounds checks, in little-optimised code, as most of the time goes into compilation; and
-# once as plain Python, which warns where compiled code does not.
+# Once before the workers start, as each would compile all modules for itself; one that fails is reported by the tests.
+compile-tests: setup
+	@$(BIN)/pytest --collect-only -qq > /dev/null || true
+
+# The compiled kernels with bounds checks, in little-optimised code, as most of the time goes into compilation; and as
+# plain Python, which warns where compiled code does not.
 check-kernels: setup
-	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 NUMBA_CACHE_DIR=build/numba-boundscheck $(BIN)/pytest -n auto --dist worksteal -m "not slow" tests/ops
-	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -n auto --dist worksteal -W ignore::RuntimeWarning -m "not slow and not shared" tests/ops
+	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 NUMBA_CACHE_DIR=build/numba-boundscheck $(BIN)/pytest -n auto --dist worksteal -m "$(BOUNDED)" tests/ops
+	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -n auto --dist worksteal -W ignore::RuntimeWarning -m "not slow and not shared and not slow_as_python" tests/ops
 
 # Kernels with bounds checks, so that a read beside an array is found and not just a number.
 fuzz: setup

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from tests.plain_python import PLAIN
 from tests.shared_kernels import compile_in_one_worker
 
 # The first call of a kernel compiles it, and tests run beside each other: time proves nothing about correctness.
@@ -49,6 +50,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "shared" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.shared)
+        if PLAIN and item.get_closest_marker("slow_as_python") is not None:
+            item.add_marker(pytest.mark.skip(reason="as plain Python it takes minutes"))
     items.sort(key=lambda item: item.get_closest_marker("slow") is None)
     for item in items:
         if item.get_closest_marker("slow") is not None and item.get_closest_marker("timeout") is None:

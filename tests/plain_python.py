@@ -8,4 +8,4 @@ import pytest
 PLAIN = bool(numba.config.DISABLE_JIT)
 """True where kernels run as plain Python, a hundred times as slow."""
 
-slow_as_python = pytest.mark.skipif(PLAIN, reason="as plain Python it takes minutes")
+slow_as_python = pytest.mark.slow_as_python

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -17,8 +16,8 @@ from kinedex.ops.inertial.rotations import Z_TO_Y
 from tests.ops.inertial.test_disagreement import figure_7_14
 from tests.ops.inertial.test_rotations import some
 from tests.oracles import inertial as naive
+from tests.plain_python import slow_as_python
 
-slow_as_python = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="as plain Python it takes a minute")
 UP = np.array([0.0, 0.0, 1.0])
 WORLD = naive.product(naive.exp_deg((0, 0, 30)), naive.exp_deg((-90, 0, 0)))
 MOUNT = naive.exp_deg((10, -20, 40))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,8 +11,7 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.inertial import rotations as r
 from kinedex.ops.inertial import time_offset as to
 from tests.oracles import inertial as naive
-
-slow_as_python = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="as plain Python it takes a minute")
+from tests.plain_python import slow_as_python
 
 
 def turning(times: np.ndarray, seed: int) -> np.ndarray:
