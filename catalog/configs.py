@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import re
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -34,6 +35,9 @@ KINDS = {
     "pipelines": "pipeline",
 }
 """The kinds of configuration file, each a folder of the shipped `configs/`, with the noun used in messages."""
+
+_UNION_TYPE = re.compile(r"literal\[.*\]|(?:constrained-)?(?:float|int|str)|list\[.*\]|bool")
+"""The names of types that pydantic puts behind the key of a union, such as `tau.literal['auto']`."""
 
 MOST_VALUES = 100_000
 """The most values that a YAML file may hold by way of aliases; one without aliases may be as long as it likes."""
@@ -129,8 +133,13 @@ class Located:
 
     def _translate(self, model: type[BaseModel], fault: ValidationError, key: Key) -> ConfigError:
         # A misspelt key also makes the right one missing, and the misspelling is the more useful message.
-        first = min(fault.errors(include_url=False), key=lambda error: error["type"] != "extra_forbidden")
+        errors = fault.errors(include_url=False)
+        first = min(errors, key=lambda error: error["type"] != "extra_forbidden")
+        choices = [one for one in errors if _is_choice(one["loc"]) and one["loc"][:-1] == first["loc"][:-1]]
         at = (*key, *first["loc"])
+        if first in choices:
+            found = dict.fromkeys(_reason(one).partition(", ")[0] for one in choices)
+            return self.error(f"must be {' or '.join(found)}, got {first['input']!r}", *at[:-1])
         if first["type"] == "extra_forbidden":
             known = _fields_at(model, first["loc"][:-1])
             return self.error(f"no such key{did_you_mean(str(first['loc'][-1]), known)}", *at)
@@ -141,10 +150,20 @@ class Located:
             what = "character" if first["type"] == "string_too_short" else "entry"
             many = what if least == 1 else {"character": "characters", "entry": "entries"}[what]
             return self.error(f"must have at least {least} {many}, got {first['input']!r}", *at)
-        reason = str(first["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
+        reason = _reason(first)
         got = "" if first["type"] == "value_error" else f", got {first['input']!r}"
         must = "" if first["type"] == "value_error" else "must be "
         return self.error(f"{must}{reason}{got}", *at)
+
+
+def _reason(error: Any) -> str:
+    """Return what was expected, in the words of pydantic."""
+    return str(error["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
+
+
+def _is_choice(loc: tuple[int | str, ...]) -> bool:
+    """Return True for a place that ends with one of the types of a union."""
+    return bool(loc) and isinstance(loc[-1], str) and _UNION_TYPE.fullmatch(loc[-1]) is not None
 
 
 def _fields_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinedex.ops.errors import KinedexError
+from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.pipelines.commands.app import FAILED, MAINTAIN, command
 from kinedex.pipelines.commands.options import (
     ExecutorOption,
@@ -75,6 +75,8 @@ def inspect(
     if sensors is not None or _is_sensor_file(file):
         _inspect_sensors(file, sensors, rate, as_json)
         return
+    if file.is_file() and file.suffix.lower() in _SENSOR_ENDINGS:
+        raise _unknown_sensor_file(file)
     if file.suffix.lower() in (".png", ".pcd", ".ply"):
         raise KinedexError(f"{file}: a depth image or cloud is shown with its camera: --camera FILE")
     from kinedex.pipelines.console.terminal import make_console
@@ -93,13 +95,35 @@ def inspect(
                     "sensors": None})  # fmt: skip
     elif not as_json:
         show(found, make_console(), features)
+    if found.fault is not None and file.suffix.lower() in (".csv", ".tsv"):
+        raise KinedexError(f"{found.fault}\n  if it holds readings of inertial sensors: {_NAME_COLUMNS}")
     if found.fault is not None:
         raise found.fault
 
 
+_SENSOR_ENDINGS = (".txt", ".parquet", ".h5", ".hdf5")
+"""Endings that files of sensors have, and motion files have not."""
+
+_NAME_COLUMNS = (
+    "columns such as time_s, acc_x, gyr_x and q_w are recognised, and `columns:` of a file of sensors names any "
+    "others: --sensors FILE"
+)
+
+
+def _unknown_sensor_file(file: Path) -> KinedexError:
+    """Return an error about a file that no reader of sensors recognises."""
+    from kinedex.storage.formats.imu.recording import FORMATS, beginning
+
+    beginning(file)
+    known = ", ".join(form.title for form in FORMATS.values())
+    return SourceError(
+        file, f"holds no readings of inertial sensors in a form that is known ({known}); {_NAME_COLUMNS}"
+    )
+
+
 def _is_sensor_file(file: Path) -> bool:
     """Return whether a file holds readings of sensors; motion files other than CSV are not opened for it."""
-    if not file.is_file() or file.suffix.lower() not in (".txt", ".csv", ".tsv", ".parquet", ".h5", ".hdf5"):
+    if not file.is_file() or file.suffix.lower() not in (*_SENSOR_ENDINGS, ".csv", ".tsv"):
         return False
     from kinedex.storage.formats.imu.recording import is_sensor_file
 

@@ -138,7 +138,7 @@ def _add_sensor(found: Inspection, sensor: InspectedSensor) -> None:
     found.add("rate", f"{sensor.rate_hz:.6g} Hz, {counted(sensor.samples, 'sample')}, {sensor.seconds:.2f} s")
     if sensor.median_acc_m_s2 is not None and sensor.mean_acc_m_s2 is not None:
         off = sensor.median_acc_m_s2 / GRAVITY - 1
-        fits = "as gravity" if abs(off) < 0.1 else f"{off:+.0%} of gravity"
+        fits = "as gravity" if abs(off) < 0.1 else f"{abs(off):.0%} {'above' if off > 0 else 'below'} gravity"
         found.add("|acc|", f"mean {sensor.mean_acc_m_s2:.2f} m/s², median {sensor.median_acc_m_s2:.2f}: {fits}")
     if sensor.gyr_correlation is not None and sensor.gyr_ratio is not None:
         found.add(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import pyarrow as pa
 
@@ -27,6 +28,14 @@ from kinedex.storage.store.writer import StoreWriter
 
 KINDS = ("imu_recordings", "imu_samples")
 """The kinds of results of the stage, both with a column `recording`."""
+
+_SOURCES = {
+    "file": "of the files",
+    "9D": "estimated with magnetometer (9D)",
+    "6D": "estimated without magnetometer (6D: each heading is arbitrary)",
+}
+
+_MOST_WARNINGS = 10
 
 AT_ONCE = 2_000_000
 """Samples that are committed at once."""
@@ -72,13 +81,15 @@ class ReadImu(Stage[ReadImuParameters]):
         done = self._read(context, fresh, unchanged, failures)
         if found.passed_over:
             few = ", ".join(found.passed_over[:3])
-            context.say(f"passed over, without columns of a sensor: {counted(len(found.passed_over), 'file')}: {few}")
+            context.say(
+                f"passed over, without columns of a sensor that are known: {counted(len(found.passed_over), 'file')}: "
+                f"{few}; `columns:` of a file of sensors names others"
+            )
         for line in failure_messages(failures):
             context.say(line)
-        if unchanged:
-            context.say(f"unchanged: {counted(len(unchanged), 'recording')}")
         if not done and not unchanged:
             raise KinedexError("no recording could be read; the reasons are above (table ingest_log)")
+        _show(context, len(unchanged))
         return {"recordings": done + len(unchanged), "unchanged": len(unchanged), "left_out": len(failures)}
 
     def _read(
@@ -101,6 +112,26 @@ class ReadImu(Stage[ReadImuParameters]):
             writer.put_results("ingest_log", _log(failures, context.run), stage=context.key(), run=context.run)
             writer.commit()
         return done
+
+
+def _show(context: StageContext, unchanged: int) -> None:
+    """Show what is stored: warnings of sensors, and the numbers of sensors, samples and sources of orientations."""
+    stored: list[dict[str, Any]] = earlier_rows(context.open(), "imu_recordings", context.key())
+    rows = [row for row in stored if row["limb"] is not None]
+    warnings = [f"{row['file']}: warning: {row['sensor']}: {text}" for row in rows for text in row["warnings"]]
+    for line in warnings[:_MOST_WARNINGS]:
+        context.say(line)
+    if len(warnings) > _MOST_WARNINGS:
+        context.say(
+            f"and {counted(len(warnings) - _MOST_WARNINGS, 'warning')} more (column warnings of imu_recordings)"
+        )
+    sources = Counter(_SOURCES[row["orientation"]] for row in rows)
+    takes, recordings = (len({row[column] for row in rows}) for column in ("take_id", "recording"))
+    same = f" ({unchanged:,} unchanged, not read again)" if unchanged else ""
+    context.say(
+        f"{counted(recordings, 'recording')} of {counted(takes, 'take')}{same}: {counted(len(rows), 'sensor')}, "
+        f"{sum(row['samples'] for row in rows):,} samples; orientations {', '.join(sources)}"
+    )
 
 
 def _put(context: StageContext, writer: StoreWriter, read: Sequence[ReadRows], gone: set[str]) -> None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated, Literal
 
 import pytest
 import yaml
+from pydantic import BaseModel, Field
 
 from kinedex.catalog import configs
-from kinedex.catalog.configs import Located, parse_yaml, shipped_configs
+from kinedex.catalog.configs import Located, load_yaml, parse_yaml, shipped_configs
 from kinedex.ops.errors import ConfigError
 
 
@@ -58,3 +60,24 @@ def test_a_long_file_without_aliases_is_read_and_so_are_a_few_aliases() -> None:
     assert len(parse_yaml(long, "long.yaml").data) == 2500
     few = "a: &a [1, 2]\n" + "\n".join(f"k{i}: *a" for i in range(1000))
     assert parse_yaml(few, "few.yaml").data["k999"] == [1, 2]
+
+
+class _Either(BaseModel):
+    """A model with choices of types."""
+
+    tau: Literal["auto"] | Annotated[float, Field(ge=0)] = 45.0
+    names: Literal["all"] | list[str] = "all"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("tau: often", r"x.yaml:1: tau: must be 'auto' or a valid number, got 'often'$"),
+        ("tau: -3", r"x.yaml:1: tau: must be 'auto' or greater than or equal to 0, got -3$"),
+        ("names: 7", r"x.yaml:1: names: must be 'all' or a valid list, got 7$"),
+    ],
+)
+def test_an_error_of_a_choice_names_all_that_is_possible(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "x.yaml").write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        load_yaml(tmp_path / "x.yaml").model(_Either)

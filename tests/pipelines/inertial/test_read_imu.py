@@ -134,8 +134,8 @@ def test_what_is_wrong_does_not_stop_the_others_and_unchanged_recordings_stay(li
     assert "cut off" in rows["x_walk/b.h5"]["message"]
     assert {"x_walk/sim.parquet", "x_kick/two/MT_00B421ED.txt"} < set(rows)
     assert len(rows) == 5
-    assert "passed over, without columns of a sensor: 1 file: x_kick/notes.txt" in message
-    assert "unchanged: 3 recordings" in message
+    assert "passed over, without columns of a sensor that are known: 1 file: x_kick/notes.txt" in message
+    assert "of 2 takes (3 unchanged, not read again): 4 sensors, 240 samples; orientations of the files" in message
     assert len(recordings(store)) == 5
     # a file of sensors that changes changes all; what is gone goes
     (folder / "a_Inertial.csv").unlink()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -76,3 +77,21 @@ def test_a_world_that_nothing_shows_is_named_as_assumed(tmp_path: Path) -> None:
     assert "assumed" not in inspected(path, "--sensors", tmp_path / "five.yaml")
     (tmp_path / "b.csv").write_text(csv_text(turning()))
     assert "assumed" not in inspected(tmp_path / "b.csv"), "the field shows the world"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("notes.txt", "Sensor 1 was on the left shank.\n", r"holds no readings of inertial sensors.*--sensors FILE"),
+        ("garbage.h5", "no HDF5 file", r"holds no readings of inertial sensors.*Opal.*--sensors FILE"),
+        ("empty.txt", "", "the file is empty"),
+        ("own.csv", "a,b,c\n1,2,3\n1,2,3\n", r"joint.*if it holds readings of inertial sensors.*--sensors FILE"),
+    ],
+)
+def test_a_file_without_known_readings_leads_to_the_file_of_sensors(
+    tmp_path: Path, name: str, content: str, message: str
+) -> None:
+    (tmp_path / name).write_text(content)
+    done = CliRunner().invoke(app, ["inspect", str(tmp_path / name)], env={"COLUMNS": "200"})
+    assert done.exit_code
+    assert re.search(message, " ".join(f"{done.output} {done.exception}".split()))
