@@ -7,7 +7,6 @@ import html
 import ipaddress
 import secrets
 import socket
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl, urlencode, urlsplit
@@ -22,6 +21,9 @@ if TYPE_CHECKING:
 
 MOST_BYTES = 4 * 2**20
 """The longest body of a request."""
+
+EVERYWHERE = ("0.0.0.0", "::")
+"""Hosts that stand for every address of this machine."""
 
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
@@ -252,7 +254,7 @@ def _add_headers(message: Message, headers: dict[str, str]) -> None:
     ]
 
 
-def addresses(rules: Rules, host: str) -> Iterable[str]:
-    """Yield the addresses that open the page, with the token."""
-    name = f"[{host}]" if ":" in host else host
-    yield f"http://{name}:{rules.port}/?token={rules.token}"
+def address(rules: Rules, host: str) -> str:
+    """Return the address that opens the page, with the token."""
+    name = socket.gethostname() if host in EVERYWHERE else host
+    return f"http://{f'[{name}]' if ':' in name else name}:{rules.port}/?token={rules.token}"

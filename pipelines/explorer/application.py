@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 import html
+from collections.abc import Sequence
 from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
+from threading import Lock, Thread
 from typing import TYPE_CHECKING
 
+from anyio import to_thread
 from pydantic import ValidationError
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.responses import FileResponse, HTMLResponse, Response
-from starlette.routing import Mount, Route
+from starlette.routing import BaseRoute, Match, Route, Router
 
 from kinedex.ops.errors import KinedexError, Remedy
 from kinedex.pipelines.explorer.access import Access, Rules, TooLongError, too_long
@@ -20,7 +24,7 @@ from kinedex.pipelines.explorer.answers import fault_answer
 
 if TYPE_CHECKING:
     from starlette.requests import Request
-    from starlette.types import ASGIApp
+    from starlette.types import ASGIApp, Receive, Scope, Send
 
     from kinedex.pipelines.explorer.archive import Archive
 
@@ -37,6 +41,13 @@ SUBJECTS = (
 )
 """The modules whose `routes` the application has."""
 
+FIRST = frozenset({"events", "store", "takes"})
+"""Those that the first page needs. The others are imported once it has been shown: some bring numba or polars."""
+
+
+PAUSE_SECONDS = 1.5
+"""The time from the answer with the page to the import of what it needs later."""
+
 
 def make_application(archive: Archive, rules: Rules, built: Path = BUILT) -> ASGIApp:
     """Return the application that serves an archive.
@@ -50,11 +61,10 @@ def make_application(archive: Archive, rules: Rules, built: Path = BUILT) -> ASG
     built : Path, optional
         The folder of the built page.
     """
-    routes: list[Route | Mount] = []
-    for subject in SUBJECTS:
-        routes += import_module(f"kinedex.pipelines.explorer.{subject}").routes
+    routes: list[BaseRoute] = [route for subject in SUBJECTS if subject in FIRST for route in routes_of(subject)]
+    later = LaterRoutes([subject for subject in SUBJECTS if subject not in FIRST])
     routes += [
-        Route("/api/{rest:path}", _no_address, methods=["GET", "POST"]),
+        later,
         Route("/assets/{name}", _asset, methods=["GET"]),
         Route("/{rest:path}", _page, methods=["GET"]),
     ]
@@ -63,7 +73,52 @@ def make_application(archive: Archive, rules: Rules, built: Path = BUILT) -> ASG
     app = Starlette(routes=routes, exception_handlers=faults)
     app.state.archive = archive
     app.state.built = built
+    app.state.later = later
     return Access(app, rules)
+
+
+def routes_of(subject: str) -> list[Route]:
+    """Return the routes of a subject."""
+    found: list[Route] = import_module(f"kinedex.pipelines.explorer.{subject}").routes
+    return found
+
+
+class LaterRoutes(BaseRoute):
+    """The routes below /api/ of subjects that are imported when one of them is first asked for.
+
+    Parameters
+    ----------
+    subjects : sequence of str
+        The names of the modules.
+    """
+
+    def __init__(self, subjects: Sequence[str]) -> None:
+        self._subjects = subjects
+        self._lock = Lock()
+        self._router: Router | None = None
+
+    def load(self) -> Router:
+        """Import the subjects, and return the router of their routes; any thread may call it."""
+        with self._lock:
+            if self._router is None:
+                self._router = Router([route for subject in self._subjects for route in routes_of(subject)])
+            return self._router
+
+    def matches(self, scope: Scope) -> tuple[Match, Scope]:
+        """Match every address below /api/ that no earlier route has matched."""
+        is_ours = scope["type"] == "http" and scope["path"].startswith("/api/")
+        return (Match.FULL if is_ours else Match.NONE), {}
+
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request, once the subjects have been imported."""
+        router: Router = await to_thread.run_sync(self.load)
+        await router(scope, receive, send)
+
+    def load_soon(self) -> None:
+        """Import the subjects in a thread once the page has had time to show something."""
+        if self._router is None:
+            loop = asyncio.get_running_loop()
+            loop.call_later(PAUSE_SECONDS, lambda: Thread(target=self.load, daemon=True).start())
 
 
 def require_page(built: Path = BUILT) -> None:
@@ -72,10 +127,6 @@ def require_page(built: Path = BUILT) -> None:
         raise KinedexError(
             f"{built}: the page of the explorer has not been built", remedy=Remedy("run `make page`", ("make", "page"))
         )
-
-
-async def _no_address(request: Request) -> Response:
-    raise HTTPException(404, f"no address of the server is {request.url.path}")
 
 
 async def _too_long(_request: Request, _fault: Exception) -> Response:
@@ -101,5 +152,6 @@ async def _page(request: Request) -> Response:
     """Answer with the page, whose script shows what the address names."""
     built: Path = request.app.state.built
     text = (built / "index.html").read_text(encoding="utf-8")
+    request.app.state.later.load_soon()
     nonce = html.escape(request.scope["state"]["nonce"])
     return HTMLResponse(text.replace("__NONCE__", nonce), headers={"cache-control": "no-store"})

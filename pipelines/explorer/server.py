@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import errno
+import os
 import socket
+import sys
 import webbrowser
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING
 
 import uvicorn
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.explorer.access import Rules, addresses, is_loopback, new_token
+from kinedex.pipelines.explorer.access import Rules, address, is_loopback, new_token
 from kinedex.pipelines.explorer.application import make_application, require_page
 from kinedex.pipelines.explorer.archive import Archive
 
@@ -118,10 +121,10 @@ def serve(store: Path, host: str, port: int | None, *, read_only: bool, browser:
     archive = Archive(store, read_only=read_only)
     with open_socket(host, port) as listening:
         rules = Rules.for_host(new_token(), host, listening.getsockname()[1])
-        (address,) = addresses(rules, host)
+        shown = address(rules, host)
         if not is_loopback(host):
-            _warn(host)
-        print(f"{store}: open {address}", flush=True)
+            warn_of_others(host)
+        print(f"{store}: open {shown}", flush=True)
         print("Ctrl-C stops the server", flush=True)
         config = uvicorn.Config(
             make_application(archive, rules),
@@ -136,14 +139,19 @@ def serve(store: Path, host: str, port: int | None, *, read_only: bool, browser:
             timeout_graceful_shutdown=GRACE_SECONDS,
         )
         if browser:
-            webbrowser.open(address)
+            _open(shown)
         Server(config, archive).run([listening])
 
 
-def _warn(host: str) -> None:
-    """Report on standard error that other machines can connect."""
-    import sys
+def _open(shown: str) -> None:
+    """Open an address in the browser of a desktop; one that runs in a terminal would take this one."""
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        return
+    Thread(target=webbrowser.open, args=[shown], daemon=True).start()
 
+
+def warn_of_others(host: str) -> None:
+    """Report on standard error that other machines can connect."""
     print(
         f"warning: the server listens on {host}: everybody who can reach this machine and knows the address with its "
         "token can read the store and label it, and the connection is not encrypted; leave --host out to listen on "

@@ -1,0 +1,180 @@
+"""A real server: a process of the command line, asked over a socket, while others write, until Ctrl-C."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.explorer import server
+from kinedex.pipelines.explorer.application import require_page
+from kinedex.storage.store.writer import StoreWriter
+from tests.storage.made_up import BODY, add
+
+SECONDS = 60
+"""Every wait ends after so long."""
+
+COMMAND = """
+import sys
+from pathlib import Path
+from kinedex.pipelines.explorer import application, server
+application.BUILT = Path(sys.argv[1])
+application.require_page.__defaults__ = application.make_application.__defaults__ = (application.BUILT,)
+sys.argv[1:] = sys.argv[2:]
+from kinedex.pipelines.commands.cli import main
+main()
+"""
+"""The command line over a folder that stands for the built page: a checkout may have none."""
+
+
+@dataclass
+class Running:
+    """A server that runs."""
+
+    process: subprocess.Popen[str]
+    host: str
+    port: int
+    token: str
+
+    def ask(self, path: str, body: object = None) -> tuple[int, Any]:
+        """Return status and JSON of an answer."""
+        connection = http.client.HTTPConnection(self.host, self.port, timeout=SECONDS)
+        try:
+            text = None if body is None else json.dumps(body)
+            connection.request("GET" if body is None else "POST", path, text, {"authorization": f"Bearer {self.token}"})
+            answer = connection.getresponse()
+            return answer.status, json.loads(answer.read())
+        finally:
+            connection.close()
+
+
+def start(store: Path, built: Path, *words: str) -> Running:
+    """Start `kinedex explore` on a free port and return once it has printed its address."""
+    command = [sys.executable, "-c", COMMAND, str(built), "explore", str(store), "--no-browser", "--port", "0", *words]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    found = re.search(r"http://([^:/]+):(\d+)/\?token=(\S+)", line)
+    if found is None:
+        raise AssertionError(f"{line}{process.communicate(timeout=SECONDS)}")
+    return Running(process, found[1], int(found[2]), found[3])
+
+
+@pytest.fixture(scope="module")
+def copy(store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a copy of the store that tests write to."""
+    path = tmp_path_factory.mktemp("served") / "store"
+    shutil.copytree(store, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def running(copy: Path, built: Path) -> Iterator[Running]:
+    one = start(copy, built)
+    yield one
+    one.process.kill()
+    one.process.communicate(timeout=SECONDS)
+
+
+def test_a_server_answers_several_at_once(running: Running) -> None:
+    found: list[int] = []
+    asking = [
+        threading.Thread(target=lambda: found.append(running.ask("/api/takes", {"limit": 5})[1]["total"]))
+        for _ in range(8)
+    ]
+    for one in asking:
+        one.start()
+    for one in asking:
+        one.join(SECONDS)
+    assert found == [11] * 8
+
+
+def test_the_token_is_asked_for_over_a_socket_too(running: Running) -> None:
+    assert running.ask("/api/store")[0] == 200
+    assert Running(running.process, running.host, running.port, "wrong").ask("/api/store")[0] == 401
+
+
+def events_of(running: Running) -> tuple[http.client.HTTPConnection, http.client.HTTPResponse]:
+    connection = http.client.HTTPConnection(running.host, running.port, timeout=SECONDS)
+    connection.request("GET", "/api/events", headers={"authorization": f"Bearer {running.token}"})
+    return connection, connection.getresponse()
+
+
+def test_two_tabs_see_the_version_that_somebody_else_writes(running: Running, copy: Path) -> None:
+    tabs = [events_of(running), events_of(running)]
+    assert tabs[0][1].headers["content-type"].startswith("text/event-stream")
+    before = running.ask("/api/store")[1]
+    with StoreWriter.open(copy, BODY) as writer:
+        add(writer, {"zz_new": 40})
+        writer.commit()
+    for connection, stream in tabs:
+        seen = ""
+        while "event: version" not in seen:
+            seen = stream.readline().decode()
+            assert seen, "the stream ended"
+        assert json.loads(stream.readline().decode().removeprefix("data: "))["version"] > before["version"]
+        connection.close()
+    after = running.ask("/api/store")[1]
+    assert (after["takes"], after["version"]) == (before["takes"] + 1, before["version"] + 1)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows sends no such signal")
+def test_ctrl_c_ends_a_server_quietly_though_a_page_listens(copy: Path, built: Path) -> None:
+    one = start(copy, built, "--read-only")
+    connection, stream = events_of(one)
+    assert stream.readline()
+    one.process.send_signal(signal.SIGINT)
+    out, faults = one.process.communicate(timeout=SECONDS)
+    connection.close()
+    assert one.process.returncode == 130
+    assert faults.startswith("kinedex: stopped")
+    assert faults.count("\n") == 1, faults
+    assert out == "Ctrl-C stops the server\n"
+
+
+def test_a_port_in_use_is_named_with_a_way_out() -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        with pytest.raises(KinedexError, match=f"--port {port}: the port is in use.*leave --port out"):
+            server.open_socket("127.0.0.1", port)
+
+
+def test_without_a_port_a_free_one_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        monkeypatch.setattr(server, "PORT", other.getsockname()[1])
+        with server.open_socket("127.0.0.1", None) as opened:
+            assert opened.getsockname()[1] not in (0, server.PORT)
+
+
+@pytest.mark.parametrize("host", ["no.such.host.invalid", "203.0.113.7"])
+def test_a_host_that_is_not_here_is_named(host: str) -> None:
+    with pytest.raises(KinedexError, match=f"--host {host}: cannot listen there.*leave --host out"):
+        server.open_socket(host, 0)
+
+
+def test_other_machines_are_let_in_with_a_warning_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    server.warn_of_others("0.0.0.0")
+    assert re.search(r"warning: .*0\.0\.0\.0.*SSH tunnel", capsys.readouterr().err)
+
+
+def test_a_checkout_without_the_page_names_the_command_that_builds_it(tmp_path: Path) -> None:
+    with pytest.raises(KinedexError, match="make page"):
+        require_page(tmp_path)
