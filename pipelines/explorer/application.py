@@ -36,12 +36,14 @@ SUBJECTS = (
     "events",
     "lanes",
     "motion",
+    "quality",
     "store",
     "takes",
+    "totals",
 )
 """The modules whose `routes` the application has."""
 
-FIRST = frozenset({"events", "store", "takes"})
+FIRST = frozenset({"events", "quality", "store", "takes", "totals"})
 """Those that the first page needs. The others are imported once it has been shown: some bring numba or polars."""
 
 

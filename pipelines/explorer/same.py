@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from kinedex.pipelines.explorer.archive import Archive
 
 
 def command_line(*words: str | Path) -> str:
@@ -28,3 +32,11 @@ def python_lines(store: Path, *lines: str) -> str:
     store.takes()
     """
     return "\n".join(["import kinedex", f"store = kinedex.open_store({str(store)!r})", *lines])
+
+
+def same_query(archive: Archive, text: str) -> dict[str, str]:
+    """Return the shell line and the Python lines that ask a store for the rows of a query."""
+    return {
+        "command": command_line("kinedex", "sql", archive.path, text),
+        "python": python_lines(archive.path, f"store.sql({text!r})"),
+    }

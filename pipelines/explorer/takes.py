@@ -2,7 +2,8 @@
 
 {where?: SQL condition, filters?: [{column, values?: [value or null], min?, max?, contains?}],
  sort?: [{column, descending?}], columns?: [name], offset?, limit? ≤ 500}
-→ {version, total, hours, offset, columns: [name], rows: [[value]], command, python}
+→ {version, total, hours, offset, columns: [name], rows: [[value]], ids: [take_id], names: [name],
+   warnings: [[text]], command, python}
 """
 
 from __future__ import annotations
@@ -18,10 +19,9 @@ import numpy.typing as npt
 import pyarrow as pa
 from pydantic import Field
 
-from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.explorer.addresses import Question, post
-from kinedex.pipelines.explorer.same import command_line, python_lines
-from kinedex.storage.duck import identifier, quote
+from kinedex.pipelines.explorer.same import same_query
+from kinedex.pipelines.explorer.selections import SQL_SECONDS, Selection, condition_of, expression, values_of
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -32,23 +32,8 @@ if TYPE_CHECKING:
 BLOCK = 500
 """Most rows of one answer."""
 
-SECONDS = 20.0
-"""A condition may take so long."""
-
 KEPT = 32
 """Questions whose takes are kept in their order; each is some bytes a take."""
-
-Scalar = str | int | float | bool | None
-
-
-class Filter(Question):
-    """A condition on one column: it has one of some values, or lies in a range, or contains a text."""
-
-    column: str
-    values: tuple[Scalar, ...] | None = None
-    min: float | None = None
-    max: float | None = None
-    contains: str | None = None
 
 
 class Sort(Question):
@@ -56,13 +41,6 @@ class Sort(Question):
 
     column: str
     descending: bool = False
-
-
-class Selection(Question):
-    """Takes that fit conditions."""
-
-    where: str | None = None
-    filters: tuple[Filter, ...] = ()
 
 
 class TakesQuestion(Selection):
@@ -113,7 +91,7 @@ class Orders:
         return found
 
     def _search(self, store: Store, text: str) -> Found:
-        table = store.answer(text, timeout=SECONDS).table
+        table = store.answer(text, timeout=SQL_SECONDS).table
         ids = store.take_rows.column("take_id").to_numpy()
         order = np.argsort(ids)
         wanted = table.column("take_id").to_numpy()
@@ -125,78 +103,36 @@ class Orders:
 _ORDERS = Orders()
 
 
+def order_of(sort: Sequence[Sort], known: Sequence[str]) -> str:
+    """Return the order as an ORDER BY clause; takes that are equal in it are sorted by name."""
+    parts = [f"{expression(one.column, known)} {'DESC' if one.descending else 'ASC'} NULLS LAST" for one in sort]
+    if all(one.column != "name" for one in sort):
+        parts.append("name")
+    return f" ORDER BY {', '.join(parts)}"
+
+
 def find_takes(archive: Archive, asked: TakesQuestion, _request: Request) -> dict[str, Any]:
     """Return a block of takes."""
     store = archive.store()
     known = store.take_rows.column_names
     columns = list(asked.columns) if asked.columns is not None else known
-    for name in columns:
-        require_column(name, known)
+    shown = ", ".join(expression(name, known, shown=True) for name in columns)
     condition, order = condition_of(asked, known), order_of(asked.sort, known)
     found = _ORDERS.find(store, condition, order)
-    block = store.take_rows.select(columns).take(pa.array(found.rows[asked.offset : asked.offset + asked.limit]))
-    lists = [block.column(name).to_pylist() for name in columns]
-    shown = ", ".join(name if name.isidentifier() else identifier(name) for name in columns)
+    block = store.take_rows.take(pa.array(found.rows[asked.offset : asked.offset + asked.limit]))
+    lists = [values_of(block, name) for name in columns]
     return {
         "version": store.manifest.version,
         "total": len(found.rows),
         "hours": found.hours,
         "offset": asked.offset,
         "columns": columns,
-        "rows": [list(row) for row in zip(*lists, strict=True)],
-        "command": command_line("kinedex", "sql", archive.path, f"SELECT {shown} FROM takes{condition}{order}"),
-        "python": python_lines(archive.path, f"store.sql({f'SELECT {shown} FROM takes{condition}{order}'!r})"),
+        "rows": [list(row) for row in zip(*lists, strict=True)] if lists else [],
+        "ids": block.column("take_id").to_pylist(),
+        "names": block.column("name").to_pylist(),
+        "warnings": [texts or [] for texts in block.column("warnings").to_pylist()],
+        **same_query(archive, f"SELECT {shown} FROM takes{condition}{order}"),
     }
-
-
-def require_column(name: str, known: list[str]) -> None:
-    """Raise a KinedexError if takes have no such column."""
-    if name not in known:
-        raise KinedexError(f"takes have no column '{name}'{did_you_mean(name, known)}")
-
-
-def condition_of(asked: Selection, known: list[str]) -> str:
-    """Return the conditions of a selection as a WHERE clause, empty where there are none."""
-    parts = [_filter(one, known) for one in asked.filters]
-    if asked.where is not None and asked.where.strip():
-        parts.append(f"(\n{asked.where.strip()}\n)" if "--" in asked.where else f"({asked.where.strip()})")
-    return f" WHERE {' AND '.join(parts)}" if parts else ""
-
-
-def _filter(one: Filter, known: list[str]) -> str:
-    """Return a filter as a condition of SQL."""
-    require_column(one.column, known)
-    name = _name(one.column)
-    parts = []
-    if one.values is not None:
-        values = [value for value in one.values if value is not None]
-        choices = [f"{name} IN ({', '.join(map(_literal, values))})"] if values else []
-        choices += [f"{name} IS NULL"] if None in one.values else []
-        parts.append(f"({' OR '.join(choices)})" if choices else "false")
-    if one.min is not None:
-        parts.append(f"{name} >= {one.min!r}")
-    if one.max is not None:
-        parts.append(f"{name} <= {one.max!r}")
-    if one.contains:
-        parts.append(f"contains(lower({name}::VARCHAR), {quote(one.contains.lower())})")
-    return " AND ".join(parts) if parts else "true"
-
-
-def order_of(sort: Sequence[Sort], known: list[str]) -> str:
-    """Return the order as an ORDER BY clause; takes that are equal in it are sorted by name."""
-    for one in sort:
-        require_column(one.column, known)
-    parts = [f"{_name(one.column)} {'DESC' if one.descending else 'ASC'} NULLS LAST" for one in sort]
-    return f" ORDER BY {', '.join([*parts, 'name'] if all(one.column != 'name' for one in sort) else parts)}"
-
-
-def _name(column: str) -> str:
-    """Return a column as SQL writes it, quoted where it is a word of SQL or no plain name."""
-    return column if column.isidentifier() and column not in ("class", "groups") else identifier(column)
-
-
-def _literal(value: str | float | bool) -> str:
-    return quote(value) if isinstance(value, str) else repr(value)
 
 
 routes = [post("/api/takes", find_takes, TakesQuestion)]

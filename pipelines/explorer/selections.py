@@ -1,0 +1,115 @@
+"""Selections of takes: filters by column and conditions of SQL, as clauses over the view `takes`.
+
+A column is one of takes, or `folder`: the folder of the source file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import pyarrow as pa
+
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.pipelines.explorer.addresses import Question
+from kinedex.storage.duck import identifier, quote
+
+SQL_SECONDS = 20.0
+"""The longest time of a question in SQL."""
+
+FOLDER = "folder"
+"""A column that takes do not have: the folder of the source file, below the folder of the archive."""
+
+_FOLDER = "coalesce(nullif(regexp_extract(source, '^(.*)/', 1), ''), '.')"
+
+_PLAIN = frozenset({"groups", "order", "group", "table", "set", "limit", "offset", "all", "end", "case", "class"})
+"""Words of SQL that a column may have as its name; these are quoted."""
+
+Scalar = str | int | float | bool | None
+
+
+class Filter(Question):
+    """A condition on one column: it has one of some values, lies in a range, or contains a text in any case."""
+
+    column: str
+    values: tuple[Scalar, ...] | None = None
+    min: float | None = None
+    max: float | None = None
+    contains: str | None = None
+
+
+class Selection(Question):
+    """Takes that fit all of some filters and a condition of SQL."""
+
+    where: str | None = None
+    filters: tuple[Filter, ...] = ()
+
+
+def expression(column: str, known: Sequence[str], *, shown: bool = False) -> str:
+    """Return a column as SQL has it.
+
+    Parameters
+    ----------
+    column : str
+        Name of the column.
+    known : sequence of str
+        The columns of takes.
+    shown : bool, optional
+        Name the column, for a SELECT.
+
+    Raises
+    ------
+    KinedexError
+        Takes have no such column; the message names the nearest.
+    """
+    if column == FOLDER and FOLDER not in known:
+        return f"{_FOLDER} AS {FOLDER}" if shown else _FOLDER
+    if column not in known:
+        raise KinedexError(f"takes have no column '{column}'{did_you_mean(column, [*known, FOLDER])}")
+    return column if column.isidentifier() and column.lower() not in _PLAIN else identifier(column)
+
+
+def condition_of(asked: Selection, known: Sequence[str]) -> str:
+    """Return a selection as a WHERE clause that begins with a space; empty where it has no condition."""
+    parts = [_condition(one, known) for one in asked.filters]
+    if asked.where is not None and asked.where.strip():
+        text = asked.where.strip()
+        parts.append(f"({text}\n)" if "--" in text else f"({text})")  # a comment would hide the bracket
+    return f" WHERE {' AND '.join(parts)}" if parts else ""
+
+
+def _condition(one: Filter, known: Sequence[str]) -> str:
+    """Return a filter as a condition."""
+    name = expression(one.column, known)
+    parts = []
+    if one.values is not None:
+        values = [value for value in one.values if value is not None]
+        choices = [f"{name} IN ({', '.join(map(_literal, values))})"] if values else []
+        choices += [f"{name} IS NULL"] if None in one.values else []
+        parts.append(f"({' OR '.join(choices)})" if choices else "false")
+    if one.min is not None:
+        parts.append(f"{name} >= {_number(one.min)}")
+    if one.max is not None:
+        parts.append(f"{name} <= {_number(one.max)}")
+    if one.contains:
+        parts.append(f"contains(lower({name}::VARCHAR), {quote(one.contains.lower())})")
+    return " AND ".join(parts) if parts else "true"
+
+
+def _literal(value: str | float | bool) -> str:
+    if isinstance(value, str):
+        return quote(value)
+    return str(value).lower() if isinstance(value, bool) else _number(value)
+
+
+def _number(value: float) -> str:
+    """Return a number as SQL has it, without a fraction that is zero."""
+    return repr(int(value)) if float(value).is_integer() and abs(value) < 2**53 else repr(value)
+
+
+def values_of(rows: pa.Table, column: str) -> list[Any]:
+    """Return the values of a column, `folder` included, of some rows of takes."""
+    if column == FOLDER and FOLDER not in rows.column_names:
+        return [source.rpartition("/")[0] or "." for source in rows.column("source").to_pylist()]
+    found: list[Any] = rows.column(column).to_pylist()
+    return found

@@ -1,0 +1,162 @@
+"""The takes of an archive by filters and SQL, block by block, their totals, and what is to be looked at."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+
+import kinedex
+from kinedex.pipelines.explorer.selections import Filter, Selection, condition_of
+from kinedex.storage.store.store import open_store
+from tests.pipelines.explorer.conftest import Connect
+
+
+@pytest.fixture(scope="module")
+def client(connect: Connect) -> TestClient:
+    return connect()
+
+
+def ask(client: TestClient, path: str, **body: Any) -> dict[str, Any]:
+    answer = client.post(path, json=body)
+    assert answer.status_code == 200, answer.text
+    found: dict[str, Any] = answer.json()
+    return found
+
+
+def names(client: TestClient, **body: Any) -> list[str]:
+    found: list[str] = ask(client, "/api/takes", **body)["names"]
+    return found
+
+
+def test_the_store_describes_itself(client: TestClient, store: Path) -> None:
+    facts = client.get("/api/store").json()
+    assert (facts["takes"], facts["classes"], facts["read_only"]) == (11, ["kick", "walk"], False)
+    assert len(facts["joints"]) == len(facts["parents"]) == 24
+    assert [one["bit"] for one in facts["features"]] == list(range(40))
+    assert facts["name"] == store.name
+    assert {"name": "seconds", "type": "DOUBLE", "numeric": True} in facts["columns"]
+
+
+FILTERS: list[tuple[dict[str, Any], str]] = [
+    ({"column": "class", "values": ["kick"]}, "\"class\" = 'kick'"),
+    ({"column": "class", "values": [None, "walk"]}, '"class" IS NULL OR "class" = \'walk\''),
+    ({"column": "class", "values": []}, "false"),
+    ({"column": "seconds", "min": 0.7}, "seconds >= 0.7"),
+    ({"column": "frames", "min": 20, "max": 25}, "frames BETWEEN 20 AND 25"),
+    ({"column": "name", "contains": "KICK"}, "name LIKE '%kick%'"),
+    ({"column": "folder", "values": ["al"]}, "source LIKE 'al/%'"),
+]
+
+
+@pytest.mark.parametrize(("one", "where"), FILTERS)
+def test_a_filter_finds_what_sql_finds(client: TestClient, store: Path, one: dict[str, Any], where: str) -> None:
+    expected = open_store(store).sql(f"SELECT name FROM takes WHERE {where} ORDER BY name").column(0).to_pylist()
+    assert names(client, filters=[one]) == expected
+    assert names(client, where=where) == expected
+    assert names(client, where=f"{where} -- a remark") == expected
+
+
+def test_filters_and_sql_hold_together_in_the_order_asked_for(client: TestClient) -> None:
+    sort = [{"column": "actor", "descending": True}, {"column": "frames"}]
+    found = ask(client, "/api/takes", filters=[{"column": "class", "values": [None]}], where="frames > 5", sort=sort)
+    assert found["names"] == ["bo_long", "al_long"]
+    assert found["total"] == 2
+    assert found["hours"] == pytest.approx((open_store_seconds(found)) / 3600)
+
+
+def open_store_seconds(found: dict[str, Any]) -> float:
+    place = found["columns"].index("seconds")
+    return float(sum(row[place] for row in found["rows"]))
+
+
+def test_blocks_join_to_the_whole(client: TestClient) -> None:
+    sort = [{"column": "seconds", "descending": True}]
+    whole = ask(client, "/api/takes", sort=sort)
+    blocks = [ask(client, "/api/takes", sort=sort, offset=offset, limit=4) for offset in (0, 4, 8, 12)]
+    assert [name for block in blocks for name in block["names"]] == whole["names"]
+    assert {block["total"] for block in blocks} == {11}
+    assert client.post("/api/takes", json={"limit": 501}).status_code == 422
+
+
+def test_the_command_and_the_python_lines_find_the_same(client: TestClient, store: Path) -> None:
+    quoted = "it's; DROP TABLE takes"
+    found = ask(client, "/api/takes", filters=[{"column": "name", "contains": quoted}], columns=["name", "class"])
+    assert found["total"] == 0
+    words = shlex.split(found["command"])
+    assert words[:3] == ["kinedex", "sql", str(store)]
+    found = ask(client, "/api/takes", columns=["name", "folder"], filters=[{"column": "class", "values": ["kick"]}])
+    space: dict[str, Any] = {}
+    lines = found["python"].splitlines()
+    exec("\n".join([*lines[:-1], f"rows = {lines[-1]}"]), space)
+    assert [list(row.values()) for row in space["rows"].to_pylist()] == found["rows"]
+    with kinedex.open_store(store) as opened:
+        assert opened.sql(shlex.split(found["command"])[3]).num_rows == found["total"]
+
+
+WRONG = [
+    ({"where": "clas = 1"}, "clas"),
+    ({"where": "1 = 1); DELETE FROM takes; --"}, ""),
+    ({"where": "(SELECT count(*) FROM read_csv('/etc/passwd')) > 0"}, ""),
+    ({"filters": [{"column": "clas", "values": []}]}, "did you mean 'class'"),
+    ({"sort": [{"column": "lenght"}]}, "takes have no column 'lenght'"),
+    ({"columns": ['name" FROM takes; --']}, "takes have no column"),
+]
+
+
+@pytest.mark.parametrize(("body", "message"), WRONG)
+def test_what_does_not_fit_is_a_clear_error(client: TestClient, body: dict[str, Any], message: str) -> None:
+    answer = client.post("/api/takes", json=body)
+    assert answer.status_code == 400
+    assert message in answer.json()["error"]["message"]
+
+
+def test_names_of_columns_and_values_are_quoted() -> None:
+    known = ['a "b"', "order", "plain"]
+    filters = tuple(Filter(column=name, values=("x'y",)) for name in known)
+    assert condition_of(Selection(filters=filters), known) == (
+        " WHERE (\"a \"\"b\"\"\" IN ('x''y')) AND (\"order\" IN ('x''y')) AND (plain IN ('x''y'))"
+    )
+
+
+def test_totals_are_hours_by_one_column_or_two(client: TestClient) -> None:
+    found = ask(client, "/api/totals", by=["class"])
+    assert {group["values"][0]: group["takes"] for group in found["groups"]} == {"kick": 4, "walk": 4, None: 3}
+    hours = [group["hours"] for group in found["groups"]]
+    assert hours == sorted(hours, reverse=True)
+    assert (found["takes"], found["total"]) == (11, 3)
+    assert found["hours"] == pytest.approx(sum(hours))
+    pairs = ask(client, "/api/totals", by=["actor", "class"], where="class IS NOT NULL", limit=3)
+    assert (len(pairs["groups"]), pairs["total"], pairs["takes"]) == (3, 4, 8)
+    assert ask(client, "/api/totals", by=["class"], where="false")["groups"] == []
+
+
+def test_values_have_counts_and_numbers_a_histogram(client: TestClient) -> None:
+    classes = ask(client, "/api/values", column="class")
+    assert classes["values"] == [{"value": "kick", "takes": 4}, {"value": "walk", "takes": 4}]
+    assert (classes["empty"], classes["distinct"], "bins" in classes) == (3, 2, False)
+    assert ask(client, "/api/values", column="name", contains="LONG")["distinct"] == 2
+    frames = ask(client, "/api/values", column="frames")
+    assert sum(one["takes"] for one in frames["bins"]) == 11
+    assert frames["bins"][0]["from"] == frames["min"]
+    assert ask(client, "/api/values", column="frames", where="false")["bins"] == []
+    assert len(ask(client, "/api/values", column="source_rate_hz")["bins"]) == 1, "all takes have one rate"
+
+
+def test_what_is_to_be_looked_at_is_counted(client: TestClient) -> None:
+    found = client.get("/api/quality").json()
+    assert found["warnings"] == [{"warning": "the source has <gaps>", "takes": 1}]
+    assert found["invalid"] == {"takes": 1, "frames": 2}
+    block = ask(client, "/api/takes", where="name = 'odd'")
+    assert block["warnings"] == [["the source has <gaps>"]]
+    assert client.get("/api/flags").json()["total"] == len(client.get("/api/flags").json()["flags"])
+
+
+def test_duplicates_and_excluded_files_name_the_command(client: TestClient) -> None:
+    found = client.get("/api/duplicates").json()
+    assert (found["searched"], found["rows"]) == (False, [])
+    assert found["command"].startswith("kinedex duplicates ")
+    assert client.get("/api/excluded").json()["total"] == 0
