@@ -55,6 +55,8 @@ class AgreementCard:
         The limbs: a limb, a group, or all.
     against : str
         The annotator.
+    found_by : str
+        What is compared with the annotator: frames above τ, the runs of the page, or another annotator.
     chart : AgreementChart or None
         The plot over τ; None for limbs that only the table has, and for annotators that are compared.
     at : dict
@@ -63,6 +65,7 @@ class AgreementCard:
 
     name: str
     against: str
+    found_by: str
     chart: AgreementChart | None
     at: Mapping[str, Any]
 
@@ -244,11 +247,17 @@ def agreement_cards(rows: Sequence[Mapping[str, Any]], tau: float) -> list[Agree
             values = [(_number(row["p1"]), _number(row["r1"]), _number(row["f1"])) for row in over]
             chart = agreement_chart([row["tau_deg"] for row in over], values, tau)
         against = everybody if annotator == "all" else annotator
-        label = {SENSORS: against, RUNS: f"{against}, by the runs of this page"}.get(
-            detector, f"{detector} by {against}"
-        )
-        cards.append(AgreementCard("all limbs" if scope == "all" else name, label, chart, at))
-    return sorted(cards, key=lambda card: _SCOPES.index(card.at["scope"]))
+        found_by = {SENSORS: "frames above τ", RUNS: "runs of this page"}.get(detector, detector)
+        cards.append(AgreementCard("all limbs" if scope == "all" else name, against, found_by, chart, at))
+    return sorted(cards, key=_place)
+
+
+def _place(card: AgreementCard) -> tuple[int, str, int]:
+    """Return what cards are sorted by: limbs, and sensors before the runs, before annotators."""
+    detectors = (SENSORS, RUNS)
+    detector = card.at["detector"]
+    rank = detectors.index(detector) if detector in detectors else len(detectors)
+    return _SCOPES.index(card.at["scope"]), card.at["name"], rank
 
 
 SENSORS, RUNS = "sensors", "runs"
@@ -281,6 +290,7 @@ def rendered(content: PageContent) -> str:
             takes=[_shown(take, content, top) for take in content.takes], refusals=content.left_out,
             agreement=content.agreement, printed=any(card.at.get("printed_source") for card in content.agreement),
             simulated=any(SIMULATED in card.against for card in content.agreement),
+            runs=any(card.at["detector"] == RUNS for card in content.agreement),
             width=CHART_WIDTH, height=CHART_HEIGHT, mappings=content.mappings,
             motions=content.motions, motions_json=script_json(motions), without_axes=content.without_axes,
         )

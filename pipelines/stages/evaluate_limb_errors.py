@@ -26,7 +26,7 @@ from kinedex.pipelines.inertial.limb_labels import (
     unused_labels,
 )
 from kinedex.pipelines.inertial.sensor_tables import result_table
-from kinedex.storage.formats.labels.ground_truth import ground_truth_files
+from kinedex.storage.formats.labels.ground_truth import any_ground_truth, ground_truth_files
 from kinedex.storage.store.store import Store
 
 METRICS, LABELS = "limb_error_metrics", "limb_labels"
@@ -80,6 +80,7 @@ class EvaluateLimbErrors(Stage[EvaluateLimbErrorsParameters]):
         takes = {take_id for ids in counts.takes.values() for take_id in ids}
         if rows:
             context.terminal.show(_table(rows))
+            context.say("sensors: at the τ with the largest F (frames); runs: as limb_errors stored them")
         context.say(
             f"{counted(len(takes), 'take')}, {counted(len(placed), 'label')} of "
             f"{counted(len(labels.annotators), 'annotator')}"
@@ -97,11 +98,20 @@ class EvaluateLimbErrors(Stage[EvaluateLimbErrorsParameters]):
 
 
 def _label_files(store: Store, pattern: str) -> list[Path]:
-    """Return label files by a path or a glob: an absolute one, or one below the folders of the takes."""
+    """Return label files by a path or a glob: an absolute one, or one below the folders of the takes or this one."""
     if Path(pattern).is_file():
         return [Path(pattern)]
     roots = sorted({row["source_root"] for row in store.take_rows.to_pylist() if row["source_root"]})
-    return ground_truth_files(pattern, [root for root in roots if Path(root).is_dir()])
+    roots = [root for root in roots if Path(root).is_dir()]
+    places = [*roots, str(Path.cwd())]
+    for folders in (roots, [] if "**" in pattern else [Path.cwd()]):
+        if any_ground_truth(pattern, folders):
+            return ground_truth_files(pattern, folders)
+    raise KinedexError(
+        f"ground_truth: no file '{pattern}' below {', '.join(places)}. Labels of limbs are CSV or JSON files with "
+        "take, class (error), start, stop, limb and annotator, or files of ELAN with tiers such as A1:lshank; without "
+        "labels leave `ground_truth` unset"
+    )
 
 
 def _counted(
@@ -144,8 +154,9 @@ def _label_row(one: PlacedLabel) -> dict[str, Any]:
 def _table(rows: list[dict[str, Any]]) -> Table:
     """Return rows of all limbs and of groups with a label: the best threshold by frames, stored runs, annotators."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    names = ("limbs", "detector", "against", "τ", "P", "R", "F (frames)", "F (segments)", "printed P / R")
-    for column in names:
+    names = ("limbs", "detector", "against", "τ", "P", "R", "F (frames)", "F (segments)")
+    printed = any(row.get("printed_p1") is not None for row in rows)
+    for column in (*names, *(("printed P / R",) if printed else ())):
         table.add_column(column, justify="left" if column in names[:3] else "right")
     wanted: dict[tuple[str, str, str], dict[str, Any]] = {}
     marked = {row["name"] for row in rows if row["frames_manual"]}
@@ -162,5 +173,5 @@ def _table(rows: list[dict[str, Any]]) -> Table:
         figures = ("–" if row[name] is None else f"{row[name]:.2f}" for name in ("p1", "r1", "f1", "f2"))
         known = row.get("printed_p1") is not None
         beside = f"{row['printed_p1']:.2f} / {row['printed_r1']:.2f}" if known else ""
-        table.add_row(*map(plain_text, key), tau, *figures, beside)
+        table.add_row(*map(plain_text, key), tau, *figures, *((beside,) if printed else ()))
     return table

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pytest
 from typer.testing import CliRunner
 
-from kinedex.ops.errors import SourceError
+from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.ops.inertial import rotations as r
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.context import StageContext
@@ -248,6 +248,18 @@ def test_sensors_judge_tracked_takes(judged: Path) -> None:
     assert rows[1]["max_deg"] == pytest.approx(DEGREES, abs=1.0)
     assert (rows[1]["reference"], rows[1]["mean_mm"]) == ("sensors", None)
     assert rows[0]["frames"] == sum(row["frames"] for row in rows[1:])
+
+
+def test_patterns_of_label_files_are_found_below_the_working_folder(
+    judged: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own" / "labels.csv").write_text(f"{HEADER},limb\n{TAKE},error,1,2,lshank\n")
+    monkeypatch.chdir(tmp_path)
+    assert evaluate(judged, ground_truth="own/*.csv", taus=[45])["labels"] == 1
+    for pattern in ("other/*.csv", "**/labels.csv"):
+        with pytest.raises(KinedexError, match=r"no file '.*csv' below .*limb and annotator"):
+            evaluate(judged, ground_truth=pattern)
 
 
 @pytest.mark.parametrize("form", ["csv", "json", "eaf"])
