@@ -1,8 +1,9 @@
 """The lanes of a take: words, statements of people and of methods on one time axis, and marks of its quality.
 
-`GET /api/takes/ID` answers with `take_document`, `GET /api/takes/ID/words` with one little-endian uint64 per analysis
-frame (bit i − 1 is feature Fi; 2⁶⁴ − 1 in an invalid frame), `GET /api/takes/ID/lanes` with `take_lanes`,
-`GET /api/takes/ID/limb-error` with `limb_error_curve`, and `GET /api/takes/ID/pose` with `pose_reading`.
+`GET /api/takes/ID` and `GET /api/take?name=` answer with `take_document`, `GET /api/takes/ID/words` with one
+little-endian uint64 per analysis frame (bit i − 1 is feature Fi; 2⁶⁴ − 1 in an invalid frame),
+`GET /api/takes/ID/lanes` with `take_lanes`, `GET /api/takes/ID/limb-error` with `limb_error_curve`, and
+`GET /api/takes/ID/pose` with `pose_reading`.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ import pyarrow.compute as pc
 from starlette.responses import Response
 
 from kinedex.ops.body.fault_marks import fault_marks
-from kinedex.ops.errors import ParameterError
+from kinedex.ops.errors import ParameterError, did_you_mean
 from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
 from kinedex.pipelines.explorer.addresses import get, take_of
+from kinedex.pipelines.explorer.answers import NotFoundError
 from kinedex.pipelines.explorer.motion import POSITIONS, PositionCache, frames_of, whole_number
 from kinedex.pipelines.explorer.same import command_line, python_lines
 from kinedex.storage.store.store import Store
@@ -416,6 +418,13 @@ def _document(archive: Archive, request: Request) -> Row:
     return take_document(*take_of(archive, request))
 
 
+def _named(archive: Archive, request: Request) -> Row:
+    store, name = archive.store(), request.query_params.get("name", "")
+    if name not in store.take_ids:
+        raise NotFoundError(f"{store.path}: no take is named '{name}'{did_you_mean(name, store.take_ids)}")
+    return take_document(store, store.take_ids[name])
+
+
 def _words(archive: Archive, request: Request) -> Response:
     words = words_of_take(*take_of(archive, request))
     return Response(words.astype("<u8").tobytes(), media_type="application/octet-stream")
@@ -435,6 +444,7 @@ def _pose(archive: Archive, request: Request) -> Row:
 
 
 routes = [
+    get("/api/take", _named),
     get("/api/takes/{take:int}", _document),
     get("/api/takes/{take:int}/words", _words),
     get("/api/takes/{take:int}/lanes", _lanes),

@@ -61,24 +61,40 @@ export function isTyping(target: EventTarget | null): boolean {
   );
 }
 
+/** Return whether an element has a use of its own for a key: buttons for space and Enter, radio buttons for arrows. */
+export function usesKey(target: EventTarget | null, key: string): boolean {
+  if (!(target instanceof HTMLElement)) return false;
+  if (key === " " || key === "Enter")
+    return target.closest('button, a[href], summary, input, [role="button"], [role="switch"], [role="option"]') !== null;
+  return key.startsWith("Arrow") && target instanceof HTMLInputElement && target.type === "radio";
+}
+
 export function keysOf(event: Pick<KeyboardEvent, "key" | "ctrlKey" | "metaKey" | "altKey">): string {
   if (event.altKey) return `alt+${event.key}`;
   return event.ctrlKey || event.metaKey ? `mod+${event.key.toLowerCase()}` : event.key;
 }
 
+/** Return the shortcut of some keys; of several the one registered last. */
+function findShortcut(keys: string): Shortcut | undefined {
+  if (keys === "") return undefined;
+  for (const group of [...groups].reverse()) {
+    const found = group.current.shortcuts.find((one) => one.keys === keys);
+    if (found !== undefined) return found;
+  }
+  return undefined;
+}
+
 function onKey(event: KeyboardEvent): void {
-  if (event.defaultPrevented || isTyping(event.target)) return;
+  if (event.defaultPrevented || isTyping(event.target) || usesKey(event.target, event.key)) return;
   if (document.querySelector('[role="dialog"][aria-modal="true"]') !== null) return;
   const keys = keysOf(event);
   const pair = event.timeStamp - pendingSince < PAIR_MS ? `${pending} ${keys}` : "";
-  for (const group of [...groups].reverse()) {
-    const found = group.current.shortcuts.find((one) => one.keys === pair || one.keys === keys);
-    if (found !== undefined) {
-      pending = "";
-      event.preventDefault();
-      found.run(event);
-      return;
-    }
+  const found = findShortcut(pair) ?? findShortcut(keys);
+  if (found !== undefined) {
+    pending = "";
+    event.preventDefault();
+    found.run(event);
+    return;
   }
   pending = keys;
   pendingSince = event.timeStamp;

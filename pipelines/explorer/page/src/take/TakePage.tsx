@@ -1,9 +1,306 @@
-import { Title } from "@mantine/core";
+import "./take.css";
 
+import { Badge, Group, Loader, MultiSelect, Switch, Text, Title } from "@mantine/core";
+import { useCallback, useEffect, useMemo, useRef, useState } from "react";
+import { useParams, useSearch } from "wouter";
+
+import { useStore } from "../api/queries";
+import type { StoreFacts } from "../api/types";
+import { useJsonParameter, useParameter, useParameters } from "../app/address";
+import { Fault } from "../app/Fault";
+import { useSame } from "../app/same";
+import { makeBody } from "../motion/body";
+import { colours } from "../motion/colours";
+import type { Actor } from "../motion/Stage";
+import { useBeside } from "./beside";
+import { ChooseTake } from "./ChooseTake";
+import { HitPanel } from "./HitPanel";
+import { useKeys } from "./keys";
+import { LanesView } from "./LanesView";
+import { useCurves, useDocument, useHit, useImage, useLanes, useMotion, useTemplates, useWords } from "./load";
+import { FactsPanel, Panel, PosePanel, SelectionPanel } from "./panels";
+import { Player } from "./Player";
+import { CLOSED, type Row } from "./rows";
+import { RunsTable } from "./RunsTable";
+import { Session } from "./session";
+import type { Hit, Lane, Segment, TakeDocument, TakeTemplates } from "./types";
+
+/** One take: its motion, and under it lanes of all that is known about it. */
 export default function TakePage() {
+  const { name } = useParams<{ name?: string }>();
+  const store = useStore();
+  const document = useDocument(name ?? null);
+  if (name === undefined || name === "") return <ChooseTake />;
+  const fault = document.error ?? store.error;
+  if (fault !== null) return <Fault fault={fault} retry={() => void document.refetch()} />;
+  if (document.data === undefined || store.data === undefined)
+    return <Loader m="md" size="sm" aria-label="The take is being opened" />;
+  const { take_id, version } = document.data;
+  return <OpenTake key={`${take_id}/${version}`} document={document.data} store={store.data} />;
+}
+
+const NO_LANES: readonly Lane[] = [];
+const NO_NAMES: readonly string[] = [];
+const sameFrame = (_actor: number, frame: number) => frame;
+
+function OpenTake({ document, store }: { document: TakeDocument; store: StoreFacts }) {
+  const { take_id: id, version, name } = document;
+  const session = useSession(document);
+  const body = useMemo(() => makeBody(store.joints, store.parents), [store]);
+  const { motion, fault: motionFault } = useMotion(id, version, session);
+  const { words, fault: wordsFault } = useWords(id, version, store.features.length);
+  const lanes = useLanes(id, version);
+  const templates = useTemplates(id, version);
+  const [closed, toggle] = useClosed();
+  const [names, setNames] = useTemplateNames(templates.data);
+  const { curves, faults } = useCurves(id, version, names, templates.data, lanes.data?.limbs ?? NO_NAMES);
+  const unknown = useMemo(() => new Set(document.unknown), [document.unknown]);
+  const every = lanes.data?.lanes ?? NO_LANES;
+  const colourOf = useClassColours(every);
+  const [picked, pick] = usePicked();
+  const hit = useHit(id, version, picked?.name ?? null, picked?.frame ?? 0, templates.data);
+  const image = useImage(picked?.name ?? null, version, templates.data);
+  const alone = useMemo<Actor>(() => ({ motion }), [motion]);
+  const beside = useBeside(session, document, alone, hit.data);
+  const persons = usePersons(document, session);
+  const actors = useMemo(() => beside.actors ?? [alone, ...persons.actors], [beside.actors, alone, persons.actors]);
+  const starts = useMemo(() => segmentStarts(every), [every]);
+  const set = useParameters();
+  useSame(document);
+  useKeys(session, starts, useCallback(() => window.document.querySelector<HTMLButtonElement>(".player-front")?.click(), []));
+  const onPick = useCallback(
+    (row: Row, segment: Segment | null, frame: number) => {
+      if (row.kind === "curve" && row.unit === "") pick(row.name, frame);
+      else if (row.kind === "segments" && row.lane.group === "annotations" && segment?.subclass !== undefined)
+        pick(segment.subclass, Math.floor((segment.start + segment.stop) / 2));
+    },
+    [pick],
+  );
+  const onBeside = (found: Hit) => {
+    if (found.example === null) return;
+    session.select([found.start, found.stop]);
+    session.seek(found.start);
+    set({ beside: found.example.take, step: "hit", bfrom: String(found.example.start), bto: String(found.example.stop) });
+  };
+  const fault = motionFault ?? wordsFault ?? lanes.error ?? templates.error ?? faults[0];
   return (
-    <div className="page">
-      <Title order={1}>Take</Title>
+    <div className="page take">
+      <Header document={document} />
+      {fault !== null && fault !== undefined && <Fault fault={fault} />}
+      <div className="take-upper">
+        <Player
+          session={session}
+          body={body}
+          actors={actors}
+          frameOf={beside.actors === null ? sameFrame : beside.frameOf}
+          label={`The motion of ${name} as a figure; the features of the pose are listed beside it.`}
+        />
+        <aside className="take-side" aria-label="About the selection, the pose and the take">
+          <SelectionPanel session={session} name={name} />
+          {picked !== null && (
+            <HitPanel
+              session={session}
+              name={picked.name}
+              hit={hit.data}
+              image={image.data}
+              fault={hit.error ?? image.error}
+              features={store.features}
+              onBeside={onBeside}
+              onClose={() => pick(null)}
+            />
+          )}
+          {beside.panel}
+          {persons.panel}
+          <PosePanel session={session} words={words} features={store.features} unknown={unknown} name={name} />
+          <FactsPanel document={document} suspect={lanes.data?.suspect ?? []} />
+        </aside>
+      </div>
+      <section aria-label="Lanes" className="take-lanes">
+        <Group gap={10} className="take-tools">
+          <Title order={2}>Lanes</Title>
+          <MultiSelect
+            size="xs"
+            aria-label="Templates whose distance curves are shown"
+            placeholder={names.length === 0 ? "Distance curves of templates" : ""}
+            searchable
+            maxValues={8}
+            data={(templates.data?.templates ?? [])
+              .filter((one) => one.applied && one.kind === "soft")
+              .map((one) => one.name)
+              .filter((one, i, all) => all.indexOf(one) === i)}
+            value={[...names]}
+            onChange={setNames}
+            className="take-templates"
+          />
+          <Text size="xs" className="muted take-hint">
+            wheel: zoom · Shift and wheel: pan · drag: select · double click: select a run · ? lists the keys
+          </Text>
+        </Group>
+        <LanesView
+          session={session}
+          words={words}
+          lanes={every}
+          curves={curves}
+          features={store.features}
+          unknown={unknown}
+          closed={closed}
+          colourOf={colourOf}
+          onGroup={toggle}
+          onPick={onPick}
+        />
+        <RunsTable session={session} lanes={every} features={store.features} words={words} />
+      </section>
     </div>
   );
+}
+
+function Header({ document }: { document: TakeDocument }) {
+  const { name, columns, warnings } = document;
+  return (
+    <Group gap={8} className="take-header">
+      <Title order={1}>{name}</Title>
+      {typeof columns.class === "string" && <Badge variant="light" tt="none">{columns.class}</Badge>}
+      {typeof columns.actor === "string" && <Badge variant="default" tt="none">{columns.actor}</Badge>}
+      {warnings.length > 0 && <Badge color="orange" variant="light" tt="none">{warnings.length} warnings</Badge>}
+    </Group>
+  );
+}
+
+/** Return the session of a take, begun where the address says, and write its rests into the address. */
+function useSession(document: TakeDocument): Session {
+  const search = useSearch();
+  const set = useParameters();
+  const session = useMemo(() => {
+    const made = new Session(document.frames, document.rate_hz);
+    applyAddress(made, window.location.search, true);
+    return made;
+  }, [document.frames, document.rate_hz]);
+  const written = useRef(search);
+  useEffect(
+    () =>
+      session.onRest(() => {
+        const { selection } = session.shown;
+        const frame = Math.floor(session.frame);
+        set({
+          from: selection === null ? null : String(selection[0]),
+          to: selection === null ? null : String(selection[1]),
+          frame: frame === 0 ? null : String(frame),
+        });
+        written.current = window.location.search.replace(/^\?/, "");
+      }),
+    [session, set],
+  );
+  useEffect(() => {
+    if (search === written.current) return;
+    written.current = search;
+    applyAddress(session, search, false);
+  }, [session, search]);
+  useEffect(() => () => session.end(), [session]);
+  return session;
+}
+
+function applyAddress(session: Session, search: string, begin: boolean): void {
+  const parameters = new URLSearchParams(search);
+  const number = (name: string) => {
+    const value = Number.parseInt(parameters.get(name) ?? "", 10);
+    return Number.isFinite(value) ? Math.min(Math.max(0, value), session.frames) : null;
+  };
+  const [from, to, frame] = [number("from"), number("to"), number("frame")];
+  const selection = from !== null && to !== null && from < to ? ([from, to] as const) : null;
+  const now = session.shown.selection;
+  if (selection?.[0] !== now?.[0] || selection?.[1] !== now?.[1]) session.select(selection);
+  const at = frame ?? (begin ? from : null);
+  if (at !== null && at !== Math.floor(session.frame)) session.seek(at);
+  if (begin && selection !== null && selection[1] - selection[0] < session.frames / 20) {
+    const margin = 2 * (selection[1] - selection[0]);
+    session.setView({ from: selection[0] - margin, to: selection[1] + margin });
+  }
+}
+
+/** Return the groups of lanes that are closed, as the address has them. */
+function useClosed(): [ReadonlySet<string>, (id: string) => void] {
+  const [list, set] = useJsonParameter<readonly string[]>("closed", CLOSED);
+  const text = JSON.stringify(list);
+  const closed = useMemo(() => new Set(JSON.parse(text) as string[]), [text]);
+  const toggle = useCallback(
+    (id: string) => {
+      const next = new Set(closed);
+      if (!next.delete(id)) next.add(id);
+      set([...next].sort());
+    },
+    [closed, set],
+  );
+  return [closed, toggle];
+}
+
+/** Return the templates whose curves are shown: those of the address, or the two found most often. */
+function useTemplateNames(offered: TakeTemplates | undefined): [readonly string[], (names: string[]) => void] {
+  const [text, set] = useParameter("templates");
+  const names = useMemo(() => {
+    if (text === null) return offered?.found.slice(0, 2) ?? [];
+    return text === "none" ? [] : text.split(",").map(decodeURIComponent);
+  }, [text, offered]);
+  const change = useCallback(
+    (next: string[]) => set(next.length === 0 ? "none" : next.map(encodeURIComponent).join(","), true),
+    [set],
+  );
+  return [names, change];
+}
+
+/** Return the template and the frame that somebody has clicked, as the address has them. */
+function usePicked(): [{ name: string; frame: number } | null, (name: string | null, frame?: number) => void] {
+  const [text, set] = useParameter("pick");
+  const picked = useMemo(() => {
+    const cut = text?.lastIndexOf("@") ?? -1;
+    if (text === null || cut < 0) return null;
+    const frame = Number.parseInt(text.slice(cut + 1), 10);
+    return Number.isFinite(frame) ? { name: text.slice(0, cut), frame } : null;
+  }, [text]);
+  const pick = useCallback(
+    (name: string | null, frame = 0) => set(name === null ? null : `${name}@${frame}`),
+    [set],
+  );
+  return [picked, pick];
+}
+
+/** Return the colour of a segment by its class; classes are sorted, so that colours do not depend on the order. */
+function useClassColours(lanes: readonly Lane[]): (segment: Segment) => string {
+  return useMemo(() => {
+    const names = new Set(lanes.flatMap((lane) => lane.segments.map((one) => one.class ?? "")));
+    const place = new Map([...names].sort().map((name, i) => [name, i]));
+    return (segment) => {
+      const { classes, muted } = colours();
+      const i = place.get(segment.class ?? "");
+      return i === undefined ? muted : (classes[i % classes.length] ?? muted);
+    };
+  }, [lanes]);
+}
+
+function segmentStarts(lanes: readonly Lane[]): number[] {
+  const starts = lanes
+    .filter((lane) => ["labels", "ground_truth", "annotations", "hits"].includes(lane.group))
+    .flatMap((lane) => lane.segments.map((one) => one.start));
+  return [...new Set(starts)].sort((a, b) => a - b);
+}
+
+/** The other persons of the same file, who stand where they stood. */
+function usePersons(document: TakeDocument, session: Session) {
+  const [shown, setShown] = useState<number | null>(null);
+  const { motion } = useMotion(shown, document.version, session);
+  const actors = useMemo<Actor[]>(() => (shown === null ? [] : [{ motion, second: true }]), [shown, motion]);
+  const panel =
+    document.persons.length === 0 ? null : (
+      <Panel title="Other persons of the file">
+        {document.persons.slice(0, 20).map((one) => (
+          <Switch
+            key={one.take_id}
+            size="xs"
+            label={one.name}
+            checked={shown === one.take_id}
+            onChange={() => setShown(shown === one.take_id ? null : one.take_id)}
+          />
+        ))}
+      </Panel>
+    );
+  return { actors, panel };
 }

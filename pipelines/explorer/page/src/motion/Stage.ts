@@ -1,0 +1,317 @@
+// The stage of the 3D player: a floor, figures on it, and a camera that a person turns and that follows the body.
+// It draws when it is told to; who shows it decides about time. Nothing here is React's.
+
+import {
+  BufferAttribute,
+  BufferGeometry,
+  Color,
+  CylinderGeometry,
+  DirectionalLight,
+  DynamicDrawUsage,
+  GridHelper,
+  Group,
+  HemisphereLight,
+  InstancedMesh,
+  LineBasicMaterial,
+  LineSegments,
+  MeshBasicMaterial,
+  MeshLambertMaterial,
+  PerspectiveCamera,
+  Scene,
+  SphereGeometry,
+  Vector3,
+  WebGLRenderer,
+} from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+
+import { type Body, facing } from "./body";
+import { place, type Placement, writeFigure } from "./bones";
+import { type Colours, colours, onTheme } from "./colours";
+import type { Motion } from "./motion";
+
+const BONE_RADIUS = 0.024;
+const BALL_RADIUS = 0.032;
+const TRAIL_POINTS = 40;
+const TRAIL_JOINTS = ["lwrist", "rwrist", "lankle", "rankle"];
+const EYE_M = 0.95;
+
+/** A motion on the stage. */
+export interface Actor {
+  motion: Motion;
+  /** Another tone, for the second of two takes. */
+  second?: boolean;
+  /** Where it stands instead of its own place: beside others, facing the camera in the frame `facing`. */
+  stand?: { x: number; facing: number };
+}
+
+/** The pieces of one actor. */
+class Figure {
+  readonly group = new Group();
+  readonly pose: Float32Array;
+  private readonly bones: InstancedMesh;
+  private readonly balls: InstancedMesh;
+  private readonly shadow: InstancedMesh;
+  private readonly shade = new Group();
+  private readonly material: MeshLambertMaterial;
+  private readonly dark: MeshBasicMaterial;
+  private readonly trail: LineSegments;
+  private readonly trailPlaces: Float32Array;
+  private readonly trailJoints: number[];
+  private readonly scratch: Float32Array;
+  private yaw: number | null = null;
+
+  constructor(
+    readonly actor: Actor,
+    private readonly body: Body,
+  ) {
+    const joints = body.joints.length;
+    this.pose = new Float32Array(3 * joints);
+    this.scratch = new Float32Array(3 * joints);
+    this.material = new MeshLambertMaterial();
+    this.dark = new MeshBasicMaterial();
+    const cylinder = new CylinderGeometry(BONE_RADIUS, BONE_RADIUS * 1.15, 1, 8, 1, true);
+    this.bones = new InstancedMesh(cylinder, this.material, body.bones.length);
+    this.balls = new InstancedMesh(new SphereGeometry(1, 12, 8), this.material, joints + 1);
+    this.shadow = new InstancedMesh(cylinder, this.dark, body.bones.length);
+    for (const mesh of [this.bones, this.balls, this.shadow]) {
+      mesh.frustumCulled = false;
+      mesh.instanceMatrix.setUsage(DynamicDrawUsage);
+    }
+    this.shadow.instanceMatrix = this.bones.instanceMatrix;
+    this.shade.scale.y = 1e-3;
+    this.shade.position.y = 2e-3;
+    this.shade.add(this.shadow);
+    this.trailJoints = TRAIL_JOINTS.map((name) => body.joints.indexOf(name)).filter((joint) => joint >= 0);
+    this.trailPlaces = new Float32Array(this.trailJoints.length * (TRAIL_POINTS - 1) * 6);
+    const line = new BufferGeometry();
+    line.setAttribute("position", new BufferAttribute(this.trailPlaces, 3).setUsage(DynamicDrawUsage));
+    line.setAttribute("color", new BufferAttribute(new Float32Array(this.trailPlaces.length), 3));
+    this.trail = new LineSegments(line, new LineBasicMaterial({ vertexColors: true }));
+    this.trail.frustumCulled = false;
+    this.group.add(this.bones, this.balls, this.shade, this.trail);
+  }
+
+  paint(theme: Colours): void {
+    const ground = new Color(theme.surface);
+    const tone = (side: "left" | "right" | "middle") => {
+      const colour = new Color(theme[side]);
+      return this.actor.second === true ? colour.lerp(ground, 0.55) : colour;
+    };
+    const { bones, sides, joints } = this.body;
+    bones.forEach(([, joint], i) => this.bones.setColorAt(i, tone(sides[joint] ?? "middle")));
+    for (let j = 0; j <= joints.length; j++) this.balls.setColorAt(j, tone(sides[j] ?? "middle"));
+    for (const mesh of [this.bones, this.balls]) if (mesh.instanceColor !== null) mesh.instanceColor.needsUpdate = true;
+    this.dark.color = new Color(theme.line).lerp(new Color(theme.dark ? "#000000" : "#8a93a0"), 0.45);
+    const colour = this.trail.geometry.getAttribute("color") as BufferAttribute;
+    this.trailJoints.forEach((joint, i) => {
+      const { r, g, b } = tone(sides[joint] ?? "middle").lerp(ground, 0.35);
+      for (let k = 0; k < 2 * (TRAIL_POINTS - 1); k++) colour.setXYZ(2 * (TRAIL_POINTS - 1) * i + k, r, g, b);
+    });
+    colour.needsUpdate = true;
+  }
+
+  /** Take the pose of a frame; false where it is not known, and the figure vanishes. */
+  show(frame: number, trails: boolean, floor: number): boolean {
+    const known = this.read(frame, this.pose);
+    this.group.visible = known;
+    this.group.position.y = -floor;
+    this.trail.visible = known && trails;
+    if (!known) return false;
+    writeFigure(
+      this.body,
+      this.pose,
+      this.bones.instanceMatrix.array as Float32Array,
+      this.balls.instanceMatrix.array as Float32Array,
+      BALL_RADIUS,
+    );
+    this.bones.instanceMatrix.needsUpdate = true;
+    this.balls.instanceMatrix.needsUpdate = true;
+    if (trails) this.drawTrail(frame);
+    this.shade.position.y = floor + 2e-3;
+    return true;
+  }
+
+  private read(frame: number, out: Float32Array): boolean {
+    if (!this.actor.motion.pose(frame, out)) return false;
+    const stand = this.actor.stand;
+    if (stand === undefined) return true;
+    if (this.yaw === null) {
+      if (!this.actor.motion.pose(stand.facing, this.scratch)) return false;
+      const yaw = facing(this.body, this.scratch);
+      this.yaw = Number.isNaN(yaw) ? 0 : yaw;
+    }
+    const { root } = this.body;
+    const from: Placement = { x: out[3 * root] as number, z: out[3 * root + 2] as number, yaw: this.yaw };
+    place(out, from, stand.x);
+    return true;
+  }
+
+  /** Draw where hands and feet have been in the last second and will be in the next half. */
+  private drawTrail(frame: number): void {
+    const rate = this.actor.motion.rateHz;
+    const first = frame - rate;
+    const step = (1.5 * rate) / (TRAIL_POINTS - 1);
+    const places = this.trailPlaces;
+    places.fill(NaN);
+    for (let k = 0; k < TRAIL_POINTS; k++) {
+      if (!this.read(Math.max(0, first + k * step), this.scratch)) continue;
+      this.trailJoints.forEach((joint, i) => {
+        const base = 6 * (TRAIL_POINTS - 1) * i;
+        for (let axis = 0; axis < 3; axis++) {
+          const value = this.scratch[3 * joint + axis] as number;
+          if (k < TRAIL_POINTS - 1) places[base + 6 * k + axis] = value;
+          if (k > 0) places[base + 6 * (k - 1) + 3 + axis] = value;
+        }
+      });
+    }
+    for (let i = 0; i < places.length; i += 6)
+      if (Number.isNaN((places[i] as number) + (places[i + 3] as number))) places.fill(0, i, i + 6);
+    (this.trail.geometry.getAttribute("position") as BufferAttribute).needsUpdate = true;
+  }
+
+  dispose(): void {
+    for (const mesh of [this.bones, this.balls, this.shadow]) {
+      mesh.geometry.dispose();
+      mesh.dispose();
+    }
+    this.trail.geometry.dispose();
+    (this.trail.material as LineBasicMaterial).dispose();
+    this.material.dispose();
+    this.dark.dispose();
+  }
+}
+
+export class Stage {
+  follow = true;
+  trails = false;
+  /** Called when somebody turns the camera: the picture has to be drawn again. */
+  onView: () => void = () => {};
+
+  private readonly renderer: WebGLRenderer;
+  private readonly scene = new Scene();
+  private readonly camera = new PerspectiveCamera(32, 1, 0.05, 200);
+  private readonly controls: OrbitControls;
+  private readonly target = new Vector3(0, EYE_M, 0);
+  private figures: Figure[] = [];
+  private grid: GridHelper | null = null;
+  private floor = 0;
+  private aimed = false;
+  private readonly endTheme: () => void;
+
+  /** Make a stage on a canvas; it throws where the browser has no WebGL. */
+  constructor(canvas: HTMLCanvasElement) {
+    this.renderer = new WebGLRenderer({ canvas, antialias: true, powerPreference: "low-power" });
+    this.renderer.setPixelRatio(Math.min(2, window.devicePixelRatio || 1));
+    const sun = new DirectionalLight(0xffffff, 1.6);
+    sun.position.set(1, 3, 2);
+    this.scene.add(new HemisphereLight(0xffffff, 0x8a8f98, 1.9), sun);
+    this.camera.position.set(0, 1.5, 4.6);
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.enableDamping = false;
+    this.controls.maxPolarAngle = Math.PI * 0.55;
+    this.controls.minDistance = 0.8;
+    this.controls.maxDistance = 40;
+    this.controls.addEventListener("change", () => this.onView());
+    this.endTheme = onTheme(() => {
+      this.paint();
+      this.onView();
+    });
+    this.paint();
+  }
+
+  /** Put motions on the stage in place of others. */
+  setActors(actors: readonly Actor[], body: Body): void {
+    for (const figure of this.figures) {
+      this.scene.remove(figure.group);
+      figure.dispose();
+    }
+    this.figures = actors.map((actor) => new Figure(actor, body));
+    for (const figure of this.figures) this.scene.add(figure.group);
+    this.aimed = false;
+    this.paint();
+  }
+
+  /** Put the floor at a height, in metres. */
+  setFloor(height: number): void {
+    this.floor = height;
+  }
+
+  private paint(): void {
+    const theme = colours();
+    this.scene.background = new Color(theme.surface);
+    if (this.grid !== null) {
+      this.scene.remove(this.grid);
+      this.grid.geometry.dispose();
+    }
+    const line = new Color(theme.line);
+    this.grid = new GridHelper(24, 24, line.clone().lerp(new Color(theme.muted), 0.35), line);
+    this.scene.add(this.grid);
+    for (const figure of this.figures) figure.paint(theme);
+  }
+
+  /** Fit the picture to its box, in CSS pixels. */
+  resize(width: number, height: number): void {
+    if (width < 1 || height < 1) return;
+    this.renderer.setSize(width, height, false);
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+  }
+
+  /** Draw a frame of each actor; returns whether the first of them is known there. */
+  draw(frames: readonly number[], body: Body): boolean {
+    let shown = false;
+    this.figures.forEach((figure, i) => {
+      const known = figure.show(frames[i] ?? frames[0] ?? 0, this.trails, this.floor);
+      if (i === 0) shown = known;
+    });
+    const first = this.figures[0];
+    if (first !== undefined && shown) this.aim(first, body);
+    this.renderer.render(this.scene, this.camera);
+    return shown;
+  }
+
+  /** Let the camera follow the root, from the half side where the body faces it first. */
+  private aim(figure: Figure, body: Body): void {
+    const alone = figure.actor.stand === undefined;
+    const x = alone ? (figure.pose[3 * body.root] as number) : 0;
+    const z = alone ? (figure.pose[3 * body.root + 2] as number) : 0;
+    if (Number.isNaN(x + z)) return;
+    if (!this.aimed) {
+      this.aimed = true;
+      this.turnTo(alone ? facing(body, figure.pose) + 0.5 : 0, x, z);
+    } else if (this.follow) this.shift(x - this.target.x, z - this.target.z);
+    if (this.grid !== null) this.grid.position.set(Math.round(this.target.x), 0, Math.round(this.target.z));
+  }
+
+  private turnTo(yaw: number, x: number, z: number): void {
+    const angle = Number.isNaN(yaw) ? 0 : yaw;
+    const away = this.figures.length > 1 ? 5.2 : 4.4;
+    this.target.set(x, EYE_M, z);
+    this.camera.position.set(x + away * Math.sin(angle), EYE_M + 0.55, z + away * Math.cos(angle));
+    this.controls.target.copy(this.target);
+    this.controls.update();
+  }
+
+  private shift(dx: number, dz: number): void {
+    if (dx === 0 && dz === 0) return;
+    this.target.x += dx;
+    this.target.z += dz;
+    this.camera.position.x += dx;
+    this.camera.position.z += dz;
+    this.controls.target.x += dx;
+    this.controls.target.z += dz;
+    this.camera.lookAt(this.controls.target);
+  }
+
+  /** See the first figure from its front again. */
+  reset(): void {
+    this.aimed = false;
+  }
+
+  dispose(): void {
+    this.endTheme();
+    this.controls.dispose();
+    for (const figure of this.figures) figure.dispose();
+    this.renderer.dispose();
+  }
+}

@@ -1,0 +1,178 @@
+// The 3D player: a stage that follows the session of a take, and its controls.
+
+import { ActionIcon, Alert, Button, Group, NativeSelect, Switch } from "@mantine/core";
+import { useEffect, useRef, useState, useSyncExternalStore } from "react";
+
+import type { Body } from "../motion/body";
+import { type Actor, Stage } from "../motion/Stage";
+import { clock } from "./axis";
+import { type Session, SPEEDS } from "./session";
+
+export interface PlayerProps {
+  session: Session;
+  body: Body;
+  actors: readonly Actor[];
+  /** The frame of an actor at a frame of the session. */
+  frameOf: (actor: number, frame: number) => number;
+  label: string;
+}
+
+export function Player({ session, body, actors, frameOf, label }: PlayerProps) {
+  const box = useRef<HTMLDivElement>(null);
+  const canvas = useRef<HTMLCanvasElement>(null);
+  const note = useRef<HTMLDivElement>(null);
+  const stage = useRef<Stage | null>(null);
+  const [fault, setFault] = useState(false);
+  const shown = useSyncExternalStore(session.subscribe, () => session.shown);
+  useEffect(() => {
+    if (canvas.current === null || box.current === null) return;
+    let made: Stage;
+    try {
+      made = new Stage(canvas.current);
+    } catch {
+      setFault(true);
+      return;
+    }
+    stage.current = made;
+    const watch = new ResizeObserver(([entry]) => {
+      if (entry === undefined) return;
+      made.resize(entry.contentRect.width, entry.contentRect.height);
+      session.changed("content");
+    });
+    watch.observe(box.current);
+    return () => {
+      watch.disconnect();
+      made.dispose();
+      stage.current = null;
+    };
+  }, [session]);
+  useEffect(() => {
+    const made = stage.current;
+    if (made === null) return;
+    made.setActors(actors, body);
+    made.onView = () => session.changed("content");
+    let floored = false;
+    const frames = actors.map(() => 0);
+    return session.paint((changes) => {
+      if (!changes.time && !changes.content) return;
+      if (!floored) floored = putFloor(made, actors[0], body);
+      actors.forEach((_, i) => {
+        frames[i] = frameOf(i, session.seen);
+      });
+      const known = made.draw(frames, body);
+      if (note.current !== null) note.current.hidden = known;
+    });
+  }, [session, body, actors, frameOf]);
+  useEffect(() => {
+    if (stage.current === null) return;
+    stage.current.follow = shown.follow;
+    stage.current.trails = shown.trails;
+    session.changed("content");
+  }, [session, shown.follow, shown.trails]);
+  return (
+    <section className="player" aria-label="Player">
+      <div ref={box} className="player-box">
+        <canvas ref={canvas} role="img" aria-label={label} tabIndex={-1} />
+        <div ref={note} className="player-note" hidden>
+          no pose here yet
+        </div>
+        {fault && (
+          <Alert color="yellow" title="No 3D here" className="player-fault">
+            This browser draws no WebGL, which the player needs. Switch on hardware acceleration, or use another browser;
+            the lanes below work without it.
+          </Alert>
+        )}
+      </div>
+      <Controls
+        session={session}
+        front={() => {
+          stage.current?.reset();
+          session.changed("content");
+        }}
+      />
+    </section>
+  );
+}
+
+/** Put the floor under the first poses where they stand far from height 0. */
+function putFloor(stage: Stage, actor: Actor | undefined, body: Body): boolean {
+  if (actor === undefined || actor.motion.stop === 0) return false;
+  const pose = new Float32Array(3 * body.joints.length);
+  const heights: number[] = [];
+  const { first, stop } = actor.motion;
+  for (let frame = first; frame < stop; frame += Math.max(1, (stop - first) >> 6)) {
+    if (!actor.motion.pose(frame, pose)) continue;
+    let least = Infinity;
+    for (let i = 1; i < pose.length; i += 3) if ((pose[i] as number) < least) least = pose[i] as number;
+    if (least < Infinity) heights.push(least);
+  }
+  heights.sort((a, b) => a - b);
+  const usual = heights[Math.floor(heights.length * 0.2)] ?? 0;
+  stage.setFloor(Math.abs(usual) > 0.15 ? usual : 0);
+  return true;
+}
+
+function Controls({ session, front }: { session: Session; front: () => void }) {
+  const shown = useSyncExternalStore(session.subscribe, () => session.shown);
+  const slider = useRef<HTMLInputElement>(null);
+  const now = useRef<HTMLSpanElement>(null);
+  useEffect(
+    () =>
+      session.paint((changes) => {
+        if (!changes.time && !changes.content) return;
+        const frame = Math.floor(session.seen);
+        const text = `${clock(frame / session.rateHz, 2)} · frame ${frame}`;
+        if (now.current !== null) now.current.textContent = text;
+        if (slider.current === null) return;
+        slider.current.value = String(Math.floor(session.frame));
+        if (!session.shown.playing) slider.current.setAttribute("aria-valuetext", text);
+      }),
+    [session],
+  );
+  const button = (label: string, key: string, text: string, act: () => void, pressed?: boolean) => (
+    <ActionIcon
+      variant={pressed === true ? "filled" : "default"}
+      aria-label={label}
+      aria-pressed={pressed}
+      title={`${label} (${key})`}
+      onClick={act}
+    >
+      {text}
+    </ActionIcon>
+  );
+  return (
+    <div className="player-controls">
+      <input
+        ref={slider}
+        type="range"
+        min={0}
+        max={Math.max(0, session.frames - 1)}
+        defaultValue={0}
+        step={1}
+        aria-label="Time"
+        onInput={(event) => session.seek(Number(event.currentTarget.value))}
+      />
+      <Group gap={6} wrap="wrap">
+        {button("Previous frame", "←", "◂", () => session.step(-1))}
+        {button(shown.playing ? "Pause" : "Play", "space", shown.playing ? "❚❚" : "▶", () => session.play())}
+        {button("Next frame", "→", "▸", () => session.step(1))}
+        <span ref={now} className="player-now" />
+        <NativeSelect
+          size="xs"
+          w={72}
+          aria-label="Speed"
+          title="Speed (< and >)"
+          value={String(shown.speed)}
+          onChange={(event) => session.choose({ speed: Number(event.currentTarget.value) })}
+          data={SPEEDS.map((speed) => ({ value: String(speed), label: `${speed}×` }))}
+        />
+        <Switch size="xs" label="Loop" checked={shown.loop} onChange={() => session.choose({ loop: !shown.loop })} />
+        <Switch size="xs" label="Follow" checked={shown.follow} onChange={() => session.choose({ follow: !shown.follow })} />
+        <Switch size="xs" label="Trails" checked={shown.trails} onChange={() => session.choose({ trails: !shown.trails })} />
+        <Button className="player-front" size="compact-xs" variant="default" title="See the body from its front (c)" onClick={front}>
+          Front
+        </Button>
+      </Group>
+    </div>
+  );
+}

@@ -1,0 +1,157 @@
+// What a page of a take asks the server for: the motion as a stream, words, lanes, curves.
+
+import { useQueries, useQuery } from "@tanstack/react-query";
+import { useEffect, useMemo, useState } from "react";
+
+import { get, getBytes } from "../api/client";
+import { Motion, readBlocks } from "../motion/motion";
+import type { CurveRow } from "./rows";
+import type { Session } from "./session";
+import type { Hit, TakeDocument, TakeLanes, TakeTemplates, TemplateImage } from "./types";
+import { Words } from "./words";
+
+const path = (id: number, rest = "") => `/api/takes/${id}${rest}`;
+
+export function useDocument(name: string | null) {
+  return useQuery({
+    queryKey: ["version", "take", name],
+    queryFn: ({ signal }) => get<TakeDocument>(`/api/take?name=${encodeURIComponent(name ?? "")}`, signal),
+    enabled: name !== null && name !== "",
+  });
+}
+
+/** Return the motion of a take, whose poses arrive while it is shown, and why it did not arrive. */
+export function useMotion(
+  id: number | null,
+  version: number,
+  session: Session,
+): { motion: Motion; fault: unknown; whole: boolean } {
+  const motion = useMemo(() => new Motion(), [id, version]);
+  const [fault, setFault] = useState<unknown>(null);
+  const [whole, setWhole] = useState(false);
+  useEffect(() => {
+    if (id === null) return;
+    const stop = new AbortController();
+    setFault(null);
+    setWhole(false);
+    const load = async () => {
+      const response = await fetch(path(id, "/motion"), { signal: stop.signal });
+      if (!response.ok || response.body === null) throw new Error(`the motion did not come (status ${response.status})`);
+      await readBlocks(response.body, (block) => {
+        if (stop.signal.aborted) return;
+        motion.add(block);
+        session.changed("content");
+      });
+      if (!stop.signal.aborted) setWhole(true);
+    };
+    load().catch((reason: unknown) => {
+      if (!stop.signal.aborted) setFault(reason);
+    });
+    return () => stop.abort();
+  }, [id, motion, session]);
+  return { motion, fault, whole };
+}
+
+export function useWords(id: number, version: number, features: number) {
+  const bytes = useQuery({
+    queryKey: ["version", "words", id, version],
+    queryFn: ({ signal }) => getBytes(path(id, "/words"), signal),
+  });
+  const words = useMemo(
+    () => (bytes.data === undefined ? null : new Words(bytes.data, features)),
+    [bytes.data, features],
+  );
+  return { words, fault: bytes.error };
+}
+
+export function useLanes(id: number, version: number) {
+  return useQuery({
+    queryKey: ["labels", "lanes", id, version],
+    queryFn: ({ signal }) => get<TakeLanes>(path(id, "/lanes"), signal),
+  });
+}
+
+export function useTemplates(id: number, version: number) {
+  return useQuery({
+    queryKey: ["version", "templates", id, version],
+    queryFn: ({ signal }) => get<TakeTemplates>(path(id, "/templates"), signal),
+  });
+}
+
+/** Return the address of a question about a template of a take. */
+function about(name: string, offered: TakeTemplates): string {
+  const found = offered.templates.find((one) => one.name === name);
+  const stage = found === undefined ? "" : `&stage=${encodeURIComponent(found.stage)}&kind=${found.kind}`;
+  return `template=${encodeURIComponent(name)}${stage}&delta=${offered.delta}`;
+}
+
+/** Return the threshold of a template: that of its class where it has its own. */
+export function thresholdOf(name: string, offered: TakeTemplates): number {
+  return offered.tau_by_class[name] ?? offered.tau;
+}
+
+export function useCurves(
+  id: number,
+  version: number,
+  names: readonly string[],
+  offered: TakeTemplates | undefined,
+  limbs: readonly string[],
+): { curves: CurveRow[]; faults: unknown[] } {
+  const wanted = offered === undefined ? [] : names.map((name) => `/curve?${about(name, offered)}`);
+  const results = useQueries({
+    queries: [...wanted, ...limbs.map((limb) => `/limb-error?limb=${encodeURIComponent(limb)}`)].map((question) => ({
+      queryKey: ["version", "curve", id, version, question],
+      queryFn: async ({ signal }: { signal: AbortSignal }) => new Float32Array(await getBytes(path(id, question), signal)),
+    })),
+    combine: (found) => ({ data: found.map((one) => one.data), faults: found.map((one) => one.error).filter(Boolean) }),
+  });
+  const curves = useMemo(() => {
+    const rows: CurveRow[] = [];
+    results.data.forEach((values, i) => {
+      const name = i < wanted.length ? (names[i] as string) : (limbs[i - wanted.length] as string);
+      if (values === undefined || offered === undefined) return;
+      rows.push(i < wanted.length ? templateRow(name, values, thresholdOf(name, offered)) : limbRow(name, values));
+    });
+    return rows;
+    // the names of the questions change with what they are made of
+  }, [results.data, offered, names, limbs, wanted.length]);
+  return { curves, faults: results.faults };
+}
+
+function templateRow(name: string, values: Float32Array, threshold: number): CurveRow {
+  const title = `${name}: cost of the best match that ends in a frame; matches below τ = ${threshold} count`;
+  return { kind: "curve", id: `curve/${name}`, name, title, values, threshold, top: topOf(values, threshold, 0.5), unit: "" };
+}
+
+function limbRow(limb: string, values: Float32Array): CurveRow {
+  const title = `${limb}: angle between take and sensor; above 45° the limb is wrong`;
+  return { kind: "curve", id: `limb/${limb}`, name: `${limb} error`, title, values, threshold: 45, top: 180, unit: "°" };
+}
+
+/** Return the value at the upper edge of a curve, as the reports choose it. */
+function topOf(values: Float32Array, threshold: number, most: number): number {
+  let highest = 0;
+  for (const value of values) if (value < Infinity && value > highest) highest = value;
+  return Math.max(Math.min(highest, most), 1.5 * threshold, 0.05);
+}
+
+export function useHit(id: number, version: number, name: string | null, frame: number, offered?: TakeTemplates) {
+  return useQuery({
+    queryKey: ["version", "hit", id, version, name, frame],
+    queryFn: ({ signal }) => {
+      const question = offered === undefined || name === null ? "" : about(name, offered);
+      const tau = offered === undefined || name === null ? 0.1 : thresholdOf(name, offered);
+      return get<Hit>(path(id, `/hit?${question}&frame=${frame}&tau=${tau}`), signal);
+    },
+    enabled: name !== null && offered !== undefined,
+  });
+}
+
+export function useImage(name: string | null, version: number, offered?: TakeTemplates) {
+  return useQuery({
+    queryKey: ["version", "template", name, version],
+    queryFn: ({ signal }) =>
+      get<TemplateImage>(`/api/template?${offered === undefined ? "" : about(name ?? "", offered)}`, signal),
+    enabled: name !== null && offered !== undefined,
+  });
+}
