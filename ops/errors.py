@@ -130,6 +130,10 @@ class NewStoreError(StoreError):
     """A store is sound, but what is asked for needs another one: to ask again does not help."""
 
 
+class ConflictError(KinedexError):
+    """A change is about something that somebody else has changed meanwhile; nothing was changed."""
+
+
 class AcceptError(KinedexError):
     """Something would be lost that the user has to accept first (`--accept`); nothing was changed."""
 

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
-from kinedex.ops.errors import KinedexError, ParameterError, Remedy
+from kinedex.ops.errors import ConflictError, KinedexError, ParameterError, Remedy
 from kinedex.pipelines.console.json_text import json_value
 from kinedex.pipelines.explorer.archive import ReadOnlyError
 from kinedex.storage.interruption import TimeLimitError
@@ -72,6 +72,7 @@ def error_answer(status: int, kind: str, message: str, remedy: Remedy | None = N
 _STATUS: dict[type[KinedexError], int] = {
     NotFoundError: 404,
     ReadOnlyError: 403,
+    ConflictError: 409,
     TimeLimitError: 408,
     ParameterError: 422,
     KinedexError: 400,

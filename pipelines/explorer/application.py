@@ -33,7 +33,10 @@ BUILT = Path(__file__).parent / "built"
 
 SUBJECTS = (
     "curves",
+    "doubtful",
     "events",
+    "label_files",
+    "labels",
     "lanes",
     "motion",
     "quality",

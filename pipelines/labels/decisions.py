@@ -24,6 +24,22 @@ Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
+class Proposed:
+    """Decisions that are not recorded yet.
+
+    Attributes
+    ----------
+    rows : tuple of dict
+        Rows for `record`.
+    remarks : tuple of str
+        What was excluded.
+    """
+
+    rows: tuple[Row, ...]
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Recorded:
     """Labels that were recorded.
 
@@ -66,6 +82,18 @@ def record(store: Store, rows: Sequence[Mapping[str, Any]], remarks: Iterable[st
     remarks : iterable of str, optional
         What was excluded before.
     """
+    new, known = new_rows(store, rows)
+    table = pa.Table.from_pylist(new, schema=labels_schema())
+    recorded = record_labels(store.path, table)
+    store.forget_labels()
+    return Recorded(recorded, known, tuple(remarks))
+
+
+def new_rows(store: Store, rows: Iterable[Mapping[str, Any]]) -> tuple[list[Row], int]:
+    """Return the rows of decisions that a store does not have yet, and the number of those that it has.
+
+    A decision of the other verdict than the standing one replaces it; parameters as for `record`.
+    """
     standing = {_key(row, row["class"]): row for row in store.labels().to_pylist()}
     new: list[Row] = []
     known = 0
@@ -81,10 +109,7 @@ def record(store: Store, rows: Sequence[Mapping[str, Any]], remarks: Iterable[st
             made["replaces"] = earlier["id"]
         standing[_key(row, row["class"])] = made
         new.append(made)
-    table = pa.Table.from_pylist(new, schema=labels_schema())
-    recorded = record_labels(store.path, table)
-    store.forget_labels()
-    return Recorded(recorded, known, tuple(remarks))
+    return new, known
 
 
 def _key(row: Mapping[str, Any], name: str) -> tuple[object, ...]:
@@ -116,11 +141,11 @@ def decide(store: Store, annotations: pl.DataFrame, *, accept: bool, source: str
     **more : str, optional
         `annotator` and `note`.
     """
-    rows = [_decision(one, accept, source, more) for one in annotations.iter_rows(named=True)]
-    return record(store, rows)
+    return record(store, [decision_row(one, accept, source, more) for one in annotations.iter_rows(named=True)])
 
 
-def _decision(one: Mapping[str, Any], accept: bool, source: str, more: Mapping[str, str | None]) -> Row:
+def decision_row(one: Mapping[str, Any], accept: bool, source: str, more: Mapping[str, str | None]) -> Row:
+    """Return the row of a decision about an annotation; parameters as for `decide`."""
     return {
         "take": one["take"],
         "class": (one.get("subclass") or one["class"]) if accept else one["class"],
@@ -191,8 +216,17 @@ def import_labels(store: Store, files: Sequence[LabelFile], **more: str | None) 
     KinedexError
         No take of the files is in the store, or a segment ends behind its take.
     """
+    return _record(store, proposed_labels(store, files, **more))
+
+
+def _record(store: Store, proposed: Proposed) -> Recorded:
+    return record(store, proposed.rows, proposed.remarks)
+
+
+def proposed_labels(store: Store, files: Sequence[LabelFile], **more: str | None) -> Proposed:
+    """Return what `import_labels` records; parameters and errors as there."""
     placed = placed_files(store, files)
-    return record(store, [_drawn(one, "imported", more) for one in placed.segments], placed.remarks)
+    return Proposed(tuple(_drawn(one, "imported", more) for one in placed.segments), placed.remarks)
 
 
 def import_corrections(
@@ -220,6 +254,13 @@ def import_corrections(
     KinedexError
         Nothing was annotated, or none of the takes was; a segment ends behind its take.
     """
+    return _record(store, proposed_corrections(store, files, stage, **more))
+
+
+def proposed_corrections(
+    store: Store, files: Sequence[LabelFile], stage: str | None = None, **more: str | None
+) -> Proposed:
+    """Return what `import_corrections` records; parameters and errors as there."""
     placed = placed_files(store, files)
     chosen, annotations = annotations_of(store, stage)
     annotated = set(annotated_takes(store, chosen)["name"])
@@ -241,8 +282,8 @@ def import_corrections(
             f"unchanged, and rejected or moved by a person before, which stays: {few(shown)}; "
             "`kinedex labels accept` accepts them"
         )
-    rows = [row for one in found if one.before not in decided for row in _corrections(one, known, chosen, more)]
-    return record(store, rows, remarks)
+    rows = (row for one in found if one.before not in decided for row in _corrections(one, known, chosen, more))
+    return Proposed(tuple(rows), tuple(remarks))
 
 
 def _decided_otherwise(store: Store, annotations: Iterable[Row]) -> list[Segment]:
@@ -279,6 +320,11 @@ def import_corrected_labels(store: Store, files: Sequence[LabelFile], **more: st
     **more : str, optional
         `annotator` and `note`.
     """
+    return _record(store, proposed_label_corrections(store, files, **more))
+
+
+def proposed_label_corrections(store: Store, files: Sequence[LabelFile], **more: str | None) -> Proposed:
+    """Return what `import_corrected_labels` records; parameters and errors as there."""
     placed = placed_files(store, files)
     known = {
         Segment(row["take"], row["class"], row["start"], row["stop"]): row
@@ -294,7 +340,7 @@ def import_corrected_labels(store: Store, files: Sequence[LabelFile], **more: st
         elif one.after is None and before is not None:
             kept = {name: before[name] for name in ("take", "class", "start", "stop", "limb", "origin")}
             rows.append({**kept, "replaces": before["id"], "verdict": "withdrawn", **more})
-    return record(store, rows, placed.remarks)
+    return Proposed(tuple(rows), placed.remarks)
 
 
 def _corrections(
@@ -302,8 +348,8 @@ def _corrections(
 ) -> list[Row]:
     before = known[one.before] if one.before is not None else None
     if before is not None and one.change == "same":
-        return [_decision(before, True, stage, more)]
-    rows = [_decision(before, False, stage, more)] if before is not None and one.change != "moved" else []
+        return [decision_row(before, True, stage, more)]
+    rows = [decision_row(before, False, stage, more)] if before is not None and one.change != "moved" else []
     if one.after is not None:
         row = _drawn(one.after, "drawn" if before is None else "corrected", more)
         if before is not None and one.change == "moved":

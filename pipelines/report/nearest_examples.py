@@ -71,7 +71,9 @@ def with_hits(
     return found, {key: place for place, key in enumerate(near)}
 
 
-def nearest_examples(store: Store, hits: Sequence[Segment], templates: Sequence[Template]) -> dict[Key, Example]:
+def nearest_examples(
+    store: Store, hits: Sequence[Segment], templates: Sequence[Template | SubclassTemplate]
+) -> dict[Key, Example]:
     """Find the nearest example of each hit.
 
     Clips in the mirror are not compared, since the store has their motion the other way round.

@@ -1,0 +1,249 @@
+"""Edits of labels, as a person makes them in lanes: draw, change, split, join, withdraw, accept, reject, and undo.
+
+Every edit becomes rows of labels: nothing is changed in place, so that the history has all of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from kinedex.ops.errors import ConflictError, KinedexError, ParameterError
+from kinedex.pipelines.labels.decisions import decision_row
+
+Row = dict[str, Any]
+
+_CONTENT = ("take", "class", "start", "stop", "limb", "verdict", "origin", "annotator", "confidence", "note", "source")
+"""The columns of a label that an undo restores."""
+
+
+class LabelEdits:
+    """Edits of the labels of a store, which become rows for `pipelines.labels.decisions.record`.
+
+    The ids of new rows are the caller's, so that a request that is sent twice is recorded once: an edit whose ids the
+    store has already adds nothing.
+
+    Parameters
+    ----------
+    history : iterable of dict
+        All rows of labels, in the order in which they were made.
+    frames : mapping of str to int
+        Name of a take → its frames.
+    annotator : str, optional
+        The person.
+
+    Attributes
+    ----------
+    rows : list of dict
+        The new rows.
+    """
+
+    def __init__(self, history: Iterable[Row], frames: Mapping[str, int], annotator: str | None = None) -> None:
+        self._frames = frames
+        self._annotator = annotator
+        self._known: dict[str, Row] = {}
+        self._replaced: dict[str, str] = {}
+        self.rows: list[Row] = []
+        for row in history:
+            self._enter(row)
+
+    def draw(self, id: str, take: str, label: str, start: int, stop: int, **more: Any) -> None:
+        """Add a label; `more` are other columns, such as `verdict` and `limb`."""
+        if id not in self._known:
+            self._add({"id": id, "take": take, "class": label, "start": start, "stop": stop, "origin": "drawn", **more})
+
+    def change(self, id: str, label: str, **values: Any) -> None:
+        """Give a label, by its id, another class, other edges or another verdict."""
+        if id in self._known:
+            return
+        before = self._standing(label)
+        given = {key: value for key, value in values.items() if value is not None}
+        if all(before[key] == value for key, value in given.items()):
+            raise ParameterError("change", "a class, edges or a verdict that the label does not have", given or None)
+        self._add({**self._copy(before), **given, "id": id, "origin": "corrected", "replaces": label})
+
+    def split(self, ids: Sequence[str], label: str, at: int) -> None:
+        """Divide a label in two at a frame; the two ids are those of the parts."""
+        first, second = ids
+        if first in self._known:
+            return
+        before = self._standing(label)
+        if not before["start"] < at < before["stop"]:
+            raise ParameterError("at", f"a frame within the label, from {before['start'] + 1}", at)
+        more = {"origin": "corrected", "replaces": label}
+        self._add({**self._copy(before), **more, "id": first, "stop": at})
+        self._add({**self._copy(before), **more, "id": second, "start": at})
+
+    def join(self, ids: Sequence[str], labels: Sequence[str]) -> None:
+        """Make one label of several of a take and a class: from the first start to the last stop.
+
+        The first id is that of the whole, the others are those of the rows that withdraw the other labels.
+        """
+        if ids[0] in self._known:
+            return
+        if len(labels) < 2 or len(ids) != len(labels):
+            raise ParameterError("labels", "at least two, with an id for each", len(labels))
+        parts = [self._standing(one) for one in labels]
+        for key in ("take", "class", "limb", "verdict"):
+            if len({part[key] for part in parts}) > 1:
+                raise ParameterError("labels", f"labels of one {key}", ", ".join(str(part[key]) for part in parts))
+        edges = {"start": min(part["start"] for part in parts), "stop": max(part["stop"] for part in parts)}
+        for id, label in zip(ids[1:], labels[1:], strict=True):
+            self._withdraw(id, label)
+        self._add({**self._copy(parts[0]), **edges, "id": ids[0], "origin": "corrected", "replaces": labels[0]})
+
+    def withdraw(self, id: str, label: str) -> None:
+        """Take a label back."""
+        if id not in self._known:
+            self._standing(label)
+            self._withdraw(id, label)
+
+    def decide(self, id: str, annotation: Mapping[str, Any], source: str, seen: str | None, *, accept: bool) -> None:
+        """Accept or reject an annotation.
+
+        Parameters
+        ----------
+        id : str
+            The id of the new row.
+        annotation : mapping
+            A row of annotations.
+        source : str
+            The stage of the annotation.
+        seen : str or None
+            The id of the label with its class and edges that the person saw; None for none.
+        accept : bool
+            True accepts, False rejects.
+
+        Raises
+        ------
+        ConflictError
+            There is another label with its class and edges.
+        """
+        if id in self._known:
+            return
+        row = decision_row(annotation, accept, source, {"annotator": self._annotator})
+        names = row.pop("names")
+        standing = self._at(row, names)
+        if standing is not None and standing["id"] != seen:
+            raise ConflictError(f"{_shown(standing)} was {_decision(standing)} meanwhile{_by(standing)}")
+        if standing is None and seen is not None:
+            self._standing(seen)
+        if standing is None or standing["verdict"] != row["verdict"]:
+            self._add({**row, "id": id, "replaces": standing and standing["id"]})
+
+    def restore(self, ids: Sequence[str], made: Sequence[str]) -> None:
+        """Undo the edit that made some rows: what they replaced counts again, and the others are withdrawn.
+
+        Parameters
+        ----------
+        ids : sequence of str
+            Ids of new rows: one for each label that counts again, and one for each that does not any more.
+        made : sequence of str
+            The ids of the rows of the edit.
+
+        Raises
+        ------
+        ConflictError
+            One of the rows has been replaced since.
+        """
+        if not ids or ids[0] in self._known:
+            return
+        rows = [self._last(one) for one in made]
+        left = iter(ids)
+        open_rows = {row["id"]: row for row in rows}
+        for earlier in dict.fromkeys(row["replaces"] for row in rows if row["replaces"] is not None):
+            undone = next((one for one in open_rows.values() if one["replaces"] == earlier), None)
+            if undone is None or earlier not in self._known:
+                continue
+            del open_rows[undone["id"]]
+            content = {key: self._known[earlier][key] for key in _CONTENT}
+            self._add({**content, "id": _next(left), "replaces": undone["id"]}, restored=True)
+        for row in open_rows.values():
+            if row["verdict"] != "withdrawn":
+                self._withdraw(_next(left), row["id"])
+
+    def _last(self, id: str) -> Row:
+        if id not in self._known or id in self._replaced:
+            row = self._known.get(id)
+            shown = "a label" if row is None else _shown(row)
+            raise ConflictError(f"{shown} was changed again meanwhile, so that this edit cannot be undone")
+        return self._known[id]
+
+    def _standing(self, id: str) -> Row:
+        """Return a label that counts."""
+        row = self._known.get(id)
+        if row is None:
+            raise ConflictError(f"no label has the id {id}")
+        if id in self._replaced:
+            after = self._known[self._replaced[id]]
+            how = "withdrawn" if after["verdict"] == "withdrawn" else f"changed to {_shown(after)}"
+            raise ConflictError(f"{_shown(row)} was {how} meanwhile{_by(after)}")
+        if row["verdict"] == "withdrawn":
+            raise ConflictError(f"{_shown(row)} was withdrawn{_by(row)}")
+        return row
+
+    def _at(self, row: Mapping[str, Any], names: Iterable[str]) -> Row | None:
+        """Return the label that counts with the edges of a row and one of some classes."""
+        chosen = set(names)
+        place = row["take"], row["start"], row["stop"], row.get("limb")
+        for one in self._known.values():
+            same = (one["take"], one["start"], one["stop"], one["limb"]) == place and one["class"] in chosen
+            if same and one["verdict"] != "withdrawn" and one["id"] not in self._replaced:
+                return one
+        return None
+
+    def _copy(self, row: Row) -> Row:
+        """Return the columns of a label that its successor keeps; its checksum becomes that of the take as it is."""
+        kept = ("take", "class", "start", "stop", "limb", "verdict", "source", "note")
+        return {key: row[key] for key in kept}
+
+    def _withdraw(self, id: str, label: str) -> None:
+        kept = ("take", "class", "start", "stop", "limb", "origin")
+        row = {key: self._known[label][key] for key in kept}
+        self._add({**row, "id": id, "replaces": label, "verdict": "withdrawn"})
+
+    def _add(self, row: Row, *, restored: bool = False) -> None:
+        """Add a row, complete and checked against its take."""
+        empty = dict.fromkeys((*_CONTENT, "replaces"), None) | {"verdict": "positive"}
+        full = empty | ({} if restored else {"annotator": self._annotator}) | row
+        if full["verdict"] != "withdrawn":
+            self._check(full)
+        self.rows.append(full)
+        self._enter(full)
+
+    def _check(self, row: Row) -> None:
+        frames = self._frames.get(row["take"])
+        if frames is None:
+            raise KinedexError(f"no take is named '{row['take']}'; it may have been removed from the store")
+        if not str(row["class"]).strip():
+            raise ParameterError("class", "a name", repr(row["class"]))
+        if not 0 <= row["start"] < row["stop"] <= frames:
+            expected = f"frames [start, stop) within the {frames} of {row['take']}"
+            raise ParameterError("start and stop", expected, (row["start"], row["stop"]))
+        other = self._at(row, [row["class"]])
+        if other is not None and other["id"] != row["replaces"]:
+            raise ConflictError(f"there is such a label already: {_shown(other)}{_by(other)}")
+
+    def _enter(self, row: Row) -> None:
+        self._known[row["id"]] = row
+        if row["replaces"] is not None:
+            self._replaced[row["replaces"]] = row["id"]
+
+
+def _next(ids: Any) -> str:
+    found = next(ids, None)
+    if found is None:
+        raise ParameterError("ids", "an id for each row that the undo makes", "too few")
+    return str(found)
+
+
+def _shown(row: Row) -> str:
+    return f"{row['class']} in {row['take']}[{row['start']}:{row['stop']}]"
+
+
+def _decision(row: Row) -> str:
+    return "rejected" if row["verdict"] == "negative" else "labelled"
+
+
+def _by(row: Row) -> str:
+    return f" by {row['annotator']}" if row.get("annotator") else ""
