@@ -97,14 +97,14 @@ def query_file_paths(names_or_paths: Iterable[str | Path]) -> list[Path]:
         if path.resolve() not in found:
             found[path.resolve()] = path
             located = load_yaml(path)
-            waiting += [referred_path(located, name, *key) for name, *key in _references(located.data)]
+            waiting += [referred_path(located, name, *key) for name, *key in references(located.data)]
     return list(found.values())
 
 
-def _references(part: Any, *key: str | int) -> Iterator[tuple[Any, ...]]:
-    """Yield the file of every reference in a part of a query file, followed by its key."""
+def references(part: Any, *key: str | int) -> Iterator[tuple[Any, ...]]:
+    """Yield the file of every reference in a part of the content of a query file, followed by its key."""
     if is_reference(part) and isinstance(part.get("file"), str):
         yield (part["file"], *key, "file")
     elif isinstance(part, dict | list):
         for step, inner in part.items() if isinstance(part, dict) else enumerate(part):
-            yield from _references(inner, *key, step)
+            yield from references(inner, *key, step)
