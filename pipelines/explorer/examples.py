@@ -10,7 +10,8 @@
 
 `POST /api/ask/template` {the same} → {name, text}: the template as a file of YAML.
 
-`POST /api/ask/labels` {class, positives, negatives, annotator?, note?} → {recorded, known, remarks}: labels of a person.
+`POST /api/ask/labels` {class, positives, negatives, annotator?, note?} → {recorded, known, remarks}: decisions of a
+ person as labels.
 """
 
 from __future__ import annotations
@@ -182,8 +183,9 @@ def describe_hit(archive: Archive, asked: HitQuestion, _request: Request) -> dic
     features = _features(store)
     contradicted: list[dict[str, Any]] = []
     if path is not None:
-        asked_values = template.values(len(features))[np.rint(path.columns).astype(np.int64)]
-        seen = bits(words[path.start : asked.hit.stop], len(features))
+        visited = path.columns == np.rint(path.columns)  # the others are frames that a (1,2) step skips
+        asked_values = template.values(len(features))[path.columns[visited].astype(np.int64)]
+        seen = bits(words[path.start : asked.hit.stop][visited], len(features))
         wrong = ((asked_values != WILDCARD) & (asked_values != seen)).mean(axis=0)
         order = np.argsort(-wrong, kind="stable")
         contradicted = [{"feature": features[i], "share": float(wrong[i])} for i in order.tolist() if wrong[i] > 0]

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -216,7 +217,7 @@ def propose(archive: Archive, asked: ProposalQuestion, _request: Request) -> dic
         raise KinedexError(f"no take has the id {asked.take_id}; it may have been removed from the store")
     take = names[asked.take_id]
     text = propose_query(store, take, asked.start, asked.stop, name=asked.name, keyframes=asked.keyframes)
-    words = ["kinedex", "query", "from-clip", archive.path, take, str(asked.start), str(asked.stop)]
+    words: list[str | Path] = ["kinedex", "query", "from-clip", archive.path, take, str(asked.start), str(asked.stop)]
     return {
         "text": text,
         "query": model_of(read_text(text, store), store),
