@@ -33,7 +33,7 @@ from kinedex.ops.words import ALL_KNOWN, bits
 from kinedex.pipelines.explorer.addresses import post
 from kinedex.pipelines.explorer.hits import ChosenHit, Limit, ranked_hits, require_within, take_condition
 from kinedex.pipelines.explorer.same import command_line, python_lines
-from kinedex.pipelines.explorer.takes import Selection
+from kinedex.pipelines.explorer.selections import Selection
 from kinedex.pipelines.labels.decisions import record
 from kinedex.pipelines.ranking.both_sides import mirrored_template
 from kinedex.pipelines.ranking.examples import ChosenTemplate, template_of_chosen

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from kinedex.ops.errors import ParameterError
 from kinedex.pipelines.explorer.addresses import Question
-from kinedex.pipelines.explorer.takes import Selection, condition_of
+from kinedex.pipelines.explorer.selections import Selection, condition_of
 from kinedex.pipelines.ranking.examples import ChosenInterval
 
 if TYPE_CHECKING:

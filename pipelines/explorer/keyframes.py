@@ -28,7 +28,7 @@ from kinedex.ops.search.gaps import UNBOUNDED
 from kinedex.pipelines.explorer.addresses import Question, post
 from kinedex.pipelines.explorer.hits import Limit, take_condition
 from kinedex.pipelines.explorer.same import command_line, python_lines
-from kinedex.pipelines.explorer.takes import Selection
+from kinedex.pipelines.explorer.selections import Selection
 from kinedex.pipelines.search.query_proposal import propose_query
 from kinedex.pipelines.search.search import search_remarks, search_store
 

@@ -42,13 +42,13 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ]
     mirrored = long_take("mirror", "bob", "rest", "kick", "rest")
     mirrored["words"] = BODY.mirrored(np.asarray(mirrored["words"], np.uint64))
-    store = write_store(tmp_path_factory.mktemp("ask") / "a store", [*takes, mirrored])
-    build_index(open_store(store, at="newest"), threads=1)
-    return store
+    made = write_store(tmp_path_factory.mktemp("ask") / "a store", [*takes, mirrored])
+    build_index(open_store(made, at="newest"), threads=1)
+    return made
 
 
 @pytest.fixture(scope="module")
-def store(path: Path) -> Store:
+def opened(path: Path) -> Store:
     return open_store(path)
 
 
@@ -64,8 +64,8 @@ def ask(path: Path, connect: Connect) -> Ask:
     return asked
 
 
-def interval(store: Store, take: str, start: int, stop: int, **more: bool) -> dict[str, Any]:
-    return {"take_id": store.take_ids[take], "start": start, "stop": stop, **more}
+def interval(opened: Store, take: str, start: int, stop: int, **more: bool) -> dict[str, Any]:
+    return {"take_id": opened.take_ids[take], "start": start, "stop": stop, **more}
 
 
 def kick_of(take: int) -> tuple[int, int]:
@@ -84,16 +84,16 @@ def rows(hits: list[dict[str, Any]]) -> list[tuple[Any, ...]]:
 KEYS = ("take", "start", "stop", "cost", "mirrored")
 
 
-def test_an_example_has_the_hits_of_python_with_its_mirror_image(path: Path, store: Store, ask: Ask) -> None:
+def test_an_example_has_the_hits_of_python_with_its_mirror_image(path: Path, opened: Store, ask: Ask) -> None:
     start, stop = kick_of(0)
-    found = ask("examples", positives=[interval(store, "take_0", start, stop)], tau=0.3, top=40)
+    found = ask("examples", positives=[interval(opened, "take_0", start, stop)], tau=0.3, top=40)
     python = kinedex.open_store(path)
     example = kinedex.Template.from_clip(python["take_0"], start, stop, name="example")
     expected = python.rank(example, 40, tau=0.3, mirror=True)
     assert rows(found["hits"]) == expected.select(KEYS).rows()
     assert found["total"] == expected.height > 10
     assert ("mirror", True) in {(one["take"], one["mirrored"]) for one in found["hits"]}
-    alone = ask("examples", positives=[interval(store, "take_0", start, stop)], tau=0.3, top=40, mirror=False)
+    alone = ask("examples", positives=[interval(opened, "take_0", start, stop)], tau=0.3, top=40, mirror=False)
     assert rows(alone["hits"]) == [(*row, False) for row in python.similar("take_0", start, stop, 40, tau=0.3)
                                    .select(KEYS[:4]).rows()]  # fmt: skip
     scope: dict[str, Any] = {}
@@ -102,37 +102,37 @@ def test_an_example_has_the_hits_of_python_with_its_mirror_image(path: Path, sto
     assert f"--take take_0 --start {start} --stop {stop} --mirror" in found["command"]
 
 
-def test_filters_and_the_number_of_hits_limit_a_search(store: Store, ask: Ask) -> None:
+def test_filters_and_the_number_of_hits_limit_a_search(opened: Store, ask: Ask) -> None:
     start, stop = kick_of(1)
-    asked = {"positives": [interval(store, "take_1", start, stop)], "tau": 0.3, "where": "actor = 'ann'"}
+    asked = {"positives": [interval(opened, "take_1", start, stop)], "tau": 0.3, "where": "actor = 'ann'"}
     found = ask("examples", **asked, top=3, filters=[{"column": "name", "values": ["take_1", "take_2", "take_3"]}])
     assert {one["take"] for one in found["hits"]} <= {"take_1", "take_3"}
     assert (found["total"], found["more"]) == (3, True)
     assert "no take to rank" in ask("examples", 400, **(asked | {"where": "actor = 'eve'"}))["error"]["message"]
     assert "actr" in ask("examples", 400, **(asked | {"where": "actr = 'eve'"}))["error"]["message"]
-    wrong = ask("examples", 422, positives=[interval(store, "take_1", start, 9999)])
+    wrong = ask("examples", 422, positives=[interval(opened, "take_1", start, 9999)])
     assert "0 <= start < stop" in wrong["error"]["message"]
     ask("examples", 422, positives=[])
 
 
-def test_several_examples_are_learned_as_a_template_is(path: Path, store: Store, ask: Ask) -> None:
+def test_several_examples_are_learned_as_a_template_is(path: Path, opened: Store, ask: Ask) -> None:
     clips = [(f"take_{i}", *kick_of(i)) for i in range(3)]
-    found = ask("examples", positives=[interval(store, *clip) for clip in clips], tau=0.3, top=40)
+    found = ask("examples", positives=[interval(opened, *clip) for clip in clips], tau=0.3, top=40)
     python = kinedex.open_store(path)
     learned = kinedex.Template.learn([python[take][start:stop] for take, start, stop in clips], name="example")
     assert rows(found["hits"]) == python.rank(learned, 40, tau=0.3, mirror=True).select(KEYS).rows()
     assert found["template"]["clips"] == [f"{take}[{start}:{stop}]" for take, start, stop in clips]
 
 
-def test_a_mirrored_hit_is_an_example_by_what_its_mirror_image_shows(store: Store) -> None:
-    made = template_of_chosen(store, "kick", [ChosenInterval(store.take_ids["mirror"], 5, 30, mirrored=True)])
+def test_a_mirrored_hit_is_an_example_by_what_its_mirror_image_shows(opened: Store) -> None:
+    made = template_of_chosen(opened, "kick", [ChosenInterval(opened.take_ids["mirror"], 5, 30, mirrored=True)])
     assert quantise(made.named.template, 0.1).value.tolist() == np.repeat(POSES["kick"], 5).tolist()
     assert made.clips == ("mirror of mirror[5:30]",)
 
 
-def test_what_is_rejected_becomes_dearer_and_what_overlaps_an_example_does_not_count(store: Store, ask: Ask) -> None:
+def test_what_is_rejected_becomes_dearer_and_what_overlaps_an_example_does_not_count(opened: Store, ask: Ask) -> None:
     start, stop = kick_of(0)
-    accepted = [interval(store, "take_0", start, stop)]
+    accepted = [interval(opened, "take_0", start, stop)]
     plain = ask("examples", positives=accepted, tau=0.9, top=60)
     rejected = [one for one in plain["hits"] if one["cost"] > 0.2][:4]
     assert rejected
@@ -143,17 +143,17 @@ def test_what_is_rejected_becomes_dearer_and_what_overlaps_an_example_does_not_c
     before, after = ({(one["take_id"], one["stop"]): one["cost"] for one in each["hits"]} for each in (plain, found))
     same = [(one["take_id"], one["stop"]) for one in rejected if (one["take_id"], one["stop"]) in after]
     assert all(after[place] > before[place] for place in same)
-    badly_cut = interval(store, "take_0", start + 3, stop - 3)
+    badly_cut = interval(opened, "take_0", start + 3, stop - 3)
     ignored = ask("examples", positives=accepted, negatives=[badly_cut], tau=0.9, top=60)
     assert (ignored["template"]["weights"], rows(ignored["hits"])) == ({}, rows(plain["hits"]))
     assert "overlap" in ignored["remarks"][0]
 
 
 def test_the_template_of_a_search_is_a_file_that_ranks_alike(
-    store: Store, ask: Ask, tmp_path: Path, path: Path
+    opened: Store, ask: Ask, tmp_path: Path, path: Path
 ) -> None:
-    positives = [interval(store, "take_0", *kick_of(0)), interval(store, "take_1", *kick_of(1))]
-    asked = {"positives": positives, "negatives": [interval(store, "take_2", 0, 20)], "name": "kick"}
+    positives = [interval(opened, "take_0", *kick_of(0)), interval(opened, "take_1", *kick_of(1))]
+    asked = {"positives": positives, "negatives": [interval(opened, "take_2", 0, 20)], "name": "kick"}
     file = tmp_path / "kick.yaml"
     file.write_text(ask("template", **asked)["text"], encoding="utf-8")
     (read,) = read_templates(file, BODY)
@@ -164,8 +164,8 @@ def test_the_template_of_a_search_is_a_file_that_ranks_alike(
     assert rows(found["hits"]) == hits.select(KEYS).rows()
 
 
-def test_a_hit_has_its_curve_its_path_and_what_it_contradicts(store: Store, ask: Ask) -> None:
-    asked = {"positives": [interval(store, "take_0", *kick_of(0))], "tau": 0.3}
+def test_a_hit_has_its_curve_its_path_and_what_it_contradicts(opened: Store, ask: Ask) -> None:
+    asked = {"positives": [interval(opened, "take_0", *kick_of(0))], "tau": 0.3}
     for one in ask("examples", **asked, top=12)["hits"]:
         hit = {key: one[key] for key in ("take_id", "start", "stop", "mirrored")}
         shown = ask("hit", **asked, hit=hit)
@@ -194,9 +194,9 @@ def test_poses_and_text_are_the_same_query_with_the_hits_of_python(path: Path, a
     assert some["total"] < found["total"]
 
 
-def test_an_open_pose_and_an_open_gap_are_written_and_read(store: Store) -> None:
+def test_an_open_pose_and_an_open_gap_are_written_and_read(opened: Store) -> None:
     entry = QueryEntry.model_validate_json(f'{{"poses": [{{"on": ["{FEATURE[0]}"]}}, {{}}], "gaps": [{{"low": 0.5}}]}}')
-    read = model_of(read_text(written(entry, store), store), store)
+    read = model_of(read_text(written(entry, opened), opened), opened)
     assert read is not None
     assert (read["poses"][1], read["gaps"]) == ({"on": [], "off": []}, [{"low": 0.5, "high": None}])
 
@@ -217,9 +217,9 @@ def test_a_text_that_is_wrong_is_answered_with_its_line(ask: Ask, tmp_path: Path
     ask("keyframes", 400, query={"poses": [{"on": ["no such"]}]})
 
 
-def test_keyframes_are_proposed_from_an_example_and_find_it(store: Store, ask: Ask) -> None:
+def test_keyframes_are_proposed_from_an_example_and_find_it(opened: Store, ask: Ask) -> None:
     start, stop = kick_of(3)
-    made = ask("propose", take_id=store.take_ids["take_3"], start=start, stop=stop, keyframes=2)
+    made = ask("propose", take_id=opened.take_ids["take_3"], start=start, stop=stop, keyframes=2)
     assert len(made["query"]["poses"]) <= 2
     hits = ask("keyframes", query=made["query"])["hits"]
     assert any(one["take"] == "take_3" and start <= one["start"] < one["stop"] <= stop for one in hits)
@@ -254,11 +254,11 @@ def test_sql_only_reads_and_its_views_are_listed(path: Path, ask: Ask, connect: 
 # ---- labels ----------------------------------------------------------------------------------------------
 
 
-def test_verdicts_become_labels_of_a_class_once(path: Path, store: Store, ask: Ask, connect: Connect) -> None:
+def test_verdicts_become_labels_of_a_class_once(path: Path, opened: Store, ask: Ask, connect: Connect) -> None:
     asked = {
         "class": "kick",
-        "positives": [interval(store, "take_0", *kick_of(0))],
-        "negatives": [interval(store, "take_2", 0, 9)],
+        "positives": [interval(opened, "take_0", *kick_of(0))],
+        "negatives": [interval(opened, "take_2", 0, 9)],
     }
     refused = connect(path, read_only=True).post("/api/ask/labels", json=asked)
     assert (refused.status_code, refused.json()["error"]["type"]) == (403, "ReadOnlyError")
