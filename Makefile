@@ -85,7 +85,7 @@ $(VENV)/node.stamp: requirements-node.lock $(VENV)/run.stamp
 	    $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-node.lock; }
 	@touch $@
 
-$(PAGE)/node_modules/run.stamp: $(PAGE)/package-lock.json $(PAGE)/.npmrc $(VENV)/node.stamp
+$(PAGE)/node_modules/run.stamp: $(PAGE)/package-lock.json $(PAGE)/.npmrc | $(VENV)/node.stamp
 	@echo "installing the locked packages of the page ..."
 	@$(WITH_NODE) npm ci --ignore-scripts --no-audit --no-fund --loglevel=error
 	@touch $@

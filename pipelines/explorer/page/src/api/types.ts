@@ -68,6 +68,9 @@ export interface TakesBlock extends Same {
   offset: number;
   columns: string[];
   rows: Value[][];
+  ids: number[];
+  names: string[];
+  warnings: string[][];
 }
 
 export interface Job {

@@ -8,7 +8,7 @@ export function Fault({ fault, retry }: { fault: unknown; retry?: () => void }) 
   const message = fault instanceof Error ? fault.message : String(fault);
   const command = fault instanceof ApiError ? fault.remedy?.command : undefined;
   return (
-    <Alert color="red" variant="light" role="alert" title={fault instanceof ApiError ? fault.type : "Error"}>
+    <Alert color="red" variant="light" role="alert" title={fault instanceof ApiError && fault.type !== "KinedexError" ? fault.type : "Error"}>
       <Text size="sm" style={{ whiteSpace: "pre-wrap", overflowWrap: "anywhere" }}>
         {message}
       </Text>

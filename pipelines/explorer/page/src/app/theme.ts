@@ -50,6 +50,8 @@ export const variables: CSSVariablesResolver = () => ({
     "--kx-left": "#1f6fc4",
     "--kx-right": "#c8402f",
     "--kx-middle": "#4a5260",
+    "--kx-warning": "#a1260d",
+    "--mantine-color-error": "#a1260d",
     ...classVariables(0),
   },
   dark: {
@@ -62,6 +64,8 @@ export const variables: CSSVariablesResolver = () => ({
     "--kx-left": "#6cb2ff",
     "--kx-right": "#ff8a76",
     "--kx-middle": "#b4bcc8",
+    "--kx-warning": "#ff9c85",
+    "--mantine-color-error": "#ff9c85",
     ...classVariables(1),
   },
 });

@@ -1,0 +1,126 @@
+import { Code, Loader, Text } from "@mantine/core";
+import { useLocation, Link } from "wouter";
+
+import type { Value } from "../api/types";
+import { takeAddress } from "../app/address";
+import { Fault } from "../app/Fault";
+import { useSame } from "../app/same";
+import { type GridColumn, VirtualGrid } from "../table/VirtualGrid";
+import { useRows } from "./questions";
+import { count, counted, shown } from "./text";
+import type { RowsOf } from "./types";
+
+type Row = Record<string, Value>;
+
+function text(key: string, title: string, width: number, numeric = false): GridColumn<Row> {
+  return { key, title, width, numeric, cell: (row) => <span title={shown(row[key])}>{shown(row[key])}</span> };
+}
+
+function take(key: string, title: string): GridColumn<Row> {
+  return {
+    key,
+    title,
+    width: 230,
+    cell: (row) => (
+      <Link href={takeAddress(shown(row[key]))} tabIndex={-1} title={shown(row[key])}>
+        {shown(row[key])}
+      </Link>
+    ),
+  };
+}
+
+const DUPLICATES: GridColumn<Row>[] = [
+  take("take", "take"),
+  take("of_take", "holds the motion of"),
+  text("same", "same", 90),
+  {
+    key: "share",
+    title: "share",
+    width: 80,
+    numeric: true,
+    cell: (row) => (typeof row.share === "number" ? `${Math.round(100 * row.share)} %` : ""),
+  },
+  text("start_seconds", "from s", 90, true),
+  text("stop_seconds", "to s", 90, true),
+  text("shift_seconds", "shift s", 90, true),
+  { key: "mirrored", title: "mirrored", width: 90, cell: (row) => (row.mirrored === true ? "yes" : "") },
+  text("distance_mm", "distance mm", 110, true),
+];
+
+const EXCLUDED: GridColumn<Row>[] = [
+  text("source", "source file", 260),
+  text("error", "error", 120),
+  text("line", "line", 70, true),
+  text("message", "message", 640),
+];
+
+/** Takes that hold the same file or motion as another take. */
+export function DuplicatesView() {
+  const [, navigate] = useLocation();
+  const found = useRows("/api/duplicates");
+  useSame(found.data);
+  return (
+    <RowsGrid
+      found={found}
+      label="Duplicates"
+      columns={DUPLICATES}
+      onOpen={(row) => navigate(takeAddress(shown(row.take)))}
+      none={
+        found.data?.searched === true ? (
+          "No two takes hold the same motion."
+        ) : (
+          <>
+            Nobody has looked for duplicates yet. <Code>{found.data?.command}</Code> finds copies of files and of motions,
+            also cut, moved, turned or mirrored ones; this page shows them as soon as it is done.
+          </>
+        )
+      }
+    />
+  );
+}
+
+/** Source files that the last ingest excluded, with the reasons. */
+export function ExcludedView() {
+  const found = useRows("/api/excluded");
+  useSame(found.data);
+  return (
+    <RowsGrid found={found} label="Excluded files" columns={EXCLUDED} none="The last ingest has read all source files." />
+  );
+}
+
+interface Props {
+  found: ReturnType<typeof useRows>;
+  label: string;
+  columns: GridColumn<Row>[];
+  none: React.ReactNode;
+  onOpen?: (row: Row) => void;
+}
+
+function RowsGrid({ found, label, columns, none, onOpen }: Props) {
+  if (found.isError) return <Fault fault={found.error} />;
+  if (found.data === undefined) return <Loader size="sm" aria-label="Loading" />;
+  const data: RowsOf = found.data;
+  if (data.rows.length === 0)
+    return (
+      <Text size="sm" className="sheet">
+        {none}
+      </Text>
+    );
+  return (
+    <div className="rows">
+      <Text size="xs" className="muted" pb={4} role="status">
+        {counted(data.total, "row")}
+        {data.rows.length < data.total && `, the first ${count(data.rows.length)} shown; the command below lists all`}
+      </Text>
+      <div className="rows-grid">
+        <VirtualGrid<Row>
+          label={label}
+          columns={columns}
+          rowCount={data.rows.length}
+          row={(index) => data.rows[index]}
+          {...(onOpen === undefined ? {} : { onOpen })}
+        />
+      </div>
+    </div>
+  );
+}

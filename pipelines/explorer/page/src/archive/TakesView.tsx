@@ -1,0 +1,127 @@
+import { Button, Checkbox, Menu, ScrollArea } from "@mantine/core";
+import { useMemo } from "react";
+import { Link, useLocation } from "wouter";
+
+import { useStore } from "../api/queries";
+import type { Column } from "../api/types";
+import { takeAddress } from "../app/address";
+import { Fault } from "../app/Fault";
+import { type GridColumn, VirtualGrid } from "../table/VirtualGrid";
+import { type TakeRow, useFlags, type useTakes } from "./questions";
+import { allColumns, useColumns, type useSelection, useSort } from "./selection";
+import { shown } from "./text";
+import { TotalsPanel } from "./TotalsPanel";
+
+interface Props {
+  state: ReturnType<typeof useSelection>;
+  takes: ReturnType<typeof useTakes>;
+  columns: string[];
+}
+
+/** The table of takes, and their totals beside it. */
+export function TakesView({ state, takes, columns }: Props) {
+  const store = useStore();
+  const [sort, toggleSort] = useSort();
+  const [, navigate] = useLocation();
+  const flags = useFlags().data?.flags;
+  const known = useMemo(() => allColumns(store.data), [store.data]);
+  const shownColumns = useMemo(() => gridColumns(columns, known, flags), [columns, known, flags]);
+  if (takes.error !== null && state.where === null) return <Fault fault={takes.error} />;
+  return (
+    <div className="takes">
+      <VirtualGrid<TakeRow>
+        label="Takes"
+        columns={shownColumns}
+        rowCount={takes.head?.total ?? 0}
+        row={takes.row}
+        sort={sort === null ? null : { column: sort.column, descending: sort.descending === true }}
+        onSort={toggleSort}
+        onOpen={(row) => navigate(takeAddress(row.name))}
+        onRange={takes.onRange}
+      />
+      <TotalsPanel state={state} wrong={takes.error !== null} />
+    </div>
+  );
+}
+
+/** The button that chooses the columns of the table. */
+export function ColumnMenu() {
+  const store = useStore();
+  const [columns, setColumns] = useColumns(store.data);
+  return (
+    <Menu closeOnItemClick={false} position="bottom-end" shadow="md" width={250}>
+      <Menu.Target>
+        <Button size="compact-sm" variant="default">
+          Columns
+        </Button>
+      </Menu.Target>
+      <Menu.Dropdown>
+        <ScrollArea.Autosize mah={380} type="auto">
+          {allColumns(store.data)
+            .filter((one) => one.name !== "name")
+            .map((one) => (
+              <Menu.Item
+                key={one.name}
+                role="menuitemcheckbox"
+                aria-checked={columns.includes(one.name)}
+                leftSection={
+                  <Checkbox size="xs" checked={columns.includes(one.name)} readOnly tabIndex={-1} aria-hidden />
+                }
+                onClick={() =>
+                  setColumns(
+                    columns.includes(one.name)
+                      ? columns.filter((name) => name !== one.name)
+                      : [...columns, one.name],
+                  )
+                }
+              >
+                {one.name}
+              </Menu.Item>
+            ))}
+        </ScrollArea.Autosize>
+      </Menu.Dropdown>
+    </Menu>
+  );
+}
+
+function gridColumns(
+  columns: string[],
+  known: Column[],
+  flags: Record<string, string[]> | undefined,
+): GridColumn<TakeRow>[] {
+  const made = columns.map((name, place): GridColumn<TakeRow> => {
+    const numeric = known.find((one) => one.name === name)?.numeric ?? false;
+    return {
+      key: name,
+      title: name,
+      width: name === "name" ? 240 : numeric ? 96 : 132,
+      numeric,
+      sortable: true,
+      cell: (row) => {
+        const value = row.values[place];
+        const text = name === "seconds" && typeof value === "number" ? value.toFixed(2) : shown(value);
+        if (name === "name")
+          return (
+            <Link href={takeAddress(row.name)} tabIndex={-1} title={row.name}>
+              {row.name}
+            </Link>
+          );
+        return <span title={text}>{text}</span>;
+      },
+    };
+  });
+  return [
+    ...made,
+    { key: "flags", title: "flags", width: 70, cell: (row) => <FlagsOf row={row} texts={flags?.[row.id]} /> },
+  ];
+}
+
+function FlagsOf({ row, texts = [] }: { row: TakeRow; texts?: string[] | undefined }) {
+  const all = [...texts, ...row.warnings];
+  if (all.length === 0) return null;
+  return (
+    <span className="flag" title={all.join("\n")}>
+      ▲ {all.length}
+    </span>
+  );
+}

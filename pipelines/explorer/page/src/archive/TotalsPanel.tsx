@@ -1,0 +1,107 @@
+import { Loader, Select, Text } from "@mantine/core";
+
+import { useStore } from "../api/queries";
+import { useParameter } from "../app/address";
+import { Fault } from "../app/Fault";
+import { useTotals } from "./questions";
+import { filterColumns, type useSelection } from "./selection";
+import { count, counted, hours, named } from "./text";
+import type { Group } from "./types";
+
+/** Hours and takes of the groups by a column; to choose a group filters by it. */
+export function TotalsPanel({ state, wrong }: { state: ReturnType<typeof useSelection>; wrong: boolean }) {
+  const [by, setBy] = useParameter("by");
+  const [second, setSecond] = useParameter("by2");
+  const store = useStore();
+  const columns = filterColumns(store.data).map((one) => one.name);
+  const first = by ?? "class";
+  const keys = second === null || second === first ? [first] : [first, second];
+  const totals = useTotals(state.selection, keys, 500);
+  const most = Math.max(1e-9, ...(totals.data?.groups.map((group) => group.hours) ?? []));
+  return (
+    <section className="totals" aria-label="Totals">
+      <div className="totals-head">
+        <Select
+          size="xs"
+          label="Totals by"
+          data={columns}
+          value={first}
+          onChange={(value) => setBy(value === "class" ? null : value, true)}
+          allowDeselect={false}
+          searchable
+        />
+        <Select
+          size="xs"
+          label="and by"
+          placeholder="one column"
+          data={columns.filter((one) => one !== first)}
+          value={second}
+          onChange={(value) => setSecond(value, true)}
+          clearable
+          searchable
+        />
+      </div>
+      {totals.isError && !wrong && <Fault fault={totals.error} />}
+      {totals.isPending && <Loader size="sm" m="sm" aria-label="Loading totals" />}
+      {totals.data !== undefined && !totals.isError && (
+        <>
+          <Text size="xs" className="muted" px={10} pb={4}>
+            {counted(totals.data.total, "group")}
+            {totals.data.groups.length < totals.data.total && `, the ${count(totals.data.groups.length)} longest shown`}
+          </Text>
+          <div className="totals-list">
+            <table>
+              <thead>
+                <tr>
+                  <th scope="col">{keys.join(" · ")}</th>
+                  <th scope="col" className="number">
+                    takes
+                  </th>
+                  <th scope="col" className="number">
+                    time
+                  </th>
+                </tr>
+              </thead>
+              <tbody>
+                {totals.data.groups.map((group) => (
+                  <GroupRow key={JSON.stringify(group.values)} group={group} keys={keys} most={most} state={state} />
+                ))}
+              </tbody>
+            </table>
+          </div>
+        </>
+      )}
+    </section>
+  );
+}
+
+interface RowProps {
+  group: Group;
+  keys: string[];
+  most: number;
+  state: ReturnType<typeof useSelection>;
+}
+
+function GroupRow({ group, keys, most, state }: RowProps) {
+  const chosen = keys.every((key, place) => {
+    const values = state.filters.find((one) => one.column === key)?.values;
+    return values?.length === 1 && values[0] === group.values[place];
+  });
+  const choose = () => {
+    if (chosen) keys.forEach((key) => state.put(key, null));
+    else keys.forEach((key, place) => state.put(key, { column: key, values: [group.values[place] ?? null] }));
+  };
+  const text = group.values.map(named).join(" · ");
+  return (
+    <tr>
+      <th scope="row">
+        <button type="button" aria-pressed={chosen} title={text} onClick={choose}>
+          <span className={group.values.includes(null) ? "muted" : ""}>{text}</span>
+          <span className="bar" style={{ width: `${(100 * group.hours) / most}%` }} />
+        </button>
+      </th>
+      <td className="number">{count(group.takes)}</td>
+      <td className="number">{hours(group.hours)}</td>
+    </tr>
+  );
+}

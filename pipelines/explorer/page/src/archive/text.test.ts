@@ -1,0 +1,16 @@
+import { expect, test } from "vitest";
+
+import { filterText, hours, shown } from "./text";
+
+test("a chip states its filter", () => {
+  expect(filterText({ column: "class", values: ["kick", null] })).toBe("class: kick, none");
+  expect(filterText({ column: "class", values: ["a", "b", "c", "d"] })).toBe("class: a, b, c and 1 more");
+  expect(filterText({ column: "seconds", min: 1.5 })).toBe("seconds: at least 1.5");
+  expect(filterText({ column: "seconds", min: 1, max: 2 })).toBe("seconds: 1 to 2");
+  expect(filterText({ column: "name", contains: "<b>" })).toBe("name: contains “<b>”");
+});
+
+test("durations and values are short", () => {
+  expect([0, 4.447, 0.2, 0.001].map(hours)).toEqual(["0.00 h", "4.45 h", "12.0 min", "3.6 s"]);
+  expect([null, 3, 0.123456, ["a", "b"], true].map(shown)).toEqual(["", "3", "0.1235", "a; b", "true"]);
+});
