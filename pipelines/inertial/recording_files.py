@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 from kinedex.catalog.sensorsets import SensorSet
 from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
@@ -88,7 +89,12 @@ def sensor_files(root: Path) -> list[Path]:
     return found
 
 
-def find_recordings(params: ReadImuParameters, takes: Mapping[str, int], sensor_set: SensorSet) -> FoundRecordings:
+def find_recordings(
+    params: ReadImuParameters,
+    takes: Mapping[str, int],
+    sensor_set: SensorSet,
+    made: Mapping[str, Sequence[str]] = MappingProxyType({}),
+) -> FoundRecordings:
     """Find the recordings below the source of a stage.
 
     Parameters
@@ -99,6 +105,9 @@ def find_recordings(params: ReadImuParameters, takes: Mapping[str, int], sensor_
         The takes of the store, name → id.
     sensor_set : SensorSet
         The file of sensors.
+    made : mapping of str to sequence of str
+        The takes that were made of recordings of cameras: name of the recording → names of the takes. Sensors in a
+        folder with the name of such a recording belong to all of them.
 
     Raises
     ------
@@ -123,25 +132,36 @@ def find_recordings(params: ReadImuParameters, takes: Mapping[str, int], sensor_
             if not has_readings(path, sensor_set):
                 passed_over.append(relative)
                 continue
-            take, name = _named(path, relative, pattern, takes)
+            take, name = _named(path, relative, pattern, {**made, **takes})
         except KinedexError as fault:
             failures.append(rejection(root, path, fault))
             continue
         groups.setdefault((take, name), []).append(path)
+    groups = _with_made(groups, made)
     recordings = [
         SensorRecording(
             name, take, takes[take], tuple(files), tuple(one for file in files for one in beside.get(file, ()))
         )
         for (take, name), files in sorted(groups.items(), key=lambda group: group[0][1])
+        if take in takes
     ]
     return FoundRecordings(root, recordings, failures, [readable(name) for name in passed_over])
 
 
-def _all_beside(files: Iterable[Path], beside: Mapping[Path, Sequence[Path]]) -> tuple[Path, ...]:
-    return tuple(one for file in files for one in beside.get(file, ()))
+def _with_made(
+    groups: Mapping[tuple[str, str], list[Path]], made: Mapping[str, Sequence[str]]
+) -> dict[tuple[str, str], list[Path]]:
+    """Return take and name → files, those of a recording also for the takes made of it that have no own folder."""
+    own = {take for take, _ in groups}
+    found = dict(groups)
+    for (take, name), files in groups.items():
+        for other in made.get(take, ()):
+            if other not in own:
+                found[other, f"{other}/{name.removeprefix(f'{take}/')}"] = files
+    return found
 
 
-def _named(path: Path, relative: str, pattern: re.Pattern[str], takes: Mapping[str, int]) -> tuple[str, str]:
+def _named(path: Path, relative: str, pattern: re.Pattern[str], takes: Mapping[str, object]) -> tuple[str, str]:
     """Return the take of a file and the name of its recording, by its path below the source."""
     found = pattern.search(relative)
     if found is None or not found["take"]:

@@ -50,7 +50,7 @@ class ReadImu(Stage[ReadImuParameters]):
 
     def reading(self, params: ReadImuParameters, store: Store) -> Reading:
         """Return a digest of the names of takes, to which recordings are tied."""
-        return Reading(hash_of(sorted(take_ids(store).items())), "names of takes")
+        return Reading(hash_of(sorted(take_ids(store).items()), *_made_key(store)), "names of takes")
 
     def external_digest(self, params: ReadImuParameters, store: Store | None) -> str:
         """Return a hash of the recordings by path, size and time, and of the file of sensors."""
@@ -61,7 +61,7 @@ class ReadImu(Stage[ReadImuParameters]):
         """Read the recordings that are new or changed; each is committed whole."""
         store = context.open()
         sensor_set = sensor_set_of(params.sensors)
-        found = find_recordings(params, take_ids(store), sensor_set)
+        found = find_recordings(params, take_ids(store), sensor_set, made_takes(store))
         sensors = sensor_set.entries.model_dump()
         chosen = params.model_dump(exclude={"source", "sensors", "match"})
         tasks = []
@@ -85,6 +85,7 @@ class ReadImu(Stage[ReadImuParameters]):
                 f"passed over, without columns of a sensor that are known: {counted(len(found.passed_over), 'file')}: "
                 f"{few}; `columns:` of a file of sensors names others"
             )
+        failures = list(dict.fromkeys(failures))  # the files of a recording may serve several takes
         for line in failure_messages(failures):
             context.say(line)
         if not done and not unchanged:
@@ -109,7 +110,9 @@ class ReadImu(Stage[ReadImuParameters]):
                     _put(context, writer, waiting, gone)
                     waiting, samples = [], 0
             _put(context, writer, waiting, gone)
-            writer.put_results("ingest_log", _log(failures, context.run), stage=context.key(), run=context.run)
+            writer.put_results(
+                "ingest_log", _log(list(dict.fromkeys(failures)), context.run), stage=context.key(), run=context.run
+            )
             writer.commit()
         return done
 
@@ -147,6 +150,22 @@ def take_ids(store: Store) -> dict[str, int]:
     """Return name → id of the takes of a store."""
     rows = store.take_rows
     return dict(zip(rows.column("name").to_pylist(), rows.column("take_id").to_pylist(), strict=True))
+
+
+def made_takes(store: Store) -> dict[str, list[str]]:
+    """Return recording of cameras → the takes that were made of it: tracked, stabilised, reconstructed."""
+    found: dict[str, list[str]] = {}
+    if "recording" in store.take_rows.column_names:
+        for row in store.take_rows.select(["name", "recording"]).to_pylist():
+            if row["recording"] is not None:
+                found.setdefault(row["recording"], []).append(row["name"])
+    return found
+
+
+def _made_key(store: Store) -> tuple[object, ...]:
+    """Return what a digest has of these takes; nothing for a store without any."""
+    made = made_takes(store)
+    return (sorted(made.items()),) if made else ()
 
 
 def _fingerprints(store: Store, stage: str) -> dict[str, str]:

@@ -12,10 +12,13 @@ import pytest
 import yaml
 from rich.console import Console
 
+from kinedex.catalog.sensorsets import SensorSet
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.inertial.rotations import distance_deg
 from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.runner import run_pipeline
+from kinedex.pipelines.inertial.recording_files import find_recordings
+from kinedex.pipelines.inertial.recording_parameters import ReadImuParameters
 from kinedex.storage.store.imu_checks import imu_problems
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
@@ -171,3 +174,21 @@ def test_orientations_are_estimated_where_they_are_asked_for_or_missing(tmp_path
     assert (row["orientation"], row["frame"], row["channels"]) == ("9D", None, ["acc", "gyr", "mag"])
     found = np.array([list(one["orientation"].values()) for one in store.result("imu_samples").to_pylist()])
     assert np.median(distance_deg(found, known.orientation)) < 3
+
+
+def test_sensors_of_a_filmed_recording_judge_all_takes_that_were_made_of_it(tmp_path: Path) -> None:
+    for take in ("walk", "walk_stabilised", "jump", "jump_tracked"):
+        write_parquet(tmp_path / take / "imu.parquet", {"lhand": turning()})
+    takes = {"walk_tracked": 1, "walk_stabilised": 2, "jump": 3, "jump_tracked": 4, "jump_stabilised": 5}
+    made = {"walk": ["walk_tracked", "walk_stabilised"], "jump": ["jump_tracked", "jump_stabilised"]}
+    found = find_recordings(ReadImuParameters(source=str(tmp_path)), takes, SensorSet(), made)
+    assert found.failures == []
+    assert [(one.name, one.take, one.take_id, one.files[0].parent.name) for one in found.recordings] == [
+        ("jump/imu.parquet", "jump", 3, "jump"),
+        ("jump_stabilised/imu.parquet", "jump_stabilised", 5, "jump"),
+        ("jump_tracked/imu.parquet", "jump_tracked", 4, "jump_tracked"),
+        ("walk_stabilised/imu.parquet", "walk_stabilised", 2, "walk_stabilised"),
+        ("walk_tracked/imu.parquet", "walk_tracked", 1, "walk"),
+    ]
+    (without,) = find_recordings(ReadImuParameters(source=str(tmp_path)), {"jump": 3}, SensorSet()).recordings
+    assert without.take == "jump"
