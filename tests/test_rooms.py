@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Container
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -13,41 +14,55 @@ ROOMS = ("ops", "catalog", "storage", "pipelines")
 FILES = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
 
 
+@cache
+def imports(path: Path) -> list[ast.Import | ast.ImportFrom]:
+    """Return the imports of a module, which is parsed once for all tests."""
+    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    return [node for node in nodes if isinstance(node, (ast.Import, ast.ImportFrom))]
+
+
 def imported_rooms(path: Path) -> set[str]:
     """The rooms of kinedex and the other packages that a module imports, `kinedex` itself for the public API."""
     names = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in imports(path):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module == "kinedex":
+        elif node.module == "kinedex":
             names |= {f"kinedex.{alias.name}" for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
+        elif node.module:
             names.add(node.module)
     rooms = {name.split(".")[1] for name in names if name.startswith("kinedex.")}
     return rooms | {name.split(".")[0] for name in names if not name.startswith("kinedex.")}
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_imports_go_one_way(path: Path) -> None:
-    room = ROOMS.index(path.relative_to(ROOT).parts[0])
-    above = {*ROOMS[room + 1 :], "kinedex", "tests", "benchmarks", "studies"}
-    assert not imported_rooms(path) & above
+def files_that_import(files: list[Path], forbidden: set[str]) -> dict[str, set[str]]:
+    """Return the files that import something forbidden, and what."""
+    found = {str(path.relative_to(ROOT)): imported_rooms(path) & forbidden for path in files}
+    return {name: rooms for name, rooms in found.items() if rooms}
 
 
-@pytest.mark.parametrize("path", [f for f in FILES if "ops" in f.parts], ids=lambda path: path.stem)
-def test_the_numbers_know_no_files_no_sql_and_no_config(path: Path) -> None:
-    assert not imported_rooms(path) & {"duckdb", "polars", "pyarrow", "yaml", "pydantic", "logging", "rich", "typer"}
+@pytest.mark.parametrize("room", ROOMS)
+def test_imports_go_one_way(room: str) -> None:
+    above = {*ROOMS[ROOMS.index(room) + 1 :], "kinedex", "tests", "benchmarks", "studies"}
+    files = [path for path in FILES if path.relative_to(ROOT).parts[0] == room]
+    assert files
+    assert files_that_import(files, above) == {}
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_no_room_is_imported_by_its_bare_name(path: Path) -> None:
+def test_the_numbers_know_no_files_no_sql_and_no_config() -> None:
+    outside = {"duckdb", "polars", "pyarrow", "yaml", "pydantic", "logging", "rich", "typer"}
+    assert files_that_import([path for path in FILES if "ops" in path.parts], outside) == {}
+
+
+def test_no_room_is_imported_by_its_bare_name() -> None:
     bare = {
-        node.lineno
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for path in FILES
+        for node in imports(path)
         if (isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in ROOMS)
         or (isinstance(node, ast.Import) and any(alias.name.split(".")[0] in ROOMS for alias in node.names))
     }
-    assert not bare
+    assert bare == set()
 
 
 def test_stages_are_imported_by_nobody() -> None:
@@ -110,17 +125,21 @@ def circles(imports: dict[str, set[str]]) -> set[frozenset[str]]:
     return found
 
 
+@cache
+def imports_of_modules() -> dict[str, set[str]]:
+    """Return the modules of kinedex that each of its modules imports."""
+    return {name: imported_modules(name, path.read_text(encoding="utf-8"), PRODUCT) for name, path in PRODUCT.items()}
+
+
 def test_modules_import_each_other_in_no_circle() -> None:
-    sources = {name: path.read_text(encoding="utf-8") for name, path in PRODUCT.items()}
-    found = circles({name: imported_modules(name, source, PRODUCT) for name, source in sources.items()})
+    found = circles(imports_of_modules())
     assert not found, "modules import each other in a circle"
 
 
 def test_folders_of_the_store_import_each_other_in_no_circle() -> None:
     folders: dict[str, set[str]] = {}
-    for name, path in PRODUCT.items():
+    for name, inside in imports_of_modules().items():
         if name.startswith("kinedex.storage."):
-            inside = imported_modules(name, path.read_text(encoding="utf-8"), PRODUCT)
             folders.setdefault(name.split(".")[2], set()).update(
                 module.split(".")[2] for module in inside if module.count(".") > 1 and ".storage." in module
             )
