@@ -145,9 +145,9 @@ tau_deg    DOUBLE    the error above which frames are wrong; the swing where onl
         "The ranges of source frames in which people have marked a limb as wrong.",
         f"""{TAKE}
 limb    VARCHAR    the limb
-annotator    VARCHAR    who marked it; NULL where the file does not name anybody
+annotator    VARCHAR    who marked it; unnamed where nobody is named
 {_RANGE}
-file    VARCHAR    the label file""",
+file    VARCHAR    the label file, or the label of the store""",
         "SELECT take, limb, annotator, start_seconds, stop_seconds FROM limb_labels ORDER BY take, limb, start",
         stages="evaluate_limb_errors",
     ),

@@ -15,6 +15,7 @@ from kinedex.pipelines.annotation.tables import annotated_takes
 from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.labels.rejections import Rejections
 from kinedex.storage.formats.labels.segments import Label, TakeLabels
+from kinedex.storage.snapshot.labels import is_of_limbs
 from kinedex.storage.snapshot.shown_results import pipeline_of, pipelines_by_use
 from kinedex.storage.store.store import Store
 
@@ -134,7 +135,10 @@ def labels_of(store: Store, stage: str, takes: Sequence[str] = (), where: str | 
 
 
 def labels_kept(store: Store, takes: Sequence[str] = (), where: str | None = None) -> list[TakeLabels]:
-    """Return the labels of people that a store keeps, take by take; negative ones have no place in label files.
+    """Return the labels of people that a store keeps, take by take.
+
+    Of negative ones, those of limbs have a place in label files: an annotator has looked at a limb, or at all limbs of
+    the take, without marking an error.
 
     Parameters
     ----------
@@ -147,16 +151,29 @@ def labels_kept(store: Store, takes: Sequence[str] = (), where: str | None = Non
     """
     rows = {str(row["name"]): row for row in store.takes(where).iter_rows(named=True)}
     found: dict[str, list[Label]] = defaultdict(list)
+    covered: dict[str, list[tuple[str, str]]] = defaultdict(list)
     made = "1970-01-01T00:00:00+00:00"
     for one in sorted(store.labels().to_pylist(), key=lambda one: (one["take"], one["start"], one["stop"])):
-        if one["take"] in rows and one["verdict"] == "positive" and (not takes or one["take"] in takes):
+        if one["take"] not in rows or (takes and one["take"] not in takes):
+            continue
+        if one["verdict"] == "positive":
             found[one["take"]].append(_label({**one, "subclass": "", "cost": None}, rows[one["take"]]))
             made = max(made, one["created"].isoformat(timespec="seconds"))
+        elif is_of_limbs(one):
+            found[one["take"]] += []
+            covered[one["take"]].append((one["limb"] or "", one["annotator"] or ""))
     unknown = sorted(set(takes) - set(found))
     if unknown:
         raise KinedexError(f"no label is of '{unknown[0]}'{did_you_mean(unknown[0], found)}")
     return [
-        TakeLabels(name, float(row["source_rate_hz"]), int(row["source_frames"]), tuple(found[name]), made)
+        TakeLabels(
+            name,
+            float(row["source_rate_hz"]),
+            int(row["source_frames"]),
+            tuple(found[name]),
+            made,
+            tuple(covered[name]),
+        )
         for name, row in rows.items()
         if name in found
     ]
@@ -167,5 +184,5 @@ def _label(one: dict[str, object], take: dict[str, object]) -> Label:
     start, stop = (source_frame(int(str(one[name])), *rates) for name in ("start", "stop"))
     cost, confidence = (None if one[name] is None else float(str(one[name])) for name in ("cost", "confidence"))
     limb, annotator = str(one.get("limb") or ""), str(one.get("annotator") or "")
-    given = (str(one["subclass"]) or None, cost, confidence, limb, annotator if limb else "")
+    given = (str(one["subclass"]) or None, cost, confidence, limb, annotator)
     return Label(str(one["class"]), start, max(stop, start + 1), *given)

@@ -114,6 +114,7 @@ def read(
     """Show the segments of label files as they are read for ground truth."""
     import pyarrow as pa
 
+    from kinedex.pipelines.labels.label_files import known_columns
     from kinedex.storage.formats.labels.formats import read_labels
 
     unit = {True: "seconds", False: "source frames"}
@@ -122,14 +123,21 @@ def read(
         rows += [
             {"take": one.take, "class": one.label, "start": one.start, "stop": one.stop}
             | {"unit": unit[one.in_seconds], "where": one.where}
+            | {"limb": one.limb or None, "annotator": one.annotator or None}
             for one in file.segments
         ]
-        # takes in which a person found nothing
+        # takes and limbs in which a person found nothing
         labelled = {one.take for one in file.segments}
+        labelled |= {take for take, _, _ in file.covered}
+        rows += [
+            {"take": take, "where": file.path, "limb": limb or None, "annotator": annotator or None}
+            for take, limb, annotator in file.covered
+        ]
         rows += [{"take": take, "where": file.path} for take in file.takes if take not in labelled]
     text, number = pa.string(), pa.float64()
     kinds = {"take": text, "class": text, "start": number, "stop": number, "unit": text, "where": text}
-    show_table(pa.Table.from_pylist(rows, schema=pa.schema(list(kinds.items()))), form, output)
+    kinds |= {"limb": text, "annotator": text}
+    show_table(known_columns(rows, pa.schema(list(kinds.items()))), form, output)
 
 
 @command(of=labels)

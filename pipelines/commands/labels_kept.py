@@ -167,7 +167,7 @@ def list_(
     if as_json:
         print_json({"store": store, "labels": found})
     elif form == "table" and output is None:
-        few = ["take", "class", "start", "stop", "verdict", "origin", "annotator", "note", "id"]
+        few = ["take", "class", "start", "stop", "limb", "verdict", "origin", "annotator", "note", "id"]
         show_table(found.select([*few, *(["current"] if history else [])]), form, output)
     else:
         show_table(found, form, output)

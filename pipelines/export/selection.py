@@ -16,6 +16,7 @@ from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.export.request import What
 from kinedex.pipelines.labels.rejections import Rejections
 from kinedex.storage.formats.csv_cells import unguarded
+from kinedex.storage.snapshot.labels import is_of_limbs
 from kinedex.storage.store.store import Store
 
 _KNOWN = ("take", "start", "stop", "class", "subclass", "confidence")
@@ -164,7 +165,7 @@ def _annotations(store: Store, what: What, remarks: list[str]) -> Iterator[Inter
 
 
 def _labels(store: Store, what: What, remarks: list[str]) -> Iterator[Interval]:
-    rows = [row for row in store.labels().to_pylist() if row["verdict"] == "positive"]
+    rows = [row for row in store.labels().to_pylist() if row["verdict"] == "positive" and not is_of_limbs(row)]
     lengths = {name: store.take_frames[take_id] for name, take_id in store.take_ids.items()}
     gone = [row for row in rows if row["stop"] > lengths.get(row["take"], 0)]
     if gone:

@@ -47,7 +47,8 @@ class EvaluateLimbErrorsParameters(BaseModel):
     ground_truth: Annotated[str | None, NamesFile("data")] = Field(
         None,
         description="label files with limbs: .csv (take, class, start, stop, limb, annotator), .json, .eaf (ELAN, "
-        "tiers such as A1:lshank); a path or glob; those of the simulated annotators unless given",
+        "tiers such as A1:lshank); a path or glob; unless given, those of the simulated annotators where takes were "
+        "broken, else the labels that the store keeps",
     )
     taus: list[Degrees] = Field(
         list(TAUS), min_length=1, max_length=1000, description="the thresholds in degrees that are evaluated"

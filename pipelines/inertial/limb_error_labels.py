@@ -55,6 +55,8 @@ def limb_error_labels(
 ) -> list[TakeLabels]:
     """Return the runs in which limbs are wrong as labels of the class `error`, take by take; jumps are none of them.
 
+    The limbs without such a run are covered, so that files show that they were compared.
+
     Parameters
     ----------
     store : Store
@@ -81,8 +83,9 @@ def limb_error_labels(
     for limbs in judged_limbs(store, stage):
         one = limbs[0]
         own = tuple(sorted(runs[one.take], key=lambda label: (label.start, label.stop, label.limb)))
-        made = {} if record is None else {"made": record.finished}
-        found[one.take] = TakeLabels(one.take, one.rate_hz, len(one.error), own, **made)
+        made = TakeLabels.made if record is None else record.finished
+        covered = tuple((judged.limb, "") for judged in limbs)
+        found[one.take] = TakeLabels(one.take, one.rate_hz, len(one.error), own, made, covered)
     unknown = sorted(set(takes) - set(found))
     if unknown:
         raise KinedexError(

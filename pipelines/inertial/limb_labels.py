@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from kinedex.catalog.limbs import LIMB_NAMES
-from kinedex.ops.errors import SourceError, did_you_mean
+from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
+from kinedex.pipelines.annotation.labels import source_frame
 from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.inertial.limb_error_tables import JudgedLimb
 from kinedex.storage.formats.labels.ground_truth import read_ground_truth
 from kinedex.storage.formats.labels.segments import ERROR, LabelFile, ManualSegment
+from kinedex.storage.snapshot.labels import is_of_limbs
+from kinedex.storage.store.store import Store
 
 UNNAMED = "unnamed"
 """The annotator of labels that name nobody."""
@@ -22,7 +26,7 @@ WITHOUT_LIMBS = {".vtt": "WebVTT", ".txt": "Audacity labels"}
 
 @dataclass(frozen=True)
 class LimbLabels:
-    """The labels of limb errors in label files.
+    """The labels of limb errors in label files, or in a store.
 
     Attributes
     ----------
@@ -82,9 +86,44 @@ def _add(labels: LimbLabels, file: LabelFile) -> set[str]:
         place = (one.annotator or UNNAMED, one.take, one.limb)
         labels.segments.setdefault(place, []).append(one)
     # a file in which nobody marked anything still shows that somebody looked
-    for annotator in {one.annotator or UNNAMED for one in own} or {UNNAMED}:
-        labels.looked_at.setdefault(annotator, set()).update(file.takes)
+    for annotator, takes in (file.looked_at or {"": set(file.takes)}).items():
+        labels.looked_at.setdefault(annotator or UNNAMED, set()).update(takes)
     return {one.label for one in file.segments} - {ERROR}
+
+
+def stored_limb_labels(store: Store) -> LimbLabels:
+    """Return the labels of limb errors that a store keeps.
+
+    Raises
+    ------
+    KinedexError
+        A label names a limb that does not exist.
+    """
+    labels = LimbLabels()
+    rows = {str(row["name"]): row for row in store.takes().iter_rows(named=True)}
+    changed = set()
+    for one in filter(is_of_limbs, store.labels().to_pylist()):
+        take, annotator = one["take"], one["annotator"] or UNNAMED
+        if take not in rows:
+            continue
+        labels.looked_at.setdefault(annotator, set()).add(take)
+        if one["checksum"] not in (None, rows[take]["checksum"]):
+            changed.add(take)
+        if one["verdict"] == "positive":
+            rates = rows[take]["source_rate_hz"], rows[take]["rate_hz"], rows[take]["source_frames"]
+            start, stop = (source_frame(one[edge], *rates) for edge in ("start", "stop"))
+            segment = ManualSegment(
+                take, ERROR, start, stop, one["source"] or f"label {one['id']}", limb=one["limb"], annotator=annotator
+            )
+            if one["limb"] not in LIMB_NAMES:
+                remove = f"`kinedex labels remove {shlex.quote(str(store.path))} {one['id']}` takes the label back"
+                raise KinedexError(f"label {one['id']} of {take}: {_unknown_limb(segment)}; {remove}")
+            labels.segments.setdefault((annotator, take, one["limb"]), []).append(segment)
+    if changed:
+        labels.remarks.append(
+            f"labels may have moved, since files were changed after they were labelled: {few(sorted(changed))}"
+        )
+    return labels
 
 
 def _unknown_limb(one: ManualSegment) -> str:

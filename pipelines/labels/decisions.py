@@ -78,7 +78,8 @@ def record(store: Store, rows: Sequence[Mapping[str, Any]], remarks: Iterable[st
         The store; it shows the new labels afterwards.
     rows : sequence of mapping
         Columns of labels; `take`, `class`, `start`, `stop` and `origin` must be given. `names` are all names of the
-        class of the interval, where a decision on one of them is a decision on all.
+        class of the interval, where a decision on one of them is a decision on all. Where `of_person` is true, or
+        `limb` is given, another person may have decided the same.
     remarks : iterable of str, optional
         What was excluded before.
     """
@@ -94,12 +95,13 @@ def new_rows(store: Store, rows: Iterable[Mapping[str, Any]]) -> tuple[list[Row]
 
     A decision of the other verdict than the standing one replaces it; parameters as for `record`.
     """
-    standing = {_key(row, row["class"]): row for row in store.labels().to_pylist()}
+    standing = {key: row for row in store.labels().to_pylist() for key in _keys(row, row["class"])}
     new: list[Row] = []
     known = 0
     for row in rows:
         verdict = row.get("verdict", "positive")
-        found = (standing.get(_key(row, name)) for name in row.get("names", (row["class"],)))
+        own = row.get("limb") or row.get("of_person")  # what several people state about one interval stays apart
+        found = (standing.get(_keys(row, name)[bool(own)]) for name in row.get("names", (row["class"],)))
         earlier = next((one for one in found if one is not None), None)
         if earlier is not None and earlier["verdict"] == verdict and row.get("replaces") is None:
             known += 1
@@ -107,13 +109,15 @@ def new_rows(store: Store, rows: Iterable[Mapping[str, Any]]) -> tuple[list[Row]
         made = {name: row.get(name) for name in labels_schema().names} | {"verdict": verdict}
         if earlier is not None and made["replaces"] is None:
             made["replaces"] = earlier["id"]
-        standing[_key(row, row["class"])] = made
+        standing |= dict.fromkeys(_keys(row, row["class"]), made)
         new.append(made)
     return new, known
 
 
-def _key(row: Mapping[str, Any], name: str) -> tuple[object, ...]:
-    return row["take"], name, row["start"], row["stop"], row.get("limb")
+def _keys(row: Mapping[str, Any], name: str) -> tuple[tuple[object, ...], tuple[object, ...]]:
+    """Return the keys of a decision, whoever made it, and of that person's."""
+    key = (row["take"], name, row["start"], row["stop"], row.get("limb"))
+    return key, (*key, row.get("annotator"))
 
 
 def annotations_of(store: Store, stage: str | None) -> tuple[str, pa.Table]:
@@ -200,7 +204,10 @@ def labels_by_id(store: Store, ids: Sequence[str]) -> pl.DataFrame:
 
 
 def import_labels(store: Store, files: Sequence[LabelFile], **more: str | None) -> Recorded:
-    """Record the segments of label files as labels.
+    """Record the segments of label files as labels, with their limbs and annotators.
+
+    Where somebody has looked at a limb of a take, or at all limbs, without marking an error, a negative label `error`
+    of the whole take states it.
 
     Parameters
     ----------
@@ -209,7 +216,7 @@ def import_labels(store: Store, files: Sequence[LabelFile], **more: str | None) 
     files : sequence of LabelFile
         The files; segments that the store has as labels are skipped.
     **more : str, optional
-        `annotator` and `note`.
+        `annotator`, where a file names nobody, and `note`.
 
     Raises
     ------
@@ -226,7 +233,9 @@ def _record(store: Store, proposed: Proposed) -> Recorded:
 def proposed_labels(store: Store, files: Sequence[LabelFile], **more: str | None) -> Proposed:
     """Return what `import_labels` records; parameters and errors as there."""
     placed = placed_files(store, files)
-    return Proposed(tuple(_drawn(one, "imported", more) for one in placed.segments), placed.remarks)
+    rows = [_drawn(one, "imported", more) for one in placed.segments]
+    rows += [_drawn(one, "imported", more) | {"verdict": "negative", "of_person": True} for one in placed.covered]
+    return Proposed(tuple(rows), placed.remarks)
 
 
 def import_corrections(
@@ -327,7 +336,9 @@ def proposed_label_corrections(store: Store, files: Sequence[LabelFile], **more:
     """Return what `import_corrected_labels` records; parameters and errors as there."""
     placed = placed_files(store, files)
     known = {
-        Segment(row["take"], row["class"], row["start"], row["stop"]): row
+        Segment(
+            row["take"], row["class"], row["start"], row["stop"], "", row["limb"] or "", row["annotator"] or ""
+        ): row
         for row in store.labels().to_pylist()
         if row["take"] in placed.takes and row["verdict"] == "positive"
     }
@@ -336,7 +347,7 @@ def proposed_label_corrections(store: Store, files: Sequence[LabelFile], **more:
         before = known[one.before] if one.before is not None else None
         if one.after is not None and one.change != "same":
             row = _drawn(one.after, "drawn" if before is None else "corrected", more)
-            rows.append(row | {"replaces": before["id"], "limb": before["limb"]} if before is not None else row)
+            rows.append(row | {"replaces": before["id"]} if before is not None else row)
         elif one.after is None and before is not None:
             kept = {name: before[name] for name in ("take", "class", "start", "stop", "limb", "origin")}
             rows.append({**kept, "replaces": before["id"], "verdict": "withdrawn", **more})
@@ -359,5 +370,9 @@ def _corrections(
 
 
 def _drawn(one: Segment, origin: str, more: Mapping[str, str | None]) -> Row:
+    """Return a label of a segment; its file names the person, except where somebody else corrects a class."""
     edges = {"start": int(one.start), "stop": int(one.stop)}
-    return {"take": one.take, "class": one.label, **edges, "origin": origin, "source": one.where or None, **more}
+    row = {"take": one.take, "class": one.label, **edges, "origin": origin, "source": one.where or None, **more}
+    named = bool(one.annotator) and (bool(one.limb) or origin == "imported" or not more.get("annotator"))
+    row |= {"limb": one.limb or None, "of_person": named and origin == "imported"}
+    return row | {"annotator": one.annotator} if named else row

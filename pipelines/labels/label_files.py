@@ -12,6 +12,7 @@ from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.labels.segments import Difference, Segment, differences, placed_files
 from kinedex.storage.formats.labels.formats import FORMATS, read_labels
 from kinedex.storage.formats.labels.segments import LabelFile
+from kinedex.storage.formats.labels.tables import OPTIONAL
 from kinedex.storage.store.store import Store
 
 _SECONDS = 0.0015
@@ -20,7 +21,7 @@ _SECONDS = 0.0015
 _SCHEMA = pa.schema(
     [(name, pa.string()) for name in ("take", "change", "class", "new_class")]
     + [(name, pa.float64()) for name in ("start", "stop", "new_start", "new_stop")]
-    + [("unit", pa.string())]
+    + [(name, pa.string()) for name in ("unit", *OPTIONAL)]
 )
 
 
@@ -58,7 +59,8 @@ class Differences:
     Attributes
     ----------
     rows : pyarrow.Table
-        Columns take, change, class, new_class, start, stop, new_start, new_stop and unit.
+        Columns take, change, class, new_class, start, stop, new_start, new_stop and unit; limb and annotator where a
+        segment has one of them.
     unit : str
         The unit of all rows: "frames" of the store's rate, "source frames" or "seconds".
     remarks : tuple of str
@@ -102,18 +104,32 @@ def label_differences(before: Path, after: Path, store: Store | None = None, *, 
                 "compare: give it with --store STORE"
             )
         old, new = (
-            [Segment(one.take, one.label, one.start, one.stop) for file in side for one in file.segments]
+            [
+                Segment(one.take, one.label, one.start, one.stop, "", one.limb, one.annotator)
+                for file in side
+                for one in file.segments
+            ]
             for side in files
         )
         unit = "seconds" if True in units else "source frames"
     found = differences(old, new, _SECONDS if unit == "seconds" else 0.0)
     rows = [_row(one, unit) for one in found if every or one.change != "same"]
-    return Differences(pa.Table.from_pylist(rows, schema=_SCHEMA), unit, tuple(dict.fromkeys(remarks)))
+    return Differences(known_columns(rows, _SCHEMA), unit, tuple(dict.fromkeys(remarks)))
+
+
+def known_columns(rows: list[dict[str, object]], schema: pa.Schema) -> pa.Table:
+    """Return rows as a table, with the columns limb and annotator only where a row has one of them."""
+    table = pa.Table.from_pylist(rows, schema=schema)
+    empty = all(table.column(name).null_count == table.num_rows for name in OPTIONAL)
+    return table.drop_columns(list(OPTIONAL)) if empty else table
 
 
 def _row(one: Difference, unit: str) -> dict[str, object]:
     """Return a difference as a row; a segment that was added has nothing before, one that was removed nothing after."""
+    known = one.after or one.before
+    assert known is not None
     row: dict[str, object] = {"change": one.change, "unit": unit}
+    row |= {"limb": known.limb or None, "annotator": known.annotator or None}
     if one.before is not None:
         row |= {"take": one.before.take, "class": one.before.label, "start": one.before.start, "stop": one.before.stop}
     if one.after is not None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.evaluation.ground_truth import analysis_frame
-from kinedex.storage.formats.labels.segments import LabelFile
+from kinedex.storage.formats.labels.segments import ERROR, LabelFile
 from kinedex.storage.store.store import Store
 
 Change = Literal["same", "moved", "renamed", "added", "removed"]
@@ -25,6 +25,13 @@ class Segment:
     start: float
     stop: float
     where: str = ""
+    limb: str = ""
+    annotator: str = ""
+
+    @property
+    def about(self) -> tuple[str, str, str]:
+        """The take, and the limb and the person of a statement about a limb: only segments of one are compared."""
+        return self.take, self.limb, self.annotator if self.limb else ""
 
 
 @dataclass(frozen=True)
@@ -46,12 +53,15 @@ class PlacedFiles:
         The takes of the store that the files name, also those without a segment.
     segments : tuple of Segment
         The segments in analysis frames, each once.
+    covered : tuple of Segment
+        Whole takes in which an annotator has looked at a limb, or at all limbs, without marking an error.
     remarks : tuple of str
         Takes and segments that were excluded.
     """
 
     takes: tuple[str, ...]
     segments: tuple[Segment, ...]
+    covered: tuple[Segment, ...]
     remarks: tuple[str, ...]
 
 
@@ -72,7 +82,7 @@ def placed_files(store: Store, files: Sequence[LabelFile]) -> PlacedFiles:
     KinedexError
         The store has none of the takes.
     """
-    columns = ("name", "source_frames", "source_rate_hz", "rate_hz")
+    columns = ("name", "source_frames", "source_rate_hz", "rate_hz", "frames")
     rows = {str(row[0]): row[1:] for row in store.takes().select(columns).iter_rows()}
     named = dict.fromkeys(take for file in files for take in file.takes)
     absent = sorted(set(named) - set(rows))
@@ -82,9 +92,9 @@ def placed_files(store: Store, files: Sequence[LabelFile]) -> PlacedFiles:
             f"{did_you_mean(absent[0], rows)}"
         )
     remarks = [f"takes that the store does not have: {few(absent)}"] if absent else []
-    found: dict[tuple[str, str, int, int], Segment] = {}
+    found: dict[Segment, Segment] = {}
     for one in (segment for file in files for segment in file.segments if segment.take in rows):
-        frames, source_rate_hz, rate_hz = rows[one.take]
+        frames, source_rate_hz, rate_hz, _ = rows[one.take]
         first, last = one.source_frames(source_rate_hz)
         if last > frames:
             raise one.error(f"stop {last} is beyond the end of {one.take}, which has {frames} source frames")
@@ -92,12 +102,30 @@ def placed_files(store: Store, files: Sequence[LabelFile]) -> PlacedFiles:
         if start >= stop:
             remarks.append(f"{one.where}: no analysis frame lies in this segment, excluded")
             continue
-        found.setdefault((one.take, one.label, start, stop), Segment(one.take, one.label, start, stop, one.where))
-    return PlacedFiles(tuple(take for take in named if take in rows), tuple(found.values()), tuple(remarks))
+        placed = Segment(one.take, one.label, start, stop, "", one.limb, one.annotator)
+        found.setdefault(placed, replace(placed, where=one.where))
+    covered = [
+        Segment(take, ERROR, 0, rows[take][3], path, limb, annotator)
+        for path, take, limb, annotator in _covered(files)
+        if take in rows and rows[take][3]
+    ]
+    takes = tuple(take for take in named if take in rows)
+    return PlacedFiles(takes, tuple(found.values()), tuple(covered), tuple(remarks))
+
+
+def _covered(files: Iterable[LabelFile]) -> Iterator[tuple[str, str, str, str]]:
+    """Yield path, take, limb and annotator of what was looked at in files without an error being marked."""
+    for file in files:
+        for take, limb, annotator in file.covered:
+            yield file.path, take, limb, annotator
+        own = {(one.annotator, one.take) for one in file.segments if one.label == ERROR}
+        own |= {(annotator, take) for take, _, annotator in file.covered}
+        for annotator, takes in file.looked_at.items():
+            yield from ((file.path, take, "", annotator) for take in sorted(takes) if (annotator, take) not in own)
 
 
 def differences(before: Iterable[Segment], after: Iterable[Segment], tolerance: float = 0.0) -> list[Difference]:
-    """Compare two lists of segments take by take.
+    """Compare two lists of segments take by take, and those about a limb limb by limb and person by person.
 
     Segments of a class with the same edges are the same; then those with the same edges and another class are renamed;
     then those of a class that overlap are moved, pairs with the largest shared part first. What is left was removed
@@ -115,21 +143,21 @@ def differences(before: Iterable[Segment], after: Iterable[Segment], tolerance: 
     list of Difference
         By take and start.
     """
-    takes: dict[str, tuple[list[Segment], list[Segment]]] = defaultdict(lambda: ([], []))
+    groups: dict[tuple[str, str, str], tuple[list[Segment], list[Segment]]] = defaultdict(lambda: ([], []))
     for place, segments in enumerate((before, after)):
         for one in segments:
-            takes[one.take][place].append(one)
-    found = [one for old, new in takes.values() for one in _of_take(old, new, tolerance)]
+            groups[one.about][place].append(one)
+    found = [one for old, new in groups.values() for one in _of_group(old, new, tolerance)]
     return sorted(found, key=_place)
 
 
-def _place(one: Difference) -> tuple[str, float, float, str]:
+def _place(one: Difference) -> tuple[str, float, float, str, str, str]:
     shown = one.after or one.before
     assert shown is not None
-    return shown.take, shown.start, shown.stop, shown.label
+    return shown.take, shown.start, shown.stop, shown.label, shown.limb, shown.annotator
 
 
-def _of_take(before: list[Segment], after: list[Segment], tolerance: float) -> list[Difference]:
+def _of_group(before: list[Segment], after: list[Segment], tolerance: float) -> list[Difference]:
     found: list[Difference] = []
 
     def pair(change: Change, old: Segment, new: Segment) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -23,10 +24,12 @@ from kinedex.pipelines.inertial.limb_labels import (
     PlacedLabel,
     placed_labels,
     read_limb_labels,
+    stored_limb_labels,
     unused_labels,
 )
 from kinedex.pipelines.inertial.sensor_tables import result_table
 from kinedex.storage.formats.labels.ground_truth import any_ground_truth, ground_truth_files
+from kinedex.storage.snapshot.labels import is_of_limbs
 from kinedex.storage.store.store import Store
 
 METRICS, LABELS = "limb_error_metrics", "limb_labels"
@@ -53,21 +56,24 @@ class EvaluateLimbErrors(Stage[EvaluateLimbErrorsParameters]):
             return printed + "none to be read"
 
     def reading(self, params: EvaluateLimbErrorsParameters, store: Store) -> Reading:
-        """Return a digest of nothing: errors are results of another stage."""
-        return Reading(hash_of(), "")
+        """Return a digest of the store's labels of limbs, where no files are named; errors are another stage's."""
+        if params.ground_truth is not None:
+            return Reading(hash_of(), "")
+        rows = list(filter(is_of_limbs, store.labels().to_pylist()))
+        return Reading(hash_of(*(row["id"] for row in rows)), counted(len(rows), "label") if rows else "")
 
     def run(self, context: StageContext, params: EvaluateLimbErrorsParameters) -> dict[str, object]:
         """Count frames and segments of limbs against every annotator, and store the metrics."""
         store = context.open()
-        files = self._files(context, store, params)
-        if not files:
+        labels = self._labels(context, store, params)
+        if not labels.looked_at:
             empty = {kind: result_table(kind, (), context.run) for kind in (METRICS, LABELS)}
             context.put_results(**empty)
             context.say(
-                f"no labels, nothing to evaluate; `--set {context.stage}.ground_truth=PATTERN` names label files"
+                f"no labels, nothing to evaluate; `--set {context.stage}.ground_truth=PATTERN` names label files, and "
+                f"`kinedex labels import {shlex.quote(str(context.store_path))} FILE` keeps them in the store"
             )
             return {"evaluated_takes": 0}
-        labels = read_limb_labels(files)
         counts, placed, remarks = _counted(context, store, labels, params)
         for remark in remarks:
             context.say(remark)
@@ -87,14 +93,15 @@ class EvaluateLimbErrors(Stage[EvaluateLimbErrorsParameters]):
         )
         return {"evaluated_takes": len(takes), "labels": len(placed), "annotators": labels.annotators}
 
-    def _files(self, context: StageContext, store: Store, params: EvaluateLimbErrorsParameters) -> list[Path]:
+    def _labels(self, context: StageContext, store: Store, params: EvaluateLimbErrorsParameters) -> LimbLabels:
+        """Return the labels of the files that are named, of simulated annotators, or those that the store keeps."""
         if params.ground_truth is not None:
-            return _label_files(store, params.ground_truth)
+            return read_limb_labels(_label_files(store, params.ground_truth))
         if "broken" not in context.inputs:
-            return []
+            return stored_limb_labels(store)
         stage = store.manifest.stages[context.key(context.inputs["broken"])]
         written = [context.store_path / str(name) for name in stage.summary.get("files", ())]
-        return [path for path in written if path.name.endswith(SIMULATED)]
+        return read_limb_labels(path for path in written if path.name.endswith(SIMULATED))
 
 
 def _label_files(store: Store, pattern: str) -> list[Path]:

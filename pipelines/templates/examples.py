@@ -19,6 +19,8 @@ from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.engine.digests import Reading
 from kinedex.pipelines.labels.segments import placed_files
 from kinedex.storage.formats.labels.ground_truth import ground_truth_files, read_ground_truth
+from kinedex.storage.formats.labels.segments import ERROR
+from kinedex.storage.snapshot.labels import is_of_limbs
 from kinedex.storage.store.store import Store
 
 CLIPS, LABELS = "clips", "labels"
@@ -186,7 +188,7 @@ def _labelled(store: Store, takes: pl.DataFrame) -> tuple[list[Example], list[st
     rows = {str(row[0]): row[1:] for row in takes.select("name", "take_id", "frames", "checksum").iter_rows()}
     found, beyond, changed = [], [], []
     for one in store.labels().sort_by([("take", "ascending"), ("start", "ascending")]).to_pylist():
-        if one["take"] not in rows:
+        if one["take"] not in rows or is_of_limbs(one):
             continue
         take_id, frames, checksum = rows[one["take"]]
         shown = f"{one['take']}[{one['start']}:{one['stop']}]"
@@ -210,7 +212,7 @@ def _of_files(store: Store, takes: pl.DataFrame, patterns: Sequence[str]) -> lis
     return [
         Example(rows[one.take][0], one.take, int(one.start), int(one.stop), rows[one.take][1], one.label, one.where)
         for one in (placed.segments if placed else ())
-        if one.take in rows
+        if one.take in rows and not (one.label == ERROR and one.limb)
     ]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import uuid
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
 
@@ -10,6 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from kinedex.ops.errors import ParameterError
+from kinedex.storage.formats.labels.segments import ERROR
 from kinedex.storage.snapshot.schemas import LABEL_ORIGINS, LABEL_VERDICTS, labels_schema, with_columns
 
 
@@ -18,6 +20,14 @@ def current_labels(rows: pa.Table) -> pa.Table:
     replaced = pc.is_in(rows.column("id"), rows.column("replaces"))
     withdrawn = pc.equal(rows.column("verdict"), "withdrawn")
     return rows.filter(pc.invert(pc.or_(replaced, withdrawn)))
+
+
+def is_of_limbs(row: Mapping[str, Any]) -> bool:
+    """Return whether a label states where limbs are wrong, or, if it is negative, that they are not; no motion is one.
+
+    Such a label is of the class `error`; a negative one without a limb is about all limbs of the take.
+    """
+    return row["class"] == ERROR and (row["limb"] is not None or row["verdict"] == "negative")
 
 
 def new_labels(labels: pa.Table, known: pa.Table, checksums: dict[str, str]) -> pa.Table:

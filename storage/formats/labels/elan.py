@@ -33,11 +33,15 @@ def write(labels: TakeLabels) -> str:
     """Return an EAF file: a tier for each class, because annotations of one tier must not overlap.
 
     Every annotation's value is its class. Errors of limbs have a tier for each limb and annotator, such as `lshank` or
-    `A1:lshank`. Where labels of one tier overlap, the later one is in a further tier, whose name ends in a number.
+    `A1:lshank`, which is empty for a limb that was looked at without an error being found. Where labels of one tier
+    overlap, the later one is in a further tier, whose name ends in a number.
     """
     tiers = _tiers(labels.labels)
-    placed = [(tier, one) for tier, members in tiers.items() for one in members]
-    edges = [labels.milliseconds(edge) for _, one in placed for edge in (one.start, one.stop)]
+    for limb, annotator in labels.without_errors:
+        if limb:
+            tiers.setdefault(_limb_tier(limb, annotator), [])
+    placed = [one for members in tiers.values() for one in members]
+    edges = [labels.milliseconds(edge) for one in placed for edge in (one.start, one.stop)]
     # slots of its own for every annotation, in order of time: one that two share would move for both in ELAN
     order = sorted(range(len(edges)), key=lambda place: (edges[place], place))
     slot = {place: f"ts{number}" for number, place in enumerate(order, 1)}
@@ -45,18 +49,17 @@ def write(labels: TakeLabels) -> str:
     lines = [head, "    <TIME_ORDER>\n"]
     lines += [f'        <TIME_SLOT TIME_SLOT_ID="{slot[place]}" TIME_VALUE="{edges[place]}"/>\n' for place in order]
     lines += ["    </TIME_ORDER>\n"]
-    begun = None
-    for number, (tier, one) in enumerate(placed):
-        if tier != begun:
-            lines += ["    </TIER>\n"] if begun is not None else []
-            lines.append(f'    <TIER LINGUISTIC_TYPE_REF="class" TIER_ID="{_escaped(tier)}">\n')
-            begun = tier
-        lines.append(
-            f'        <ANNOTATION><ALIGNABLE_ANNOTATION ANNOTATION_ID="a{number + 1}" '
-            f'TIME_SLOT_REF1="{slot[2 * number]}" TIME_SLOT_REF2="{slot[2 * number + 1]}">'
-            f"<ANNOTATION_VALUE>{_escaped(one.label)}</ANNOTATION_VALUE></ALIGNABLE_ANNOTATION></ANNOTATION>\n"
-        )
-    lines += ["    </TIER>\n"] if begun is not None else []
+    number = 0
+    for tier, members in tiers.items():
+        lines.append(f'    <TIER LINGUISTIC_TYPE_REF="class" TIER_ID="{_escaped(tier)}">\n')
+        for one in members:
+            lines.append(
+                f'        <ANNOTATION><ALIGNABLE_ANNOTATION ANNOTATION_ID="a{number + 1}" '
+                f'TIME_SLOT_REF1="{slot[2 * number]}" TIME_SLOT_REF2="{slot[2 * number + 1]}">'
+                f"<ANNOTATION_VALUE>{_escaped(one.label)}</ANNOTATION_VALUE></ALIGNABLE_ANNOTATION></ANNOTATION>\n"
+            )
+            number += 1
+        lines.append("    </TIER>\n")
     return "".join([*lines, _TYPE, "</ANNOTATION_DOCUMENT>\n"])
 
 
@@ -85,7 +88,11 @@ def _tier_of(one: Label) -> str:
     """Return the name of a label's tier: its class, or, for the error of a limb, annotator and limb."""
     if one.label != ERROR or not one.limb:
         return one.label
-    return f"{one.annotator}:{one.limb}" if one.annotator else one.limb
+    return _limb_tier(one.limb, one.annotator)
+
+
+def _limb_tier(limb: str, annotator: str) -> str:
+    return f"{annotator}:{limb}" if annotator else limb
 
 
 @dataclass
@@ -106,6 +113,7 @@ class _Document:
     take: str = ""
     root: str = ""
     tier: str | None = None
+    covered: list[tuple[str, str]] = field(default_factory=list)
     slots: dict[str, int | None] = field(default_factory=dict)
     annotations: list[_Annotation] = field(default_factory=list)
     text: list[str] | None = None
@@ -141,6 +149,10 @@ class _Document:
             own = self._attribute(name, given, "TIER_ID")
             refuse_long(self.path, len(own), self.parser.CurrentLineNumber, "TIER_ID")
             self.tier = None if given.get("PARENT_REF") else own
+            annotator, limb = _limb_of_tier(own)
+            if self.tier is not None and limb:
+                refuse_many(self.path, len(self.covered) + 1, self.parser.CurrentLineNumber)
+                self.covered.append((limb, annotator))
         elif name == "ALIGNABLE_ANNOTATION" and self.tier is not None:
             ends = (self._attribute(name, given, "TIME_SLOT_REF1"), self._attribute(name, given, "TIME_SLOT_REF2"))
             own = given.get("ANNOTATION_ID", f"number {len(self.annotations) + 1}")
@@ -184,7 +196,7 @@ class _Document:
         """Return the annotations as segments, by time."""
         take = self.take or Path(self.path).stem
         found = sorted((self._segment(take, one) for one in self.annotations), key=lambda one: (one.start, one.stop))
-        return LabelFile.of_take(self.path, take, found)
+        return LabelFile.of_take(self.path, take, found, self.covered)
 
     def _segment(self, take: str, one: _Annotation) -> ManualSegment:
         times = []
@@ -223,7 +235,8 @@ def read(path: str | Path) -> LabelFile:
 
     An annotation's class is its value, or the name of its tier if the value is empty: so files with a tier for each
     class and files with one tier of values are both read correctly. An annotation of the value `error` in a tier that
-    is named after a limb, or after an annotator and a limb (`A1:lshank`), is about that limb. Tiers that depend on
+    is named after a limb, or after an annotator and a limb (`A1:lshank`), is about that limb; such a tier without any
+    shows that the limb was looked at. Tiers that depend on
     another tier (PARENT_REF) describe its annotations further and are ignored. The take is that of kinedex's own
     property, or else the one that the file is named after.
 

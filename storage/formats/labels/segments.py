@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from kinedex.ops.errors import SourceError
@@ -45,6 +45,9 @@ class TakeLabels:
         The labels, by start.
     made : str
         Time when the labels were made, ISO 8601 in UTC, for formats that carry a date.
+    covered : tuple of (str, str)
+        Limbs that somebody, or a method, has looked at, with the annotator; either may be empty. Those that have labels
+        need not be among them.
     """
 
     take: str
@@ -52,6 +55,13 @@ class TakeLabels:
     frames: int
     labels: tuple[Label, ...]
     made: str = "1970-01-01T00:00:00+00:00"
+    covered: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def without_errors(self) -> tuple[tuple[str, str], ...]:
+        """The limbs that were looked at without an error being found, with the annotators, sorted."""
+        found = {(one.limb, one.annotator) for one in self.labels if one.label == ERROR}
+        return tuple(sorted(set(self.covered) - found))
 
     def seconds(self, frame: int) -> float:
         """Return the time at which a source frame begins; frame 0 begins at 0."""
@@ -132,16 +142,34 @@ class LabelFile:
         which nothing was found.
     segments : tuple of ManualSegment
         The labelled ranges.
+    covered : tuple of (str, str, str)
+        Takes and limbs that an annotator has looked at without marking an error, with the annotator's name or "".
     """
 
     path: str
     takes: tuple[str, ...]
     segments: tuple[ManualSegment, ...]
+    covered: tuple[tuple[str, str, str], ...] = ()
 
     @classmethod
-    def of_take(cls, path: object, take: str, segments: Sequence[ManualSegment]) -> LabelFile:
-        """Return the content of a file of a single take."""
-        return cls(str(path), tuple(dict.fromkeys(one.take for one in segments)) or (take,), tuple(segments))
+    def of_take(
+        cls, path: object, take: str, segments: Sequence[ManualSegment], covered: Iterable[tuple[str, str]] = ()
+    ) -> LabelFile:
+        """Return the content of a file of a single take, with the limbs and annotators that it covers."""
+        takes = tuple(dict.fromkeys(one.take for one in segments)) or (take,)
+        marked = {(one.limb, one.annotator) for one in segments if one.label == ERROR}
+        rest = tuple((take, *one) for one in dict.fromkeys(covered) if one not in marked)
+        return cls(str(path), takes, tuple(segments), rest)
+
+    @property
+    def looked_at(self) -> dict[str, set[str]]:
+        """Annotator of limb errors → the takes that they looked at; nobody for a file without limb errors.
+
+        Whoever marks errors of limbs in a file has looked at all takes that the file names.
+        """
+        people = {one.annotator for one in self.segments if one.label == ERROR and one.limb}
+        people |= {annotator for _, _, annotator in self.covered}
+        return {annotator: set(self.takes) for annotator in sorted(people)}
 
 
 def is_writable(labels: TakeLabels, *, quoted: bool) -> bool:
@@ -150,7 +178,8 @@ def is_writable(labels: TakeLabels, *, quoted: bool) -> bool:
     Readers remove spaces around names. Formats without quotes have no characters that end lines or that XML does not
     know.
     """
-    about = {text for one in labels.labels for text in (one.limb, one.annotator) if one.limb and text}
+    about = {text for one in labels.labels for text in (one.limb, one.annotator) if text}
+    about |= {text for pair in labels.covered for text in pair if text}
     for text in (labels.take, *(one.label for one in labels.labels), *about):
         odd = any(unicodedata.category(letter) in _NEVER or letter in "\ufffe\uffff" for letter in text)
         if not text or text != text.strip() or (odd and not quoted):

@@ -39,12 +39,16 @@ _MOST_VALUES = 4 * MOST_LABELS  # lists and objects of a JSON file, which take f
 def write_csv(takes: Sequence[TakeLabels]) -> str:
     """Return a CSV file of the labels of takes; start and stop are source frames, half-open, as in ground truth.
 
-    A take without labels has a row of its name alone. The columns limb and annotator are there where a label has
-    a limb. Names that a spreadsheet would compute are guarded.
+    A take without labels has a row of its name alone, and a limb that was looked at without an error being found a row
+    of take, limb and annotator. The columns limb and annotator are there where a label has one of them. Names that a
+    spreadsheet would compute are guarded.
     """
-    rows = ({"take": labels.take, **row} for labels in takes for row in [*_rows(labels)] or [dict[str, object]()])
-    has_limbs = any(one.limb for labels in takes for one in labels.labels)
-    columns = (*_WRITTEN, *OPTIONAL) if has_limbs else _WRITTEN
+    rows = [
+        {"take": labels.take, **row}
+        for labels in takes
+        for row in [*_rows(labels), *_covered(labels)] or [dict[str, object]()]
+    ]
+    columns = (*_WRITTEN, *OPTIONAL) if any(row.get(name) for row in rows for name in OPTIONAL) else _WRITTEN
     return "".join([csv_line(columns), *(csv_line(map(row.get, columns)) for row in rows)])
 
 
@@ -56,15 +60,21 @@ def write_json(takes: Sequence[TakeLabels]) -> str:
             "source_rate_hz": labels.rate_hz,
             "source_frames": labels.frames,
             "segments": list(_rows(labels)),
+            **({"without_errors": list(_covered(labels))} if labels.without_errors else {}),
         }
         for labels in takes
     ]
     return json.dumps({"takes": content}, ensure_ascii=False, indent=1) + "\n"
 
 
+def _covered(labels: TakeLabels) -> Iterator[dict[str, object]]:
+    for limb, annotator in labels.without_errors:
+        yield {name: text for name, text in zip(OPTIONAL, (limb, annotator), strict=True) if text}
+
+
 def _rows(labels: TakeLabels) -> Iterator[dict[str, object]]:
     for one in labels.labels:
-        about = {"limb": one.limb, "annotator": one.annotator or None} if one.limb else {}
+        about = {"limb": one.limb or None, "annotator": one.annotator or None} if one.limb or one.annotator else {}
         times = dict(zip(SECONDS, (round(labels.seconds(edge), 6) for edge in (one.start, one.stop)), strict=True))
         yield {
             "class": one.label,
@@ -90,7 +100,7 @@ def read_csv(path: str | Path) -> LabelFile:
 
     start and stop are frames of the source rate, from 0, and half-open; a file that has neither of them may have
     start_seconds and stop_seconds instead. A row with a take, and neither class nor start nor stop, records that
-    somebody looked at the take.
+    somebody looked at the take; with a limb or an annotator, that this limb was looked at, or by this person.
 
     Parameters
     ----------
@@ -104,12 +114,14 @@ def read_csv(path: str | Path) -> LabelFile:
         file is beyond a limit; the error names the line.
     """
     rows = list(_csv_rows(str(path), CsvTable.of(path, label_bytes(path))))
-    segments = tuple(segment for _, segment in rows if segment is not None)
-    return LabelFile(str(path), tuple(dict.fromkeys(take for take, _ in rows)), segments)
+    segments = tuple(one for one in rows if isinstance(one, ManualSegment))
+    takes = tuple(dict.fromkeys(one.take if isinstance(one, ManualSegment) else one[0] for one in rows))
+    covered = dict.fromkeys(one for one in rows if not isinstance(one, ManualSegment) and any(one[1:]))
+    return LabelFile(str(path), takes, segments, tuple(covered))
 
 
-def _csv_rows(path: str, table: CsvTable) -> Iterator[tuple[str, ManualSegment | None]]:
-    """Yield the take of each row, and its segment if it has one."""
+def _csv_rows(path: str, table: CsvTable) -> Iterator[ManualSegment | tuple[str, str, str]]:
+    """Yield the segment of each row, or, of a row without one, take, limb and annotator."""
     header = table.header
     if not header:
         raise SourceError(path, f"is empty; expected a header with {', '.join(COLUMNS)}", line=1)
@@ -125,8 +137,11 @@ def _csv_rows(path: str, table: CsvTable) -> Iterator[tuple[str, ManualSegment |
         if not any(texts.values()):
             continue
         take = texts["take"]
+        about = {name: row[name] for name in OPTIONAL if name in header}
+        for name, text in about.items():
+            refuse_long(path, len(text), line, name)
         if take and not any(text for name, text in texts.items() if name != "take"):
-            yield take, None
+            yield take, about.get("limb", ""), about.get("annotator", "")
             continue
         for name in NAMES:
             if not texts[name]:
@@ -136,10 +151,7 @@ def _csv_rows(path: str, table: CsvTable) -> Iterator[tuple[str, ManualSegment |
         if start >= stop:
             unit = "half-open source frames" if edges is FRAMES else "seconds"
             raise SourceError(path, f"start {start} must be before stop {stop} ({unit})", line=line)
-        about = {name: row[name] for name in OPTIONAL if name in header}
-        for name, text in about.items():
-            refuse_long(path, len(text), line, name)
-        yield take, ManualSegment(take, texts["class"], start, stop, path, line, edges is SECONDS, **about)
+        yield ManualSegment(take, texts["class"], start, stop, path, line, edges is SECONDS, **about)
 
 
 def _frame(path: str, line: int, name: str, text: str) -> int:
@@ -163,7 +175,8 @@ def read_json(path: str | Path) -> LabelFile:
     """Read {"takes": [{"take": …, "segments": [{"class": …, "start": …, "stop": …}]}]}; further keys are ignored.
 
     start and stop are source frames, half-open; a segment that has neither may have start_seconds and stop_seconds. It
-    may have a limb and an annotator, both texts.
+    may have a limb and an annotator, both texts. A take may have a list "without_errors" of objects with limb,
+    annotator or both: limbs that somebody has looked at without marking an error.
 
     Parameters
     ----------
@@ -187,7 +200,7 @@ def read_json(path: str | Path) -> LabelFile:
         raise SourceError(path, "is nested too deeply: it has hundreds of levels, and labels have six") from None
     except ValueError as fault:
         raise SourceError(path, f"is not JSON: {fault}") from None
-    names, found = list[str](), list[ManualSegment]()
+    names, found, covered = list[str](), list[ManualSegment](), dict[tuple[str, str, str], None]()
     for number, take in enumerate(_list(path, content, "takes", "the file")):
         place = f"takes[{number}]"
         name = _name(path, take, "take", place)
@@ -196,7 +209,18 @@ def read_json(path: str | Path) -> LabelFile:
         for count, one in enumerate(_list(path, take, "segments", place)):
             refuse_many(path, len(found) + 1)
             found.append(_segment(path, name, one, f"{place}.segments[{count}]"))
-    return LabelFile(str(path), tuple(dict.fromkeys(names)), tuple(found))
+        for count, one in enumerate(_list(path, take, "without_errors", place) if "without_errors" in take else ()):
+            limb, annotator = _about(path, one, f"{place}.without_errors[{count}]")
+            covered[name, limb, annotator] = None
+    return LabelFile(str(path), tuple(dict.fromkeys(names)), tuple(found), tuple(covered))
+
+
+def _about(path: str | Path, value: Any, place: str) -> tuple[str, str]:
+    """Return limb and annotator of an object, one of them at least."""
+    if not isinstance(value, dict) or not any(value.get(key) for key in OPTIONAL):
+        raise SourceError(path, f"{place} must be an object with a limb, an annotator or both")
+    limb, annotator = (_name(path, value, key, place) if value.get(key) is not None else "" for key in OPTIONAL)
+    return limb, annotator
 
 
 def _no_number(text: str) -> float:

@@ -229,6 +229,22 @@ def test_without_labels_there_is_nothing_to_evaluate(judged: Path) -> None:
     assert evaluate(judged) == {"evaluated_takes": 0}
 
 
+def test_labels_of_the_store_count_as_those_of_their_file(judged: Path, tmp_path: Path) -> None:
+    shutil.copytree(judged / "store", tmp_path / "store")
+    file = tmp_path / "labels.csv"
+    file.write_text(LABELS)
+    params, without = EvaluateLimbErrors.parameters(), open_store(tmp_path / "store")
+    before = EvaluateLimbErrors().reading(params, without).digest
+    by_file = evaluate(tmp_path, ground_truth=str(file))
+    expected = open_store(tmp_path / "store", at="newest").result("limb_error_metrics")
+    result = CliRunner().invoke(app, ["labels", "import", str(tmp_path / "store"), str(file)])
+    assert result.exit_code == 0, result.output
+    assert evaluate(tmp_path) == by_file
+    found = open_store(tmp_path / "store", at="newest")
+    assert found.result("limb_error_metrics").equals(expected)
+    assert EvaluateLimbErrors().reading(params, found).digest != before
+
+
 def test_sensors_judge_tracked_takes(judged: Path) -> None:
     store = open_store(judged / "store", at="newest")
     take_id = store.take_ids[TAKE]
