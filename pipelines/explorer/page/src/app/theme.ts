@@ -1,6 +1,6 @@
 // Every colour and measure of the page that is not Mantine's own.
 
-import { createTheme, type CSSVariablesResolver } from "@mantine/core";
+import { createTheme, type CSSVariablesResolver, Drawer, Modal } from "@mantine/core";
 
 export const theme = createTheme({
   primaryColor: "blue",
@@ -11,6 +11,11 @@ export const theme = createTheme({
   spacing: { xs: "6px", sm: "10px", md: "14px", lg: "18px", xl: "26px" },
   headings: { sizes: { h1: { fontSize: "18px" }, h2: { fontSize: "15px" }, h3: { fontSize: "14px" } } },
   cursorType: "pointer",
+  // The page itself does not scroll; the lock would insert a style without the nonce, which the policy refuses.
+  components: {
+    Modal: Modal.extend({ defaultProps: { lockScroll: false } }),
+    Drawer: Drawer.extend({ defaultProps: { lockScroll: false } }),
+  },
 });
 
 /** Colours of classes, pairs of (on white, on near black), as pipelines/report/palette.py has them. */

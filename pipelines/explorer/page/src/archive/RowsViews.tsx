@@ -1,5 +1,5 @@
 import { Code, Loader, Text } from "@mantine/core";
-import { useLocation, Link } from "wouter";
+import { useLocation } from "wouter";
 
 import type { Value } from "../api/types";
 import { takeAddress } from "../app/address";
@@ -13,7 +13,7 @@ import type { RowsOf } from "./types";
 type Row = Record<string, Value>;
 
 function text(key: string, title: string, width: number, numeric = false): GridColumn<Row> {
-  return { key, title, width, numeric, cell: (row) => <span title={shown(row[key])}>{shown(row[key])}</span> };
+  return { key, title, width, numeric, cell: (row) => shown(row[key]) };
 }
 
 function take(key: string, title: string): GridColumn<Row> {
@@ -22,9 +22,9 @@ function take(key: string, title: string): GridColumn<Row> {
     title,
     width: 230,
     cell: (row) => (
-      <Link href={takeAddress(shown(row[key]))} tabIndex={-1} title={shown(row[key])}>
+      <a href={takeAddress(shown(row[key]))} tabIndex={-1}>
         {shown(row[key])}
-      </Link>
+      </a>
     ),
   };
 }

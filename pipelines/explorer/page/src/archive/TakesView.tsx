@@ -1,6 +1,6 @@
 import { Button, Checkbox, Menu, ScrollArea } from "@mantine/core";
 import { useMemo } from "react";
-import { Link, useLocation } from "wouter";
+import { useLocation } from "wouter";
 
 import { useStore } from "../api/queries";
 import type { Column } from "../api/types";
@@ -94,7 +94,7 @@ function gridColumns(
     return {
       key: name,
       title: name,
-      width: name === "name" ? 240 : numeric ? 96 : 132,
+      width: name === "name" ? 270 : numeric ? 96 : 132,
       numeric,
       sortable: true,
       cell: (row) => {
@@ -102,11 +102,11 @@ function gridColumns(
         const text = name === "seconds" && typeof value === "number" ? value.toFixed(2) : shown(value);
         if (name === "name")
           return (
-            <Link href={takeAddress(row.name)} tabIndex={-1} title={row.name}>
+            <a href={takeAddress(row.name)} tabIndex={-1}>
               {row.name}
-            </Link>
+            </a>
           );
-        return <span title={text}>{text}</span>;
+        return text;
       },
     };
   });

@@ -1,5 +1,7 @@
 import { Loader, Select, Text } from "@mantine/core";
 
+import { memo, useMemo } from "react";
+
 import { useStore } from "../api/queries";
 import { useParameter } from "../app/address";
 import { Fault } from "../app/Fault";
@@ -8,15 +10,26 @@ import { filterColumns, type useSelection } from "./selection";
 import { count, counted, hours, named } from "./text";
 import type { Group } from "./types";
 
+interface PanelProps {
+  state: ReturnType<typeof useSelection>;
+  /** True if the server refuses the selection. */
+  wrong: boolean;
+}
+
 /** Hours and takes of the groups by a column; to choose a group filters by it. */
-export function TotalsPanel({ state, wrong }: { state: ReturnType<typeof useSelection>; wrong: boolean }) {
+export const TotalsPanel = memo(function TotalsPanel({ state, wrong }: PanelProps) {
   const [by, setBy] = useParameter("by");
   const [second, setSecond] = useParameter("by2");
   const store = useStore();
   const columns = filterColumns(store.data).map((one) => one.name);
   const first = by ?? "class";
   const keys = second === null || second === first ? [first] : [first, second];
-  const totals = useTotals(state.selection, keys, 500);
+  // Groups that a filter of their own column hides stay in sight, to be chosen instead.
+  const others = useMemo(
+    () => ({ ...state.selection, filters: state.filters.filter((one) => one.column !== first && one.column !== second) }),
+    [state.selection, state.filters, first, second],
+  );
+  const totals = useTotals(others, keys, 500);
   const most = Math.max(1e-9, ...(totals.data?.groups.map((group) => group.hours) ?? []));
   return (
     <section className="totals" aria-label="Totals">
@@ -33,11 +46,10 @@ export function TotalsPanel({ state, wrong }: { state: ReturnType<typeof useSele
         <Select
           size="xs"
           label="and by"
-          placeholder="one column"
-          data={columns.filter((one) => one !== first)}
-          value={second}
+          data={[{ value: "", label: "nothing else" }, ...columns.filter((one) => one !== first)]}
+          value={second ?? ""}
           onChange={(value) => setSecond(value, true)}
-          clearable
+          allowDeselect={false}
           searchable
         />
       </div>
@@ -73,7 +85,7 @@ export function TotalsPanel({ state, wrong }: { state: ReturnType<typeof useSele
       )}
     </section>
   );
-}
+});
 
 interface RowProps {
   group: Group;

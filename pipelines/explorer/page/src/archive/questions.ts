@@ -22,8 +22,7 @@ export interface TakeRow {
 export function useTakes(selection: Selection, sort: Sort | null, columns: string[]) {
   const [range, setRange] = useState<[number, number]>([0, 1]);
   const still = useStill(range);
-  const first = Math.floor(range[0] / BLOCK);
-  const stop = Math.max(first + 1, Math.ceil(range[1] / BLOCK));
+  const [first, stop] = range;
   const question = useMemo<TakesQuestion>(
     () => ({ ...selection, sort: sort === null ? [] : [sort], columns, limit: BLOCK }),
     [selection, sort, columns],
@@ -43,7 +42,12 @@ export function useTakes(selection: Selection, sort: Sort | null, columns: strin
   const blocks = new Map(found.map((one, place) => [numbers[place], one.data] as const));
   const rowsOf = useRowsOf();
   const row = (index: number) => rowsOf(blocks.get(Math.floor(index / BLOCK)))?.[index % BLOCK];
-  const onRange = useCallback((from: number, to: number) => setRange([from, to]), []);
+  // Only a change of blocks renders the page anew, not every row that comes into sight.
+  const onRange = useCallback((from: number, to: number) => {
+    const first = Math.floor(from / BLOCK);
+    const stop = Math.max(first + 1, Math.ceil(to / BLOCK));
+    setRange((before) => (before[0] === first && before[1] === stop ? before : [first, stop]));
+  }, []);
   return { head: head ?? last.current, error: found[0]?.error ?? null, row, onRange, pending: head === undefined };
 }
 

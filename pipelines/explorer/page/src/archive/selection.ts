@@ -33,7 +33,11 @@ export function useSelection() {
     },
     [sound, change],
   );
-  return { selection, filters: sound, where, setWhere, put, clear: useClear() };
+  const clear = useClear();
+  return useMemo(
+    () => ({ selection, filters: sound, where, setWhere, put, clear }),
+    [selection, sound, where, setWhere, put, clear],
+  );
 }
 
 function useClear(): () => void {

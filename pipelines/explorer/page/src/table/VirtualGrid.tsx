@@ -4,7 +4,8 @@
 import "./grid.css";
 
 import { useVirtualizer } from "@tanstack/react-virtual";
-import { type KeyboardEvent, memo, type ReactNode, useCallback, useEffect, useId, useMemo, useRef, useState } from "react";
+import { type KeyboardEvent, memo, type MouseEvent, type ReactNode, useEffect, useId, useMemo, useRef, useState } from "react";
+import { useLocation } from "wouter";
 
 export interface GridColumn<Row> {
   key: string;
@@ -46,7 +47,7 @@ export function VirtualGrid<Row>(props: Props<Row>) {
     count: rowCount,
     getScrollElement: () => scroller.current,
     estimateSize: () => ROW,
-    overscan: 12,
+    overscan: 5,
     paddingEnd: ROW,
   });
   const items = virtual.getVirtualItems();
@@ -61,7 +62,29 @@ export function VirtualGrid<Row>(props: Props<Row>) {
   const width = useMemo(() => columns.reduce((sum, one) => sum + one.width, 0), [columns]);
   const [at, column] = [Math.min(active[0], rowCount - 1), Math.min(active[1], columns.length - 1)];
 
-  const activate = useCallback((index: number, place: number) => setActive([index, place]), []);
+  // Rows that leave sight lend their elements to those that come: to change texts is quicker than to make elements.
+  const pool = useRef(1);
+  pool.current = Math.max(pool.current, items.length);
+
+  const [, navigate] = useLocation();
+  // One listener for all cells: a row has none of its own.
+  const onClick = (event: MouseEvent) => {
+    const [index, place] = placeOf(event.target);
+    if (place < 0) return;
+    setActive([index, place]);
+    const title = columns[place];
+    if (index === HEADER && title?.sortable === true) onSort?.(title.key);
+    const link = (event.target as Element).closest("a");
+    if (link !== null && link.origin === window.location.origin && !isModified(event)) {
+      event.preventDefault();
+      navigate(link.pathname + link.search);
+    }
+  };
+  const onDoubleClick = (event: MouseEvent) => {
+    const [index] = placeOf(event.target);
+    const data = index >= 0 ? row(index) : undefined;
+    if (data !== undefined) onOpen?.(data, index);
+  };
   const move = (index: number, place: number) => {
     const next = Math.max(HEADER, Math.min(rowCount - 1, index));
     setActive([next, Math.max(0, Math.min(columns.length - 1, place))]);
@@ -99,26 +122,24 @@ export function VirtualGrid<Row>(props: Props<Row>) {
       aria-label={label}
       aria-rowcount={rowCount + 1}
       aria-colcount={columns.length}
-      aria-activedescendant={`${id}-${at}-${column}`}
+      aria-activedescendant={`${id}-active`}
       tabIndex={0}
       onKeyDown={onKey}
+      onClick={onClick}
+      onDoubleClick={onDoubleClick}
+      onMouseOver={showWhole}
     >
       <div role="rowgroup" className="grid-head" style={{ minWidth: width }}>
-        <div role="row" aria-rowindex={1} className="grid-row" style={{ gridTemplateColumns: template }}>
+        <div role="row" data-row={HEADER} aria-rowindex={1} className="grid-row" style={{ gridTemplateColumns: template }}>
           {columns.map((one, place) => (
             <div
               key={one.key}
-              id={`${id}-${HEADER}-${place}`}
+              id={at === HEADER && place === column ? `${id}-active` : undefined}
               role="columnheader"
               aria-colindex={place + 1}
               aria-sort={sorted(one.key, sort)}
               className={cellClass(one, at === HEADER && place === column)}
               data-sortable={one.sortable}
-              title={one.title}
-              onClick={() => {
-                activate(HEADER, place);
-                if (one.sortable === true) onSort?.(one.key);
-              }}
             >
               {one.title}
               {sort?.column === one.key && <span aria-hidden> {sort.descending ? "▾" : "▴"}</span>}
@@ -129,7 +150,7 @@ export function VirtualGrid<Row>(props: Props<Row>) {
       <div role="rowgroup" style={{ height: virtual.getTotalSize(), position: "relative", minWidth: width }}>
         {items.map((item) => (
           <GridRow
-            key={item.index}
+            key={item.index % pool.current}
             id={id}
             index={item.index}
             top={item.start}
@@ -137,8 +158,6 @@ export function VirtualGrid<Row>(props: Props<Row>) {
             columns={columns as readonly GridColumn<unknown>[]}
             data={row(item.index)}
             active={item.index === at ? column : -1}
-            onActivate={activate}
-            onOpen={onOpen as ((data: unknown, index: number) => void) | undefined}
           />
         ))}
       </div>
@@ -149,6 +168,26 @@ export function VirtualGrid<Row>(props: Props<Row>) {
 function sorted(key: string, sort: GridSort | null | undefined): "ascending" | "descending" | "none" {
   if (sort?.column !== key) return "none";
   return sort.descending ? "descending" : "ascending";
+}
+
+function isModified(event: MouseEvent): boolean {
+  return event.ctrlKey || event.metaKey || event.shiftKey || event.altKey || event.button !== 0;
+}
+
+/** Return the row and the column of the cell that an event is on; column -1 where it is on none. */
+function placeOf(target: EventTarget): [number, number] {
+  const cell = (target as Element).closest<HTMLElement>(".grid-cell");
+  const line = cell?.parentElement;
+  if (cell === null || line == null) return [HEADER, -1];
+  return [Number(line.dataset.row), [...line.children].indexOf(cell)];
+}
+
+/** Show the whole text of a cell that is cut off, once the pointer is on it. */
+function showWhole(event: MouseEvent): void {
+  const cell = (event.target as Element).closest<HTMLElement>(".grid-cell");
+  if (cell === null || cell.querySelector("[title]") !== null) return;
+  if (cell.scrollWidth > cell.clientWidth) cell.title = cell.textContent ?? "";
+  else cell.removeAttribute("title");
 }
 
 function cellClass(column: { numeric?: boolean }, active: boolean): string {
@@ -163,27 +202,24 @@ interface RowProps {
   columns: readonly GridColumn<unknown>[];
   data: unknown;
   active: number;
-  onActivate: (index: number, place: number) => void;
-  onOpen: ((data: unknown, index: number) => void) | undefined;
 }
 
-const GridRow = memo(function GridRow({ id, index, top, template, columns, data, active, onActivate, onOpen }: RowProps) {
+const GridRow = memo(function GridRow({ id, index, top, template, columns, data, active }: RowProps) {
   return (
     <div
       role="row"
+      data-row={index}
       aria-rowindex={index + 2}
       className={active >= 0 ? "grid-row grid-body active" : "grid-row grid-body"}
       style={{ gridTemplateColumns: template, transform: `translateY(${top}px)` }}
-      onDoubleClick={() => data !== undefined && onOpen?.(data, index)}
     >
       {columns.map((one, place) => (
         <div
           key={one.key}
-          id={`${id}-${index}-${place}`}
+          id={place === active ? `${id}-active` : undefined}
           role="gridcell"
           aria-colindex={place + 1}
           className={cellClass(one, place === active)}
-          onClick={() => onActivate(index, place)}
         >
           {data === undefined ? <span className="muted">…</span> : one.cell(data, index)}
         </div>
