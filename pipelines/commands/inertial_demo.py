@@ -125,10 +125,10 @@ def figures(store: Store, recordings: Path) -> list[str]:
     ]
     lines = ["against the truth of the simulated sensors:"]
     if late:
-        lines.append(f"    offsets of {counted(len(late), 'clock')}: off by {1000 * max(late):.1f} ms at most")
+        lines.append(f"    {counted(len(late), 'offset')} of clocks: off by {1000 * max(late):.1f} ms at most")
     if mounts:
         lines.append(
-            f"    mounts of {counted(len(mounts), 'sensor')}: off by {np.median(mounts):.1f} degrees in the median, "
+            f"    {counted(len(mounts), 'mount')}: off by {np.median(mounts):.1f} degrees in the median, "
             f"{max(mounts):.1f} at most"
         )
     rows = earlier_rows(store, "limb_error_metrics", f"{PIPELINE}/evaluate_limb_errors")

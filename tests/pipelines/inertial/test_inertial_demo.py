@@ -62,8 +62,8 @@ def test_figures_compare_clocks_mounts_and_agreement_with_the_truth(tmp_path: Pa
     lines = inertial_demo.figures(open_store(tmp_path / "store", at="newest"), tmp_path)
     assert [line.strip() for line in lines] == [
         "against the truth of the simulated sensors:",
-        "offsets of 1 clock: off by 3.0 ms at most",
-        "mounts of 1 sensor: off by 2.0 degrees in the median, 2.0 at most",
+        "1 offset of clocks: off by 3.0 ms at most",
+        "1 mount: off by 2.0 degrees in the median, 2.0 at most",
         "wrong limbs, frames, against simulated annotators:",
         "τ = 45 degrees: P 0.90, R 0.80, F 0.80",
         "best τ = 25 degrees: P 0.90, R 0.80, F 0.90",
