@@ -1,7 +1,7 @@
 """Search by example: more like some intervals, and less like others.
 
 `POST /api/ask/examples` {positives: [interval], negatives?: [interval], mirror?, tau?, delta?, top? ≤ 500, where?,
- filters?, name?} with intervals {take_id, start, stop, mirrored?}
+ filters?, name?} with intervals {take_id | take, start, stop, mirrored?}
 → {hits: [hit], total, more, takes, hours, seconds, tau, template: {columns, clips: [name], weights: {feature: number}},
    remarks: [sentence], version, command, python}; `more` is true where there may be further hits below tau.
 
@@ -31,12 +31,12 @@ from kinedex.ops.templates.derived_templates import WILDCARD, restricted_templat
 from kinedex.ops.templates.templates import QuantisedTemplate, quantise
 from kinedex.ops.words import ALL_KNOWN, bits
 from kinedex.pipelines.explorer.addresses import post
-from kinedex.pipelines.explorer.hits import ChosenHit, Limit, ranked_hits, require_within, take_condition
+from kinedex.pipelines.explorer.hits import ChosenHit, Limit, ranked_hits, take_condition
 from kinedex.pipelines.explorer.same import command_line, python_lines
 from kinedex.pipelines.explorer.selections import Selection
 from kinedex.pipelines.labels.decisions import record
 from kinedex.pipelines.ranking.both_sides import mirrored_template
-from kinedex.pipelines.ranking.examples import ChosenTemplate, template_of_chosen
+from kinedex.pipelines.ranking.examples import ChosenInterval, ChosenTemplate, template_of_chosen
 from kinedex.pipelines.ranking.ranking import RankedTemplate
 from kinedex.pipelines.ranking.store_ranking import DELTA, TAU, TOP, rank_store
 from kinedex.pipelines.search.bit_slices import stored_words
@@ -114,13 +114,12 @@ def find_similar(archive: Archive, asked: ExamplesQuestion, _request: Request) -
 
 def _template(store: Store, asked: ExamplesQuestion) -> ChosenTemplate:
     """Return the template of the examples."""
-    require_within(store, (*asked.positives, *asked.negatives))
-    longest = max(one.stop - one.start for one in asked.positives) / store.rate_hz
+    accepted, rejected = ([one.interval(store) for one in side] for side in (asked.positives, asked.negatives))
+    longest = max(one.stop - one.start for one in accepted) / store.rate_hz
     if longest > MOST_SECONDS:
         raise KinedexError(
             f"an example of {longest:.0f} s: at most {MOST_SECONDS:g} s; choose the interval that shows the motion once"
         )
-    accepted, rejected = ([one.interval() for one in side] for side in (asked.positives, asked.negatives))
     return template_of_chosen(store, asked.name, accepted, rejected, asked.delta)
 
 
@@ -147,8 +146,9 @@ def _same(
     more = f"tau={asked.tau:g}, top={asked.top}" + (f", where={condition!r}" if condition is not None else "")
     more += ", mirror=True" if asked.mirror else ""
     names = {take_id: name for name, take_id in store.take_ids.items()}
-    if made.weights is None and len(asked.positives) == 1 and not asked.positives[0].mirrored:
-        (one,) = asked.positives
+    positives = [one.interval(store) for one in asked.positives]
+    if made.weights is None and len(positives) == 1 and not positives[0].mirrored:
+        (one,) = positives
         take = names[one.take_id]
         interval = ["--take", take, "--start", str(one.start), "--stop", str(one.stop)]
         line = f"example = kinedex.Template.from_clip(store[{take!r}], {one.start}, {one.stop})"
@@ -158,8 +158,8 @@ def _same(
         }
     file = f"{asked.name}.yaml"  # which `POST /api/ask/template` answers with
     lines = [f"store.rank(kinedex.Template.load({file!r}), {more})"]
-    if made.weights is None and not any(one.mirrored for one in asked.positives):
-        clips = ", ".join(f"store[{names[one.take_id]!r}][{one.start}:{one.stop}]" for one in asked.positives)
+    if made.weights is None and not any(one.mirrored for one in positives):
+        clips = ", ".join(f"store[{names[one.take_id]!r}][{one.start}:{one.stop}]" for one in positives)
         lines = [f"example = kinedex.Template.learn([{clips}], name={asked.name!r})", f"store.rank(example, {more})"]
     return {
         "command": command_line("kinedex", "rank", archive.path, file, *options),
@@ -170,22 +170,22 @@ def _same(
 def describe_hit(archive: Archive, asked: HitQuestion, _request: Request) -> dict[str, Any]:
     """Return the distance curve around a hit, its warping path, and the features that it contradicts."""
     store = archive.store()
-    require_within(store, [asked.hit])
-    template = _fitted(store, asked)
-    words = stored_words(store, [asked.hit.take_id]).take(0)
+    hit = asked.hit.interval(store)
+    template = _fitted(store, asked, hit)
+    words = stored_words(store, [hit.take_id]).take(0)
     around = round(SHOWN_SECONDS * store.rate_hz)
-    first, last = max(0, asked.hit.start - around), min(len(words), asked.hit.stop + around)
+    first, last = max(0, hit.start - around), min(len(words), hit.stop + around)
     # a path may begin so far before the first frame that is shown
     begin = max(0, first - 2 * len(template))
     curve = distance_curves([template], words[begin:last])[0][first - begin :]
-    end = asked.hit.stop - 1
+    end = hit.stop - 1
     path = curve_paths(template, words, np.array([end], np.int64))[0] if np.isfinite(curve[end - first]) else None
     features = _features(store)
     contradicted: list[dict[str, Any]] = []
     if path is not None:
         visited = path.columns == np.rint(path.columns)  # the others are frames that a (1,2) step skips
         asked_values = template.values(len(features))[path.columns[visited].astype(np.int64)]
-        seen = bits(words[path.start : asked.hit.stop][visited], len(features))
+        seen = bits(words[path.start : hit.stop][visited], len(features))
         wrong = ((asked_values != WILDCARD) & (asked_values != seen)).mean(axis=0)
         order = np.argsort(-wrong, kind="stable")
         contradicted = [{"feature": features[i], "share": float(wrong[i])} for i in order.tolist() if wrong[i] > 0]
@@ -194,20 +194,20 @@ def describe_hit(archive: Archive, asked: HitQuestion, _request: Request) -> dic
         "curve": [None if not np.isfinite(cost) else round(float(cost), 5) for cost in curve],
         "tau": asked.tau,
         "cost": None if path is None else float(curve[end - first]),
-        "start": asked.hit.start if path is None else path.start,
+        "start": hit.start if path is None else path.start,
         "columns": [] if path is None else np.round(path.columns, 2).tolist(),
         "template_columns": len(template),
         "contradicted": contradicted,
     }
 
 
-def _fitted(store: Store, asked: HitQuestion) -> QuantisedTemplate:
+def _fitted(store: Store, asked: HitQuestion, hit: ChosenInterval) -> QuantisedTemplate:
     """Return the template as it was matched with a hit: mirrored or not, and for what its take knows."""
     made = _template(store, asked)
     whole = RankedTemplate(asked.name, quantise(made.named.template, asked.delta))
-    if asked.hit.mirrored:
+    if hit.mirrored:
         whole = mirrored_template(whole, store.feature_set)
-    found = restricted_template(whole.template, store.known.get(asked.hit.take_id, int(ALL_KNOWN)))
+    found = restricted_template(whole.template, store.known.get(hit.take_id, int(ALL_KNOWN)))
     if found is None:
         raise KinedexError("the template is not applied to this take: its body lacks joints of most of the entries")
     return found
@@ -224,7 +224,6 @@ def write_template(archive: Archive, asked: ExamplesQuestion, _request: Request)
 def save_labels(archive: Archive, asked: LabelsQuestion, _request: Request) -> dict[str, Any]:
     """Record accepted hits as positive labels of a class and rejected ones as negative; they are on disk then."""
     store = archive.store()
-    require_within(store, (*asked.positives, *asked.negatives))
     names = {take_id: name for name, take_id in store.take_ids.items()}
     rows = [
         {
@@ -238,7 +237,7 @@ def save_labels(archive: Archive, asked: LabelsQuestion, _request: Request) -> d
             "note": asked.note,
         }
         for verdict, side in (("positive", asked.positives), ("negative", asked.negatives))
-        for one in side
+        for one in (chosen.interval(store) for chosen in side)
     ]
     done = record(store, rows)
     archive.labels_changed()
