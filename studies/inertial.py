@@ -18,6 +18,7 @@ from kinedex.ops.inertial.disagreement import errors
 from kinedex.ops.inertial.hand_eye import Options, Stream, StreamFit, calibrate
 from kinedex.ops.inertial.rotations import Z_TO_Y, angular_speed, conjugate, distance_deg, interpolate, multiply
 from kinedex.ops.inertial.time_offset import Fine, Speeds, TimeOffset, find, refine, sensor_speed
+from kinedex.ops.inertial.whitened_offset import whitened_offset
 from kinedex.pipelines.evaluation.markdown import grid
 from studies.inertial_recordings import Worn, broad_trials, read_feet
 
@@ -82,8 +83,8 @@ class Foot(NamedTuple):
     tilt: float
 
 
-def feet_offset(feet: Sequence[Worn]) -> float:
-    """Return the offset of the feet by correlation, a first calibration, and the fine search."""
+def feet_offset(feet: Sequence[Worn], whitened: bool = False) -> float:
+    """Return the offset of the feet by correlation, a first calibration, the fine search, and whitened errors."""
     offset = lag(feet).offset_s
     streams = feet_streams(feet, offset)
     limbs = []
@@ -92,7 +93,21 @@ def feet_offset(feet: Sequence[Worn]) -> float:
         limbs.append(
             Fine(stream.times[stream.valid], predicted[stream.valid], foot.sensor_times, foot.orientation(False))
         )
-    return refine(limbs, offset)
+    offset = refine(limbs, offset)
+    return whitened_offset(limbs, offset)[0] if whitened else offset
+
+
+def trial_offset(trial: Worn) -> float:
+    """Return the offset of a trial by a calibration, the fine search and whitened errors."""
+    frames = np.flatnonzero(trial.counted)
+    orientation = trial.orientation(True)
+    stream = Stream(
+        "body", trial.name, trial.times[frames], orientation[frames], trial.track[frames], np.ones(len(frames), bool)
+    )
+    (fit,) = calibrate([stream], Options())
+    predicted = multiply(multiply(conjugate(fit.q_global), stream.track), fit.q_mount)
+    limb = Fine(stream.times, predicted, trial.sensor_times, orientation)
+    return whitened_offset([limb], refine([limb], 0.0))[0]
 
 
 def feet_streams(feet: Sequence[Worn], offset_s: float) -> list[Stream]:
@@ -128,7 +143,9 @@ def broad_tables(trials: Sequence[Worn]) -> list[str]:
     ]
     lags = [f"{1000 * lag([one], 5.0).offset_s:.1f}" for one in trials]
     lines = ["Orientations, total / inclination, RMS in degrees; and the lag of the readings:", ""]
-    lines += grid(["trial", *(one.name for one in trials)], [*rows, ["lag, ms", *lags]])
+    orientations = [f"{1000 * trial_offset(one):.1f}" for one in trials]
+    lag_rows = [["lag of the gyroscope, ms", *lags], ["lag of orientations, ms", *orientations]]
+    lines += grid(["trial", *(one.name for one in trials)], [*rows, *lag_rows])
     lines += ["Calibration: q_L off by / e, RMS, degrees:", ""]
     calibrated = []
     settings = [(name, trials, *how) for name, how in SETTINGS.items()]
@@ -146,7 +163,8 @@ def feet_tables(feet: Sequence[Worn]) -> list[str]:
     each = ", ".join(f"{1000 * lag([foot]).offset_s:.1f} ({foot.name})" for foot in feet)
     lines = [
         f"Offsets in ms: {1000 * both.offset_s:.1f} by correlation (peak {both.correlation:.2f}, next "
-        f"{both.next_best:.2f}), {each}; {1000 * offset:.1f} by the fine search.",
+        f"{both.next_best:.2f}), {each}; {1000 * offset:.1f} by the fine search, "
+        f"{1000 * feet_offset(feet, whitened=True):.1f} by whitened errors.",
         "",
     ]
     streams = feet_streams(feet, offset)

@@ -9,6 +9,7 @@ import numpy as np
 from kinedex.ops.inertial.hand_eye import Options, Stream, StreamFit, calibrate
 from kinedex.ops.inertial.rotations import angular_speed, conjugate, multiply
 from kinedex.ops.inertial.time_offset import Fine, Speeds, TimeOffset, find, find_drift, refine, sensor_speed
+from kinedex.ops.inertial.whitened_offset import whitened_offset
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.sensor_parameters import SynchroniseParameters
 from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake, stream_of
@@ -87,23 +88,22 @@ def _refined(
 ) -> tuple[Clock, bool]:
     """Search the clock with the least orientation errors; the first one stays where nothing can be calibrated.
 
-    A wrong offset spoils the calibration a little, so both are repeated until the clock hardly moves.
+    The search on a grid leads near it, and least squares on whitened errors to it. A wrong offset spoils the
+    calibration a little, so both are repeated until the clock hardly moves.
     """
-    refined = False
-    for _ in range(MOST_ROUNDS):
+    for number in range(MOST_ROUNDS):
         before = clock
         limbs = _fine_limbs(take, sensors, clock)
         if not limbs:
-            return clock, refined
-        refined = True
+            return clock, number > 0
         seconds = max(float(limb.take_times[-1] - limb.take_times[0]) for limb in limbs)
-        if params.clock == "drift" and seconds >= LEAST_DRIFT_S:
-            clock = Clock(*find_drift(limbs, clock.offset_s))
-        else:
-            clock = Clock(refine(limbs, clock.offset_s))
+        drifts = params.clock == "drift" and seconds >= LEAST_DRIFT_S
+        if number == 0:
+            clock = Clock(*find_drift(limbs, clock.offset_s)) if drifts else Clock(refine(limbs, clock.offset_s))
+        clock = Clock(*whitened_offset(limbs, clock.offset_s, clock.ppm, drifts))
         if abs(clock.offset_s - before.offset_s) < STILL_S and abs(clock.ppm - before.ppm) * seconds < 1e6 * STILL_S:
             break
-    return clock, refined
+    return clock, True
 
 
 def _fine_limbs(take: WornTake, sensors: list[WornSensor], clock: Clock) -> list[Fine]:

@@ -122,3 +122,37 @@ def wrong_runs(
                 found.append((start, k))
             start = None
     return found
+
+
+def whitened_steps(
+    limbs: list[tuple[Array, Array, Array]], shared: int, model: Array, weightings: int, outlier: float
+) -> Array:
+    """Return what limbs share, and then what is each one's own, by least squares on one matrix of all whitened frames.
+
+    A limb has its residuals (n, 3), its design (n, 3, columns), and the number of frames that each frame follows.
+    """
+    own = limbs[0][1].shape[2] - shared
+    lines, values = [], []
+    for number, (residuals, design, follows) in enumerate(limbs):
+        for k in range(len(residuals)):
+            if follows[k] < len(model):
+                continue
+            line = np.zeros((3, shared + own * len(limbs)))
+            value = residuals[k].copy()
+            part = design[k].copy()
+            for lag, share in enumerate(model, 1):
+                value -= share * residuals[k - lag]
+                part -= share * design[k - lag]
+            line[:, :shared] = part[:, :shared]
+            line[:, shared + own * number : shared + own * (number + 1)] = part[:, shared:]
+            lines.append(line)
+            values.append(value)
+    found = np.zeros(shared + own * len(limbs))
+    for _ in range(weightings):
+        squares = [float(np.sum((value - line @ found) ** 2)) for line, value in zip(lines, values, strict=True)]
+        variance = np.median(squares) / 2.366
+        roots = [1.0 / (1.0 + square / (3.0 * outlier**2 * variance)) for square in squares]
+        weighted = zip(lines, values, roots, strict=True)
+        a, b = zip(*((root * line, root * value) for line, value, root in weighted), strict=True)
+        found = np.linalg.lstsq(np.concatenate(a), np.concatenate(b), rcond=None)[0]
+    return found
