@@ -53,8 +53,8 @@ UNKNOWN = -32_768
 FINEST_M = 0.0001
 """The least unit in metres."""
 
-BLOCK_FRAMES = 900
-"""Most stored frames of a block: half a minute, 130 KB."""
+BLOCK_FRAMES = 3600
+"""Most stored frames of a block: two minutes, 520 KB. Blocks grow to it."""
 
 WIDEST_M = 65.0
 """Most extent of a block of several frames along an axis, for a unit of 1 mm."""
@@ -181,7 +181,7 @@ def _blocks(positions: F32, rate_hz: float, first: int, step: int) -> Iterator[b
         while len(part) > 1 and _extent(part) > WIDEST_M:
             part = part[: len(part) // 2]
         yield packed(part, rate_hz, first + start * step, step)
-        start, length = start + max(len(part), 1), BLOCK_FRAMES
+        start, length = start + max(len(part), 1), min(4 * length, BLOCK_FRAMES)
 
 
 def _extent(positions: F32) -> float:

@@ -44,6 +44,8 @@ export interface Actor {
   stand?: { x: number; facing: number };
 }
 
+const NOBODY: Body = { joints: [], parents: [], sides: [], bones: [], root: 0, leftHip: -1, rightHip: -1 };
+
 /** The pieces of one actor. */
 class Figure {
   readonly group = new Group();
@@ -196,10 +198,12 @@ export class Stage {
   private grid: GridHelper | null = null;
   private floor = 0;
   private aimed = false;
-  private readonly endTheme: () => void;
+  readonly canvas = document.createElement("canvas");
 
-  /** Make a stage on a canvas; it throws where the browser has no WebGL. */
-  constructor(canvas: HTMLCanvasElement) {
+  /** Make a stage; it throws where the browser has no WebGL. */
+  constructor() {
+    const { canvas } = this;
+    canvas.setAttribute("role", "img");
     this.renderer = new WebGLRenderer({ canvas, antialias: true, powerPreference: "low-power" });
     this.renderer.setPixelRatio(Math.min(2, window.devicePixelRatio || 1));
     const sun = new DirectionalLight(0xffffff, 1.6);
@@ -212,7 +216,7 @@ export class Stage {
     this.controls.minDistance = 0.8;
     this.controls.maxDistance = 40;
     this.controls.addEventListener("change", () => this.onView());
-    this.endTheme = onTheme(() => {
+    onTheme(() => {
       this.paint();
       this.onView();
     });
@@ -308,10 +312,21 @@ export class Stage {
     this.aimed = false;
   }
 
-  dispose(): void {
-    this.endTheme();
-    this.controls.dispose();
-    for (const figure of this.figures) figure.dispose();
-    this.renderer.dispose();
-  }
+}
+
+let idle: Stage | null = null;
+
+/** Return a stage that nobody uses, or a new one: to set up WebGL takes longer than to open a take. */
+export function borrowStage(): Stage {
+  const stage = idle ?? new Stage();
+  idle = null;
+  return stage;
+}
+
+/** Give a stage back; its canvas leaves the page. */
+export function returnStage(stage: Stage): void {
+  stage.setActors([], NOBODY);
+  stage.onView = () => {};
+  stage.canvas.remove();
+  idle = stage;
 }

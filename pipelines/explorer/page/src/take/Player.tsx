@@ -4,7 +4,7 @@ import { ActionIcon, Alert, Button, Group, NativeSelect, Switch } from "@mantine
 import { useEffect, useRef, useState, useSyncExternalStore } from "react";
 
 import type { Body } from "../motion/body";
-import { type Actor, Stage } from "../motion/Stage";
+import { type Actor, borrowStage, returnStage, type Stage } from "../motion/Stage";
 import { clock } from "./axis";
 import { type Session, SPEEDS } from "./session";
 
@@ -19,60 +19,65 @@ export interface PlayerProps {
 
 export function Player({ session, body, actors, frameOf, label }: PlayerProps) {
   const box = useRef<HTMLDivElement>(null);
-  const canvas = useRef<HTMLCanvasElement>(null);
   const note = useRef<HTMLDivElement>(null);
-  const stage = useRef<Stage | null>(null);
+  const [stage, setStage] = useState<Stage | null>(null);
   const [fault, setFault] = useState(false);
   const shown = useSyncExternalStore(session.subscribe, () => session.shown);
   useEffect(() => {
-    if (canvas.current === null || box.current === null) return;
-    let made: Stage;
-    try {
-      made = new Stage(canvas.current);
-    } catch {
-      setFault(true);
-      return;
-    }
-    stage.current = made;
+    let borrowed: Stage | null = null;
+    // after the first picture of the page, when its questions are on their way
+    const later = setTimeout(() => {
+      try {
+        borrowed = borrowStage();
+        setStage(borrowed);
+      } catch {
+        setFault(true);
+      }
+    }, 0);
+    return () => {
+      clearTimeout(later);
+      setStage(null);
+      if (borrowed !== null) returnStage(borrowed);
+    };
+  }, []);
+  useEffect(() => {
+    const place = box.current;
+    if (stage === null || place === null) return;
+    place.prepend(stage.canvas);
     const watch = new ResizeObserver(([entry]) => {
       if (entry === undefined) return;
-      made.resize(entry.contentRect.width, entry.contentRect.height);
+      stage.resize(entry.contentRect.width, entry.contentRect.height);
       session.changed("content");
     });
-    watch.observe(box.current);
-    return () => {
-      watch.disconnect();
-      made.dispose();
-      stage.current = null;
-    };
-  }, [session]);
+    watch.observe(place);
+    return () => watch.disconnect();
+  }, [session, stage]);
+  useEffect(() => stage?.canvas.setAttribute("aria-label", label), [stage, label]);
   useEffect(() => {
-    const made = stage.current;
-    if (made === null) return;
-    made.setActors(actors, body);
-    made.onView = () => session.changed("content");
+    if (stage === null) return;
+    stage.setActors(actors, body);
+    stage.onView = () => session.changed("content");
     let floored = false;
     const frames = actors.map(() => 0);
     return session.paint((changes) => {
       if (!changes.time && !changes.content) return;
-      if (!floored) floored = putFloor(made, actors[0], body);
+      if (!floored) floored = putFloor(stage, actors[0], body);
       actors.forEach((_, i) => {
         frames[i] = frameOf(i, session.seen);
       });
-      const known = made.draw(frames, body);
+      const known = stage.draw(frames, body);
       if (note.current !== null) note.current.hidden = known;
     });
-  }, [session, body, actors, frameOf]);
+  }, [session, stage, body, actors, frameOf]);
   useEffect(() => {
-    if (stage.current === null) return;
-    stage.current.follow = shown.follow;
-    stage.current.trails = shown.trails;
+    if (stage === null) return;
+    stage.follow = shown.follow;
+    stage.trails = shown.trails;
     session.changed("content");
-  }, [session, shown.follow, shown.trails]);
+  }, [session, stage, shown.follow, shown.trails]);
   return (
     <section className="player" aria-label="Player">
       <div ref={box} className="player-box">
-        <canvas ref={canvas} role="img" aria-label={label} tabIndex={-1} />
         <div ref={note} className="player-note" hidden>
           no pose here yet
         </div>
@@ -86,7 +91,7 @@ export function Player({ session, body, actors, frameOf, label }: PlayerProps) {
       <Controls
         session={session}
         front={() => {
-          stage.current?.reset();
+          stage?.reset();
           session.changed("content");
         }}
       />

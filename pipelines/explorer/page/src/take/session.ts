@@ -22,6 +22,8 @@ export interface Changes {
 
 export type Painter = (changes: Changes) => void;
 
+const REST_MS = 250;
+
 export const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4] as const;
 
 export class Session {
@@ -41,6 +43,7 @@ export class Session {
   private request = 0;
   private before = 0;
   private ended = false;
+  private pause: ReturnType<typeof setTimeout> | undefined;
 
   constructor(
     readonly frames: number,
@@ -122,8 +125,13 @@ export class Session {
     this.changed("time");
   }
 
+  /** Report a rest when nothing has moved for a while: scrubbing writes no addresses. */
   private rested(): void {
-    if (!this.shown.playing) for (const listener of this.rests) listener();
+    clearTimeout(this.pause);
+    if (this.shown.playing || this.rests.size === 0) return;
+    this.pause = setTimeout(() => {
+      if (!this.shown.playing) for (const listener of this.rests) listener();
+    }, REST_MS);
   }
 
   play(on = !this.shown.playing): void {
@@ -194,6 +202,7 @@ export class Session {
   end(): void {
     this.ended = true;
     cancelAnimationFrame(this.request);
+    clearTimeout(this.pause);
     this.painters.clear();
   }
 }
