@@ -282,7 +282,7 @@ export class Stage {
     if (Number.isNaN(x + z)) return;
     if (!this.aimed) {
       this.aimed = true;
-      this.turnTo(alone ? facing(body, figure.pose) + 0.5 : 0, x, z);
+      this.turnTo(alone ? facing(body, figure.pose) + 0.5 : 0.35, x, z);
     } else if (this.follow) this.shift(x - this.target.x, z - this.target.z);
     if (this.grid !== null) this.grid.position.set(Math.round(this.target.x), 0, Math.round(this.target.z));
   }

@@ -78,7 +78,7 @@ export function LanesView(props: LanesProps) {
             <div key={row.id} className={`lanes-name lanes-${row.kind}`} style={{ top: row.y, height: row.height }} title={row.title}>
               {row.kind === "feature" && <i className={`side-${row.side}`} />}
               <span className={row.kind === "feature" && row.unknown ? "muted" : undefined}>
-                {row.name}
+                {shortened(row.name)}
                 {row.kind === "feature" && row.unknown ? " (unknown)" : ""}
               </span>
             </div>
@@ -102,6 +102,11 @@ export function LanesView(props: LanesProps) {
       </div>
     </div>
   );
+}
+
+/** Shorten a long name in its middle: what tells methods apart stands at the end of their names. */
+function shortened(name: string): string {
+  return name.length > 30 ? `${name.slice(0, 9)}…${name.slice(-19)}` : name;
 }
 
 interface Canvases {

@@ -175,7 +175,7 @@ function useSession(document: TakeDocument): Session {
     applyAddress(made, window.location.search, true);
     return made;
   }, [document.frames, document.rate_hz]);
-  const written = useRef(search);
+  const written = useRef(placeOf(search));
   useEffect(
     () =>
       session.onRest(() => {
@@ -186,17 +186,23 @@ function useSession(document: TakeDocument): Session {
           to: selection === null ? null : String(selection[1]),
           frame: frame === 0 ? null : String(frame),
         });
-        written.current = window.location.search.replace(/^\?/, "");
+        written.current = placeOf(window.location.search);
       }),
     [session, set],
   );
   useEffect(() => {
-    if (search === written.current) return;
-    written.current = search;
+    if (placeOf(search) === written.current) return;
+    written.current = placeOf(search);
     applyAddress(session, search, false);
   }, [session, search]);
   useEffect(() => () => session.end(), [session]);
   return session;
+}
+
+/** Return the part of an address that is about playhead and selection. */
+function placeOf(search: string): string {
+  const parameters = new URLSearchParams(search);
+  return ["from", "to", "frame"].map((name) => parameters.get(name) ?? "").join(" ");
 }
 
 function applyAddress(session: Session, search: string, begin: boolean): void {

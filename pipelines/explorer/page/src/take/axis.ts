@@ -51,7 +51,7 @@ export function ticks(view: View, rateHz: number, width: number, apart = 80): nu
   const step = STEPS.find((one) => (one / seconds) * width >= apart) ?? 7200;
   const found: number[] = [];
   for (let k = Math.ceil(view.from / rateHz / step - 1e-9); k * step <= view.to / rateHz + 1e-9; k++)
-    found.push(Math.round(k * step * 10) / 10);
+    found.push(Math.max(0, Math.round(k * step * 10) / 10));
   return found;
 }
 

@@ -10,28 +10,12 @@ import { useParameter, useParameters } from "../app/address";
 import type { Actor } from "../motion/Stage";
 import { clock } from "./axis";
 import { useDocument, useMotion } from "./load";
+import { type Pairing, partnerOf } from "./pairing";
 import { Panel } from "./panels";
 import type { Session } from "./session";
 import type { Aligned, Hit, TakeDocument } from "./types";
 
 export type Step = "hit" | "dtw" | "time";
-
-/** Frames of the other take at the frames of an interval of this one. */
-export interface Pairing {
-  start: number;
-  stop: number;
-  frames: readonly number[];
-}
-
-/** Return the frame of the other take at a frame of this one; between two frames where they follow each other. */
-export function partnerOf(pairing: Pairing, frame: number): number {
-  const { frames, start } = pairing;
-  const at = Math.min(Math.max(0, frame - start), frames.length - 1);
-  const low = Math.floor(at);
-  const one = frames[low] ?? 0;
-  const other = frames[Math.min(low + 1, frames.length - 1)] ?? one;
-  return other >= one && other - one <= 8 ? one + (other - one) * (at - low) : one;
-}
 
 export interface Beside {
   actors: Actor[] | null;
@@ -94,6 +78,7 @@ export function useBeside(session: Session, document: TakeDocument, first: Actor
       step={(step ?? "time") as Step}
       over={over}
       theirs={theirs}
+      until={to}
       cost={step === "dtw" ? aligned.data?.cost : undefined}
       fault={fault}
       onAlign={() => setInterval(session.shown.selection ?? [0, document.frames])}
@@ -113,16 +98,17 @@ interface BesidePanelProps {
   step: Step;
   over: boolean;
   theirs: readonly [number, number];
+  until: string | null;
   cost: number | undefined;
   fault: unknown;
   onAlign: () => void;
 }
 
-function BesidePanel({ session, name, step, over, theirs, cost, fault, onAlign }: BesidePanelProps) {
+function BesidePanel({ session, name, step, over, theirs, until, cost, fault, onAlign }: BesidePanelProps) {
   const set = useParameters();
   const [text, setText] = useState(name ?? "");
   const [begin, setBegin] = useState(theirs[0] > 0 ? String(theirs[0]) : "");
-  const [end, setEnd] = useState("");
+  const [end, setEnd] = useState(until ?? "");
   const show = () => {
     onAlign();
     set({ beside: text.trim() || null, bfrom: begin || null, bto: end || null, step: "dtw" });
