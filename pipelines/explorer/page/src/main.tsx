@@ -16,6 +16,9 @@ function styleNonce(): string {
   return document.querySelector<HTMLMetaElement>('meta[name="style-nonce"]')?.content ?? "";
 }
 
+// The library that stops the page from scrolling behind dialogs reads the nonce from here.
+Object.assign(window, { __webpack_nonce__: styleNonce() });
+
 const root = document.getElementById("root");
 if (root !== null) {
   createRoot(root).render(

@@ -1,0 +1,96 @@
+"""The page of a take in a real browser: it plays, zooms and selects, and an address opens the same view."""
+
+from __future__ import annotations
+
+import re
+
+from playwright.sync_api import Locator, Page, expect
+
+from tests.browser.explorer.conftest import Open
+
+TAKE = "/take/x_al_long_1"
+
+
+def frame_of(page: Page) -> int:
+    return int(str(page.locator(".player-now").text_content()).rpartition(" ")[2])
+
+
+def box_of(place: Locator) -> tuple[float, float, float]:
+    """Return left edge, width and the height of the second row of the lanes on the screen."""
+    box = place.bounding_box()
+    assert box is not None
+    return box["x"], box["width"], box["y"] + 30
+
+
+def hovered_frame(page: Page, x: float, y: float) -> int:
+    page.mouse.move(x, y)
+    found = re.search(r"frame (\d+)", str(page.locator(".lanes-tip").text_content()))
+    assert found is not None
+    return int(found.group(1))
+
+
+def test_a_take_plays_zooms_and_selects(open_page: Open) -> None:
+    page = open_page(TAKE)
+    expect(page.get_by_role("heading", name="x_al_long_1")).to_be_visible()
+    expect(page.get_by_role("img", name="The motion of x_al_long_1")).to_be_visible()
+    expect(page.get_by_text("Ground truth").first).to_be_visible()
+    expect(page.locator(".player-note")).to_be_hidden()
+
+    page.keyboard.press(" ")
+    page.wait_for_function("() => !document.querySelector('.player-now').textContent.endsWith('frame 0')")
+    page.keyboard.press(" ")
+    stopped = frame_of(page)
+    page.keyboard.press("ArrowRight")
+    page.wait_for_function(f"() => document.querySelector('.player-now').textContent.endsWith('frame {stopped + 1}')")
+    on = page.locator(".pose-features li:not([hidden])").all_text_contents()
+    reading = page.evaluate(
+        f"""async () => {{
+            const take = await (await fetch('/api/take?name=x_al_long_1')).json();
+            return (await fetch(`/api/takes/${{take.take_id}}/pose?frame={stopped + 1}`)).json();
+        }}"""
+    )
+    assert on == reading["on"]
+
+    left, width, y = box_of(page.locator(".lanes-area"))
+    before = hovered_frame(page, left + 0.75 * width, y) - hovered_frame(page, left + 0.25 * width, y)
+    page.mouse.wheel(0, -400)
+    page.wait_for_timeout(100)
+    after = hovered_frame(page, left + 0.75 * width, y) - hovered_frame(page, left + 0.25 * width, y)
+    assert 0 < after < 0.7 * before
+
+    page.mouse.move(left + 0.3 * width, y)
+    page.mouse.down()
+    page.mouse.move(left + 0.5 * width, y, steps=3)
+    page.mouse.up()
+    page.wait_for_url(re.compile(r"from=\d+&to=\d+"))
+    found = re.search(r"from=(\d+)&to=(\d+)", page.url)
+    assert found is not None
+    interval = f"from={found.group(1)}&to={found.group(2)}"
+    for name, address in (("Search like this", "ask"), ("Label this", "label")):
+        link = page.get_by_role("link", name=name)
+        assert link.get_attribute("href") == f"/{address}?take=x_al_long_1&{interval}"
+    page.reload()
+    length = int(found.group(2)) - int(found.group(1))
+    expect(page.get_by_text(re.compile(rf"\b{length} frames"))).to_be_visible()
+
+
+def test_the_lanes_are_a_table_and_keys_are_listed(open_page: Open) -> None:
+    page = open_page(TAKE)
+    page.get_by_text("Lanes as a table").click()
+    page.get_by_label("Lane", exact=True).select_option(label="Ground truth: Ground truth (3)")
+    rows = page.get_by_role("row")
+    expect(rows).to_have_count(4)
+    expect(rows.nth(2)).to_contain_text("reel")
+    rows.nth(2).get_by_role("button").click()
+    page.wait_for_url(re.compile(r"from=\d+"))
+    page.locator("body").press("?")
+    expect(page.get_by_role("dialog", name="Keys")).to_contain_text("Play or pause")
+
+
+def test_a_wrong_name_is_an_error_with_the_nearest_one(open_page: Open) -> None:
+    page = open_page("/take")
+    expect(page.get_by_role("link", name="x_al_long_1")).to_be_visible()
+    page.get_by_label("Name of a take").fill("bo_long")
+    expect(page.get_by_role("link")).not_to_contain_text(["x_al_long_1"])
+    page.get_by_role("link", name="x_bo_long_1").click()
+    expect(page.get_by_role("heading", name="x_bo_long_1")).to_be_visible()
