@@ -1,8 +1,9 @@
 import { Loader, Select, Text } from "@mantine/core";
 
-import { memo, useMemo } from "react";
+import { memo, type MouseEvent, useMemo } from "react";
 
 import { useStore } from "../api/queries";
+import type { Filter } from "../api/types";
 import { useParameter } from "../app/address";
 import { Fault } from "../app/Fault";
 import { useTotals } from "./questions";
@@ -95,13 +96,18 @@ interface RowProps {
 }
 
 function GroupRow({ group, keys, most, state }: RowProps) {
-  const chosen = keys.every((key, place) => {
-    const values = state.filters.find((one) => one.column === key)?.values;
-    return values?.length === 1 && values[0] === group.values[place];
-  });
-  const choose = () => {
-    if (chosen) keys.forEach((key) => state.put(key, null));
-    else keys.forEach((key, place) => state.put(key, { column: key, values: [group.values[place] ?? null] }));
+  const filters = keys.map((key) => state.filters.find((one) => one.column === key)?.values);
+  const chosen = filters.every((values, place) => values?.includes(group.values[place] ?? null) ?? false);
+  /** Filter by this group alone, or take the filter back; with Ctrl or ⌘ among others. */
+  const choose = (event: MouseEvent) => {
+    const more = keys.length === 1 && (event.ctrlKey || event.metaKey);
+    const next = keys.map((key, place): [string, Filter | null] => {
+      const value = group.values[place] ?? null;
+      const others = more ? (filters[place] ?? []).filter((one) => one !== value) : [];
+      const values = chosen && (more || filters[place]?.length === 1) ? others : [...others, value];
+      return [key, values.length === 0 ? null : { column: key, values }];
+    });
+    state.putAll(Object.fromEntries(next));
   };
   const text = group.values.map(named).join(" · ");
   return (

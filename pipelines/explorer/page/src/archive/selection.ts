@@ -24,19 +24,24 @@ export function useSelection() {
     [sound, where],
   );
   const change = useCallback((next: Filter[]) => setFilters(next.length === 0 ? null : next, true), [setFilters]);
-  /** Replace the filter of a column; null removes it. */
-  const put = useCallback(
-    (column: string, filter: Filter | null) => {
-      const place = sound.findIndex((one) => one.column === column);
-      if (place < 0) change(filter === null ? sound : [...sound, filter]);
-      else change(sound.flatMap((one, index) => (index !== place ? [one] : filter === null ? [] : [filter])));
+  /** Replace the filters of some columns in one step; null removes one. */
+  const putAll = useCallback(
+    (columns: Record<string, Filter | null>) => {
+      const rest = new Map(Object.entries(columns));
+      const next = sound.flatMap((one) => {
+        const filter = rest.get(one.column);
+        rest.delete(one.column);
+        return filter === undefined ? [one] : filter === null ? [] : [filter];
+      });
+      change([...next, ...[...rest.values()].filter((one) => one !== null)]);
     },
     [sound, change],
   );
+  const put = useCallback((column: string, filter: Filter | null) => putAll({ [column]: filter }), [putAll]);
   const clear = useClear();
   return useMemo(
-    () => ({ selection, filters: sound, where, setWhere, put, clear }),
-    [selection, sound, where, setWhere, put, clear],
+    () => ({ selection, filters: sound, where, setWhere, put, putAll, clear }),
+    [selection, sound, where, setWhere, put, putAll, clear],
   );
 }
 
