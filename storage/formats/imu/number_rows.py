@@ -76,8 +76,10 @@ def text_lines(path: Path) -> list[str]:
 
 
 def separator_of(header: str) -> str:
-    """Return the separator that a header has most of."""
-    return max(SEPARATORS, key=lambda one: (header.count(one), -SEPARATORS.index(one)))
+    """Return the separator that a header has most of; the blank, which names have too, only where it has no other."""
+    *others, blank = SEPARATORS
+    found = max(others, key=lambda one: (header.count(one), -others.index(one)))
+    return found if found in header else blank
 
 
 def cells_of(line: str, separator: str) -> list[str]:

@@ -46,6 +46,7 @@ _TO_NWU = {NWU: None, ENU: TO_NORTH_WEST_UP, NED: exp(np.array([np.pi, 0.0, 0.0]
 _TURNING_RAD_S = 0.1  # slower turning is mostly noise
 _STILL_RAD_S = 0.1
 _ALIKE = 0.7
+_SURELY_ALIKE, _LEAST_RATIO = 0.9, 0.75  # given files: 0.95 and more, 0.97 to 1.04
 _WAY_OUT = "in a file of sensors"
 
 
@@ -228,6 +229,7 @@ class _Checks:
 
     def compare_orientation(self, times: F64, gyr: F64, orientation: F64, unit: str) -> None:
         """Compare angular velocities with the orientations of the file."""
+        rate_hz = 1.0 / max(float(np.median(np.diff(times))), 1e-9) if len(times) > 1 else 0.0
         as_read, ratio, turning = readings.compare_with_orientation(times, gyr, orientation)
         if not turning > _TURNING_RAD_S:
             return
@@ -241,6 +243,11 @@ class _Checks:
             )
         if as_read > _ALIKE and not 0.1 < ratio < 10:
             raise self.wrong_rates(unit, f"gyr turns {ratio:.3g} times as fast as the file's own quaternions")
+        if as_read > _SURELY_ALIKE and not _LEAST_RATIO < ratio < 1 / _LEAST_RATIO:
+            self.warnings.append(
+                f"gyr turns {ratio:.3g} times as fast as the file's own quaternions: is the rate of {rate_hz:.4g} Hz "
+                "right?"
+            )
         if as_read < 0.3:
             self.warnings.append(
                 f"gyr and the rate of the file's own quaternions correlate at {as_read:.2f}: are they of one sensor?"

@@ -24,7 +24,8 @@ UNITS = {
 """Quantity → unit → its size in m/s², rad/s, µT or seconds; a field of unit 1 is in units of the local field."""
 
 _SPELLINGS = {
-    "m/s^2": "m/s2", "m/s²": "m/s2", "m/s/s": "m/s2", "m s-2": "m/s2", "m*s^-2": "m/s2", "ms^-2": "m/s2",
+    "m/s^2": "m/s2", "m/(s^2": "m/s2", "m/s²": "m/s2", "m/s/s": "m/s2", "m s-2": "m/s2",
+    "m*s^-2": "m/s2", "ms^-2": "m/s2",
     "°/s": "deg/s", "dps": "deg/s", "degree/s": "deg/s", "degrees/s": "deg/s", "deg*s^-1": "deg/s", "mdps": "mdeg/s",
     "rad/sec": "rad/s", "rad*s^-1": "rad/s", "rps": "rad/s", "deg/sec": "deg/s", "milli-g": "mg",
     "µt": "uT", "μt": "uT", "ut": "uT", "microtesla": "uT", "nt": "nT", "mt": "mT", "ga": "gauss", "mga": "mgauss",

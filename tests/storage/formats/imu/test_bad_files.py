@@ -246,3 +246,10 @@ def test_a_file_of_sensors_that_is_wrong_is_refused_with_its_line(content: str, 
 
 def test_every_format_has_a_title() -> None:
     assert all(form.title for form in recording.FORMATS.values())
+
+
+def test_a_rate_that_the_quaternions_contradict_is_warned_of(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text(mtmanager_text(turning(300)).replace("Update Rate: 50.0Hz", "Update Rate: 30.0Hz"))
+    (sensor,) = read_recording(path).sensors
+    assert any("gyr turns 1.67 times as fast" in one and "30 Hz right?" in one for one in sensor.warnings)

@@ -48,6 +48,16 @@ def of(content: str) -> SensorSet:
     return parse_sensor_set(parse_yaml(content, "five.yaml"))
 
 
+def spoken(table: str) -> str:
+    """Return a table whose names have blanks and units, as those of phones have."""
+    words = {"acc": "Acceleration", "gyr": "Gyroscope", "mag": "Magnetic field", "q": "Orientation"}
+    units = {"acc": " (m/s^2)", "gyr": " (rad/s)", "mag": " (µT)", "q": ""}
+    header, _, rows = table.partition("\n")
+    names = [name.split("_") for name in header.split(",")]
+    given = ['"Time (s)"' if one[0] == "time" else f'"{words[one[0]]} {one[1]}{units[one[0]]}"' for one in names]
+    return ",".join(given) + "\n" + rows
+
+
 FILES: dict[str, tuple[Callable[[Path], Path], str, list[str], str]] = {
     "mtmanager, matrices": (text(mtmanager_text(KNOWN), "MT_01_00B421ED.txt"), "mtmanager", ["00B421ED"], "agq"),
     "mtmanager, quaternions": (text(mtmanager_text(KNOWN, separator=" ", turns="quat")), "mtmanager", ["a"], "agq"),
@@ -60,6 +70,7 @@ FILES: dict[str, tuple[Callable[[Path], Path], str, list[str], str]] = {
     "NGIMU": (lambda folder: write_xio(folder, KNOWN)[1], "xio", ["a"], "agmq"),
     "mvnx": (text(mvnx_text(KNOWN), "a.mvnx"), "mvnx", ["Pelvis", "LeftLowerLeg"], "q"),
     "table, CSV": (text(csv_text(KNOWN), "a.csv"), "table", ["a"], "agmq"),
+    "table, CSV of a phone": (text(spoken(csv_text(KNOWN)), "a.csv"), "table", ["a"], "agmq"),
     "table, CSV of Excel": (text(csv_text(KNOWN).replace(",", ";").replace(".", ",")), "table", ["a"], "agmq"),
     "table, Parquet": (
         lambda folder: write_parquet(folder / "a.parquet", {"lhand": KNOWN, "rhand": KNOWN}),
