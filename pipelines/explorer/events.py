@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import json
 import threading
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from typing import TYPE_CHECKING
 
 from anyio import to_thread
@@ -18,8 +18,6 @@ from starlette.routing import Route
 
 if TYPE_CHECKING:
     from starlette.requests import Request
-
-    from kinedex.pipelines.explorer.archive import Archive
 
 WAIT_SECONDS = 1.0
 """While a page listens, the store is looked at so often."""
@@ -59,8 +57,14 @@ class Events:
             for queue, loop in self._listeners.items():
                 loop.call_soon_threadsafe(queue.put_nowait, chunk)
 
-    async def listen(self, archive: Archive) -> AsyncIterator[bytes]:
-        """Yield the messages as they come, and look after the store meanwhile."""
+    async def listen(self, look: Callable[[], object]) -> AsyncIterator[bytes]:
+        """Yield the messages as they come, and look for news of the store meanwhile.
+
+        Parameters
+        ----------
+        look : callable
+            Publishes what has changed in the store; called once in `WAIT_SECONDS`, in a thread.
+        """
         queue: asyncio.Queue[bytes | None] = asyncio.Queue()
         with self._lock:
             self._listeners[queue] = asyncio.get_running_loop()
@@ -73,7 +77,7 @@ class Events:
                 except TimeoutError:
                     quiet += WAIT_SECONDS
                     chunk = b": quiet\n\n" if quiet >= QUIET_SECONDS else b""
-                    await to_thread.run_sync(archive.store)
+                    await to_thread.run_sync(look)
                 if chunk is None:
                     return
                 if chunk:
@@ -86,8 +90,8 @@ class Events:
 
 async def stream(request: Request) -> Response:
     """Answer with the messages for as long as the page listens."""
-    archive: Archive = request.app.state.archive
-    return StreamingResponse(archive.events.listen(archive), media_type="text/event-stream")
+    archive = request.app.state.archive
+    return StreamingResponse(archive.events.listen(archive.store), media_type="text/event-stream")
 
 
 routes = [Route("/api/events", stream)]
