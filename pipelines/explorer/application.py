@@ -123,10 +123,17 @@ class LaterRoutes(BaseRoute):
         await router(scope, receive, send)
 
     def load_soon(self) -> None:
-        """Import the subjects in a thread once the page has had time to show something."""
+        """Import the subjects in a thread once the page has had time to show something, and warm up their kernels."""
         if self._router is None:
             loop = asyncio.get_running_loop()
-            loop.call_later(PAUSE_SECONDS, lambda: Thread(target=self.load, daemon=True).start())
+            loop.call_later(PAUSE_SECONDS, lambda: Thread(target=self._prepare, daemon=True).start())
+
+    def _prepare(self) -> None:
+        self.load()
+        for subject in self._subjects:
+            module = import_module(f"kinedex.pipelines.explorer.{subject}")
+            if hasattr(module, "warm_up"):
+                module.warm_up()
 
 
 def require_page(built: Path = BUILT) -> None:

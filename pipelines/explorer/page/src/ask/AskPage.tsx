@@ -10,6 +10,7 @@ import { Fault } from "../app/Fault";
 import { ByExample } from "./ByExample";
 import { ByKeyframes } from "./ByKeyframes";
 import { BySql } from "./BySql";
+import { VerdictScope } from "./verdicts";
 
 const WAYS = [
   { value: "example", label: "By example" },
@@ -20,11 +21,17 @@ const WAYS = [
 /** Ask the archive: three ways, one kind of list. */
 export default function AskPage() {
   const [way, setWay] = useParameter("way");
+  const [take] = useParameter("take");
+  const [from] = useParameter("from");
+  const [to] = useParameter("to");
+  const [origin] = useParameter("of");
   const store = useStore();
   const shown = WAYS.some((one) => one.value === way) ? (way as string) : "example";
   if (store.isError) return <Fault fault={store.error} retry={() => void store.refetch()} />;
   if (store.data === undefined) return <Loader m="md" size="sm" aria-label="Loading" />;
+  const scope = shown === "example" ? `example ${origin ?? [take, from, to].join(" ")}` : shown;
   return (
+    <VerdictScope value={scope}>
     <div className="page ask">
       <header className="ask-head">
         <Title order={1}>Ask</Title>
@@ -41,6 +48,7 @@ export default function AskPage() {
       {shown === "keyframes" && <ByKeyframes store={store.data} />}
       {shown === "sql" && <BySql store={store.data} />}
     </div>
+    </VerdictScope>
   );
 }
 

@@ -66,12 +66,15 @@ export function ByExample({ store }: { store: StoreFacts }) {
     }),
     [settled],
   );
+  const [origin] = useParameter("of");
   const refine = (accepted: Interval[], rejected: Interval[]) => {
+    const [first] = question?.positives ?? [];
     const example = question?.positives.filter((one) => !accepted.some((other) => overlap(one, other))) ?? [];
     set(
       {
         more: JSON.stringify([...example, ...accepted].map(packed)),
         less: rejected.length === 0 ? null : JSON.stringify(rejected.map(packed)),
+        of: origin ?? (first === undefined ? null : [first.take, first.start, first.stop].join(" ")),
         take: null,
         from: null,
         to: null,
@@ -186,11 +189,16 @@ function Options({ mirror, tau }: { mirror: boolean; tau: number }) {
 
 function Examples({ question, store }: { question: ExamplesQuestion; store: StoreFacts }) {
   const set = useParameters();
+  const [origin] = useParameter("of");
+  const [take] = useParameter("take");
+  const [from] = useParameter("from");
+  const [to] = useParameter("to");
   const ids = useTakeIds(question);
   const keep = (positives: Interval[], negatives: Interval[]) =>
     set({
       more: JSON.stringify(positives.map(packed)),
       less: negatives.length === 0 ? null : JSON.stringify(negatives.map(packed)),
+      of: origin ?? (take === null ? null : [take, from, to].join(" ")),
       take: null,
       from: null,
       to: null,

@@ -1,7 +1,6 @@
 // A grid of looping hits. Arrow keys move between them, y accepts, n rejects, Space leaves one undecided; each goes on
 // to the next. Enter opens the take.
 
-import { Badge } from "@mantine/core";
 import { memo, useCallback, useEffect, useRef, useState } from "react";
 import { useLocation } from "wouter";
 
@@ -124,7 +123,7 @@ const Cell = memo(function Cell({ hit, place, rateHz, verdict, chosen, first, on
       <SmallFigure item={hit} width={104} height={112} />
       <span className="hit-facts">
         <span className="hit-cost">{hit.cost === null ? `${place + 1}` : hit.cost.toFixed(3)}</span>
-        {hit.mirrored && <Badge size="xs" variant="outline">mirror</Badge>}
+        {hit.mirrored && <span className="muted">mirror</span>}
         {verdict !== undefined && <b className={`hit-${verdict}`}>{verdict === "yes" ? "✓ yes" : "✕ no"}</b>}
       </span>
       <span className="hit-name muted">{hit.take}</span>

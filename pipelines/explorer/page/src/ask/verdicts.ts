@@ -1,7 +1,7 @@
 // Hits that a person has accepted or rejected. They are kept in the session of the tab until they are saved, so that a
-// reload, or a visit to another page, costs none.
+// reload, or a visit to another page, costs none. Those of another question (its scope) are not shown, nor saved with it.
 
-import { useCallback, useMemo, useSyncExternalStore } from "react";
+import { createContext, useCallback, useContext, useMemo, useSyncExternalStore } from "react";
 
 import { type Hit, type Interval, intervalOf, keyOf } from "./types";
 
@@ -9,17 +9,19 @@ export type Verdict = "yes" | "no";
 
 const PLACE = "kinedex-ask-verdicts";
 const listeners = new Set<() => void>();
-let held: Readonly<Record<string, Verdict>> = read();
+type Held = Readonly<Record<string, Readonly<Record<string, Verdict>>>>;
+const NONE = {};
+let held: Held = read();
 
-function read(): Record<string, Verdict> {
+function read(): Held {
   try {
-    return JSON.parse(sessionStorage.getItem(PLACE) ?? "{}") as Record<string, Verdict>;
+    return JSON.parse(sessionStorage.getItem(PLACE) ?? "{}") as Held;
   } catch {
     return {};
   }
 }
 
-function write(next: Record<string, Verdict>): void {
+function write(next: Held): void {
   held = next;
   try {
     sessionStorage.setItem(PLACE, JSON.stringify(next));
@@ -42,16 +44,28 @@ export interface Verdicts {
   rejected: Interval[];
 }
 
+const Scope = createContext("");
+
+/** The question that verdicts belong to. */
+export const VerdictScope = Scope.Provider;
+
 export function useVerdicts(): Verdicts {
-  const every = useSyncExternalStore(subscribe, () => held);
-  const set = useCallback((hit: Hit, verdict: Verdict | null) => {
-    const next = { ...held };
-    const key = keyOf(hit);
-    if (verdict === null) delete next[key];
-    else next[key] = verdict;
-    write(next);
-  }, []);
-  const clear = useCallback(() => write({}), []);
+  const scope = useContext(Scope);
+  const every = useSyncExternalStore(subscribe, () => held[scope] ?? NONE) as Readonly<Record<string, Verdict>>;
+  const set = useCallback(
+    (hit: Hit, verdict: Verdict | null) => {
+      const next: Record<string, Verdict> = { ...held[scope] };
+      const key = keyOf(hit);
+      if (verdict === null) delete next[key];
+      else next[key] = verdict;
+      write({ ...held, [scope]: next });
+    },
+    [scope],
+  );
+  const clear = useCallback(() => {
+    const { [scope]: _, ...others } = held;
+    write(others);
+  }, [scope]);
   return useMemo(() => {
     const side = (wanted: Verdict) =>
       Object.entries(every)

@@ -13,7 +13,7 @@ export interface FigureItem {
 
 /** Most stored frames of a figure; of longer intervals the server sends fewer frames a second. */
 export const FIGURE_FRAMES = 120;
-const TOGETHER = 60;
+const TOGETHER = 10; // so few that the first appear early: figures of many takes lie in many places of the store
 const KEPT = 600;
 const PICTURE_MS = 30;
 
