@@ -52,7 +52,7 @@ class Archive:
         self.read_only = read_only
         self.events = Events()
         self.kernels = threading.Lock()
-        self._lock = threading.Lock()
+        self._looking = threading.Lock()
         self._store = open_store(path)
         self._looked = time.monotonic()
         self._newest = self._newest_files()
@@ -61,19 +61,26 @@ class Archive:
     def store(self) -> Store:
         """Return the newest version that has its index.
 
-        What a caller holds stays valid until it lets go of it: the version is leased for as long.
+        What a caller holds stays valid until it lets go of it: the version is leased for as long. While one thread
+        opens a newer version, the others get the one before it.
+
+        Raises
+        ------
+        StoreError
+            A newer version is damaged or cannot be read.
         """
-        with self._lock:
-            if time.monotonic() - self._looked >= LOOK_SECONDS:
+        if time.monotonic() - self._looked >= LOOK_SECONDS and self._looking.acquire(blocking=False):
+            try:
                 self._look()
                 self._looked = time.monotonic()
-            return self._store
+            finally:
+                self._looking.release()
+        return self._store
 
     def labels_changed(self) -> None:
         """Read the labels anew when they are next asked for, and report the change to all pages."""
-        with self._lock:
-            self._store.forget_labels()
-            self._journal = self._journal_files()
+        self._journal = self._journal_files()
+        self._store.forget_labels()
         self.events.publish("labels", {})
 
     def _look(self) -> None:

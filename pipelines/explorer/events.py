@@ -10,11 +10,14 @@ import asyncio
 import json
 import threading
 from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from anyio import to_thread
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
+
+from kinedex.ops.errors import KinedexError
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -77,7 +80,8 @@ class Events:
                 except TimeoutError:
                     quiet += WAIT_SECONDS
                     chunk = b": quiet\n\n" if quiet >= QUIET_SECONDS else b""
-                    await to_thread.run_sync(look)
+                    with suppress(KinedexError, OSError):  # the next question of a page reports it
+                        await to_thread.run_sync(look)
                 if chunk is None:
                     return
                 if chunk:
