@@ -218,17 +218,19 @@ def packed(positions: npt.NDArray[np.floating], rate_hz: float, first: int = 0, 
         Analysis frames from each row to the next.
     """
     places = np.asarray(positions, np.float64)
-    known = np.isfinite(places)
-    low = np.where(known, places, np.inf).min(axis=(0, 1), initial=np.inf)
-    high = np.where(known, places, -np.inf).max(axis=(0, 1), initial=-np.inf)
-    seen = np.isfinite(low)
+    rows = places.reshape(-1, 3)
+    low, high = np.fmin.reduce(rows, 0, initial=np.inf), np.fmax.reduce(rows, 0, initial=-np.inf)
+    seen = np.isfinite(low) & np.isfinite(high)
     origin = np.where(seen, (np.where(seen, low, 0.0) + np.where(seen, high, 0.0)) / 2, 0.0).astype(np.float32)
-    offsets = np.where(known, places - origin, 0.0)
-    unit = np.float32(max(FINEST_M, float(np.abs(offsets).max(initial=0.0)) / (_LARGEST - 1)))
-    numbers = np.where(known, np.round(offsets / unit), UNKNOWN).astype("<i2")
+    farthest = np.maximum(high - origin, origin - low)[seen].max(initial=0.0)
+    unit = np.float32(max(FINEST_M, float(farthest) / (_LARGEST - 1)))
+    numbers = np.rint((places - origin) / np.float64(unit))
+    known = np.isfinite(numbers)
+    if not known.all():
+        numbers[~known] = UNKNOWN
     frames, joints = places.shape[:2]
     header = _HEADER.pack(MAGIC, frames, joints, first, step, rate_hz, unit, *origin.tolist())
-    return header + numbers.tobytes()
+    return header + numbers.astype("<i2").tobytes()
 
 
 def figures(cache: PositionCache, store: Store, items: Sequence[Interval], frames: int) -> bytes:

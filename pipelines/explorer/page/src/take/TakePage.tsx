@@ -82,6 +82,7 @@ function OpenTake({ document, store }: { document: TakeDocument; store: StoreFac
     session.seek(found.start);
     set({ beside: found.example.take, step: "hit", bfrom: String(found.example.start), bto: String(found.example.stop) });
   };
+  const none = templates.data?.templates.length === 0;
   const fault = motionFault ?? wordsFault ?? lanes.error ?? templates.error ?? faults[0];
   return (
     <div className="page take">
@@ -121,7 +122,8 @@ function OpenTake({ document, store }: { document: TakeDocument; store: StoreFac
           <MultiSelect
             size="xs"
             aria-label="Templates whose distance curves are shown"
-            placeholder={names.length === 0 ? "Distance curves of templates" : ""}
+            placeholder={names.length > 0 ? "" : none ? "No templates in this store yet" : "Distance curves of templates"}
+            disabled={none}
             searchable
             maxValues={8}
             data={(templates.data?.templates ?? [])
@@ -161,7 +163,7 @@ function Header({ document }: { document: TakeDocument }) {
       <Title order={1}>{name}</Title>
       {typeof columns.class === "string" && <Badge variant="light" tt="none">{columns.class}</Badge>}
       {typeof columns.actor === "string" && <Badge variant="default" tt="none">{columns.actor}</Badge>}
-      {warnings.length > 0 && <Badge color="orange" variant="light" tt="none">{warnings.length} warnings</Badge>}
+      {warnings.length > 0 && <Badge color="orange" variant="light" tt="none">{warnings.length === 1 ? "1 warning" : `${warnings.length} warnings`}</Badge>}
     </Group>
   );
 }
