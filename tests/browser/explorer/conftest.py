@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, ConsoleMessage, Page
 
 from kinedex.pipelines.explorer.application import BUILT
 
@@ -54,6 +54,11 @@ def explorer(serve: Callable[[Path], str], store: Path) -> str:
     return serve(store)
 
 
+def is_fault(message: ConsoleMessage) -> bool:
+    """Return whether a message of the browser is a fault of the page, and not a request that the server refuses."""
+    return message.type == "error" and "responded with a status of 4" not in message.text
+
+
 @pytest.fixture
 def open_page(browser: Browser, explorer: str) -> Iterator[Open]:
     """Return a function that opens a page of the explorer; a fault of the page fails the test."""
@@ -69,7 +74,7 @@ def open_page(browser: Browser, explorer: str) -> Iterator[Open]:
         page = context.new_page()
         page.set_default_timeout(WAIT_MS)
         page.on("pageerror", lambda fault: faults.append(str(fault)))
-        page.on("console", lambda message: faults.append(message.text) if message.type == "error" else None)
+        page.on("console", lambda message: faults.append(message.text) if is_fault(message) else None)
         page.goto(explorer)
         page.goto(explorer.split("/?")[0] + path)
         return page

@@ -1,0 +1,110 @@
+"""The takes of an archive in a real browser: filters, SQL, totals and order by keys and clicks, in the address."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.browser.explorer.conftest import Open
+
+
+def names(page: Page) -> list[str]:
+    return page.locator(".grid-body .grid-cell:first-child").all_text_contents()
+
+
+def amount(page: Page) -> str:
+    return str(page.locator(".amount [role=status]").text_content())
+
+
+def test_takes_are_filtered_by_keys_and_a_link_opens_the_same_view(open_page: Open) -> None:
+    page = open_page()
+    expect(page.get_by_role("gridcell", name="x_al_jig_1", exact=True)).to_be_visible()
+    assert amount(page).startswith("8 takes")
+    page.keyboard.press("f")
+    page.get_by_role("combobox", name="Column").fill("actor")
+    page.keyboard.press("ArrowDown")
+    page.keyboard.press("Enter")
+    page.get_by_role("checkbox", name="al").check()
+    expect(page.locator(".amount")).to_contain_text("4 takes")
+    page.keyboard.press("Escape")
+    page.get_by_role("button", name="reel", exact=True).click()
+    expect(page.locator(".amount")).to_contain_text("1 take")
+    assert names(page) == ["x_al_reel_1"]
+    expect(page.get_by_role("button", name="reel", exact=True)).to_have_attribute("aria-pressed", "true")
+    expect(page.locator(".shell-same code")).to_contain_text("kinedex sql")
+
+    other = open_page(re.sub(r"^http://[^/]+", "", page.url))
+    expect(other.locator(".amount")).to_contain_text("1 take")
+    expect(other.get_by_role("button", name="Remove the filter actor: al")).to_be_visible()
+    page.go_back()
+    expect(page.locator(".amount")).to_contain_text("4 takes")
+    page.keyboard.press("x")
+    expect(page.locator(".amount")).to_contain_text("8 takes")
+
+
+def test_sql_is_corrected_in_place(open_page: Open) -> None:
+    page = open_page()
+    expect(page.get_by_role("gridcell").first).to_be_visible()
+    page.keyboard.press("/")
+    condition = page.get_by_role("textbox", name="Condition of SQL over takes")
+    condition.fill("clas = 'jig'")
+    page.keyboard.press("Enter")
+    expect(page.get_by_text('"clas" not found')).to_be_visible()
+    expect(condition).to_have_attribute("aria-invalid", "true")
+    condition.fill("class = 'jig' AND seconds > 0.5")
+    page.keyboard.press("Enter")
+    expect(page.locator(".amount")).to_contain_text("2 takes")
+    expect(condition).not_to_have_attribute("aria-invalid", "true")
+
+
+def test_the_table_is_a_grid_for_keys_and_screen_readers(open_page: Open) -> None:
+    page = open_page("/?columns=name,frames&sort=frames-")
+    grid = page.get_by_role("grid", name="Takes")
+    expect(grid).to_have_attribute("aria-rowcount", "9")
+    expect(page.get_by_role("columnheader", name="frames")).to_have_attribute("aria-sort", "descending")
+    assert names(page)[:2] == ["x_al_long_1", "x_bo_long_1"]
+    grid.focus()
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("columnheader", name="frames")).to_have_attribute("aria-sort", "none")
+    page.keyboard.press("End")
+    page.keyboard.press("Control+End")
+    active = str(grid.get_attribute("aria-activedescendant"))
+    assert page.locator(f"[id='{active}']").locator("..").get_attribute("aria-rowindex") == "9"
+    page.keyboard.press("Enter")
+    expect(page).to_have_url(re.compile("/take/x_bo_waltz_1"))
+
+
+def test_what_is_to_be_looked_at_has_tabs_of_its_own(open_page: Open) -> None:
+    page = open_page()
+    page.get_by_role("tab", name="Duplicates").click()
+    expect(page.get_by_text("Nobody has looked for duplicates yet")).to_be_visible()
+    page.get_by_role("tab", name="Excluded files").click()
+    expect(page.get_by_text("The last ingest has read all source files.")).to_be_visible()
+    page.get_by_role("tab", name="Quality").click()
+    expect(page.get_by_role("heading", name="Suspect takes")).to_be_visible()
+    page.get_by_role("link").filter(has_text="height").or_(page.locator(".sheet a")).first.click()
+    expect(page.get_by_role("textbox", name="Condition of SQL over takes")).not_to_have_value("")
+    expect(page.locator(".amount")).not_to_contain_text(re.compile(r"^0 takes"))
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_phone_shows_the_takes_without_a_page_that_is_too_wide(open_page: Open, scheme: str) -> None:
+    page = open_page(width=390, height=844, scheme=scheme)
+    expect(page.get_by_role("gridcell").first).to_be_visible()
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    assert page.evaluate("document.querySelector('main').scrollWidth <= 390")
+
+
+def test_all_keys_are_listed(open_page: Open) -> None:
+    page = open_page()
+    expect(page.get_by_role("gridcell").first).to_be_visible()
+    page.keyboard.press("?")
+    expect(page.get_by_role("dialog", name="Keys")).to_contain_text("Add a filter")
+    page.keyboard.press("Escape")
+    expect(page.get_by_role("dialog")).to_be_hidden()
+    page.keyboard.press("g")
+    page.keyboard.press("e")
+    expect(page).to_have_url(re.compile("/export$"))
