@@ -128,6 +128,9 @@ def imu(
         float,
         typer.Option(min=0, max=60, metavar="SECONDS", help="Rest in the first pose before, and in the last after."),
     ] = 0.0,
+    mount: Annotated[
+        str, typer.Option(help="random: a turn of its own for each actor and limb; limb: the axes of the limb.")
+    ] = "random",
     at: AtOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -146,7 +149,8 @@ def imu(
     from kinedex.pipelines.simulation.imu_takes import simulate_imu
     from kinedex.pipelines.simulation.imu_windows import Windowing
 
-    request = Request(tuple(limbs or ()), grade, Wearing(seed, rate, stand_s=stand), form, Windowing(window, step))
+    wearing = Wearing(seed, rate, stand_s=stand, mount=mount)
+    request = Request(tuple(limbs or ()), grade, wearing, form, Windowing(window, step))
     made = simulate_imu(open_for_reading(store, at), takes or (), where, request, output, Terminal().progress)
     if as_json:
         print_json(asdict(made) | {"folder": output})

@@ -68,6 +68,9 @@ class SimulateImuParameters(BaseModel):
     stand_s: float = Field(
         0.0, ge=0, le=60, description="seconds that the actor rests in the first pose before a piece, and in the last"
     )
+    mount: Literal["random", "limb"] = Field(
+        "random", description="the turn between sensor and limb: drawn for each actor and limb, or none"
+    )
     declination_deg: float = Field(0.0, ge=-180, le=180, description="degrees from X of F_GI to magnetic north")
 
     @field_validator("limbs")

@@ -65,6 +65,10 @@ gravity included (a sensor at rest reads 9.81 upwards), `gyr` in rad/s, `mag` in
 the turn since the sample before, and the first of a file is at rest. Orientations are unit quaternions from the sensor
 to X magnetic north, Y west, Z up. They are the true ones: those of a filter have errors.
 
+`mount` in `dataset.yaml` is `random` where each sensor has an arbitrary turn against its limb, another one for each
+actor: a model that learns from such data cannot rely on axes. It is `limb` where the axes are those of the limb, as the
+skeleton of the take has them.
+
 ## Load the windows
 
 ```python

@@ -296,6 +296,7 @@ class _DataSet:
             "grade": Path(self.request.grade).stem,
             "rate_hz": wearing.rate_hz,
             "stand_s": wearing.stand_s,
+            "mount": wearing.mount,
             "lever_m": list(wearing.lever_m),
             "field": {
                 "strength_ut": wearing.field_ut,

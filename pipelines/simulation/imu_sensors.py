@@ -21,6 +21,10 @@ from kinedex.pipelines.simulation.imu_pieces import LimbPiece, Piece
 
 F64 = npt.NDArray[np.float64]
 
+RANDOM = "random"
+MOUNTS = (RANDOM, "limb")
+"""The ways in which sensors are mounted."""
+
 
 @dataclass(frozen=True)
 class Wearing:
@@ -40,6 +44,8 @@ class Wearing:
         The magnetic field: strength, degrees below the horizon, and degrees between X of F_GI and magnetic north.
     stand_s : float
         Seconds that the actor holds the first pose before each piece, and the last one after it.
+    mount : {"random", "limb"}
+        The turn between sensor and limb: drawn for each actor and limb, or none: the axes are those of the limb.
     """
 
     seed: int = 0
@@ -50,6 +56,7 @@ class Wearing:
     inclination_deg: float = INCLINATION_DEG
     declination_deg: float = 0.0
     stand_s: float = 0.0
+    mount: str = RANDOM
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -58,6 +65,8 @@ class Wearing:
             raise ParameterError("rate_hz", "1 to 10,000 Hz", self.rate_hz)
         if not 0.0 <= self.stand_s <= 60.0:
             raise ParameterError("stand_s", "0 to 60 seconds", self.stand_s)
+        if self.mount not in MOUNTS:
+            raise ParameterError("mount", f"one of {', '.join(MOUNTS)}", self.mount)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +126,9 @@ def worn_sensors(wearing: Wearing, take: str, actor: str | None, limbs: Mapping[
     """
     who = f"actor {actor}" if actor else f"take {take}"
     heading = float(generator(wearing.seed, "heading", who).uniform(-180.0, 180.0))
-    mounts = {limb: random_mount(generator(wearing.seed, "mount", who, limb)) for limb in limbs}
+    mounts = {limb: np.array([1.0, 0.0, 0.0, 0.0]) for limb in limbs}
+    if wearing.mount == RANDOM:
+        mounts = {limb: random_mount(generator(wearing.seed, "mount", who, limb)) for limb in limbs}
     clock = random_clock(wearing.grade, generator(wearing.seed, "clock", take))
     return Worn(world_turn(heading), mounts, clock)
 

@@ -53,7 +53,7 @@ class SimulateImu(Stage[SimulateImuParameters]):
             params.grade,
             Wearing(
                 params.seed, params.rate_hz, lever_m=(params.lever_m[0], params.lever_m[1], params.lever_m[2]),
-                declination_deg=params.declination_deg, stand_s=params.stand_s,
+                declination_deg=params.declination_deg, stand_s=params.stand_s, mount=params.mount,
             ),
             params.format,
             Windowing(params.window_s, params.step_s),

@@ -184,6 +184,15 @@ def test_actors_rest_before_and_after_where_they_are_asked_to(store: Path, tmp_p
     assert {row["class"] for row in rows(tmp_path / "r" / "windows.csv")} == {"", "hop"}
 
 
+def test_sensors_have_the_axes_of_their_limbs_where_they_are_asked_to(store: Path, tmp_path: Path) -> None:
+    given = ("--limb", "pelvis", "--grade", "perfect", "--mount", "limb")
+    code, output = simulate(store, "x_al_hop_1", "-o", tmp_path / "r", "--seed", 2, *given)
+    assert code == 0, output
+    (true,) = rows(tmp_path / "r" / "truth" / "sensors.csv")
+    assert [float(true[f"q_mount_{axis}"]) for axis in "wxyz"] == [1.0, 0.0, 0.0, 0.0]
+    assert yaml.safe_load((tmp_path / "r" / "dataset.yaml").read_text())["mount"] == "limb"
+
+
 def test_windows_have_the_class_of_their_take(store: Path, tmp_path: Path) -> None:
     code, output = simulate(
         store, "--where", "true", "-o", tmp_path / "r", "--seed", 0, "--limb", "pelvis", "--window", 1, "--step", 0.5
@@ -278,6 +287,7 @@ def test_requests_that_mean_nothing_are_refused(store: Path, tmp_path: Path) -> 
         (("--grade", "goood"), "did you mean 'good'"),
         (("--format", "csv"), "parquet, npz, xsens-txt"),
         (("--window", "0"), "positive number of seconds"),
+        (("--mount", "skin"), "mount must be one of random, limb"),
     ):
         code, output = simulate(store, "x_al_hop_1", "-o", tmp_path / "r", "--seed", 1, *arguments)
         assert code != 0
