@@ -193,6 +193,7 @@ def decide(archive: Archive, asked: Decisions, _request: Request) -> Row:
         archive.labels_changed()
     return {
         "made": [row["id"] for row in edits.rows],
+        "restored": edits.restored,
         "rows": [_shown(row) for row in recorded.to_pylist()],
         "command": command_line("kinedex", "labels", "list", archive.path, "--take", asked.take),
     }

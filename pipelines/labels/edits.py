@@ -36,6 +36,8 @@ class LabelEdits:
     ----------
     rows : list of dict
         The new rows.
+    restored : dict of str to str
+        Id of a label that counts again → the id that it has now.
     """
 
     def __init__(self, history: Iterable[Row], frames: Mapping[str, int], annotator: str | None = None) -> None:
@@ -44,6 +46,7 @@ class LabelEdits:
         self._known: dict[str, Row] = {}
         self._replaced: dict[str, str] = {}
         self.rows: list[Row] = []
+        self.restored: dict[str, str] = {}
         for row in history:
             self._enter(row)
 
@@ -157,7 +160,8 @@ class LabelEdits:
                 continue
             del open_rows[undone["id"]]
             content = {key: self._known[earlier][key] for key in _CONTENT}
-            self._add({**content, "id": _next(left), "replaces": undone["id"]}, restored=True)
+            self.restored[earlier] = _next(left)
+            self._add({**content, "id": self.restored[earlier], "replaces": undone["id"]}, restored=True)
         for row in open_rows.values():
             if row["verdict"] != "withdrawn":
                 self._withdraw(_next(left), row["id"])
