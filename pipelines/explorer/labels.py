@@ -12,7 +12,7 @@ none. A change is one of
     {do: "join", ids: [id, …], labels: [label, …]}                  as many ids as labels
     {do: "withdraw", id, label}
     {do: "accept" or "reject", id, stage, class, subclass, start, stop, seen?}
-    {do: "restore", ids: [id, …], made: [id, …]}                    undo the edit that made these rows, or redo it
+    {do: "restore", ids: [id, …], made: [id, …], back: [id, …]}     undo the edit that made rows of others, or redo it
 
 An id is 32 hexadecimal digits that the page makes, and `label` is the id of a label. The answer is on its way only
 after the journal is on disk; a request that is sent again records nothing twice. A label that was changed meanwhile
@@ -160,10 +160,11 @@ class Restore(Question):
     do: Literal["restore"]
     ids: Annotated[tuple[Id, ...], Field(min_length=1, max_length=2 * MOST_CHANGES)]
     made: Annotated[tuple[Id, ...], Field(min_length=1, max_length=MOST_CHANGES)]
+    back: Annotated[tuple[Id, ...], Field(max_length=MOST_CHANGES)] = ()
 
     def apply(self, edits: LabelEdits, _take: str, _store: Store) -> None:
         """Make the edit."""
-        edits.restore(self.ids, self.made)
+        edits.restore(self.ids, self.made, self.back)
 
 
 AnyChange = Annotated[Draw | Change | Split | Join | Withdraw | Decide | Restore, Field(discriminator="do")]

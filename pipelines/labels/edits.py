@@ -134,15 +134,20 @@ class LabelEdits:
         if standing is None or standing["verdict"] != row["verdict"]:
             self._add({**row, "id": id, "replaces": standing and standing["id"]})
 
-    def restore(self, ids: Sequence[str], made: Sequence[str]) -> None:
-        """Undo the edit that made some rows: what they replaced counts again, and the others are withdrawn.
+    def restore(self, ids: Sequence[str], made: Sequence[str], back: Sequence[str]) -> None:
+        """Undo the edit that made some rows: the labels before it count again, and what it made does not any more.
+
+        To do the edit again, restore once more: `made` are then the rows of the undo, and `back` the labels of the
+        edit.
 
         Parameters
         ----------
         ids : sequence of str
-            Ids of new rows: one for each label that counts again, and one for each that does not any more.
+            Ids of new rows: one for each label that counts again, then one for each that does not any more.
         made : sequence of str
-            The ids of the rows of the edit.
+            The ids of the rows of the edit, as far as they count, or as `restored` names them since.
+        back : sequence of str
+            The ids of the labels that count again, with their class and edges.
 
         Raises
         ------
@@ -151,18 +156,20 @@ class LabelEdits:
         """
         if not ids or ids[0] in self._known:
             return
-        rows = [self._last(one) for one in made]
+        undone = {id: self._last(id) for id in made}
         left = iter(ids)
-        open_rows = {row["id"]: row for row in rows}
-        for earlier in dict.fromkeys(row["replaces"] for row in rows if row["replaces"] is not None):
-            undone = next((one for one in open_rows.values() if one["replaces"] == earlier), None)
-            if undone is None or earlier not in self._known:
+        for earlier in back:
+            if earlier not in self._known:
+                raise ConflictError(f"no label has the id {earlier}")
+            if self._known[earlier]["verdict"] == "withdrawn":
                 continue
-            del open_rows[undone["id"]]
+            place = next((id for id, row in undone.items() if row["replaces"] == earlier), next(iter(undone), None))
+            if place is not None:
+                del undone[place]
             content = {key: self._known[earlier][key] for key in _CONTENT}
             self.restored[earlier] = _next(left)
-            self._add({**content, "id": self.restored[earlier], "replaces": undone["id"]}, restored=True)
-        for row in open_rows.values():
+            self._add({**content, "id": self.restored[earlier], "replaces": place}, restored=True)
+        for row in undone.values():
             if row["verdict"] != "withdrawn":
                 self._withdraw(_next(left), row["id"])
 

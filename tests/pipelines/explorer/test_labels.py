@@ -94,31 +94,33 @@ def test_edits_of_lanes_become_labels_and_their_history_stays(page: Page) -> Non
 
 
 def test_every_edit_can_be_undone_and_done_again(page: Page) -> None:
-    first, second = page.decide(draw("walk", 0, 8), draw("walk", 9, 20))["made"]
-    before = page.shown()
-    edits: list[Json] = [
-        draw("kick", 30, 40),
-        {"do": "change", "id": new(), "label": first, "stop": 7},
-        {"do": "split", "ids": [new(), new()], "label": second, "at": 15},
-        {"do": "join", "ids": [new(), new()], "labels": [first, second]},
-        {"do": "withdraw", "id": new(), "label": first},
+    first, second, third = new(), new(), new()
+    parts = new(), new()
+    edits: list[tuple[Json, list[str]]] = [
+        ({**draw("walk", 0, 8), "id": first}, []),
+        ({**draw("walk", 9, 20), "id": second}, []),
+        ({"do": "change", "id": third, "label": first, "stop": 7}, [first]),
+        ({"do": "split", "ids": parts, "label": second, "at": 15}, [second]),
+        ({"do": "join", "ids": [new(), new()], "labels": parts}, [*parts]),
+        ({"do": "withdraw", "id": new(), "label": third}, [third]),
     ]
-    for edit in edits:
-        for one in ("label", "labels"):  # an undo gives the labels new ids
-            current = {(row["start"], row["stop"]): row["id"] for row in page.labels()}
-            places = {first: (0, 8), second: (9, 20)}
-            if one in edit:
-                known = edit[one]
-                edit[one] = current[places[known]] if one == "label" else [current[places[part]] for part in known]
-        made = page.decide(edit)["made"]
-        after = page.shown()
-        assert after != before
-        undone = page.decide({"do": "restore", "ids": [new() for _ in range(6)], "made": made})["made"]
-        assert page.shown() == before, edit
-        again = page.decide({"do": "restore", "ids": [new() for _ in range(6)], "made": undone})["made"]
-        assert page.shown() == after, edit
-        page.decide({"do": "restore", "ids": [new() for _ in range(6)], "made": again})
-        assert page.shown() == before, edit
+    seen = [page.shown()]
+    undo, redo = [], []
+    for edit, back in edits:
+        undo.append((page.decide(edit)["made"], back))
+        seen.append(page.shown())
+    for _ in range(2):
+        for steps, others, states in ((undo, redo, seen[-2::-1]), (redo, undo, seen[1:])):
+            for state in states:
+                made, back = steps.pop()
+                ids = [new() for _ in range(len(made) + len(back))]
+                answer = page.decide({"do": "restore", "ids": ids, "made": made, "back": back})
+                assert page.shown() == state
+                names = answer["restored"]
+                for step in (*undo, *redo):
+                    step[0][:] = [names.get(one, one) for one in step[0]]
+                others.append((answer["made"], made))
+    assert len({tuple(state) for state in seen}) == len(seen)
 
 
 def test_a_request_that_is_sent_twice_is_recorded_once(page: Page) -> None:
@@ -140,7 +142,7 @@ def test_two_tabs_that_change_one_label_are_told(page: Page) -> None:
     assert "was changed to walk in cat_take01[3:12] meanwhile by ann" in error["message"]
     assert page.shown() == [("walk", 3, 12, "positive", "corrected")]  # all of a request, or nothing
     assert "there is such a label already" in page.decide(draw("walk", 3, 12), status=409)["error"]["message"]
-    error = page.decide({"do": "restore", "ids": [new()], "made": [made]}, status=409)["error"]
+    error = page.decide({"do": "restore", "ids": [new()], "made": [made], "back": []}, status=409)["error"]
     assert "changed again" in error["message"]
 
 

@@ -1,5 +1,5 @@
-// The lanes in which labels are made: one for each class with labels, one for a new label, and one for each class of the
-// annotations. Segments are buttons, so that they can be reached by Tab; dragging moves them or their edges.
+// The lanes in which labels are made: one for each class with labels, one for a new label, and as many as the annotations
+// need so that none covers another. Segments are buttons, so that they can be reached by Tab; dragging moves them or their edges.
 
 import { type CSSProperties, memo, type PointerEvent, type RefObject, useEffect, useMemo, useRef, useState } from "react";
 
@@ -35,7 +35,7 @@ export interface Lane {
 
 export const annotationKey = (one: Annotation): string => `${one.class}/${one.subclass ?? ""}/${one.start}/${one.stop}`;
 
-/** Return the lanes of a take: of labels by class, an empty one for new labels, and of annotations by class. */
+/** Return the lanes of a take: of labels by class, an empty one for new labels, and of annotations. */
 export function makeLanes(labels: readonly LabelRow[], annotations: readonly Annotation[]): Lane[] {
   const lanes: Lane[] = [...byClass(labels.map(labelItem))].map(([name, items]) => ({
     id: `labels/${name}`,
@@ -46,9 +46,21 @@ export function makeLanes(labels: readonly LabelRow[], annotations: readonly Ann
   }));
   lanes.push({ id: "new", name: "+ new label", kind: "new", class: null, items: [] });
   const decided = annotations.map((one) => annotationItem(one, decisionOn(one, labels)));
-  for (const [name, items] of byClass(decided))
-    lanes.push({ id: `annotations/${name}`, name, kind: "annotations", class: name, items });
+  packed(decided).forEach((items, i) =>
+    lanes.push({ id: `annotations/${i}`, name: i === 0 ? "Annotations" : "", kind: "annotations", class: null, items }),
+  );
   return lanes;
+}
+
+/** Return segments in as few lanes as possible, in each of which none covers another. */
+export function packed(items: readonly Item[]): Item[][] {
+  const found: Item[][] = [];
+  for (const one of [...items].sort((a, b) => a.start - b.start || a.stop - b.stop)) {
+    const free = found.find((lane) => (lane.at(-1)?.stop ?? 0) <= one.start);
+    if (free === undefined) found.push([one]);
+    else free.push(one);
+  }
+  return found;
 }
 
 function byClass(items: Item[]): [string, Item[]][] {
@@ -119,7 +131,7 @@ export function LabelLanes(props: LabelLanesProps) {
         {lanes.map((lane) => (
           <div key={lane.id} className={`label-name label-name-${lane.kind}`}>
             <span>{lane.name}</span>
-            <span className="muted">{lane.kind === "annotations" ? "found" : lane.items.length || ""}</span>
+            <span className="muted">{lane.items.length || ""}</span>
           </div>
         ))}
       </div>

@@ -35,7 +35,7 @@ export default function LabelPage() {
         {take === null ? <Title order={1}>Label</Title> : <Button size="compact-sm" variant="default" component={Link} href="/label">Queue</Button>}
         {store?.read_only === true ? <Text size="sm">This explorer only reads: labels are shown, not changed.</Text> : <Bar annotator={annotator} rename={rename} />}
         <Text size="sm" className="muted">
-          {facts !== undefined && `${facts.labels.toLocaleString("en")} labels in ${facts.takes.toLocaleString("en")} takes`}
+          {facts !== undefined && `${counted(facts.labels, "label")} in ${counted(facts.takes, "take")}`}
         </Text>
       </div>
       <RefusedDecisions />
@@ -58,6 +58,8 @@ export default function LabelPage() {
     </div>
   );
 }
+
+const counted = (count: number, noun: string) => `${count.toLocaleString("en")} ${noun}${count === 1 ? "" : "s"}`;
 
 function Bar({ annotator, rename }: { annotator: string; rename: (name: string) => void }) {
   const { undo, redo } = useDecisions();

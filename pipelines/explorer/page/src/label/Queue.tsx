@@ -196,10 +196,14 @@ function useQueue(filter: QueueFilter, version: number | undefined, annotator: s
   const [rows, setRows] = useState<QueueRow[]>([]);
   const [block, setBlock] = useState<QueueBlock>();
   const [at, setAt] = useState(0);
-  const [answers, setAnswers] = useState<ReadonlyMap<string, Answer>>(new Map());
+  const [given, setAnswers] = useState<ReadonlyMap<string, Answer>>(new Map());
   const [fault, setFault] = useState<unknown>(null);
   const [round, setRound] = useState(0);
-  const { pending, refused } = useDecisions();
+  const { pending, undo } = useDecisions();
+  const answers = useMemo(() => {
+    const standing = new Set(undo.flatMap((one) => one.made)); // without those that were undone or refused
+    return new Map([...given].filter(([, one]) => standing.has(one.id)));
+  }, [given, undo]);
   useEffect(() => {
     const stop = new AbortController();
     setFault(null);
@@ -214,10 +218,6 @@ function useQueue(filter: QueueFilter, version: number | undefined, annotator: s
     );
     return () => stop.abort();
   }, [filter, version, round]);
-  useEffect(() => {
-    const gone = new Set(refused.flatMap((one) => one.decision.changes.map((change) => ("id" in change ? change.id : ""))));
-    if (gone.size > 0) setAnswers((old) => new Map([...old].filter(([, one]) => !gone.has(one.id))));
-  }, [refused]);
   const more = async () => {
     if (block === undefined || pending.length > 0) return;
     // those that were left undecided are the first of the queue still
@@ -239,19 +239,15 @@ function useQueue(filter: QueueFilter, version: number | undefined, annotator: s
     const { class: label, subclass, start, stop } = row;
     const change: Change = { do: accept ? "accept" : "reject", id: newId(), stage: block.stage, class: label, subclass, start, stop, seen: before?.id ?? row.label };
     decide(row.take, [change], annotator);
-    setAnswers(new Map(answers).set(keyOf(row), { accept, id: change.id }));
+    setAnswers(new Map(given).set(keyOf(row), { accept, id: change.id }));
     go(at + 1);
   };
   const back = (way: "undo" | "redo") => {
-    const done = step(way, annotator);
-    if (done === null) return;
-    const made = new Set(done.made);
+    const made = new Set(undo.at(-1)?.made);
+    step(way, annotator);
     const place = rows.findIndex((one) => made.has(answers.get(keyOf(one))?.id ?? ""));
-    if (place < 0) return setRound(round + 1);
-    const next = new Map(answers);
-    next.delete(keyOf(rows[place] as QueueRow));
-    setAnswers(next);
-    setAt(place);
+    if (way === "undo" && place >= 0) setAt(place);
+    else if (pending.length === 0) setTimeout(() => setRound(round + 1), 300); // what it was about is not in this list
   };
   return { rows, row: rows[at], at, answers, block, fault, go, answer, back, reload: () => setRound(round + 1) };
 }

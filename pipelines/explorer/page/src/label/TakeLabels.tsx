@@ -225,8 +225,8 @@ function useEdits(context: EditContext): Edits {
       make([{ do: "change", id, label: label.id, ...Object.fromEntries(given) }], id);
     };
     const back = (way: "undo" | "redo") => {
-      const done = step(way, now.current.annotator);
-      if (done !== null) now.current.choose(null);
+      step(way, now.current.annotator);
+      now.current.choose(null);
     };
     return {
       draw: (label, start, stop) => {

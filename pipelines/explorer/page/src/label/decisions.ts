@@ -5,7 +5,7 @@ import { useSyncExternalStore } from "react";
 
 import { ApiError, post } from "../api/client";
 import { queries } from "../api/queries";
-import { type Change, type LabelRow, madeBy, newId } from "./edits";
+import { type Change, type LabelRow, madeBy, newId, replacedBy } from "./edits";
 
 export interface Decision {
   id: string;
@@ -14,6 +14,8 @@ export interface Decision {
   changes: Change[];
   /** Whether it undoes an edit of `steps` or does it again. */
   way?: "undo" | "redo";
+  /** The labels that it makes count no more, if it does. */
+  before?: string[];
 }
 
 export interface Refused {
@@ -31,10 +33,11 @@ export interface State {
   redo: readonly Step[];
 }
 
-/** An edit that can be undone: the rows that it made. */
+/** An edit that can be undone: the rows that it made, and the labels that count again without it. */
 export interface Step {
   take: string;
   made: string[];
+  back: string[];
 }
 
 interface Answer {
@@ -48,13 +51,14 @@ interface TakeRows {
 }
 
 const PREFIX = "kinedex-decisions:";
-const MOST_STEPS = 200;
+const MOST_STEPS = 5000;
 const RETRY_MS = [500, 1000, 2000, 5000];
 
 const listeners = new Set<() => void>();
 let state: State = { pending: [], refused: [], trouble: "", saved: 0, undo: [], redo: [] };
 let place = "";
 let sending = false;
+let wanted: { way: "undo" | "redo"; annotator: string }[] = [];
 let tries = 0;
 
 function set(values: Partial<State>): void {
@@ -125,20 +129,25 @@ export function setAnnotatorName(name: string): void {
 export function decide(take: string, changes: Change[], annotator: string): void {
   if (changes.length === 0) return;
   const decision = { id: newId(), take, annotator, changes };
-  const step = { take, made: madeBy(changes) };
+  const step = { take, made: madeBy(changes), back: replacedBy(changes) };
   set({ pending: [...state.pending, decision], undo: [...state.undo, step].slice(-MOST_STEPS), redo: [] });
   void send();
 }
 
-/** Undo the last edit of this tab, or do the last undone one again; returns its take, null where there is none. */
-export function step(way: "undo" | "redo", annotator: string): Step | null {
+/** Undo the last edit of this tab, or do the last undone one again; one after the other, since an undo makes new ids. */
+export function step(way: "undo" | "redo", annotator: string): void {
+  if (state.pending.some((one) => one.way !== undefined)) {
+    wanted.push({ way, annotator });
+    return;
+  }
   const last = state[way].at(-1);
-  if (last === undefined || state.pending.some((one) => one.way !== undefined)) return null;
-  const ids = Array.from({ length: 2 * last.made.length }, newId);
-  const decision = { id: newId(), take: last.take, annotator, changes: [{ do: "restore", ids, made: last.made } as Change], way };
+  if (last === undefined) return;
+  const { take, made, back } = last;
+  const ids = Array.from({ length: made.length + back.length }, newId);
+  const change: Change = { do: "restore", ids, made, back };
+  const decision = { id: newId(), take, annotator, changes: [change], way, before: made };
   set({ pending: [...state.pending, decision], [way]: state[way].slice(0, -1) });
   void send();
-  return last;
 }
 
 export function dismiss(refused: Refused): void {
@@ -154,7 +163,11 @@ async function send(): Promise<void> {
   if (sending) return;
   sending = true;
   try {
-    while (state.pending[0] !== undefined) if (!(await sendOne(state.pending[0]))) break;
+    while (state.pending[0] !== undefined) {
+      if (!(await sendOne(state.pending[0]))) break;
+      const next = state.pending.length === 0 ? wanted.shift() : undefined;
+      if (next !== undefined) step(next.way, next.annotator);
+    }
   } finally {
     sending = false;
   }
@@ -172,6 +185,7 @@ async function sendOne(decision: Decision): Promise<boolean> {
   } catch (fault) {
     const message = fault instanceof Error ? fault.message : String(fault);
     if (fault instanceof ApiError && fault.status >= 400 && fault.status < 500 && fault.status !== 401 && fault.status !== 408) {
+      wanted = [];
       set({ pending: state.pending.slice(1), refused: [...state.refused, { decision, message }], ...stepsWithout(decision) });
       void queries.invalidateQueries({ queryKey: ["labels"] });
       return true;
@@ -188,7 +202,7 @@ function withRows<T extends TakeRows>(old: T, rows: readonly LabelRow[]): T {
 }
 
 /** Return the steps after an answer: an undone edit can be done again, and labels that count again have new ids. */
-function stepsAfter({ way, changes, take }: Decision, { made, restored }: Answer): Partial<State> {
+function stepsAfter({ way, changes, take, before = [] }: Decision, { made, restored }: Answer): Partial<State> {
   if (way === undefined) {
     const expected = madeBy(changes);
     if (made.length >= expected.length) return {};
@@ -201,7 +215,7 @@ function stepsAfter({ way, changes, take }: Decision, { made, restored }: Answer
   const renamed = (steps: readonly Step[]) =>
     steps.map((one) => ({ ...one, made: one.made.map((id) => restored[id] ?? id) }));
   const [undo, redo] = [renamed(state.undo), renamed(state.redo)];
-  const done = { take, made };
+  const done = { take, made, back: before };
   return way === "undo" ? { undo, redo: [...redo, done] } : { undo: [...undo, done], redo };
 }
 

@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 
-import { type Change, currentLabels, decisionOn, type LabelRow, withChanges } from "./edits";
+import { type Change, currentLabels, decisionOn, type LabelRow, replacedBy, withChanges } from "./edits";
 
 const shown = (rows: readonly LabelRow[]) =>
   currentLabels(rows)
@@ -31,10 +31,10 @@ test("a restore undoes an edit, and undoes itself", () => {
   ];
   for (const edit of edits) {
     const edited = after(rows, edit);
-    const undone = after(edited, { do: "restore", ids: ["e", "f", "g"], made: ["c", "d"] });
+    const undone = after(edited, { do: "restore", ids: ["e", "f", "g"], made: ["c", "d"], back: replacedBy([edit]) });
     expect(shown(undone)).toEqual(shown(rows));
     const made = undone.slice(edited.length).map((row) => row.id);
-    expect(shown(after(undone, { do: "restore", ids: ["h", "i", "j"], made }))).toEqual(shown(edited));
+    expect(shown(after(undone, { do: "restore", ids: ["h", "i", "j"], made, back: ["c", "d"] }))).toEqual(shown(edited));
   }
 });
 

@@ -44,7 +44,7 @@ export type Change =
       stop: number;
       seen: string | null;
     }
-  | { do: "restore"; ids: string[]; made: string[] };
+  | { do: "restore"; ids: string[]; made: string[]; back: string[] };
 
 /** Return a new id of a label: 32 hexadecimal digits. */
 export function newId(): string {
@@ -137,13 +137,12 @@ function restored(change: Change & { do: "restore" }, known: Map<string, LabelRo
   const ids = [...change.ids];
   const left = new Map(change.made.flatMap((id) => (known.has(id) ? [[id, known.get(id) as LabelRow] as const] : [])));
   const found: LabelRow[] = [];
-  const earlier = new Set([...left.values()].map((row) => row.replaces).filter((one) => one !== null));
-  for (const id of earlier) {
-    const undone = [...left.values()].find((row) => row.replaces === id);
+  for (const id of change.back) {
     const before = known.get(id);
-    if (undone === undefined || before === undefined) continue;
-    left.delete(undone.id);
-    found.push({ ...before, created: null, id: ids.shift() ?? "", replaces: undone.id });
+    if (before === undefined || before.verdict === "withdrawn") continue;
+    const undone = [...left.values()].find((row) => row.replaces === id) ?? [...left.values()][0];
+    if (undone !== undefined) left.delete(undone.id);
+    found.push({ ...before, created: null, id: ids.shift() ?? "", replaces: undone?.id ?? null });
   }
   for (const row of left.values())
     if (row.verdict !== "withdrawn")
@@ -154,4 +153,13 @@ function restored(change: Change & { do: "restore" }, known: Map<string, LabelRo
 /** Return the ids of the rows that changes make; those of a restore are the server's to tell. */
 export function madeBy(changes: readonly Change[]): string[] {
   return changes.flatMap((one) => (one.do === "restore" ? [] : "ids" in one ? one.ids : [one.id]));
+}
+
+/** Return the ids of the labels in whose place the rows of changes come. */
+export function replacedBy(changes: readonly Change[]): string[] {
+  return changes.flatMap((one) => {
+    if ("label" in one) return [one.label];
+    if ("labels" in one) return one.labels;
+    return "seen" in one && one.seen !== null ? [one.seen] : [];
+  });
 }
