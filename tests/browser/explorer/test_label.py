@@ -29,9 +29,8 @@ class Explorer:
         self.start()
 
     def start(self) -> None:
-        words = [sys.executable, "-m", "kinedex.pipelines.commands.cli", "explore", str(self.store), "--no-browser"]
-        more = ["--port", str(self.port)] if self.port else []
-        self.process = subprocess.Popen([*words, *more], stdout=subprocess.PIPE, text=True)
+        words = [sys.executable, "-m", "kinedex", "explore", str(self.store), "--no-browser", "--port", str(self.port)]
+        self.process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
         found = re.search(r"http://\S+:(\d+)/\?token=\S+", self.process.stdout.readline())
         assert found is not None
@@ -114,7 +113,9 @@ def test_labels_are_drawn_dragged_undone_and_accepted(page: Page, explorer: Expl
     assert (same, origin) == (start, "corrected")
     assert abs(int(str(later)) - 3 * frames / 4) <= 2
     page.keyboard.press("Control+z")
-    expect(page.locator(".label-label")).to_have_attribute("title", re.compile(f"frames {start} to {stop}, label drawn"))
+    expect(page.locator(".label-label")).to_have_attribute(
+        "title", re.compile(f"frames {start} to {stop}, label drawn")
+    )
     saved(page)
     assert labels(explorer, "class = 'hop'")[0][2] == stop
     page.keyboard.press("Control+Shift+z")
