@@ -77,6 +77,11 @@ class Archive:
                 self._looking.release()
         return self._store
 
+    def state(self) -> dict[str, object]:
+        """Return the version that is shown, and a number that changes whenever labels do."""
+        version = self.store().manifest.version
+        return {"version": version, "labels": f"{hash((version, self._journal)):x}"}
+
     def labels_changed(self) -> None:
         """Read the labels anew when they are next asked for, and report the change to all pages."""
         self._journal = self._journal_files()

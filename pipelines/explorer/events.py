@@ -1,7 +1,9 @@
 """Messages of the server to the pages that are open: `GET /api/events`, a stream of server-sent events.
 
 The kinds are `version` (a newer version of the store can be read), `labels` (labels have changed) and `job` (the
-progress of a job); each carries one JSON object.
+progress of a job, `{id, title, state, done?, total?, message?}`); each carries one JSON object. A stream begins with
+`state` ({version, labels}), by which a page that has not listened for a while knows whether it missed anything, and
+with the jobs that run.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import json
 import threading
+import time
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING
@@ -35,6 +38,7 @@ class Events:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._listeners: dict[asyncio.Queue[bytes | None], asyncio.AbstractEventLoop] = {}
+        self._running: dict[str, bytes] = {}
         self._closed = False
 
     def publish(self, kind: str, message: Mapping[str, object]) -> None:
@@ -47,8 +51,14 @@ class Events:
         message : mapping
             What happened, as JSON has it.
         """
-        text = json.dumps(message, allow_nan=False)
-        self._send(f"event: {kind}\ndata: {text}\n\n".encode())
+        chunk = _encoded(kind, message)
+        if kind == "job":
+            with self._lock:
+                if message["state"] == "running":
+                    self._running[str(message["id"])] = chunk
+                else:
+                    self._running.pop(str(message["id"]), None)
+        self._send(chunk)
 
     def close(self) -> None:
         """End all streams; the server stops."""
@@ -60,42 +70,56 @@ class Events:
             for queue, loop in self._listeners.items():
                 loop.call_soon_threadsafe(queue.put_nowait, chunk)
 
-    async def listen(self, look: Callable[[], object]) -> AsyncIterator[bytes]:
+    async def listen(self, look: Callable[[], Mapping[str, object]]) -> AsyncIterator[bytes]:
         """Yield the messages as they come, and look for news of the store meanwhile.
 
         Parameters
         ----------
         look : callable
-            Publishes what has changed in the store; called once in `WAIT_SECONDS`, in a thread.
+            Publishes what has changed in the store, and returns its state; called in a thread, once in `WAIT_SECONDS`.
         """
         queue: asyncio.Queue[bytes | None] = asyncio.Queue()
         with self._lock:
             self._listeners[queue] = asyncio.get_running_loop()
+            running = list(self._running.values())
         try:
             yield b"retry: 1000\n\n"
-            quiet = 0.0
-            while not self._closed:
-                try:
-                    chunk = await asyncio.wait_for(queue.get(), WAIT_SECONDS)
-                except TimeoutError:
-                    quiet += WAIT_SECONDS
-                    chunk = b": quiet\n\n" if quiet >= QUIET_SECONDS else b""
-                    with suppress(KinedexError, OSError):  # the next question of a page reports it
-                        await to_thread.run_sync(look)
-                if chunk is None:
-                    return
-                if chunk:
-                    quiet = 0.0
-                    yield chunk
+            yield _encoded("state", await to_thread.run_sync(look))
+            for chunk in running:
+                yield chunk
+            async for chunk in self._messages(queue, look):
+                yield chunk
         finally:
             with self._lock:
                 del self._listeners[queue]
+
+    async def _messages(self, queue: asyncio.Queue[bytes | None], look: Callable[[], object]) -> AsyncIterator[bytes]:
+        """Yield the messages of a listener until the server stops."""
+        looked = spoken = time.monotonic()
+        while not self._closed:
+            chunk: bytes | None = b""
+            with suppress(TimeoutError):
+                chunk = await asyncio.wait_for(queue.get(), WAIT_SECONDS)
+            if chunk is None:
+                return
+            now = time.monotonic()
+            if now - looked >= WAIT_SECONDS:
+                with suppress(KinedexError, OSError):  # the next question of a page reports it
+                    await to_thread.run_sync(look)
+                looked = now
+            if chunk or now - spoken >= QUIET_SECONDS:
+                spoken = now
+                yield chunk or b": quiet\n\n"
+
+
+def _encoded(kind: str, message: Mapping[str, object]) -> bytes:
+    return f"event: {kind}\ndata: {json.dumps(message, allow_nan=False)}\n\n".encode()
 
 
 async def stream(request: Request) -> Response:
     """Answer with the messages for as long as the page listens."""
     archive = request.app.state.archive
-    return StreamingResponse(archive.events.listen(archive.store), media_type="text/event-stream")
+    return StreamingResponse(archive.events.listen(archive.state), media_type="text/event-stream")
 
 
 routes = [Route("/api/events", stream)]

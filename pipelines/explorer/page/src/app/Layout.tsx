@@ -15,6 +15,7 @@ export function Layout() {
   useEvents();
   const [location, navigate] = useLocation();
   const [help, { open, close }] = useDisclosure(false);
+  const store = useStore();
   const page = PAGES.find((one) => isShown(one.path, location));
   useEffect(() => {
     document.title = page === undefined ? "kinedex" : `${page.title} · kinedex`;
@@ -42,6 +43,12 @@ export function Layout() {
       </nav>
       <main id="content" className="shell-content" tabIndex={-1}>
         <FaultBoundary key={page?.path}>
+          {store.isError && (
+            <div className="page">
+              <Fault fault={store.error} retry={() => window.location.reload()} />
+            </div>
+          )}
+          {!store.isError && (
           <Suspense fallback={<Loader m="md" size="sm" aria-label="Loading" />}>
             <Switch>
               {PAGES.map((one) => (
@@ -52,6 +59,7 @@ export function Layout() {
               </Route>
             </Switch>
           </Suspense>
+          )}
         </FaultBoundary>
       </main>
       <SameBar />
@@ -81,7 +89,6 @@ function Header({ onHelp }: { onHelp: () => void }) {
         </Text>
       )}
       {facts?.read_only === true && <Badge variant="outline">read only</Badge>}
-      {store.isError && <Fault fault={store.error} />}
       <div style={{ flex: 1 }} />
       <div role="status" aria-live="polite">
         {!connected && <Badge color="red">no connection to the server</Badge>}

@@ -1,0 +1,70 @@
+"""The stream of events: where it begins, what it brings, and that it ends."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator
+from typing import Any
+
+import pytest
+
+from kinedex.ops.errors import StoreError
+from kinedex.pipelines.explorer import events as module
+from kinedex.pipelines.explorer.events import Events
+
+STATE = {"version": 3, "labels": "a"}
+
+
+async def message(stream: AsyncIterator[bytes]) -> tuple[str, Any]:
+    """Return kind and content of the next message, empty for one that only keeps the connection."""
+    async with asyncio.timeout(30):
+        text = (await anext(stream)).decode()
+    if not text.startswith("event: "):
+        return "", text
+    kind, data = text.strip().split("\n")
+    return kind.removeprefix("event: "), json.loads(data.removeprefix("data: "))
+
+
+def test_a_listener_gets_the_state_the_jobs_that_run_and_then_the_news() -> None:
+    async def listen() -> None:
+        events = Events()
+        events.publish("job", {"id": "1", "title": "learn", "state": "running"})
+        events.publish("job", {"id": "2", "title": "annotate", "state": "running"})
+        events.publish("job", {"id": "1", "title": "learn", "state": "done"})
+        stream = events.listen(lambda: STATE)
+        assert (await message(stream))[1] == "retry: 1000\n\n"
+        assert await message(stream) == ("state", STATE)
+        assert (await message(stream))[1]["id"] == "2"
+        await asyncio.to_thread(events.publish, "version", {"version": 4})
+        assert await message(stream) == ("version", {"version": 4})
+        events.close()
+        assert [one async for one in stream] == []
+
+    asyncio.run(listen())
+
+
+def test_a_store_that_cannot_be_read_for_a_while_ends_no_stream(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "WAIT_SECONDS", 0.01)
+    looks = 0
+
+    def look() -> dict[str, object]:
+        nonlocal looks
+        looks += 1
+        if looks > 1:
+            events.publish("labels", {})
+            raise StoreError("damaged")
+        return STATE
+
+    events = Events()
+
+    async def listen() -> None:
+        stream = events.listen(look)
+        await message(stream)
+        await message(stream)
+        assert (await message(stream))[0] == "labels"
+        assert (await message(stream))[0] == "labels"
+        await stream.aclose()
+
+    asyncio.run(listen())
+    assert looks >= 3
