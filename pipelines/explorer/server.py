@@ -17,6 +17,7 @@ from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.explorer.access import Rules, address, is_loopback, new_token
 from kinedex.pipelines.explorer.application import make_application, require_page
 from kinedex.pipelines.explorer.archive import Archive
+from kinedex.pipelines.explorer.preparation import start_preparation
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -140,7 +141,11 @@ def serve(store: Path, host: str, port: int | None, *, read_only: bool, browser:
         )
         if browser:
             _open(shown)
-        Server(config, archive).run([listening])
+        preparation = start_preparation(archive)
+        try:
+            Server(config, archive).run([listening])
+        finally:
+            preparation.cancel()
 
 
 def _open(shown: str) -> None:

@@ -66,12 +66,31 @@ def test_a_take_plays_zooms_and_selects(open_page: Open) -> None:
     found = re.search(r"from=(\d+)&to=(\d+)", page.url)
     assert found is not None
     interval = f"from={found.group(1)}&to={found.group(2)}"
-    for name, address in (("Search like this", "ask"), ("Label this", "label")):
+    for name, address in (("Search by this", "ask"), ("Label this", "label")):
         link = page.get_by_role("link", name=name)
         assert link.get_attribute("href") == f"/{address}?take=x_al_long_1&{interval}"
     page.reload()
     length = int(found.group(2)) - int(found.group(1))
     expect(page.get_by_text(re.compile(rf"\b{length} frames"))).to_be_visible()
+
+
+def test_a_column_of_a_template_shows_the_pose_of_its_hit_and_the_clip_plays_beside_it(open_page: Open) -> None:
+    page = open_page(f"{TAKE}?pick=reel@33&frame=66")
+    image = page.get_by_role("img", name="The template reel")
+    hit = page.get_by_text(re.compile(r"from [\d.]+ s to [\d.]+ s, cost"))
+    expect(hit).to_be_visible()
+    times = [float(one) for one in re.findall(r"([\d.]+) s", str(hit.text_content()))]
+    box = image.bounding_box()
+    assert box is not None
+    shown = []
+    for share in (0.02, 0.98):
+        page.mouse.move(box["x"] + share * box["width"], box["y"] + 5)
+        page.wait_for_function("() => !document.querySelector('.player-now').textContent.endsWith('frame 66')")
+        shown.append(frame_of(page) / 30)
+    assert times[0] <= shown[0] < shown[1] <= times[1]
+    page.get_by_role("button", name="Beside its nearest clip").click()
+    page.wait_for_url(re.compile("step=hit"))
+    expect(page.get_by_text(re.compile(r"Beside x_(al|bo)_reel_1"))).to_be_visible()
 
 
 def test_the_lanes_are_a_table_and_keys_are_listed(open_page: Open) -> None:

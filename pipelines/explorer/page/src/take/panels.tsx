@@ -1,8 +1,8 @@
 // The panels beside the player: selection, features of the pose, facts about the take.
 
 import { Button, Group, Text } from "@mantine/core";
-import { type ReactNode, useEffect, useRef, useSyncExternalStore } from "react";
-import { Link } from "wouter";
+import { type MouseEvent, type ReactNode, useEffect, useRef, useSyncExternalStore } from "react";
+import { Link, useLocation } from "wouter";
 
 import type { Feature, Value } from "../api/types";
 import { clock } from "./axis";
@@ -39,7 +39,7 @@ export function SelectionPanel({ session, name }: { session: Session; name: stri
       </Text>
       <Group gap={6} mt={6}>
         <Button size="compact-sm" component={Link} href={`/ask?${question}`}>
-          Search like this
+          Search by this
         </Button>
         <Button size="compact-sm" variant="default" component={Link} href={`/label?${question}`}>
           Label this
@@ -112,6 +112,7 @@ export function PosePanel({
 
 function PoseLink({ session, name }: { session: Session; name: string }) {
   const { playing } = useSyncExternalStore(session.subscribe, () => session.shown);
+  const [, navigate] = useLocation();
   const link = useRef<HTMLAnchorElement>(null);
   useEffect(
     () =>
@@ -121,8 +122,13 @@ function PoseLink({ session, name }: { session: Session; name: string }) {
       }),
     [session, name, playing],
   );
+  const follow = (event: MouseEvent<HTMLAnchorElement>) => {
+    if (event.ctrlKey || event.metaKey || event.shiftKey) return;
+    event.preventDefault();
+    navigate(event.currentTarget.getAttribute("href") ?? "/ask");
+  };
   return (
-    <Button ref={link} component="a" size="compact-sm" variant="default" mt={6} href="/ask">
+    <Button ref={link} component="a" size="compact-sm" variant="default" mt={6} href="/ask" onClick={follow}>
       Ask for this pose
     </Button>
   );
