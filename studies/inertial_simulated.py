@@ -26,6 +26,7 @@ from kinedex.ops.evaluation.metrics import Counts, pooled
 from kinedex.ops.evaluation.threshold_counts import threshold_counts
 from kinedex.ops.inertial.limb_orientation import NONE
 from kinedex.ops.inertial.noise import generator
+from kinedex.ops.inertial.observability import DOUBTFUL
 from kinedex.ops.inertial.orientation_filter import estimate_calibrated
 from kinedex.ops.inertial.rotations import conjugate, distance_deg, exp, interpolate, log, multiply, rotate
 from kinedex.ops.inertial.sensor_model import centred_acceleration
@@ -356,32 +357,58 @@ def known_by_joints(motion: Path, skeleton: Path) -> dict[str, LimbMotion]:
 
 
 def robustness(judged: Sequence[Judged]) -> list[list[str]]:
-    """Return the worst q_L of a shank when a part of it drifts to 120°: alone, and beside four sound limbs."""
-    rows = [["this limb alone"], ["with four other limbs"]]
+    """Return the worst q_L of a shank when a part of it drifts to 120°: alone, by its right frames, and beside others.
+
+    The second row counts the takes whose right frames turn enough to determine a mount, beside the worst of them.
+    """
+    rows = [
+        ["this limb alone"],
+        ["of these, right frames turn enough"],
+        ["its right frames alone"],
+        ["with four others"],
+    ]
     for share in SHARES:
-        worst = [0.0, 0.0]
+        alone, enough, right, beside = list[float](), list[float](), list[float](), list[float]()
         for one in judged:
-            clocks = {(1, RECORDING): Clock(one.trial.worn.clock.offset_s, one.trial.worn.clock.ppm)}
             limbs = {**one.trial.true, "lshank": drifting(one.trial.true["lshank"], share, one.trial.take.take)}
-            for place, chosen in enumerate((("lshank",), tuple(limbs))):
-                sensors = tuple(sensor for sensor in one.trial.take.sensors if sensor.limb in chosen)
-                take = replace(one.trial.take, limbs={limb: limbs[limb] for limb in chosen}, sensors=sensors)
-                fits = fit_together(FitTask((take,), clocks, CalibrateParameters.model_validate({})))
-                fit = next(fit for fit in fits if fit.limb == "lshank").fit
-                assert fit is not None
-                worst[place] = max(worst[place], float(distance_deg(fit.q_mount, one.trial.worn.mounts["lshank"])))
-        for row, value in zip(rows, worst, strict=True):
-            row.append(f"{value:.1f}")
+            frames = right_frames(len(limbs["lshank"].times), share)
+            kept = replace(limbs["lshank"], valid=limbs["lshank"].valid & frames)
+            by_right, observability = _shank_off(one, {"lshank": kept})
+            right.append(by_right)
+            alone.append(_shank_off(one, {"lshank": limbs["lshank"]})[0])
+            beside.append(_shank_off(one, limbs)[0])
+            if observability >= DOUBTFUL:
+                enough.append(alone[-1])
+        cells = [f"{max(alone):.1f}", f"{max(enough):.1f} ({len(enough)})" if enough else "–"]
+        for row, cell in zip(rows, [*cells, f"{max(right):.1f}", f"{max(beside):.1f}"], strict=True):
+            row.append(cell)
     return rows
+
+
+def _shank_off(one: Judged, limbs: dict[str, LimbMotion]) -> tuple[float, float]:
+    """Return by how much the left shank's mount is off, and its observability, calibrated from some limbs."""
+    clocks = {(1, RECORDING): Clock(one.trial.worn.clock.offset_s, one.trial.worn.clock.ppm)}
+    sensors = tuple(sensor for sensor in one.trial.take.sensors if sensor.limb in limbs)
+    take = replace(one.trial.take, limbs=limbs, sensors=sensors)
+    fits = fit_together(FitTask((take,), clocks, CalibrateParameters.model_validate({})))
+    fit = next(fit for fit in fits if fit.limb == "lshank").fit
+    assert fit is not None
+    return float(distance_deg(fit.q_mount, one.trial.worn.mounts["lshank"])), fit.observability
+
+
+def right_frames(count: int, share: float) -> npt.NDArray[np.bool_]:
+    """Return the frames (T,) beside so large a part in the middle."""
+    first = round(0.5 * (1.0 - share) * count)
+    frames = np.ones(count, np.bool_)
+    frames[first : first + round(share * count)] = False
+    return frames
 
 
 def drifting(limb: LimbMotion, share: float, name: str) -> LimbMotion:
     """Return a limb of which so large a part, in the middle, drifts linearly to 120° about a random axis."""
-    count = len(limb.times)
-    first = round(0.5 * (1.0 - share) * count)
-    stop = first + round(share * count)
-    angle = np.zeros(count)
-    angle[first:stop] = np.linspace(0.0, np.radians(120.0), stop - first)
+    wrong = ~right_frames(len(limb.times), share)
+    angle = np.zeros(len(limb.times))
+    angle[wrong] = np.linspace(0.0, np.radians(120.0), int(wrong.sum()))
     axis = generator(0, "robustness", name).normal(size=3)
     turn = exp(angle[:, None] * axis / np.linalg.norm(axis))
     return replace(limb, orientation=multiply(limb.orientation, turn))

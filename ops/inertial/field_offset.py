@@ -23,7 +23,7 @@ BLOCK_S = 0.1
 PRIOR = 0.01
 """Standard deviation of the offset of a calibrated magnetometer on each axis, as a share of the field."""
 
-LIKELY = 6.0
+LIKELY = 4.0
 """An offset longer than so many standard deviations shows a magnetometer that is not calibrated: the prior widens."""
 
 LEAST_CORRELATED_S = 1.0

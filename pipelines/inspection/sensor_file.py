@@ -40,7 +40,8 @@ class InspectedSensor:
     frame : str or None
         The world of the file's own orientations.
     frame_assumed : bool
-        Nothing shows that world: neither the file, its format, the field, nor the file of sensors.
+        Nothing shows that world: neither the file, the field, a format that was checked on real files, nor the file of
+        sensors.
     mean_acc_m_s2 : float or None
         The mean of |acc|.
     median_acc_m_s2 : float or None
@@ -147,8 +148,8 @@ def _add_sensor(found: Inspection, sensor: InspectedSensor) -> None:
         )  # fmt: skip
     if sensor.frame:
         assumed = (
-            ", which is assumed: nothing in the file shows it; `frame: NWU`, `ENU` or `NED` in a file of sensors "
-            "(--sensors) states it"
+            ", which is assumed: nothing in this file shows it, nor did a real file of its format; `frame: NWU`, "
+            "`ENU` or `NED` in a file of sensors (--sensors) states it"
         )
         found.add("orientation", f"sensor to {sensor.frame}{assumed if sensor.frame_assumed else ''}")
     found.add("gaps", _intervals(sensor.gaps) or "none above 50 ms")

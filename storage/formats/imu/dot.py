@@ -48,6 +48,7 @@ def read(path: Path, given: Given) -> list[RawSensor]:
     table = named_columns(path, lines, first, separator_of(lines[first]))
     sensor = RawSensor(settings.get("devicetag") or path.stem, lines=table.rows.lines)
     sensor.units, sensor.frame = {"acc": "m/s2", "gyr": "deg/s", "mag": "1"}, ENU
+    sensor.frame_assumed = True
     for channel, names in CHANNELS.items():
         setattr(sensor, channel, table.channel(names))
     sensor.orientation = table.orientation()

@@ -66,6 +66,7 @@ def _opal(path: Path, contents: Hdf5Contents, devices: list[str]) -> list[RawSen
     for device in devices:
         label = names[device]
         sensor = RawSensor(label if labels[label] == 1 else f"{label} {device}", units=dict(_OPAL_UNITS), frame=NWU)
+        sensor.frame_assumed = True
         wanted = {"times": f"Sensors/{device}/Time", "orientation": f"Processed/{device}/Orientation"}
         for channel, words in _OPAL.items():
             places = [f"Sensors/{device}/{word}" for word in words]

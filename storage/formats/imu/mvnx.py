@@ -44,6 +44,7 @@ def read(path: Path, given: Given) -> list[RawSensor]:
             if not len(orientations):
                 continue
             sensor = RawSensor(label if len(subjects) == 1 else f"{name}/{label}", rate_hz=subject.rate_hz, frame=NWU)
+            sensor.frame_assumed = True
             sensor.orientation = orientations[:, i]
             sensor.mag = fields[:, i] if len(fields) else None
             sensor.steps, sensor.units = steps, {"mag": "1"}

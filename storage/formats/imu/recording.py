@@ -17,6 +17,7 @@ a limb's name is worn on that limb.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,6 +84,7 @@ FORMATS = {
 """Name → format; a file is of the first that recognises it."""
 
 _HEAD = 1 << 16
+_WHOLE = ("hdf5", "mvnx")  # formats of which a file that is cut off cannot be read
 
 
 def read_recording(
@@ -141,7 +143,11 @@ def read_together(
     formats = []
     for path in paths:
         formats.append(recognised(path))
-        raw.extend((path, sensor) for sensor in FORMATS[formats[-1]].read(path, given))
+        own = FORMATS[formats[-1]].read(path, given)
+        if formats[-1] not in _WHOLE and (warning := _unfinished(path)):
+            for sensor in own:
+                sensor.warnings.append(warning)
+        raw.extend((path, sensor) for sensor in own)
     seen: dict[str, Path] = {}
     for path, sensor in raw:
         if sensor.name in seen:
@@ -151,6 +157,19 @@ def read_together(
     _share_clock([sensor for _, sensor in raw])
     sensors = [checked(path, sensor, given) for path, sensor in raw]
     return ImuRecording(name or paths[0].stem, sensors, formats[0], dict(seen))
+
+
+def _unfinished(path: Path) -> str:
+    """Return a warning of a text that ends within a line; empty for any other file."""
+    with path.open("rb") as file:
+        if file.read(4) == b"PAR1":
+            return ""
+        file.seek(-1, os.SEEK_END)
+        if file.read(1) in b"\r\n\0":
+            return ""
+    return (
+        "the file ends without a line break: if it was cut off there, the last number of its last sample is not whole"
+    )
 
 
 def _share_clock(sensors: Sequence[RawSensor]) -> None:

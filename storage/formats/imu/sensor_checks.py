@@ -274,7 +274,7 @@ class _Checks:
                 f"{source} states orientations in {user or header}, and the mean of the field lies as in {shown}; "
                 f"{found} is used"
             )
-        return found, not (user or shown or header)
+        return found, not (user or shown or (header and not self.raw.frame_assumed))
 
     def check_upright(self, orientation: F64, acc: F64 | None) -> None:
         """Warn of orientations in which gravity is not vertical."""

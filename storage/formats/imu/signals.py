@@ -72,7 +72,7 @@ class ImuSensor:
     warnings : tuple of str
         What is odd, in sentences for the user.
     frame_assumed : bool
-        Neither the user, the file, its format nor the field shows `frame`.
+        Neither the user, the file, the field nor a format that was checked on real files shows `frame`.
     """
 
     name: str
@@ -135,6 +135,8 @@ class RawSensor:
         Quantity → the unit that the file or its format states, a key of `UNITS`; absent where neither does.
     frame : str
         The world of the quaternions by the file or its format; empty where neither states it.
+    frame_assumed : bool
+        `frame` is that of the format by a manual or by others, and no real file has shown it.
     lines : int64 array (T,) or None
         The line of each sample, for messages; None for files without lines.
     warnings : list of str
@@ -153,6 +155,7 @@ class RawSensor:
     rate_hz: float | None = None
     units: dict[str, str] = field(default_factory=dict)
     frame: str = ""
+    frame_assumed: bool = False
     lines: I64 | None = None
     warnings: list[str] = field(default_factory=list)
 

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from kinedex.ops.errors import SourceError
 from kinedex.pipelines.commands.cli import app
-from tests.imu_files import csv_text, mtmanager_text, turning, write_hdf5, write_parquet
+from kinedex.storage.formats.imu.recording import read_recording
+from tests.imu_files import csv_text, dot_text, mtmanager_text, mvnx_text, turning, write_hdf5, write_parquet
 
 
 def inspected(*arguments: object) -> str:
@@ -77,6 +79,24 @@ def test_a_world_that_nothing_shows_is_named_as_assumed(tmp_path: Path) -> None:
     assert "assumed" not in inspected(path, "--sensors", tmp_path / "five.yaml")
     (tmp_path / "b.csv").write_text(csv_text(turning()))
     assert "assumed" not in inspected(tmp_path / "b.csv"), "the field shows the world"
+
+
+def test_the_world_of_a_format_that_no_real_file_has_shown_is_assumed(tmp_path: Path) -> None:
+    without = re.sub(r"<sensorMagneticField>.*?</sensorMagneticField>", "", mvnx_text(turning()), flags=re.DOTALL)
+    (tmp_path / "a.mvnx").write_text(without)
+    assert all(one.frame_assumed for one in read_recording(tmp_path / "a.mvnx").sensors)
+    (tmp_path / "a.csv").write_text(dot_text(turning()))
+    assert "sensor to east-north-up, which is assumed" in " ".join(inspected(tmp_path / "a.csv").split())
+
+
+def test_a_text_that_ends_within_a_line_is_warned_of(tmp_path: Path) -> None:
+    text = csv_text(turning(60))
+    (tmp_path / "a.csv").write_text(text[:-3])
+    shown = " ".join(inspected(tmp_path / "a.csv").split())
+    assert "ends without a line break: if it was cut off there, the last number of its last sample is not" in shown
+    (tmp_path / "a.csv").write_text(text[: text.rindex(",")])
+    with pytest.raises(SourceError, match="is the line cut off"):
+        read_recording(tmp_path / "a.csv")
 
 
 @pytest.mark.parametrize(

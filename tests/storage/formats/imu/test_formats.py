@@ -107,7 +107,7 @@ def test_a_table_with_two_header_rows_is_read_by_sensor(tmp_path: Path) -> None:
     rows = np.column_stack([np.arange(60), KNOWN.acc, np.degrees(KNOWN.gyr), KNOWN.acc])
     body = "\n".join(",".join(f"{cell:.7f}" for cell in row) for row in rows)
     head = "sensor," + "left," * 6 + "right,right,right\naxis,acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z,acc_x,acc_y,acc_z\n"
-    path = text(head + body, "a.csv")(tmp_path)
+    path = text(head + body + "\n", "a.csv")(tmp_path)
     found = read_recording(path, sensor_set=of("{units: {gyr: deg/s}, rate_hz: 50}"))
     assert [(one.name, one.channels) for one in found.sensors] == [("left", ("acc", "gyr")), ("right", ("acc",))]
     same(found.sensors[0], KNOWN, "ag")
