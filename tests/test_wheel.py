@@ -140,6 +140,8 @@ def test_the_page_of_the_explorer_is_packed_without_what_built_it(installed: Ins
             pytest.fail(missing)
         pytest.skip(missing)
     assert "built/index.html" in sources, "the source distribution installs without node"
+    code = "from kinedex.pipelines.explorer.application import require_page; require_page()"
+    execute([sys.executable, "-c", code], installed.target.parent, installed.environment)
     page = installed.target / "kinedex" / "pipelines" / "explorer" / "built"
     scripts = re.findall(r'(?:src|href)="/([^"]+)"', (page / "index.html").read_text(encoding="utf-8"))
     assert scripts

@@ -15,7 +15,6 @@ export function Layout() {
   useEvents();
   const [location, navigate] = useLocation();
   const [help, { open, close }] = useDisclosure(false);
-  const store = useStore();
   const page = PAGES.find((one) => isShown(one.path, location));
   useEffect(() => {
     document.title = page === undefined ? "kinedex" : `${page.title} · kinedex`;
@@ -43,28 +42,35 @@ export function Layout() {
       </nav>
       <main id="content" className="shell-content" tabIndex={-1}>
         <FaultBoundary key={page?.path}>
-          {store.isError && (
-            <div className="page">
-              <Fault fault={store.error} retry={() => window.location.reload()} />
-            </div>
-          )}
-          {!store.isError && (
-          <Suspense fallback={<Loader m="md" size="sm" aria-label="Loading" />}>
-            <Switch>
-              {PAGES.map((one) => (
-                <Route key={one.path} path={one.pattern} component={one.view} />
-              ))}
-              <Route>
-                <Text p="md">No page has this address.</Text>
-              </Route>
-            </Switch>
-          </Suspense>
-          )}
+          <Content />
         </FaultBoundary>
       </main>
       <SameBar />
       <Keys opened={help} close={close} />
     </div>
+  );
+}
+
+/** The page of the address; only a store that could never be read stands in its place. */
+function Content() {
+  const store = useStore();
+  if (store.isError && store.data === undefined)
+    return (
+      <div className="page">
+        <Fault fault={store.error} retry={() => window.location.reload()} />
+      </div>
+    );
+  return (
+    <Suspense fallback={<Loader m="md" size="sm" aria-label="Loading" />}>
+      <Switch>
+        {PAGES.map((one) => (
+          <Route key={one.path} path={one.pattern} component={one.view} />
+        ))}
+        <Route>
+          <Text p="md">No page has this address.</Text>
+        </Route>
+      </Switch>
+    </Suspense>
   );
 }
 

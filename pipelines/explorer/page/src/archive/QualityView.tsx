@@ -4,6 +4,7 @@ import { Link } from "wouter";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
 import { useQuality } from "./questions";
+import { takesWhere as where } from "./selection";
 import { count, counted, shown } from "./text";
 
 /** Takes with figures beyond their limits, with warnings, and with invalid frames; each leads to its takes. */
@@ -91,10 +92,6 @@ export function QualityView() {
 
 function suspects(figure: string): string {
   return where(`take_id IN (SELECT take_id FROM suspect_takes WHERE figure = ${quoted(figure)})`);
-}
-
-function where(condition: string): string {
-  return `/?where=${encodeURIComponent(condition)}`;
 }
 
 function quoted(text: string): string {

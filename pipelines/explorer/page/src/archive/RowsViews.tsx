@@ -1,5 +1,5 @@
 import { Code, Loader, Text } from "@mantine/core";
-import { useLocation } from "wouter";
+import { Link, useLocation } from "wouter";
 
 import type { Value } from "../api/types";
 import { takeAddress } from "../app/address";
@@ -7,6 +7,7 @@ import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
 import { type GridColumn, VirtualGrid } from "../table/VirtualGrid";
 import { useRows } from "./questions";
+import { takesWhere } from "./selection";
 import { count, counted, shown } from "./text";
 import type { RowsOf } from "./types";
 
@@ -65,6 +66,15 @@ export function DuplicatesView() {
       label="Duplicates"
       columns={DUPLICATES}
       onOpen={(row) => navigate(takeAddress(shown(row.take)))}
+      more={
+        <>
+          {" "}
+          · takes: <Link href={takesWhere("take_id IN (SELECT take_id FROM duplicates)")}>those listed</Link>,{" "}
+          <Link href={takesWhere("take_id NOT IN (SELECT take_id FROM duplicates WHERE share > 0.9)")}>
+            those that repeat no other
+          </Link>
+        </>
+      }
       none={
         found.data?.searched === true ? (
           "No two takes hold the same motion."
@@ -94,9 +104,11 @@ interface Props {
   columns: GridColumn<Row>[];
   none: React.ReactNode;
   onOpen?: (row: Row) => void;
+  /** What follows the number of rows. */
+  more?: React.ReactNode;
 }
 
-function RowsGrid({ found, label, columns, none, onOpen }: Props) {
+function RowsGrid({ found, label, columns, none, onOpen, more }: Props) {
   if (found.isError) return <Fault fault={found.error} />;
   if (found.data === undefined) return <Loader size="sm" aria-label="Loading" />;
   const data: RowsOf = found.data;
@@ -111,6 +123,7 @@ function RowsGrid({ found, label, columns, none, onOpen }: Props) {
       <Text size="xs" className="muted" pb={4} role="status">
         {counted(data.total, "row")}
         {data.rows.length < data.total && `, the first ${count(data.rows.length)} shown; the command below lists all`}
+        {more}
       </Text>
       <div className="rows-grid">
         <VirtualGrid<Row>

@@ -106,6 +106,7 @@ function ownColumns(facts: StoreFacts | undefined): string[] {
     .map((one) => one.name);
 }
 
-export function isTechnical(column: string): boolean {
-  return TECHNICAL.has(column);
+/** Return the address of the takes that fit a condition of SQL. */
+export function takesWhere(condition: string): string {
+  return `/?where=${encodeURIComponent(condition)}`;
 }
