@@ -75,8 +75,6 @@ def inspect(
     if sensors is not None or _is_sensor_file(file):
         _inspect_sensors(file, sensors, rate, as_json)
         return
-    if file.is_file() and file.suffix.lower() in _SENSOR_ENDINGS:
-        raise _unknown_sensor_file(file)
     if file.suffix.lower() in (".png", ".pcd", ".ply"):
         raise KinedexError(f"{file}: a depth image or cloud is shown with its camera: --camera FILE")
     from kinedex.pipelines.console.terminal import make_console
@@ -95,10 +93,8 @@ def inspect(
                     "sensors": None})  # fmt: skip
     elif not as_json:
         show(found, make_console(), features)
-    if found.fault is not None and file.suffix.lower() in (".csv", ".tsv"):
-        raise KinedexError(f"{found.fault}\n  if it holds readings of inertial sensors: {_NAME_COLUMNS}")
     if found.fault is not None:
-        raise found.fault
+        raise _fault(file, found.fault)
 
 
 _SENSOR_ENDINGS = (".txt", ".parquet", ".h5", ".hdf5")
@@ -108,6 +104,13 @@ _NAME_COLUMNS = (
     "columns such as time_s, acc_x, gyr_x and q_w are recognised, and `columns:` of a file of sensors names any "
     "others: --sensors FILE"
 )
+
+
+def _fault(file: Path, fault: KinedexError) -> KinedexError:
+    """Return the fault of a file that is no motion; a table may hold readings of sensors."""
+    if file.suffix.lower() in (".csv", ".tsv"):
+        return KinedexError(f"{fault}\n  if it holds readings of inertial sensors: {_NAME_COLUMNS}")
+    return fault
 
 
 def _unknown_sensor_file(file: Path) -> KinedexError:
@@ -122,11 +125,14 @@ def _unknown_sensor_file(file: Path) -> KinedexError:
 
 
 def _is_sensor_file(file: Path) -> bool:
-    """Return whether a file holds readings of sensors; motion files other than CSV are not opened for it."""
-    if not file.is_file() or file.suffix.lower() not in (*_SENSOR_ENDINGS, ".csv", ".tsv"):
+    """Return whether a file holds readings of sensors; one that cannot be motion and has none is an error."""
+    ending = file.suffix.lower()
+    if not file.is_file() or ending not in (*_SENSOR_ENDINGS, ".csv", ".tsv"):
         return False
     from kinedex.storage.formats.imu.recording import is_sensor_file
 
+    if not is_sensor_file(file) and ending in _SENSOR_ENDINGS:
+        raise _unknown_sensor_file(file)
     return is_sensor_file(file)
 
 
