@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from kinedex.ops.body.joint_tree import JOINTS, PARENTS
+from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.pipelines.explorer.addresses import get
 from kinedex.pipelines.explorer.same import command_line, python_lines
 from kinedex.storage.duck import sql_type
@@ -34,8 +34,8 @@ def describe(archive: Archive, _request: Request) -> dict[str, Any]:
         "hours": sum(seconds) / 3600,
         "rate_hz": store.rate_hz,
         "read_only": archive.read_only,
-        "joints": list(JOINTS),
-        "parents": PARENTS.tolist(),
+        "joints": list(store.feature_set.joints),
+        "parents": parents_of(store.feature_set.joints),
         "features": features_of(store),
         "columns": columns_of(store.take_rows.schema),
         "classes": sorted(set(store.take_rows.column("class").to_pylist()) - {None}),
@@ -43,6 +43,12 @@ def describe(archive: Archive, _request: Request) -> dict[str, Any]:
         "command": command_line("kinedex", "takes", "list", archive.path),
         "python": python_lines(archive.path, "store.takes()"),
     }
+
+
+def parents_of(joints: tuple[str, ...]) -> list[int]:
+    """Return the index of the joint that each joint hangs from, −1 for none among them."""
+    parents = [JOINT_PARENTS.get(joint) for joint in joints]
+    return [-1 if parent is None or parent not in joints else joints.index(parent) for parent in parents]
 
 
 def features_of(store: Store) -> list[dict[str, Any]]:

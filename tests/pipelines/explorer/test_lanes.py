@@ -46,9 +46,10 @@ MASK = BODY.every_bit & ~0b11
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     """Clips and a take with annotations, labels of people, and a body that lacks the joints of two features."""
+    two = [{**long_take(f"duo-{name}", "ann", "rest"), "source": "duo.c3d"} for name in ("A", "B")]
     lame = {**long_take("dan_take01", "dan", "walk", "kick"), "known": MASK}
     lame["words"] = np.asarray(lame["words"]) & np.uint64(MASK)
-    path: Path = write_store(tmp_path_factory.mktemp("lanes") / "store", [*CLIPS, LONG | {"words": WORDS}, lame])
+    path: Path = write_store(tmp_path_factory.mktemp("lanes") / "store", [*CLIPS, LONG | {"words": WORDS}, lame, *two])
     line = Line(path)
     line.run(LearnTemplates, methods=["soft"])
     line.run(Annotate, tau=0.2)
@@ -75,6 +76,9 @@ def test_the_document_of_a_take_has_what_its_page_needs_first(store: Store) -> N
     assert found["columns"]["actor"] == "cat"
     assert found["unknown"] == []
     assert take_document(store, take(store, "dan_take01"))["unknown"] == [0, 1]
+    assert found["persons"] == []
+    (other,) = take_document(store, take(store, "duo-A"))["persons"]
+    assert (other["name"], other["take_id"]) == ("duo-B", take(store, "duo-B"))
     with pytest.raises(KinedexError, match="no take has the id 99"):
         take_document(store, 99)
 

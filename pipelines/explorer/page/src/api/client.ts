@@ -50,6 +50,10 @@ export async function getBytes(path: string, signal?: AbortSignal): Promise<Arra
   return (await request(path, { signal })).arrayBuffer();
 }
 
+export async function getStream(path: string, signal?: AbortSignal): Promise<ReadableStream<Uint8Array>> {
+  return (await request(path, { signal })).body ?? new ReadableStream();
+}
+
 export async function postBytes(path: string, body: unknown, signal?: AbortSignal): Promise<ArrayBuffer> {
   return (await request(path, posted(body, signal))).arrayBuffer();
 }

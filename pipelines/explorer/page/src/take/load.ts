@@ -3,7 +3,7 @@
 import { useQueries, useQuery } from "@tanstack/react-query";
 import { useEffect, useMemo, useState } from "react";
 
-import { get, getBytes } from "../api/client";
+import { get, getBytes, getStream } from "../api/client";
 import { Motion, readBlocks } from "../motion/motion";
 import type { CurveRow } from "./rows";
 import type { Session } from "./session";
@@ -35,9 +35,7 @@ export function useMotion(
     setFault(null);
     setWhole(false);
     const load = async () => {
-      const response = await fetch(path(id, "/motion"), { signal: stop.signal });
-      if (!response.ok || response.body === null) throw new Error(`the motion did not come (status ${response.status})`);
-      await readBlocks(response.body, (block) => {
+      await readBlocks(await getStream(path(id, "/motion"), stop.signal), (block) => {
         if (stop.signal.aborted) return;
         motion.add(block);
         session.changed("content");
