@@ -22,7 +22,7 @@ t    DOUBLE    its time in seconds
 orientation    {QUATERNION}    unit quaternion from the limb's own frame to the world; NULL where not known
 position    {VECTOR}    the middle of the limb in metres, Y up; NULL where not known
 direction    {VECTOR}    unit vector from the near to the far joint in the world; NULL where not known
-basis    VARCHAR    full (a node's rotation, or markers), hinge (long axis and a joint's plane) or none (long axis)
+basis    VARCHAR    full (node, markers, or joints of the trunk), hinge (long axis, a joint's plane) or none (long axis)
 valid    BOOLEAN    the orientation is known, or for basis none the direction
 jump    BOOLEAN    the frame is at a turn faster than 2,500 degrees a second
 fit_mm    DOUBLE    root mean square distance of the markers to their shape; NULL where there are none

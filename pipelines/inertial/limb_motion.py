@@ -26,8 +26,8 @@ from kinedex.storage.formats.motion.segments import Segments
 F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
-_PELVIS = ("root", "lhip", "rhip")
-"""The joints that stand for markers of the pelvis where no node or marker does."""
+_TRUNK = {"pelvis": ("root", "lhip", "rhip"), "torso": ("chest", "neck", "lshoulder", "rshoulder")}
+"""The joints that stand for markers of a limb of the trunk where it has neither a node nor markers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,9 +139,10 @@ def _orientation(
             return FULL, fit.orientation, fit
         except ParameterError as fault:
             remarks.append(f"{limb.name}: {fault}")
-    if limb.name == "pelvis" and all(joint in places for joint in _PELVIS):
+    trunk = _TRUNK.get(limb.name, ())
+    if trunk and all(joint in places for joint in trunk):
         try:
-            fit = segment_orientation(np.stack([places[joint] for joint in _PELVIS], axis=1))
+            fit = segment_orientation(np.stack([places[joint] for joint in trunk], axis=1))
             return FULL, fit.orientation, None
         except ParameterError as fault:
             remarks.append(f"{limb.name}: {fault}")

@@ -119,14 +119,14 @@ def _segments(frames: int = 60, **more: object) -> Segments:
     return Segments(body)
 
 
-def test_joints_alone_give_hinges_the_pelvis_and_directions() -> None:
+def test_joints_alone_give_hinges_the_trunk_and_directions() -> None:
     found = take_limbs(_segments(), JOINTS, LIMB_NAMES)
     basis = {name: one.basis for name, one in found.limbs.items()}
-    assert basis["pelvis"] == "full"
+    assert {basis["pelvis"], basis["torso"]} == {"full"}
     assert {basis["lthigh"], basis["lshank"]} == {"hinge"}
     assert {basis["rthigh"], basis["rshank"]} == {"none"}, "that knee never bends"
     assert any(remark.startswith("rthigh: the hinge never bends") for remark in found.remarks)
-    assert {basis["lhand"], basis["torso"], basis["head"], basis["lfoot"]} == {"none"}
+    assert {basis["lhand"], basis["head"], basis["lfoot"]} == {"none"}
     hand = found.limbs["lhand"]
     assert hand.valid.all()
     assert np.isnan(hand.orientation).all()
@@ -138,6 +138,20 @@ def test_joints_alone_give_hinges_the_pelvis_and_directions() -> None:
         "lhand": "the skeleton has no lfingers",
         "lfoot": "ltoes is estimated, and no node turns with the limb",
     }
+
+
+def test_the_shoulders_show_how_the_torso_twists() -> None:
+    segments = _segments()
+    trunk = [JOINTS.index(joint) for joint in ("chest", "neck", "lshoulder", "rshoulder")]
+    twist = np.radians(30 * np.sin(np.linspace(0, 6, 60)))
+    for place in trunk:
+        x, _, z = segments.body.positions[place].copy()
+        segments.body.positions[place, 0] = np.cos(twist) * x + np.sin(twist) * z
+        segments.body.positions[place, 2] = np.cos(twist) * z - np.sin(twist) * x
+    torso = take_limbs(segments, JOINTS, ["torso"]).limbs["torso"]
+    assert (torso.basis, torso.fit_m) == ("full", None)
+    turned = distance_deg(torso.orientation[:1], torso.orientation)
+    np.testing.assert_allclose(turned, np.degrees(np.abs(twist - twist[0])), atol=1e-6)
 
 
 def test_a_marker_that_is_seldom_seen_is_left_out() -> None:
