@@ -60,11 +60,25 @@ def motion_file(demo: Path) -> Path:
     return min((demo / "archive" / "clips" / "squat1Reps").glob("*.amc"))
 
 
+@pytest.fixture(scope="session")
+def squats(demo: Path) -> tuple[kinedex.Template, pl.DataFrame]:
+    """The template of all squats, and its annotations of the long takes."""
+    with kinedex.open_store(demo / "store") as opened:
+        clips = [opened[name] for name in opened.takes("class = 'squat1Reps'")["name"]]
+        template = kinedex.Template.learn(clips, name="squat")
+        return template, kinedex.annotate(opened, template, where="class IS NULL")
+
+
 @pytest.fixture
-def names(demo: Path, store: kinedex.Store, motion_file: Path, tmp_path: Path) -> dict[str, object]:
+def names(
+    demo: Path,
+    store: kinedex.Store,
+    squats: tuple[kinedex.Template, pl.DataFrame],
+    motion_file: Path,
+    tmp_path: Path,
+) -> dict[str, object]:
     """The names that examples of docstrings use; `tests/api/test_doctests.py` lists them for readers."""
-    clips = [store[name] for name in store.takes("class = 'squat1Reps'")["name"]]
-    template = kinedex.Template.learn(clips, name="squat")
+    template, annotations = squats
     return {
         "kinedex": kinedex,
         "np": np,
@@ -76,9 +90,9 @@ def names(demo: Path, store: kinedex.Store, motion_file: Path, tmp_path: Path) -
         "archive": demo / "archive",
         "motion_file": motion_file,
         "take": store[motion_file.stem],
-        "clips": clips,
+        "clips": [store[name] for name in store.takes("class = 'squat1Reps'")["name"]],
         "template": template,
-        "annotations": kinedex.annotate(store, template, where="class IS NULL"),
+        "annotations": annotations,
         "folder": tmp_path,
     }
 

@@ -16,6 +16,7 @@ from kinedex.ops.tracking.frame_tracker import FrameTrack, track_frames
 from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
 from kinedex.ops.tracking.prior_terms import PriorTerms, no_priors
 from tests.ops.tracking.scene import BODY, CAPSULES, CHAIN, JOINTS, cameras
+from tests.plain_python import slow_as_python
 
 FRAMES = 5
 VIEWS = cameras(4)
@@ -112,6 +113,7 @@ def test_a_jump_that_no_body_makes_is_lost_until_there_was_time_for_it() -> None
     assert track.lost.tolist() == [False, False, True, False, False]
 
 
+@slow_as_python
 def test_priors_pull_unless_silhouettes_contradict_them() -> None:
     priors = no_priors(FRAMES, len(CHAIN.nodes))
     elbow = CHAIN.nodes.index("lelbow")

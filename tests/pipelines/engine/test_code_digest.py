@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from kinedex.pipelines.engine.code_digest import ROOT, Place, Sources, code_digest
+from kinedex.pipelines.engine.code_digest import ROOT, Place, Sources, _module, code_digest
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.stage import BUILT_IN
 from kinedex.pipelines.ingestion.analysis import analyse
@@ -19,12 +19,13 @@ STAGES = {name: tuple(place.split(":")) for name, place in BUILT_IN.items()}
 
 
 @pytest.fixture(scope="module")
-def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of the rooms."""
+def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A copy of the rooms; its syntax trees are freed in the end."""
     copy = tmp_path_factory.mktemp("copy")
     for room in ("ops", "catalog", "storage", "pipelines"):
-        shutil.copytree(ROOT / room, copy / room, ignore=shutil.ignore_patterns("__pycache__"))
-    return copy
+        shutil.copytree(ROOT / room, copy / room, ignore=shutil.ignore_patterns("__pycache__", "page", "built"))
+    yield copy
+    _module.cache_clear()
 
 
 def digests(package: Path, roots: dict[str, Place] | None = None) -> dict[str, str]:
@@ -55,11 +56,6 @@ def changed(package: Path, before: dict[str, str], file: str, old: str, new: str
     finally:
         undo()
     return {name for name in before if before[name] != after[name]}
-
-
-def test_an_annotation_of_a_function_changes_nothing(package: Path, before: dict[str, str]) -> None:
-    old, new = "def did_you_mean(name: str,", "def did_you_mean(name: 'str | None',"
-    assert changed(package, before, "ops/errors.py", old, new) == set()
 
 
 def test_a_constant_of_a_kernel_changes_the_stages_that_use_it(package: Path, before: dict[str, str]) -> None:
@@ -96,17 +92,22 @@ def test_reports_count_for_the_stages_that_write_them_alone(package: Path, befor
     assert learned == digests(package, learning)
 
 
-@pytest.mark.parametrize(
-    ("file", "old", "new"),
-    [
+def test_annotations_and_what_runs_a_stage_do_not_count(package: Path, before: dict[str, str]) -> None:
+    undo = []
+    for file, old, new in (
+        ("ops/errors.py", "def did_you_mean(name: str,", "def did_you_mean(name: 'str | None',"),
         ("pipelines/engine/executors.py", "TRIES = 3", "TRIES = 4"),
         ("pipelines/engine/executors.py", "return map(function, items)", "return iter(list(map(function, items)))"),
         ("pipelines/engine/runner.py", "def new_run_id() -> str:", "def new_run_id() -> str:\n    assert True"),
         ("pipelines/console/terminal.py", "WIDE = ", "WIDE = 1 + "),
-    ],
-)
-def test_what_runs_a_stage_does_not_count(package: Path, before: dict[str, str], file: str, old: str, new: str) -> None:
-    assert changed(package, before, file, old, new) == set()
+    ):
+        undo.append(edited(package / file, lambda text, old=old, new=new: text.replace(old, new, 1)))  # type: ignore[misc]
+    try:
+        after = digests(package)
+    finally:
+        for one in reversed(undo):
+            one()
+    assert {name for name in before if before[name] != after[name]} == set()
 
 
 def write(folder: Path, **modules: str) -> Sources:
@@ -174,7 +175,7 @@ def test_functions_of_this_program_have_a_digest() -> None:
 def test_a_docstring_or_a_comment_changes_nothing(package: Path, before: dict[str, str]) -> None:
     undo = [
         edited(path, lambda text: text.replace('"""', '"""Other words. ', 1) + "\n# a remark\n")
-        for path in sorted(package.rglob("*.py"))
+        for path in sorted(package.rglob("*.py"))[::4]
         if path.read_text(encoding="utf-8").startswith('"""')
     ]
     assert len(undo) > 100
