@@ -24,7 +24,7 @@ import {
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
-import { type Body, facing } from "./body";
+import { type Body, facing, makeBody } from "./body";
 import { place, type Placement, writeFigure } from "./bones";
 import { type Colours, colours, onTheme } from "./colours";
 import type { Motion } from "./motion";
@@ -44,7 +44,7 @@ export interface Actor {
   stand?: { x: number; facing: number };
 }
 
-const NOBODY: Body = { joints: [], parents: [], sides: [], bones: [], root: 0, leftHip: -1, rightHip: -1 };
+const NOBODY = makeBody([], []);
 
 /** The pieces of one actor. */
 class Figure {

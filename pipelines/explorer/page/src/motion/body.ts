@@ -12,6 +12,8 @@ export interface Body {
   root: number;
   leftHip: number;
   rightHip: number;
+  head: number;
+  headTop: number;
 }
 
 export function makeBody(joints: readonly string[], parents: readonly number[]): Body {
@@ -27,6 +29,8 @@ export function makeBody(joints: readonly string[], parents: readonly number[]):
     root: Math.max(0, joints.indexOf("root")),
     leftHip: joints.indexOf("lhip"),
     rightHip: joints.indexOf("rhip"),
+    head: joints.indexOf("head"),
+    headTop: joints.indexOf("headtop"),
   };
 }
 

@@ -2,7 +2,8 @@
 
 import type { Body } from "./body";
 
-const HEAD_RADIUS = 0.095;
+/** Metres. */
+export const HEAD_RADIUS = 0.095;
 
 /** A place on the ground and a turn about Y: where a body is moved from, so that it stands at the origin and faces +Z. */
 export interface Placement {
@@ -76,7 +77,7 @@ export function writeFigure(body: Body, pose: Float32Array, bones: Float32Array,
   const count = body.joints.length;
   for (let j = 0; j < count; j++)
     writeBall(balls, 16 * j, pose[3 * j] as number, pose[3 * j + 1] as number, pose[3 * j + 2] as number, ball);
-  const [head, top] = [body.joints.indexOf("head"), body.joints.indexOf("headtop")];
+  const { head, headTop: top } = body;
   if (head < 0 || top < 0) {
     balls.fill(0, 16 * count, 16 * count + 16);
     return;

@@ -2,6 +2,7 @@
 
 import { postBytes } from "../api/client";
 import type { Body } from "./body";
+import { HEAD_RADIUS } from "./bones";
 import { type Colours, colours, onTheme } from "./colours";
 import { type Block, figurePose, readFigures } from "./motion";
 
@@ -160,6 +161,19 @@ export class DrawnFigure {
       }
       pen.stroke();
     }
+    this.paintHead(middle, floor, scale, theme);
+  }
+
+  private paintHead(middle: number, floor: number, scale: number, theme: Colours): void {
+    const { head, headTop } = this.body;
+    if (head < 0 || headTop < 0) return;
+    const x = ((this.points[2 * head] as number) + (this.points[2 * headTop] as number)) / 2;
+    const y = ((this.points[2 * head + 1] as number) + (this.points[2 * headTop + 1] as number)) / 2;
+    if (Number.isNaN(x + y)) return;
+    this.pen.fillStyle = theme.middle;
+    this.pen.beginPath();
+    this.pen.arc(middle + x * scale, floor - y * scale, HEAD_RADIUS * scale, 0, 2 * Math.PI);
+    this.pen.fill();
   }
 }
 
