@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from kinedex.ops.inertial.rotations import distance_deg
-from studies.inertial_simulated import judge, read_trials, sources
+from studies.inertial_judged import judge
+from studies.inertial_trials import read_trials, sources
 
 pytest.importorskip("scipy")
 pytest.importorskip("vqf")
