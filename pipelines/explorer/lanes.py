@@ -128,8 +128,8 @@ def take_lanes(cache: PositionCache, store: Store, take_id: int) -> Row:
         `lanes`, a list of lanes. A lane has `id`, `group` (labels, ground_truth, annotations, compared, hits, limbs,
         duplicates or quality), `name`, `detail`, and `segments`, each with `start` and `stop` in analysis frames,
         `class` (the text on it), and what its source states: `confidence`, `cost`, `subclass`, `verdict`, `note`, ….
-        `suspect`, the figures of the take that lie beyond their limits; `limbs`, the limbs that have an error curve;
-        `command`, `python`.
+        `suspect`, the figures of the take that lie beyond their limits; `limbs`, those that have an error curve, with
+        `tau_deg`; `command`, `python`.
 
     Raises
     ------
@@ -148,8 +148,8 @@ def take_lanes(cache: PositionCache, store: Store, take_id: int) -> Row:
         lane["segments"] = [one for one in lane["segments"] if one["start"] < one["stop"]]
     limbs = []
     if store.manifest.results.get("limb_errors"):
-        asked = "SELECT DISTINCT limb FROM limb_errors WHERE take_id = ? ORDER BY limb"
-        limbs = [row["limb"] for row in store.sql(asked, [take_id]).to_pylist()]
+        asked = "SELECT limb, max(tau_deg) AS tau_deg FROM limb_errors WHERE take_id = ? GROUP BY limb ORDER BY limb"
+        limbs = store.sql(asked, [take_id]).to_pylist()
     suspect = store.sql(_PLAIN.format(columns="* EXCLUDE (take_id, take)", view="suspect_takes"), [take_id])
     query = f"FROM annotations WHERE take_id = {take_id} ORDER BY start"
     return {
@@ -248,27 +248,28 @@ def _ranked_lanes(store: Store, take_id: int) -> list[Row]:
     return [_lane("hits", "Ranked hits", rows, "the best hits of templates")] if rows else []
 
 
-def _limb_lanes(store: Store, take_id: int) -> list[Row]:
-    """Return where limbs are wrong or jump, as sensors and as people report it, a lane for each limb."""
-    lanes = []
-    for view, name, text in (
-        ("limb_error_runs", "errors", "kind, peak_deg, mean_deg, tau_deg"),
-        ("limb_labels", "marked", "annotator"),
-    ):
-        if not store.manifest.results.get(view):
-            continue
-        columns = f"limb, start_seconds, stop_seconds, {text}"
-        rows = store.sql(_PLAIN.format(columns=columns, view=view), [take_id]).to_pylist()
-        for row in rows:
-            row["start"] = round(row.pop("start_seconds") * store.rate_hz)
-            row["stop"] = max(row["start"] + 1, round(row.pop("stop_seconds") * store.rate_hz))
-            row["class"] = row.get("kind") or row.get("annotator") or "wrong"
-        source = "by sensors" if name == "errors" else "by people"
-        lanes += [
-            _lane("limbs", f"{limb} {name}", own, f"limb {limb}, {source}", f"{name}/{limb}")
-            for limb, own in sorted(_grouped(rows, lambda row: row["limb"]).items())
-        ]
-    return lanes
+def _limb_error_lanes(store: Store, take_id: int) -> list[Row]:
+    """Return where limbs are wrong or jump as sensors report it, a lane for each limb."""
+    return _limb_lanes(store, take_id, "limb_error_runs", "kind AS class, peak_deg, mean_deg, tau_deg", "errors")
+
+
+def _limb_label_lanes(store: Store, take_id: int) -> list[Row]:
+    """Return where people have marked limbs as wrong, a lane for each limb."""
+    return _limb_lanes(store, take_id, "limb_labels", "coalesce(annotator, 'wrong') AS class", "marked")
+
+
+def _limb_lanes(store: Store, take_id: int, view: str, text: str, name: str) -> list[Row]:
+    """Return the segments of a view of limbs, whose source frames become those of the analysis by their times."""
+    columns = f"limb, start_seconds, stop_seconds, {text}"
+    rows = store.sql(_PLAIN.format(columns=columns, view=view), [take_id]).to_pylist()
+    for row in rows:
+        row["start"] = round(row.pop("start_seconds") * store.rate_hz)
+        row["stop"] = max(row["start"] + 1, round(row.pop("stop_seconds") * store.rate_hz))
+    detail = "reported by sensors" if name == "errors" else "marked by people"
+    return [
+        _lane("limbs", f"{limb} {name}", own, f"limb {limb}, {detail}", f"{name}/{limb}")
+        for limb, own in sorted(_grouped(rows, lambda row: row["limb"]).items())
+    ]
 
 
 def _duplicate_lanes(store: Store, take_id: int) -> list[Row]:
@@ -306,7 +307,8 @@ _READERS: dict[str, Callable[[Store, int], list[Row]]] = {
     "method_cells": _compared_lanes,
     "hits": _hit_lanes,
     "ranked_hits": _ranked_lanes,
-    "limb_error_runs": _limb_lanes,
+    "limb_error_runs": _limb_error_lanes,
+    "limb_labels": _limb_label_lanes,
     "duplicates": _duplicate_lanes,
 }
 """The kinds of results that have lanes, in their order."""

@@ -22,6 +22,7 @@ from kinedex.pipelines.explorer.curves import (
     templates_of_take,
 )
 from kinedex.pipelines.explorer.lanes import (
+    limb_error_curve,
     nearest_in_time,
     pose_reading,
     take_document,
@@ -33,6 +34,7 @@ from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.learn_templates import LearnTemplates
 from kinedex.pipelines.templates.stored_templates import choose_template
 from kinedex.storage.index.builder import build_index
+from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
 from tests.pipelines.labelled import CLIPS, Line, long_take, write_store
@@ -61,6 +63,40 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     ]
     with StoreWriter.open(path, BODY) as writer:
         writer.put_labels(pa.Table.from_pylist([dict(zip(columns, row, strict=True)) for row in rows]))
+        writer.commit()
+    build_index(open_store(path))
+    return open_store(path)
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """A take with rows of every kind of results that has a lane, put into the store by hand."""
+    path: Path = write_store(
+        tmp_path_factory.mktemp("full") / "store", [long_take("ann_1", "ann", "rest", "walk", "rest")]
+    )
+    at = {"take_id": 1, "take": "ann_1", "start": 4, "stop": 20, "start_seconds": 0.1, "stop_seconds": 0.5}
+    limb = {**at, "limb": "lshank"}
+    rows: dict[str, list[dict[str, object]]] = {
+        "hits": [{**at, "saved_as": "mine", "query": "steps"}],
+        "ranked_hits": [{**at, "template": "walk", "rank": 2, "cost": 0.05}],
+        "ground_truth": [{**at, "class": "walk", "origin": "truth.csv"}],
+        "duplicates": [{**at, "of_take_id": 7, "of_take": "bob_1", "same": "motion", "share": 0.5, "mirrored": False}],
+        "limb_error_runs": [{**limb, "kind": "distance", "peak_deg": 80.0, "tau_deg": 30.0}],
+        "limb_labels": [{**limb, "annotator": None}, {**limb, "annotator": "eve"}],
+        "limb_errors": [
+            {**limb, "source_frame": i, "t": i / 120, "degrees": float(i), "valid": i < 40, "tau_deg": 30.0}
+            for i in range(60)
+        ],
+        "method_cells": [
+            {"split": "s", "fold": "f", "method": "best", "take": "ann_1", "classes": ["walk"], "starts": [1],
+             "stops": [9], "confidences": [0.25]}
+        ],
+    }  # fmt: skip
+    with StoreWriter.open(path, BODY) as writer:
+        for kind, own in rows.items():
+            known = [{name: one.get(name) for name in result_schema(kind).names} for one in own]
+            table = pa.Table.from_pylist(known, schema=result_schema(kind)).drop_columns(["run"])
+            writer.put_results(kind, table, stage=f"p/{kind}", run="r")
         writer.commit()
     build_index(open_store(path))
     return open_store(path)
@@ -100,6 +136,25 @@ def test_the_lanes_have_labels_by_verdict_annotations_by_stage_and_invalid_frame
     assert rows
     (invalid,) = lanes["quality/invalid"]["segments"]
     assert (invalid["start"], invalid["stop"]) == (len(WORDS) - 12, len(WORDS) - 5)
+
+
+def test_every_kind_of_results_has_its_lane_in_frames_of_the_analysis(full: Store) -> None:
+    found = take_lanes(PositionCache(), full, 1)
+    lanes = {lane["id"]: lane["segments"] for lane in found["lanes"]}
+    assert lanes["ground_truth/p"] == [{"class": "walk", "start": 4, "stop": 20, "origin": "truth.csv"}]
+    assert lanes["compared/s, f, best"] == [{"class": "walk", "start": 1, "stop": 9, "confidence": 0.25}]
+    assert lanes["hits/mine"][0]["class"] == "steps"
+    assert (lanes["hits/Ranked hits"][0]["class"], lanes["hits/Ranked hits"][0]["rank"]) == ("walk", 2)
+    assert lanes["duplicates/Also in another take"][0]["class"] == "bob_1"
+    (error,) = lanes["limbs/errors/lshank"]
+    assert (error["start"], error["stop"], error["class"], error["peak_deg"]) == (3, 15, "distance", 80.0)
+    assert {one["class"] for one in lanes["limbs/marked/lshank"]} == {"wrong", "eve"}
+    assert found["limbs"] == [{"limb": "lshank", "tau_deg": 30.0}]
+    curve = limb_error_curve(full, 1, "lshank")
+    assert curve[:10].tolist() == [0.0, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 28.0, 32.0, 36.0]
+    assert np.isinf(curve[12:]).all()
+    with pytest.raises(ParameterError, match="limb must be a limb with errors in this take"):
+        limb_error_curve(full, 1, "rshank")
 
 
 def test_a_pose_reads_as_features_that_hold_do_not_hold_and_are_unknown(store: Store) -> None:

@@ -23,7 +23,7 @@ import { Player } from "./Player";
 import { CLOSED, type Row } from "./rows";
 import { RunsTable } from "./RunsTable";
 import { Session } from "./session";
-import type { Hit, Lane, Segment, TakeDocument, TakeTemplates } from "./types";
+import type { ErrorLimb, Hit, Lane, Segment, TakeDocument, TakeTemplates } from "./types";
 
 /** One take: its motion, and under it lanes of all that is known about it. */
 export default function TakePage() {
@@ -40,7 +40,7 @@ export default function TakePage() {
 }
 
 const NO_LANES: readonly Lane[] = [];
-const NO_NAMES: readonly string[] = [];
+const NO_LIMBS: readonly ErrorLimb[] = [];
 const sameFrame = (_actor: number, frame: number) => frame;
 
 function OpenTake({ document, store }: { document: TakeDocument; store: StoreFacts }) {
@@ -53,7 +53,7 @@ function OpenTake({ document, store }: { document: TakeDocument; store: StoreFac
   const templates = useTemplates(id, version);
   const [closed, toggle] = useClosed();
   const [names, setNames] = useTemplateNames(templates.data);
-  const { curves, faults } = useCurves(id, version, names, templates.data, lanes.data?.limbs ?? NO_NAMES);
+  const { curves, faults } = useCurves(id, version, names, templates.data, lanes.data?.limbs ?? NO_LIMBS);
   const unknown = useMemo(() => new Set(document.unknown), [document.unknown]);
   const every = lanes.data?.lanes ?? NO_LANES;
   const colourOf = useClassColours(every);

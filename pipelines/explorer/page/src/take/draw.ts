@@ -157,7 +157,7 @@ function write(
   pen.restore();
 }
 
-/** Draw a curve: for each pixel its least value, the threshold, and what lies below it. */
+/** Draw a curve: for each pixel its extreme value, the threshold, and what counts: costs below it, errors above it. */
 export function drawCurve(
   pen: CanvasRenderingContext2D,
   row: CurveRow & Row,
@@ -175,19 +175,20 @@ export function drawCurve(
   pen.strokeRect(0.5, y + 2.5, width - 1, height - 5);
   pen.beginPath();
   let drawn = false;
-  const below: number[] = [];
+  const counting: number[] = [];
   for (let x = 0; x < width; x++) {
-    let least = Infinity;
+    let extreme = Infinity;
     for (let t = edges[2 * x] as number; t < (edges[2 * x + 1] as number); t++) {
       const value = values[t] as number;
-      if (value < least) least = value;
+      if (value === Infinity) continue;
+      if (extreme === Infinity || (row.above ? value > extreme : value < extreme)) extreme = value;
     }
-    if (least === Infinity) {
+    if (extreme === Infinity) {
       drawn = false;
       continue;
     }
-    const at = bottom - Math.min(least, top) * scale;
-    if (least < threshold) below.push(x, at);
+    const at = bottom - Math.min(extreme, top) * scale;
+    if (row.above ? extreme > threshold : extreme < threshold) counting.push(x, at);
     if (drawn) pen.lineTo(x + 0.5, at);
     else pen.moveTo(x + 0.5, at);
     drawn = true;
@@ -197,7 +198,10 @@ export function drawCurve(
   pen.stroke();
   pen.fillStyle = theme.left;
   pen.globalAlpha = 0.45;
-  for (let i = 0; i < below.length; i += 2) pen.fillRect(below[i] as number, below[i + 1] as number, 1, bottom - (below[i + 1] as number));
+  for (let i = 0; i < counting.length; i += 2) {
+    const at = counting[i + 1] as number;
+    pen.fillRect(counting[i] as number, at, 1, bottom - at);
+  }
   pen.globalAlpha = 1;
   pen.strokeStyle = theme.right;
   pen.setLineDash([5, 4]);

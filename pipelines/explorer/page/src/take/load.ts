@@ -7,7 +7,7 @@ import { get, getBytes, getStream } from "../api/client";
 import { Motion, readBlocks } from "../motion/motion";
 import type { CurveRow } from "./rows";
 import type { Session } from "./session";
-import type { Hit, TakeDocument, TakeLanes, TakeTemplates, TemplateImage } from "./types";
+import type { ErrorLimb, Hit, TakeDocument, TakeLanes, TakeTemplates, TemplateImage } from "./types";
 import { Words } from "./words";
 
 const path = (id: number, rest = "") => `/api/takes/${id}${rest}`;
@@ -93,11 +93,11 @@ export function useCurves(
   version: number,
   names: readonly string[],
   offered: TakeTemplates | undefined,
-  limbs: readonly string[],
+  limbs: readonly ErrorLimb[],
 ): { curves: CurveRow[]; faults: unknown[] } {
   const wanted = offered === undefined ? [] : names.map((name) => `/curve?${about(name, offered)}`);
   const results = useQueries({
-    queries: [...wanted, ...limbs.map((limb) => `/limb-error?limb=${encodeURIComponent(limb)}`)].map((question) => ({
+    queries: [...wanted, ...limbs.map(({ limb }) => `/limb-error?limb=${encodeURIComponent(limb)}`)].map((question) => ({
       queryKey: ["version", "curve", id, version, question],
       queryFn: async ({ signal }: { signal: AbortSignal }) => new Float32Array(await getBytes(path(id, question), signal)),
     })),
@@ -106,9 +106,11 @@ export function useCurves(
   const curves = useMemo(() => {
     const rows: CurveRow[] = [];
     results.data.forEach((values, i) => {
-      const name = i < wanted.length ? (names[i] as string) : (limbs[i - wanted.length] as string);
       if (values === undefined || offered === undefined) return;
-      rows.push(i < wanted.length ? templateRow(name, values, thresholdOf(name, offered)) : limbRow(name, values));
+      const name = names[i];
+      const limb = limbs[i - wanted.length];
+      if (i < wanted.length && name !== undefined) rows.push(templateRow(name, values, thresholdOf(name, offered)));
+      else if (limb !== undefined) rows.push(limbRow(limb, values));
     });
     return rows;
     // the names of the questions change with what they are made of
@@ -118,12 +120,14 @@ export function useCurves(
 
 function templateRow(name: string, values: Float32Array, threshold: number): CurveRow {
   const title = `${name}: cost of the best match that ends in a frame; matches below τ = ${threshold} count`;
-  return { kind: "curve", id: `curve/${name}`, name, title, values, threshold, top: topOf(values, threshold, 0.5), unit: "" };
+  return { kind: "curve", id: `curve/${name}`, name, title, values, threshold, top: topOf(values, threshold, 0.5), unit: "", above: false };
 }
 
-function limbRow(limb: string, values: Float32Array): CurveRow {
-  const title = `${limb}: angle between take and sensor; above 45° the limb is wrong`;
-  return { kind: "curve", id: `limb/${limb}`, name: `${limb} error`, title, values, threshold: 45, top: 180, unit: "°" };
+function limbRow({ limb, tau_deg }: ErrorLimb, values: Float32Array): CurveRow {
+  const threshold = tau_deg ?? 45;
+  const title = `${limb}: angle between take and sensor; above ${threshold}° the limb is wrong`;
+  const name = `${limb} error`;
+  return { kind: "curve", id: `limb/${limb}`, name, title, values, threshold, top: 180, unit: "°", above: true };
 }
 
 /** Return the value at the upper edge of a curve, as the reports choose it. */

@@ -35,6 +35,8 @@ export interface CurveRow {
   /** The value at the upper edge. */
   top: number;
   unit: string;
+  /** What lies above the threshold counts, not what lies below. */
+  above: boolean;
 }
 
 export interface GroupRow {

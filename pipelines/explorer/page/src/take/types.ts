@@ -54,10 +54,16 @@ export interface Suspect {
   meaning: string;
 }
 
+/** A limb with a curve of errors against its sensor, and the error above which it is wrong. */
+export interface ErrorLimb {
+  limb: string;
+  tau_deg: number | null;
+}
+
 export interface TakeLanes extends Same {
   lanes: Lane[];
   suspect: Suspect[];
-  limbs: string[];
+  limbs: ErrorLimb[];
 }
 
 export interface OfferedTemplate {
