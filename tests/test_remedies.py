@@ -27,6 +27,7 @@ WITHOUT = {
     "UnusableRecording": "a key of a recordings file does not fit; the message names the key",
     "ReadOnlyError": "an explorer was started with --read-only; the message names the option",
     "NotFoundError": "an address of the explorer names a take that is not there",
+    "ConflictError": "what a page shows is not what is there any more; the message tells what to read again",
     "WorkerDied": "a task needs more memory than there is; the message names the option",
 }
 """Classes whose errors have no remedy of their own: the message itself is the way out."""

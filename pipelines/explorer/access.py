@@ -32,7 +32,7 @@ POLICY = (
     "connect-src 'self'; font-src 'self'; worker-src 'self'; base-uri 'none'; form-action 'none'; "
     "frame-ancestors 'none'"
 )
-"""What a page may load: nothing from elsewhere, no inline script, and styles by the nonce of the answer."""
+"""The content policy: a page loads nothing from elsewhere, no inline script, and styles by the nonce of the answer."""
 
 HEADERS = {
     "x-content-type-options": "nosniff",

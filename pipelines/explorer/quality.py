@@ -1,4 +1,4 @@
-"""What is to be looked at in an archive: suspect takes, warnings, duplicates, and files that ingest excluded.
+"""The reservations about an archive: suspect takes, warnings, duplicates, and files that ingest excluded.
 
 GET /api/quality → {figures: [{figure, meaning, unit, low, high, advice, takes}], warnings: [{warning, takes}],
                     invalid: {takes, frames}, command, python}

@@ -61,7 +61,7 @@ def features_of(store: Store) -> list[dict[str, Any]]:
 
 
 STAGES = {"annotate": ("annotations",), "learn": ("templates", "queries")}
-"""What a stage does → the kinds of results by which it is known."""
+"""The work of a stage → the kinds of results by which it is known."""
 
 
 def stages_of(store: Store, kinds: tuple[str, ...]) -> list[str]:
