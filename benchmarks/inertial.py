@@ -15,7 +15,7 @@ from benchmarks.harness import Figure, seconds
 from kinedex.ops.inertial.disagreement import errors
 from kinedex.ops.inertial.hand_eye import Stream, calibrate
 from kinedex.ops.inertial.rotations import Z_TO_Y, angular_speed, conjugate, exp, multiply
-from kinedex.ops.inertial.time_offset import CUTOFF_HZ, ORDER, RATE_HZ, Speeds, find
+from kinedex.ops.inertial.time_offset import CUTOFF_HZ, RATE_HZ, Speeds, find
 
 F64 = npt.NDArray[np.float64]
 
@@ -91,7 +91,7 @@ def lag_figure() -> Figure:
     limb = Speeds(middle, speed, middle + 0.5, speed)
 
     def by_scipy() -> None:
-        sections = signal.butter(ORDER, CUTOFF_HZ, fs=RATE_HZ, output="sos")
+        sections = signal.butter(2, CUTOFF_HZ, fs=RATE_HZ, output="sos")
         smooth = signal.sosfiltfilt(sections, speed - speed.mean())
         np.argmax(signal.correlate(smooth, smooth, method="fft"))
 

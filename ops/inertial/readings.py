@@ -91,7 +91,8 @@ def _compared(first: F64, second: F64) -> tuple[float, float, float]:
     x, y = first[known], second[known]
     # a few samples of a disturbed stream can be larger than all others together
     lengths = np.linalg.norm(y, axis=1)
-    y = y * np.minimum(1.0, np.quantile(lengths, 0.99) / np.maximum(lengths, 1e-300))[:, None]
+    most = float(np.quantile(lengths, 0.99))
+    y = y * np.divide(most, lengths, out=np.ones_like(lengths), where=lengths > most)[:, None]
     xx, yy, xy = float((x * x).sum()), float((y * y).sum()), float((x * y).sum())
     correlation = xy / np.sqrt(xx * yy) if xx > 0 and yy > 0 else float("nan")
     ratio = float(np.sqrt(xx / yy)) if yy > 0 else float("nan")

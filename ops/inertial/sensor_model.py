@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.inertial.lowpass import lowpass
 from kinedex.ops.inertial.packages import imu_package
 from kinedex.ops.inertial.rotations import Z_TO_Y, conjugate, continuous, exp, log, multiply, rotate
 
@@ -154,10 +155,8 @@ def smooth(values: F64, rate_hz: float, cutoff_hz: float) -> F64:
     """
     if cutoff_hz >= 0.5 * rate_hz or len(values) < LEAST_SAMPLES:
         return values
-    signal = _scipy("signal")
-    sections = signal.butter(2, cutoff_hz, fs=rate_hz, output="sos")
     padding = min(len(values) - 1, int(np.ceil(3 * rate_hz / cutoff_hz)))
-    return np.asarray(signal.sosfiltfilt(sections, values, axis=0, padlen=padding), np.float64)
+    return lowpass(values, rate_hz, cutoff_hz, padding)
 
 
 def turn_rates(orientation: F64, rate_hz: float) -> F64:

@@ -16,14 +16,14 @@ import numpy.typing as npt
 from numba import njit
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.inertial.packages import imu_package
+from kinedex.ops.inertial.lowpass import LEAST_PADDING, lowpass
 from kinedex.ops.inertial.quaternion_kernels import angle, inverse_product
 from kinedex.ops.inertial.rotations import LONGEST_GAP_S, angular_speed
 
 F64 = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
-RATE_HZ, CUTOFF_HZ, ORDER = 200.0, 5.0, 2
+RATE_HZ, CUTOFF_HZ = 200.0, 5.0
 CLIP_PERCENTILE = 99.0
 LEAST_OVERLAP_S, OVERLAP_SHARE, VARIANCE_SHARE = 3.0, 0.5, 0.1
 LEAST_CORRELATION, RIVAL_S, RIVAL_SHARE = 0.3, 0.25, 0.95
@@ -178,16 +178,13 @@ def _limb_curve(limb: Speeds) -> tuple[int, F64] | None:
 
 def _filtered(times: F64, speeds: F64, highest: float) -> tuple[int, F64]:
     """Return speeds, clipped and smoothed, on a grid of 200 Hz through time 0, and the number of the first sample."""
-    signal = imu_package("scipy.signal", "the clocks of sensors need")
-
     known = np.isfinite(speeds) & np.isfinite(times)
     times, speeds = times[known], np.minimum(speeds[known], highest)
     start, stop = math.ceil(times[0] * RATE_HZ), math.floor(times[-1] * RATE_HZ)
     grid = np.interp(np.arange(start, stop + 1) / RATE_HZ, times, speeds)
-    sections = signal.butter(ORDER, CUTOFF_HZ, fs=RATE_HZ, output="sos")
-    if len(grid) <= 3 * (2 * len(sections) + 1):  # too short to be padded, and shorter than any overlap
+    if len(grid) <= LEAST_PADDING:  # shorter than any overlap
         return start, np.empty(0)
-    return start, np.asarray(signal.sosfiltfilt(sections, grid))
+    return start, lowpass(grid, RATE_HZ, CUTOFF_HZ)
 
 
 def correlation(take: F64, sensor: F64) -> F64:
@@ -204,13 +201,11 @@ def correlation(take: F64, sensor: F64) -> F64:
         For lags −(T − 1) to N − 1: at lag k, take[i] meets sensor[i + k]. −1 where the overlap is below 3 s or half
         of the shorter one, or holds less than 10 % of the variance of one of them.
     """
-    fft = imu_package("scipy.fft", "the clocks of sensors need")
-
     take, sensor = take - take.mean(), sensor - sensor.mean()
     count, other = len(take), len(sensor)
-    size = fft.next_fast_len(count + other - 1, real=True)
-    spectrum = fft.rfft(sensor, size) * np.conj(fft.rfft(take, size))
-    products = np.roll(fft.irfft(spectrum, size), count - 1)[: count + other - 1]
+    size = _fast_length(count + other - 1)
+    spectrum = np.fft.rfft(sensor, size) * np.conj(np.fft.rfft(take, size))
+    products = np.roll(np.fft.irfft(spectrum, size), count - 1)[: count + other - 1]
     lags = np.arange(-(count - 1), other)
     # at lag k the overlap is take[first:last], sensor[first + k:last + k]
     first, last = np.maximum(0, -lags), np.minimum(count, other - lags)
@@ -228,6 +223,19 @@ def correlation(take: F64, sensor: F64) -> F64:
     )
     scale = np.sqrt(np.where(counts, spread_take * spread_sensor, 1.0))
     return np.where(counts, (products - sum_take * sum_sensor / overlap) / scale, -1.0)
+
+
+def _fast_length(least: int) -> int:
+    """Return the smallest product of twos, threes and fives that is not less: transforms of such lengths are fast."""
+    best = 1 << max(0, least - 1).bit_length()
+    odd = 1
+    while odd < best:
+        product = odd
+        while product < best:
+            best = min(best, product << max(0, -(-least // product) - 1).bit_length())
+            product *= 3
+        odd *= 5
+    return best
 
 
 def _window_sums(values: F64, first: npt.NDArray[np.int64], last: npt.NDArray[np.int64]) -> tuple[F64, F64]:

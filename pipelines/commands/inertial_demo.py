@@ -55,7 +55,7 @@ def run_inertial_demo(store: Path, minutes: float, executor: str, workers: int |
     from kinedex.pipelines.simulation.imu_sensors import Wearing
     from kinedex.pipelines.simulation.imu_takes import simulate_imu
 
-    for package in ("vqf", "scipy.signal"):
+    for package in ("vqf", "scipy.interpolate"):
         imu_package(package, "the demo of inertial sensors needs")
     terminal = Terminal(console)
     common: dict[str, Any] = {"executor": executor, "workers": workers, "terminal": terminal}

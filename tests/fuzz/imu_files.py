@@ -9,6 +9,7 @@ import numpy as np
 
 from kinedex.catalog.sensorsets import FASTEST_HZ, SLOWEST_HZ, load_sensor_set
 from kinedex.storage.formats.imu.recording import read_recording
+from tests.fuzz.hdf5_worker import by_worker
 from tests.imu_files import (
     csv_text,
     dot_text,
@@ -110,6 +111,12 @@ def check_recording(path: Path) -> None:
             lengths = np.linalg.norm(sensor.orientation, axis=1)
             assert (np.isnan(lengths) | (np.abs(lengths - 1) < 1e-6)).all()
         "\n".join([sensor.name, sensor.frame, *sensor.warnings]).encode()
+
+
+def check_hdf5(path: Path) -> None:
+    """An HDF5 file is as any other, and read by a process that serves many of them."""
+    with by_worker():
+        check_recording(path)
 
 
 def check_sensor_set(path: Path) -> None:

@@ -76,7 +76,6 @@ class Target:
 
     check: reads a file and raises `Broken` for a result that must not be; the errors that it may raise are `refusals`.
     largest: mutants have no more bytes than this, so that what costs time is the reader's doing.
-    costly: a file takes long to read, since a process begins for it.
     """
 
     name: str
@@ -86,7 +85,6 @@ class Target:
     check: Callable[[Path], None]
     refusals: tuple[type[Exception], ...] = (SourceError,)
     largest: int = 1 << 20
-    costly: bool = False
 
     def read(self, path: Path) -> bool:
         """Read a file; return False where the reader refuses it with an error of kinedex.
@@ -392,7 +390,13 @@ _DEPTH = (
 """The readers of depth recordings."""
 
 _IMU = tuple(
-    Target(f"imu-{name}", ending, made, mutations, imu_files.check_recording, costly=name == "hdf5")
+    Target(
+        f"imu-{name}",
+        ending,
+        made,
+        mutations,
+        imu_files.check_hdf5 if name == "hdf5" else imu_files.check_recording,
+    )
     for name, ending, made, mutations in (
         ("mtmanager", ".txt", imu_files.mtmanager, _text(imu_files.XSENS_WORDS)),
         ("dot", ".csv", imu_files.dot, _text(imu_files.XSENS_WORDS)),

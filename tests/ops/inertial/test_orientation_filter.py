@@ -11,7 +11,7 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.inertial import rotations as r
 from kinedex.ops.inertial.orientation_filter import TO_NORTH_WEST_UP, estimate, field_axis
 from kinedex.ops.inertial.packages import MissingPackageError
-from kinedex.ops.inertial.time_offset import correlation
+from kinedex.ops.inertial.sensor_model import sensor_motion
 
 TRUE = r.exp(np.array([0.3, -0.4, 0.9]))
 ACC = np.tile(r.rotate(r.conjugate(TRUE), np.array([0.0, 0.0, 9.81])), (400, 1))
@@ -49,10 +49,11 @@ def test_bad_readings_are_refused() -> None:
 
 def test_a_missing_package_is_named_with_the_way_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "vqf", None)
-    monkeypatch.setitem(sys.modules, "scipy.fft", None)
+    monkeypatch.setitem(sys.modules, "scipy.interpolate", None)
+    moving = np.zeros((8, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (8, 1)), np.arange(2.0), TRUE, TRUE
     for work, name in (
         (lambda: estimate(100.0, ACC, STILL), "vqf"),
-        (lambda: correlation(np.arange(9.0), np.arange(9.0)), "scipy"),
+        (lambda: sensor_motion(np.arange(8.0), *moving), "scipy"),
     ):
         with pytest.raises(MissingPackageError, match=rf"the package {name}, .*pip install 'kinedex\[imu\]'"):
             work()
