@@ -103,18 +103,26 @@ class Layout:
         return len(self.columns.values)
 
 
-def encode(words: U64) -> CodedWords:
+def encode(words: U64, ranges: I64 | None = None) -> CodedWords:
     """Number the different words of a sequence of frames.
 
     Parameters
     ----------
     words : uint64 array (L,)
         One word a frame; `NO_WORD` where the frame is invalid.
+    ranges : int64 array (R, 2), optional
+        Half-open ranges of frames, ascending and disjoint: only these words are numbered, and the other codes are
+        undefined. None: all.
     """
     codes = np.empty(len(words), np.int32)
-    vocabulary = np.empty(len(words), np.uint64)
-    slots = np.full(1 << max(4, (2 * len(words)).bit_length()), -1, np.int32)
-    count = number_words(np.ascontiguousarray(words, np.uint64), slots, vocabulary, codes)
+    whole = np.array([[0, len(words)]], np.int64)
+    wanted = whole if ranges is None else np.ascontiguousarray(ranges, np.int64).reshape(-1, 2)
+    frames = int((wanted[:, 1] - wanted[:, 0]).sum())
+    vocabulary = np.empty(frames, np.uint64)
+    slots = np.full(1 << max(4, (2 * frames).bit_length()), -1, np.int32)
+    given, count = np.ascontiguousarray(words, np.uint64), 0
+    for start, stop in wanted.tolist():
+        count = number_words(given[start:stop], slots, vocabulary, count, codes[start:stop])
     return CodedWords(vocabulary[:count].copy(), codes)
 
 
@@ -253,10 +261,12 @@ def grid_step(columns: int) -> float:
 
 
 @nb.njit(cache=True, nogil=True)
-def number_words(words: U64, slots: I32, vocabulary: U64, codes: I32) -> int:
-    """Number words in the order of their first occurrence, with open addressing; return their number (kernel)."""
+def number_words(words: U64, slots: I32, vocabulary: U64, count: int, codes: I32) -> int:
+    """Number words in the order of their first occurrence, with open addressing; return their number (kernel).
+
+    So many words, `count`, have numbers already.
+    """
     last = len(slots) - 1
-    count = 0
     for frame in range(len(words)):
         word = words[frame]
         if frame > 0 and word == words[frame - 1]:

@@ -143,7 +143,7 @@ def slice_words(words: U64, offsets: I64, features: int) -> BitSlices:
     return BitSlices(bits, coarse.ravel(), first, frames.astype(np.int64), left.astype(np.int32), features)
 
 
-def unsliced_words(slices: BitSlices, takes: I64, starts: I64, words: U64) -> None:
+def unsliced_words(slices: BitSlices, takes: I64, starts: I64, words: U64, ranges: I64 | None = None) -> None:
     """Write the words of some takes, which `slice_words` has sliced, into an array.
 
     Parameters
@@ -156,6 +156,8 @@ def unsliced_words(slices: BitSlices, takes: I64, starts: I64, words: U64) -> No
         The place of the first word of each take in the array.
     words : uint64 array (N,)
         The array; `NO_WORD` is written for an invalid frame, and what belongs to none of the takes is left as it is.
+    ranges : int64 array (R, 2), optional
+        Half-open ranges of places in the array, ascending and disjoint; other words may be left as they are. None: all.
 
     Raises
     ------
@@ -166,33 +168,47 @@ def unsliced_words(slices: BitSlices, takes: I64, starts: I64, words: U64) -> No
         raise ParameterError("takes", f"from 0 to {len(slices) - 1}", takes[:4].tolist())
     if len(starts) != len(takes) or (len(takes) and not (starts.min() >= 0)):
         raise ParameterError("starts", f"one place from 0 on for each of {len(takes)} takes", starts[:4].tolist())
-    if len(takes) and int((starts + slices.frames[takes]).max()) > len(words):
+    stops = starts + slices.frames[takes]
+    if len(takes) and int(stops.max()) > len(words):
         raise ParameterError("words", f"long enough for {len(takes)} takes", len(words))
-    _unslice(slices.bits, slices.first, slices.frames, slices.features, takes, starts, words)
+    wanted = np.stack([starts, stops], axis=1) if ranges is None else np.ascontiguousarray(ranges, np.int64)
+    _unslice(slices.bits, slices.first, slices.frames, slices.features, takes, starts, wanted, words)
 
 
 @njit(cache=True, nogil=True)
-def _unslice(bits, first, frames, features, takes, starts, words):  # type: ignore[no-untyped-def]
+def _unslice(bits, first, frames, features, takes, starts, ranges, words):  # type: ignore[no-untyped-def]
     square = np.zeros(BLOCK, np.uint64)
     for place in range(len(takes)):
-        take = takes[place]
-        for block in range(first[take], first[take + 1]):
-            done = (block - first[take]) * BLOCK
-            count = min(BLOCK, frames[take] - done)
-            at = block * (features + 1)
-            valid = bits[at + features]
-            square[features:] = 0
-            for row in range(features):
-                square[row] = bits[at + row]
-            _transpose(square)
-            to = starts[place] + done
-            for j in range(count):
-                words[to + j] = square[j]
-            if valid == ALL_BITS:
+        take, begin = takes[place], starts[place]
+        end = begin + frames[take]
+        low = np.searchsorted(ranges[:, 1], begin, side="right")
+        done = 0  # blocks before this one have been written
+        while low < len(ranges) and ranges[low, 0] < end:
+            left, right = max(ranges[low, 0], begin) - begin, min(ranges[low, 1], end) - begin
+            low += 1
+            if left >= right:
                 continue
-            for j in range(count):
-                if not valid >> np.uint64(j) & np.uint64(1):
-                    words[to + j] = NO_WORD
+            for block in range(max(done, left // BLOCK), (right - 1) // BLOCK + 1):
+                _write_block(bits, features, first[take] + block, min(BLOCK, frames[take] - block * BLOCK), square,
+                             words[begin + block * BLOCK :])  # fmt: skip
+                done = block + 1
+
+
+@njit(cache=True, nogil=True)
+def _write_block(bits, features, block, count, square, words):  # type: ignore[no-untyped-def]
+    at = block * (features + 1)
+    valid = bits[at + features]
+    square[features:] = 0
+    for row in range(features):
+        square[row] = bits[at + row]
+    transpose(square)
+    for j in range(count):
+        words[j] = square[j]
+    if valid == ALL_BITS:
+        return
+    for j in range(count):
+        if not valid >> np.uint64(j) & np.uint64(1):
+            words[j] = NO_WORD
 
 
 @njit(cache=True, nogil=True)
@@ -206,7 +222,7 @@ def _slice(words, offsets, first, features, bits, coarse):  # type: ignore[no-un
                 square[j] = 0
                 if start + j < offsets[take + 1] and words[start + j] != NO_WORD:
                     square[j] = words[start + j] | _VALID_BIT
-            _transpose(square)
+            transpose(square)
             valid, shift = square[_VALID], np.uint64(block * GRANULES % BLOCK)
             square[features] = valid
             for feature in range(features):
@@ -238,7 +254,7 @@ def _coarsened(bits):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _transpose(square):  # type: ignore[no-untyped-def]
+def transpose(square):  # type: ignore[no-untyped-def]
     """Exchange bit j of row i with bit i of row j, by swapping quarters of ever smaller squares."""
     width = 32
     mask = _LOW_HALF

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import islice
+from typing import TypeVar
 
 import numpy as np
 import polars as pl
@@ -17,15 +18,17 @@ import pyarrow as pa
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.distances.costs import I64, encode
-from kinedex.ops.errors import KinedexError
-from kinedex.ops.ranges import TakeRanges
+from kinedex.ops.errors import KinedexError, StoreError
+from kinedex.ops.ranges import TakeRanges, extend_and_unite
 from kinedex.ops.ranking.hit_selection import KEYS
 from kinedex.ops.ranking.ranking import Hits, rank, rank_together
+from kinedex.ops.search.bit_slices import GRANULE
 from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import ALL_KNOWN, TakeWords
 from kinedex.pipelines.engine.executors import batches_of, cores
-from kinedex.pipelines.search.bit_slices import stored_words
+from kinedex.pipelines.ranking.promising import Promising, joined_batches, promising
+from kinedex.pipelines.search.bit_slices import SlicedWords, sliced_index, stored_words
 from kinedex.pipelines.search.not_applied import Applicability, applicability
 from kinedex.pipelines.search.preselection import known_queries, preselect_stored, template_ranges, widest_margins
 from kinedex.storage.snapshot.schemas import result_schema
@@ -33,6 +36,18 @@ from kinedex.storage.store.store import Store
 
 BATCH_FRAMES = 200_000
 """A thread reads and ranks so many analysis frames (under two hours) at a time; a longer take is a batch of its own."""
+
+WORTH_FRAMES = 500_000
+"""From so many frames on, a first look at the index for a low threshold saves more than it takes."""
+
+SAMPLED = 6
+"""So many granules are looked at for each hit that is asked for: several of them belong to one hit."""
+
+MOST_PROMISING = 0.4
+"""Where the index excludes less than the rest of the frames, all of them are ranked together."""
+
+Asked = TypeVar("Asked")
+Found = TypeVar("Found")
 
 Item = tuple[tuple[int, ...], int, tuple[float, ...]]
 """The ids of some takes that know the same features, their mask, and the threshold of every template."""
@@ -176,44 +191,123 @@ def rank_takes(
     if not takes.height:
         raise KinedexError("no take to rank" + (f": the filter `{where}` selects none" if where else " in this store"))
     names = dict(takes.select("take_id", "name").iter_rows())
-    batches = list(_batches(takes, store.known))
-    best: list[list[tuple[float, str, int, Hit]]] = [[] for _ in templates]
-    counts = np.zeros((len(templates), 3), np.int64)
-    bounded = np.zeros(len(templates), np.bool_)
-    reading, seconds = time.perf_counter() - begin, np.zeros(len(templates))
+    ranked = _Pass(store, names, list(_batches(takes, store.known)), top, cores() if workers is None else workers)
+    bars = ranked.first_thresholds(templates, tau)
+    found = ranked.rank(templates, bars, time.perf_counter() - begin)
+    unsure = [place for place, bar in enumerate(bars) if bar < tau and not _is_sure(found[place], bar, top)]
+    again = ranked.rank([templates[place] for place in unsure], [tau] * len(unsure), 0.0) if unsure else []
+    for place, one in zip(unsure, again, strict=True):
+        found[place] = one
+    return found
 
-    # Once `top` hits are known, a hit above the last of them cannot enter any more. The others stay as they are, as a
-    # hit excludes overlapping hits of higher cost only.
-    bars = [tau] * len(templates)
 
-    def work(item: Item) -> BatchHits:
-        return _rank_known(store, templates, *item, top, names)
+def _is_sure(ranking: Ranking, bar: float, top: int | None) -> bool:
+    """Return whether a ranking below a threshold has the hits that one below any greater threshold begins with."""
+    return len(ranking.hits) == top and round(ranking.hits[-1].cost * KEYS) + 2 <= round(bar * KEYS)
 
-    items = ((batch, mask, tuple(bars)) for mask, batch in batches)
-    for found in _in_threads(work, items, cores() if workers is None else workers):
-        reading += found.reading
-        seconds += found.ranking
-        for place, hits in enumerate(found.hits):
-            counts[place] += (found.frames, hits.frames, hits.computed)
-            bounded[place] |= hits.bounded
-            entries = [
-                (round(cost * KEYS), names[take_id], stop, Hit(take_id, names[take_id], start, stop, cost))
-                for take_id, start, stop, cost in zip(
-                    found.ids[hits.takes].tolist(), hits.starts.tolist(), hits.stops.tolist(), hits.costs.tolist(),
-                    strict=True,
-                )
-            ]  # fmt: skip
-            merged = best[place] + entries
-            best[place] = sorted(merged, key=_order) if top is None else heapq.nsmallest(top, merged, key=_order)
-            if len(best[place]) == top:
-                # hits of equal cost (the same key, or within the tolerance below a threshold) may still enter
-                bars[place] = min(tau, (best[place][-1][0] + 2) / KEYS)
-    return [
-        Ranking(one.name, tuple(entry[3] for entry in kept), count[0], count[1], count[2], tried, reading, own)
-        for one, kept, count, tried, own in zip(
-            templates, best, counts.tolist(), bounded.tolist(), seconds.tolist(), strict=True
-        )
-    ]
+
+@dataclass(frozen=True)
+class _Pass:
+    """What passes over the same takes share.
+
+    Attributes
+    ----------
+    store : Store
+        The store.
+    names : mapping of int to str
+        The name of each take by its id.
+    batches : list of (int, tuple of int)
+        Masks of known features, and ids of takes.
+    top : int, optional
+        The largest number of hits of a template.
+    workers : int
+        The number of threads.
+    """
+
+    store: Store
+    names: Mapping[int, str]
+    batches: list[tuple[int, tuple[int, ...]]]
+    top: int | None
+    workers: int
+
+    def first_thresholds(self, templates: Sequence[RankedTemplate], tau: float) -> list[float]:
+        """Return a threshold for each template below which there are likely to be hits enough.
+
+        It is the cost of the last of the best hits in those granules of the index whose bounds are lowest; `tau` where
+        this would take longer than it saves. Hits below a lower threshold are the first ones below tau: they come in
+        the order of their costs, and only a better one excludes one. If they are enough, they are the answer.
+        """
+        frames = sum(self.store.take_frames[take_id] for _, batch in self.batches for take_id in batch)
+        sliced = _sound_index(self.store)
+        asked = any(one.queries for one in templates)
+        if self.top is None or sliced is None or asked or frames < WORTH_FRAMES:
+            return [tau] * len(templates)
+        every, top = self.store.feature_set.every_bit, self.top
+        ids = [np.array(batch, np.int64) for mask, batch in self.batches if mask & every == every]
+        plain = [one.template for one in templates]
+
+        def lowest(batch: I64) -> list[Promising]:
+            found = promising(sliced, batch, plain, [tau] * len(plain))
+            return [one.lowest(SAMPLED * top) for one in found]
+
+        parts = list(_in_threads(lowest, ids, self.workers))
+        bars = []
+        for place, template in enumerate(plain):
+            own = joined_batches([one[place] for one in parts], ids).lowest(SAMPLED * top)
+            bars.append(self._threshold_of(sliced, template, own, tau))
+        return bars
+
+    def _threshold_of(self, sliced: SlicedWords, template: QuantisedTemplate, sample: Promising, tau: float) -> float:
+        """Return the cost of the last of the best hits in some granules, whose takes are ids; tau if they are few."""
+        ids = np.unique(sample.takes)
+        if not len(ids):
+            return tau
+        offsets = _offsets(self.store, ids)
+        ranges = sample.ranges(len(template), ids, offsets)
+        words = sliced.words(ids, ranges)
+        hits = rank(template, words, tau, self.top, ranges, encode(words.words, ranges))
+        return min(tau, (round(float(hits.costs[-1]) * KEYS) + 2) / KEYS) if len(hits) == self.top else tau
+
+    def rank(self, templates: Sequence[RankedTemplate], first: Sequence[float], reading: float) -> list[Ranking]:
+        """Rank the takes by templates, each below a threshold; `reading` seconds were spent before."""
+        top, names = self.top, self.names
+        best: list[list[tuple[float, str, int, Hit]]] = [[] for _ in templates]
+        counts = np.zeros((len(templates), 3), np.int64)
+        bounded = np.zeros(len(templates), np.bool_)
+        seconds = np.zeros(len(templates))
+
+        # Once `top` hits are known, a hit above the last of them cannot enter any more. The others stay as they are, as
+        # a hit excludes overlapping hits of higher cost only.
+        bars = list(first)
+
+        def work(item: Item) -> BatchHits:
+            return _rank_known(self.store, templates, *item, top, names)
+
+        items = ((batch, mask, tuple(bars)) for mask, batch in self.batches)
+        for found in _in_threads(work, items, self.workers):
+            reading += found.reading
+            seconds += found.ranking
+            for place, hits in enumerate(found.hits):
+                counts[place] += (found.frames, hits.frames, hits.computed)
+                bounded[place] |= hits.bounded
+                entries = [
+                    (round(cost * KEYS), names[take_id], stop, Hit(take_id, names[take_id], start, stop, cost))
+                    for take_id, start, stop, cost in zip(
+                        found.ids[hits.takes].tolist(), hits.starts.tolist(), hits.stops.tolist(), hits.costs.tolist(),
+                        strict=True,
+                    )
+                ]  # fmt: skip
+                merged = best[place] + entries
+                best[place] = sorted(merged, key=_order) if top is None else heapq.nsmallest(top, merged, key=_order)
+                if len(best[place]) == top:
+                    # hits of equal cost (the same key, or within the tolerance below a threshold) may still enter
+                    bars[place] = min(bars[place], (best[place][-1][0] + 2) / KEYS)
+        return [
+            Ranking(one.name, tuple(entry[3] for entry in kept), count[0], count[1], count[2], tried, reading, own)
+            for one, kept, count, tried, own in zip(
+                templates, best, counts.tolist(), bounded.tolist(), seconds.tolist(), strict=True
+            )
+        ]
 
 
 def partly_known(
@@ -284,12 +378,13 @@ def _rank_batch(
 ) -> BatchHits:
     """Return the hits of each template in some takes."""
     begin = time.perf_counter()
+    if (few := _rank_promising(store, templates, take_ids, taus, top, names)) is not None:
+        return few
     words = stored_words(store, take_ids)
     coded = encode(words.words)
     queries = dict.fromkeys(query for one in templates for query in one.queries)
     hits = preselect_stored(store, words, list(queries))
-    by_name = {take_id: place for place, take_id in enumerate(sorted(take_ids, key=lambda each: names[each]))}
-    order = np.array([by_name[take_id] for take_id in words.take_ids.tolist()], np.int64)
+    order = _name_order(words.take_ids, names)
     ranges = {place: _ranges(store, one, words, hits) for place, one in enumerate(templates) if one.queries}
     reading = time.perf_counter() - begin
     seconds = [0.0] * len(templates)
@@ -312,13 +407,70 @@ def _rank_batch(
     return BatchHits(words.take_ids, len(words.words), every, reading, tuple(seconds))
 
 
+def _name_order(take_ids: I64, names: Mapping[int, str]) -> I64:
+    """Return the place of each take in the order of names."""
+    by_name = {take_id: place for place, take_id in enumerate(sorted(take_ids.tolist(), key=lambda each: names[each]))}
+    return np.array([by_name[take_id] for take_id in take_ids.tolist()], np.int64)
+
+
+def _offsets(store: Store, take_ids: I64) -> I64:
+    """Return the first frame of each take where they are laid end to end, and the end."""
+    return np.cumsum([0, *(store.take_frames[take_id] for take_id in take_ids.tolist())]).astype(np.int64)
+
+
+def _sound_index(store: Store) -> SlicedWords | None:
+    """Return the mapped index of a store; None where it has none, or a damaged one, which nothing here needs."""
+    try:
+        return sliced_index(store)
+    except StoreError:
+        return None
+
+
+def _rank_promising(
+    store: Store,
+    templates: Sequence[RankedTemplate],
+    take_ids: tuple[int, ...],
+    taus: tuple[float, ...],
+    top: int | None,
+    names: Mapping[int, str],
+) -> BatchHits | None:
+    """Return the hits in those frames that the index does not exclude; None where it excludes too few."""
+    begin = time.perf_counter()
+    sliced = _sound_index(store)
+    frames = sum(store.take_frames[take_id] for take_id in take_ids)
+    if sliced is None or not templates or any(one.queries for one in templates):
+        return None
+    ids = np.array(sorted(take_ids), np.int64)
+    low = promising(sliced, ids, [one.template for one in templates], taus)
+    if max(len(one.granules) for one in low) * GRANULE > MOST_PROMISING * frames:
+        return None
+    chosen = np.unique(np.concatenate([one.takes for one in low]))
+    hits, seconds = [replace(_no_hits(), frames=frames, bounded=True)] * len(templates), [0.0] * len(templates)
+    if not len(chosen):
+        return BatchHits(ids[chosen], frames, tuple(hits), time.perf_counter() - begin, tuple(seconds))
+    offsets = _offsets(store, ids[chosen])
+    ranges = [own.ranges(len(one.template), chosen, offsets) for one, own in zip(templates, low, strict=True)]
+    every = extend_and_unite(np.concatenate(ranges), offsets)
+    words = sliced.words(ids[chosen], every)
+    coded, order = encode(words.words, every), _name_order(words.take_ids, names)
+    reading = time.perf_counter() - begin
+    for place, (one, own) in enumerate(zip(templates, ranges, strict=True)):
+        begin = time.perf_counter()
+        if len(own):
+            ranked = rank(one.template, words, taus[place], top, own, coded, order=order)
+            computed = ranked.computed if ranked.bounded else int((own[:, 1] - own[:, 0]).sum())
+            hits[place] = replace(ranked, frames=frames, computed=computed, bounded=True)
+        seconds[place] = time.perf_counter() - begin
+    return BatchHits(words.take_ids, frames, tuple(hits), reading, tuple(seconds))
+
+
 def _ranges(store: Store, one: RankedTemplate, words: TakeWords, hits: Mapping[KeyframeQuery, TakeRanges]) -> I64:
     """Return the frames, of words laid end to end, that the hits of a template's queries leave, int64 (R, 2)."""
     columns = one.template.values(len(store.feature_set.features))
     return template_ranges(hits, one.queries, columns, store.feature_set, words.offsets)
 
 
-def _in_threads(work: Callable[[Item], BatchHits], items: Iterable[Item], workers: int) -> Iterator[BatchHits]:
+def _in_threads(work: Callable[[Asked], Found], items: Iterable[Asked], workers: int) -> Iterator[Found]:
     """Apply the work to every item in threads, with two items a thread in flight; results come in order.
 
     The next item is drawn after the results before it were consumed, so that it knows their thresholds. The kernels
@@ -326,7 +478,7 @@ def _in_threads(work: Callable[[Item], BatchHits], items: Iterable[Item], worker
     """
     source = iter(items)
     with ThreadPoolExecutor(max(1, workers)) as pool:
-        waiting: deque[Future[BatchHits]] = deque(pool.submit(work, item) for item in islice(source, 2 * workers))
+        waiting: deque[Future[Found]] = deque(pool.submit(work, item) for item in islice(source, 2 * workers))
         try:
             while waiting:
                 yield waiting.popleft().result()

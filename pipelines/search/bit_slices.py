@@ -100,13 +100,16 @@ class SlicedWords:
             masks = None
         return SlicedWords(take_ids, shards, self.feature_set, masks)
 
-    def words(self, take_ids: I64) -> TakeWords:
+    def words(self, take_ids: I64, ranges: I64 | None = None) -> TakeWords:
         """Return the words of some takes, laid end to end.
 
         Parameters
         ----------
         take_ids : int64 array
             The takes, ascending.
+        ranges : int64 array (R, 2), optional
+            Half-open ranges of the words laid end to end, ascending and disjoint; all other words are undefined. None:
+            all.
 
         Raises
         ------
@@ -114,14 +117,14 @@ class SlicedWords:
             If a take is not there.
         """
         chosen = self.select(take_ids)
-        frames = np.zeros(len(take_ids), np.int64)
         held = [(shard, np.flatnonzero(shard.places >= 0)) for shard in chosen.shards]
+        frames = np.zeros(len(take_ids), np.int64)
         for shard, own in held:
             frames[shard.places[own]] = shard.slices.frames[own]
         offsets = np.concatenate(([0], np.cumsum(frames)))
         words = np.empty(int(offsets[-1]), np.uint64)
         for shard, own in held:
-            unsliced_words(shard.slices, own, offsets[shard.places[own]], words)
+            unsliced_words(shard.slices, own, offsets[shard.places[own]], words, ranges)
         return TakeWords(take_ids, offsets, words, chosen.known)
 
     def search(self, queries: Sequence[KeyframeQuery], threads: int = 1) -> list[TakeRanges]:

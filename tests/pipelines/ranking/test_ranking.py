@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from kinedex import open_store as open_archive
@@ -17,7 +19,7 @@ from kinedex.catalog.queries.query_files import read_query_files
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.ranking.ranking import rank
 from kinedex.ops.templates.templates import QuantisedTemplate
-from kinedex.ops.words import TakeWords
+from kinedex.ops.words import NO_WORD, TakeWords
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.evaluation.ground_truth import Manual
@@ -37,8 +39,11 @@ from kinedex.pipelines.stages import evaluate_ranking, vary_stiffness
 from kinedex.pipelines.stages.evaluate_ranking import EvaluateRanking
 from kinedex.pipelines.stages.rank import Rank
 from kinedex.pipelines.templates.stored_templates import template_from_clip
+from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import write_archive
+from tests.pipelines.labelled import write_store
+from tests.storage.made_up import BODY
 
 
 @pytest.fixture(scope="module")
@@ -377,3 +382,55 @@ def test_without_a_hit_the_nearest_places_are_shown(store: Store, tmp_path: Path
     assert document["hits"] == []
     assert len(document["nearest"]) == 5
     assert {"mirrored", "cost"} <= document["nearest"][0].keys()
+
+
+# ---- what the index excludes -----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def repeated(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """Takes in which two motions and their mirror images come again and again, hardly changed; one lacks features."""
+    rng = np.random.default_rng(7)
+    motions = [np.repeat(rng.integers(0, 1 << 40, 9, dtype=np.uint64), 4) for _ in range(2)]
+    motions += [BODY.mirrored(one) for one in motions]
+    takes = []
+    for number in range(9):
+        parts = [motions[int(rng.integers(4))][: int(rng.integers(20, 37))] for _ in range(int(rng.integers(1, 9)))]
+        words = np.concatenate(parts)
+        spoiled = np.flatnonzero(rng.random(len(words)) < 0.05 * (number % 4))
+        words[spoiled] ^= np.uint64(1) << rng.integers(0, 40, len(spoiled)).astype(np.uint64)
+        words[rng.random(len(words)) < 0.01] = NO_WORD
+        take: dict[str, object] = {"name": f"take_{8 - number}", "actor": "ann", "class": None, "words": words}
+        if number == 3:
+            known = BODY.every_bit & ~0b1110
+            take |= {"known": known, "words": np.where(words == NO_WORD, NO_WORD, words & np.uint64(known))}
+        takes.append(take)
+    path = write_store(tmp_path_factory.mktemp("repeated") / "store", takes)
+    build_index(open_store(path, at="newest"), threads=1)
+    return open_store(path)
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.integers(0, 8), st.integers(0, 200), st.integers(2, 60), st.sampled_from([1, 2, 5, 30, None]),
+    st.sampled_from([0.02, 0.1, 0.3, 1.0]), st.booleans(),
+)  # fmt: skip
+def test_hits_are_the_same_with_and_without_what_the_index_excludes(
+    repeated: Store, monkeypatch: pytest.MonkeyPatch, take: int, start: int, length: int, top: int | None, tau: float,
+    both: bool,
+) -> None:  # fmt: skip
+    words = repeated.words([repeated.take_id(f"take_{take}")]).take(0)
+    clip = words[min(start, max(0, len(words) - length)) :][:length]
+    mask = np.full(len(clip), BODY.every_bit, np.uint64)
+    asked = [RankedTemplate("clip", QuantisedTemplate(mask, clip & mask))]
+    ranked = rank_both_sides if both else rank_takes
+    with monkeypatch.context() as patch:
+        patch.setattr(ranking, "_sound_index", lambda _: None)
+        (plain,) = ranked(repeated, asked, tau, top)
+    with monkeypatch.context() as patch:
+        patch.setattr(ranking, "WORTH_FRAMES", 0)
+        patch.setattr(ranking, "MOST_PROMISING", 1.0)
+        patch.setattr(ranking, "BATCH_FRAMES", 150)
+        (found,) = ranked(repeated, asked, tau, top)
+    assert found.hits == plain.hits
+    assert (found.frames, found.searched) == (plain.frames, plain.searched)

@@ -1,0 +1,127 @@
+"""Frames of a store that may hold hits, by the coarse copy of its index alone; most takes need not be read then."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.distances.granule_bounds import granule_bounds, granule_words
+from kinedex.ops.ranges import extend_and_unite
+from kinedex.ops.search.bit_slices import GRANULE, GRANULES
+from kinedex.ops.templates.templates import QuantisedTemplate
+from kinedex.ops.words import I64
+from kinedex.pipelines.search.bit_slices import SlicedWords
+
+
+@dataclass(frozen=True)
+class Promising:
+    """The granules of some takes in which paths below a threshold may end.
+
+    Parameters
+    ----------
+    takes : int64 array (G,)
+        The position of the take of each granule, ascending.
+    granules : int64 array (G,)
+        The number of each granule in its take, ascending within a take.
+    bounds : float32 array (G,)
+        No path that ends there costs less.
+    """
+
+    takes: I64
+    granules: I64
+    bounds: npt.NDArray[np.float32]
+
+    def lowest(self, count: int) -> Promising:
+        """Return those of the lowest bounds, and of equal ones all."""
+        if len(self.bounds) <= count:
+            return self
+        kept = self.bounds <= np.partition(self.bounds, count - 1)[count - 1]
+        return Promising(self.takes[kept], self.granules[kept], self.bounds[kept])
+
+    def ranges(self, columns: int, takes: I64, offsets: I64) -> I64:
+        """Return the frames that decide about hits there: those of all paths, and one on either side.
+
+        Parameters
+        ----------
+        columns : int
+            The number of columns N of the template; a path begins at most 2 (N − 1) frames before its end.
+        takes : int64 array (T,)
+            The positions of takes, ascending, those of all granules among them.
+        offsets : int64 array (T + 1,)
+            The first frame of each of these takes among words laid end to end, and the end.
+        """
+        place = np.searchsorted(takes, self.takes)
+        starts = offsets[place] + GRANULE * self.granules
+        stops = np.minimum(starts + GRANULE, offsets[place + 1])
+        kept = starts < stops
+        return extend_and_unite(np.stack([starts[kept], stops[kept]], axis=1), offsets, 2 * (columns - 1) + 1, 1)
+
+
+def promising(
+    sliced: SlicedWords, take_ids: I64, templates: Sequence[QuantisedTemplate], thresholds: Sequence[float]
+) -> list[Promising]:
+    """Return where templates may have hits below thresholds, in takes whose bodies know all features.
+
+    Parameters
+    ----------
+    sliced : SlicedWords
+        The index of a store.
+    take_ids : int64 array (T,)
+        The takes, ascending.
+    templates : sequence of QuantisedTemplate
+        The templates.
+    thresholds : sequence of float
+        The threshold of each.
+
+    Returns
+    -------
+    list of Promising
+        One for each template, with positions among the takes.
+    """
+    chosen = sliced.select(take_ids)
+    found: list[list[tuple[I64, I64, npt.NDArray[np.float32]]]] = [[] for _ in templates]
+    for shard in chosen.shards:
+        for first, stop in _runs(np.flatnonzero(shard.places >= 0)):
+            words = granule_words(shard.slices, first, stop)
+            edges = GRANULES * (shard.slices.first[first : stop + 1] - shard.slices.first[first])
+            places = shard.places[first:stop]
+            for own, template, threshold in zip(found, templates, thresholds, strict=True):
+                bounds = granule_bounds(template, words, edges)
+                low = np.flatnonzero(bounds < threshold)
+                take = np.searchsorted(edges, low, side="right") - 1
+                own.append((places[take], low - edges[take], bounds[low]))
+    return [_joined(own) for own in found]
+
+
+def _runs(takes: I64) -> Iterator[tuple[int, int]]:
+    """Yield ranges of consecutive takes."""
+    if len(takes):
+        breaks = np.flatnonzero(np.diff(takes) > 1)
+        begins = takes[np.concatenate(([0], breaks + 1))].tolist()
+        ends = (takes[np.concatenate((breaks, [len(takes) - 1]))] + 1).tolist()
+        yield from zip(begins, ends, strict=True)
+
+
+def _joined(parts: Sequence[tuple[I64, I64, npt.NDArray[np.float32]]]) -> Promising:
+    """Put what several shards hold into the order of the takes."""
+    takes = np.concatenate([np.empty(0, np.int64), *(one for one, _, _ in parts)])
+    granules = np.concatenate([np.empty(0, np.int64), *(one for _, one, _ in parts)])
+    bounds = np.concatenate([np.empty(0, np.float32), *(one for _, _, one in parts)])
+    order = np.argsort(takes, kind="stable")
+    return Promising(takes[order], granules[order], bounds[order])
+
+
+def joined_batches(parts: Sequence[Promising], ids: Sequence[I64]) -> Promising:
+    """Join what several batches of takes hold, with the ids of takes in place of their positions.
+
+    Parameters
+    ----------
+    parts : sequence of Promising
+        One for each batch.
+    ids : sequence of int64 array
+        The ids of the takes of each batch.
+    """
+    return _joined([(own[one.takes], one.granules, one.bounds) for one, own in zip(parts, ids, strict=True)])
