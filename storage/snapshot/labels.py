@@ -23,9 +23,9 @@ def current_labels(rows: pa.Table) -> pa.Table:
 
 
 def is_of_limbs(row: Mapping[str, Any]) -> bool:
-    """Return whether a label states where limbs are wrong, or, if it is negative, that they are not; no motion is one.
+    """Return whether a label is about errors of limbs, not about a motion.
 
-    Such a label is of the class `error`; a negative one without a limb is about all limbs of the take.
+    It is of the class `error`. A negative one states that the limb is right, or, without a limb, that all limbs are.
     """
     return row["class"] == ERROR and (row["limb"] is not None or row["verdict"] == "negative")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -139,6 +139,7 @@ def write_labels(takes: Sequence[TakeLabels], form: str | None, output: str | Pa
             "or of a class; a name must not be empty, begin or end with a space, or (but in CSV and JSON) have control "
             "characters in it"
         )
+    writable = _with_limbs(writable) if FORMATS[kind].limbs == "errors" else writable
     targets = _targets(writable, kind, Path(output), folder)
     standing = []
     for path in targets:
@@ -158,6 +159,23 @@ def write_labels(takes: Sequence[TakeLabels], form: str | None, output: str | Pa
     return Written(tuple(targets), renamed, excluded)
 
 
+def _with_limbs(takes: Sequence[TakeLabels]) -> list[TakeLabels]:
+    """Return labels in which whoever has looked at a take has looked at each limb that any of the labels is about."""
+    limbs = {one.limb for labels in takes for one in labels.labels if one.label == ERROR}
+    limbs |= {limb for labels in takes for limb, _ in labels.covered}
+    return [
+        replace(
+            labels,
+            covered=tuple(
+                (limb, annotator)
+                for own, annotator in labels.covered
+                for limb in ([own] if own else sorted(limbs - {""}))
+            ),
+        )
+        for labels in takes
+    ]
+
+
 def _refuse_limbs(takes: Sequence[TakeLabels], kind: str) -> None:
     form = FORMATS[kind]
     for labels in takes:
@@ -167,6 +185,11 @@ def _refuse_limbs(takes: Sequence[TakeLabels], kind: str) -> None:
                     f"{form.title} has no place for the limb of a label '{one.label}' ({labels.take}, {one.limb}); "
                     f"use csv or json{', or eaf' if _has_place(FORMATS['eaf'], one) else ''}"
                 )
+        if labels.covered and form.limbs == "none":
+            raise KinedexError(
+                f"{form.title} has no place for limbs that were looked at without an error being found "
+                f"({labels.take}); use csv, json or eaf"
+            )
 
 
 def _has_place(form: Format, one: Label) -> bool:

@@ -287,6 +287,8 @@ def test_runs_leave_the_store_as_labels_that_agree_with_them(judged: Path, tmp_p
     (one,) = read_labels(tmp_path / "out" / f"{TAKE}.{form}").segments
     assert (one.label, one.limb, one.annotator) == ("error", "lshank", "")
     assert one.source_frames(120.0) == (START, STOP)
+    covered = read_labels(tmp_path / "out" / f"{TAKE}.{form}").covered
+    assert sorted(covered) == [(TAKE, "rhand", ""), (TAKE, "torso", "")], "compared, and never wrong"
     summary = evaluate(judged, ground_truth=str(tmp_path / "out" / f"*.{form}"), taus=[45])
     assert (summary["evaluated_takes"], summary["labels"]) == (3, 1)
     runs = metrics(judged, "scope = 'all' AND detector = 'runs' AND annotator = 'all'")

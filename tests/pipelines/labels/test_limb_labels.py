@@ -82,6 +82,10 @@ def test_nothing_of_a_file_is_lost_on_the_way_in_and_out(store: Path, tmp_path: 
     assert elan.covered == (("a_take01", "torso", "A1"),)
     assert {(one.limb, one.annotator) for one in elan.segments} == {("lshank", "A1"), ("lshank", "A2"), ("rhand", "A1")}
     assert 'TIER_ID="A1:torso"' in (tmp_path / "elan" / "a_take01.eaf").read_text()
+    run("labels", "export", store, "--labels", "--format", "eaf", "--take", "c_take01", "-o", tmp_path / "other")
+    assert 'TIER_ID="A1:lshank"' in (tmp_path / "other" / "c_take01.eaf").read_text(), "A1 found no error in any limb"
+    refused = CliRunner().invoke(app, ["labels", "export", str(store), "--labels", "--take", "b_take01", "-o", "b.vtt"])
+    assert "WebVTT has no place for limbs that were looked at" in refused.output
     assert imported(store, tmp_path / "elan") == {one for one in found if one[1] != "walk"}
 
 

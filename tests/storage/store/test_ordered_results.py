@@ -12,7 +12,7 @@ from kinedex.storage.snapshot import parts
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store import ordered_results
 from kinedex.storage.store.ordered_results import rows_in_order
-from kinedex.storage.store.reused_results import stored_fingerprints
+from kinedex.storage.store.reused_results import ReusedParts, reused_parts, stored_fingerprints
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter
@@ -84,3 +84,17 @@ def test_parts_that_new_rows_do_not_fall_into_stay(tmp_path: Path, monkeypatch: 
         last = put(writer, {**{take: 1 for take in versions if take != 1}, 14: 1}, {14})
         assert len(last) == 1, "small parts join the new rows"
         assert stored_fingerprints(writer.store, KIND, STAGE) == dict.fromkeys((2, 5, 6, 9, 10, 14), "1")
+
+
+def test_parts_that_share_a_take_are_written_again_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make_store(tmp_path, {"a": 5})
+    monkeypatch.setattr(parts, "FULL_BYTES", 1)
+    both = table(2, 1)
+    pieces = [pa.concat_tables([table(1, 1), both.slice(0, 1)]), pa.concat_tables([both.slice(1), table(6, 1)])]
+    with StoreWriter.open(tmp_path, BODY) as writer:
+        writer.put_results(KIND, pieces, stage=STAGE, run="r")
+        writer.commit()
+        first, second = writer.manifest.results[KIND]
+        assert reused_parts(writer.store, KIND, STAGE, {2, 6}) == ReusedParts((), (first, second))
+        assert reused_parts(writer.store, KIND, STAGE, {1, 2, 6}) == ReusedParts((first, second), ())
+        assert put(writer, {1: 2, 2: 1, 6: 1}, {1})
