@@ -2,6 +2,13 @@
 
 import { createTheme, type CSSVariablesResolver, Drawer, Modal } from "@mantine/core";
 
+/** The page itself does not scroll; the lock would insert a style without the nonce, which the policy refuses. */
+const DIALOG = {
+  lockScroll: false,
+  closeButtonProps: { "aria-label": "Close" },
+  attributes: { header: { role: "none" } }, // a second banner otherwise
+};
+
 export const theme = createTheme({
   primaryColor: "blue",
   fontFamily: "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif",
@@ -11,10 +18,9 @@ export const theme = createTheme({
   spacing: { xs: "6px", sm: "10px", md: "14px", lg: "18px", xl: "26px" },
   headings: { sizes: { h1: { fontSize: "18px" }, h2: { fontSize: "15px" }, h3: { fontSize: "14px" } } },
   cursorType: "pointer",
-  // The page itself does not scroll; the lock would insert a style without the nonce, which the policy refuses.
   components: {
-    Modal: Modal.extend({ defaultProps: { lockScroll: false } }),
-    Drawer: Drawer.extend({ defaultProps: { lockScroll: false } }),
+    Modal: Modal.extend({ defaultProps: DIALOG }),
+    Drawer: Drawer.extend({ defaultProps: DIALOG }),
   },
 });
 

@@ -1,4 +1,4 @@
-import { Button, Checkbox, Menu, ScrollArea } from "@mantine/core";
+import { Button, Checkbox, Popover, ScrollArea, Stack } from "@mantine/core";
 import { useMemo } from "react";
 import { useLocation } from "wouter";
 
@@ -49,38 +49,26 @@ export function ColumnMenu() {
   const store = useStore();
   const [columns, setColumns] = useColumns(store.data);
   return (
-    <Menu closeOnItemClick={false} position="bottom-end" shadow="md" width={250}>
-      <Menu.Target>
+    <Popover position="bottom-end" shadow="md" width={250} trapFocus returnFocus>
+      <Popover.Target>
         <Button size="compact-sm" variant="default">
           Columns
         </Button>
-      </Menu.Target>
-      <Menu.Dropdown>
-        <ScrollArea.Autosize mah={380} type="auto">
-          {allColumns(store.data)
-            .filter((one) => one.name !== "name")
-            .map((one) => (
-              <Menu.Item
-                key={one.name}
-                role="menuitemcheckbox"
-                aria-checked={columns.includes(one.name)}
-                leftSection={
-                  <Checkbox size="xs" checked={columns.includes(one.name)} readOnly tabIndex={-1} aria-hidden />
-                }
-                onClick={() =>
-                  setColumns(
-                    columns.includes(one.name)
-                      ? columns.filter((name) => name !== one.name)
-                      : [...columns, one.name],
-                  )
-                }
-              >
-                {one.name}
-              </Menu.Item>
-            ))}
-        </ScrollArea.Autosize>
-      </Menu.Dropdown>
-    </Menu>
+      </Popover.Target>
+      <Popover.Dropdown aria-label="Columns of the table">
+        <Checkbox.Group value={columns} onChange={setColumns}>
+          <ScrollArea.Autosize mah={380} type="auto">
+            <Stack gap={4}>
+              {allColumns(store.data)
+                .filter((one) => one.name !== "name")
+                .map((one) => (
+                  <Checkbox key={one.name} size="xs" value={one.name} label={one.name} />
+                ))}
+            </Stack>
+          </ScrollArea.Autosize>
+        </Checkbox.Group>
+      </Popover.Dropdown>
+    </Popover>
   );
 }
 
