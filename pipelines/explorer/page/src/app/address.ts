@@ -61,3 +61,14 @@ export function takeAddress(name: string, from?: number, to?: number): string {
   const interval = from === undefined || to === undefined ? "" : `?from=${from}&to=${to}`;
   return `/take/${encodeURIComponent(name)}${interval}`;
 }
+
+/** Return the name of the take in the path of an address, null where there is none. */
+export function takeName(path: string): string | null {
+  const [, page, name = ""] = path.split("/");
+  if (page !== "take" || name === "") return null;
+  try {
+    return decodeURIComponent(name);
+  } catch {
+    return name; // no address that this page has made
+  }
+}

@@ -2,11 +2,11 @@ import "./take.css";
 
 import { Badge, Group, Loader, MultiSelect, Switch, Text, Title } from "@mantine/core";
 import { useCallback, useEffect, useMemo, useRef, useState } from "react";
-import { useParams, useSearch } from "wouter";
+import { useLocation, useSearch } from "wouter";
 
 import { useStore } from "../api/queries";
 import type { StoreFacts } from "../api/types";
-import { useJsonParameter, useParameter, useParameters } from "../app/address";
+import { takeName, useJsonParameter, useParameter, useParameters } from "../app/address";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
 import { makeBody } from "../motion/body";
@@ -27,16 +27,22 @@ import type { ErrorLimb, Hit, Lane, Segment, TakeDocument, TakeTemplates } from 
 
 /** One take: its motion, and under it lanes of all that is known about it. */
 export default function TakePage() {
-  const { name } = useParams<{ name?: string }>();
+  const name = useTakeName();
   const store = useStore();
-  const document = useDocument(name ?? null);
-  if (name === undefined || name === "") return <ChooseTake />;
+  const document = useDocument(name);
+  if (name === null) return <ChooseTake />;
   const fault = document.error ?? store.error;
   if (fault !== null) return <Fault fault={fault} retry={() => void document.refetch()} />;
   if (document.data === undefined || store.data === undefined)
     return <Loader m="md" size="sm" aria-label="The take is being opened" />;
   const { take_id, version } = document.data;
   return <OpenTake key={`${take_id}/${version}`} document={document.data} store={store.data} />;
+}
+
+/** Return the name of the take in the address, decoded once: names may hold slashes and percent signs. */
+function useTakeName(): string | null {
+  const [location] = useLocation();
+  return useMemo(() => takeName(window.location.pathname), [location]);
 }
 
 const NO_LANES: readonly Lane[] = [];

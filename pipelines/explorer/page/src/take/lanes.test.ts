@@ -1,5 +1,6 @@
 import { describe, expect, it } from "vitest";
 
+import { takeAddress, takeName } from "../app/address";
 import { clock, frameAt, showing, ticks, within, xOf, zoomed } from "./axis";
 import { partnerOf } from "./pairing";
 import { makeRows, rowAt, segmentAt, stacked } from "./rows";
@@ -109,4 +110,10 @@ it("a session seeks within its take, and shows the frame under the pointer meanw
   expect(session.frame).toBe(40);
   waiting.at(-1)?.(performance.now() + 200);
   expect(session.frame).toBeGreaterThan(44);
+});
+
+it("a take's address leads back to its name, whatever it holds", () => {
+  for (const name of ["a/b", "50%", "a%2Fb", "x+y z", "../../etc", "#?&=\"<i>", "ü"])
+    expect(takeName(takeAddress(name).split("?")[0] as string)).toBe(name);
+  expect([takeName("/take"), takeName("/take/"), takeName("/"), takeName("/take/50%")]).toEqual([null, null, null, "50%"]);
 });
