@@ -9,7 +9,8 @@ import { useLocation, useSearch } from "wouter";
  * as it should be while somebody types, scrolls or drags. */
 export function useParameter(name: string): [string | null, (value: string | null, push?: boolean) => void] {
   const search = useSearch();
-  const value = useMemo(() => new URLSearchParams(search).get(name), [search, name]);
+  // `search` tells of changes alone: it is decoded already, and a percent sign in a value would be decoded twice
+  const value = useMemo(() => new URLSearchParams(window.location.search).get(name), [search, name]);
   const change = useParameters();
   const set = useCallback(
     (next: string | null, push = false) => change({ [name]: next }, push),
