@@ -26,13 +26,22 @@ def use(
     latest: Annotated[
         bool, typer.Option("--latest", help="Show the pipeline that was run last, now and after every run.")
     ] = False,
+    at: Annotated[
+        int | None,
+        typer.Option(
+            "--at",
+            metavar="VERSION",
+            help="Bring back the results that the pipeline had in this version, in place of its later ones; which "
+            "pipeline the views show stays.",
+        ),
+    ] = None,
     wait: WaitOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Choose the pipeline whose results the views show, or list them.
 
     A view such as `annotations` shows the results of one pipeline: the chosen one, or the one that was run last. The
-    rows of all pipelines are in `all_annotations`.
+    rows of all pipelines are in `all_annotations`. With --at, results of an earlier version become current again.
     """
     from kinedex.storage.snapshot.shown_results import current_pipeline, pipeline_runs, result_pipelines
     from kinedex.storage.store.store import open_store
@@ -40,11 +49,16 @@ def use(
 
     if pipeline is not None and latest:
         raise typer.BadParameter("give a pipeline or --latest, not both")
+    if at is not None and pipeline is None:
+        raise typer.BadParameter("--at needs the pipeline whose results are brought back")
     opened = open_store(store, at="newest")
     manifest = opened.manifest
     if pipeline is not None or latest:
         with StoreWriter.open(store, opened.feature_set, opened.rate_hz, wait_of(wait)) as writer:
-            writer.choose_pipeline(pipeline)
+            if pipeline is not None and at is not None:
+                writer.restore_pipeline(pipeline, open_store(store, at=at).manifest)
+            else:
+                writer.choose_pipeline(pipeline)
             manifest = writer.commit()
     current = current_pipeline(manifest)
     chosen = bool(manifest.chosen_pipeline) and manifest.chosen_pipeline == current

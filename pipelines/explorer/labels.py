@@ -270,7 +270,7 @@ def label_facts(archive: Archive, _request: Request) -> Row:
     Returns
     -------
     dict
-        `labels`, the number that count; `classes` of the store (of takes, labels and annotations), each with `name`
+        `labels`, the number that count; `decisions`, that of all rows; `classes` of the store (of takes, labels and annotations), each with `name`
         and the number of `positive` and `negative` labels; `annotator`, the name that new labels get unless a person
         gives another; `annotators`; `takes`, the number of takes with labels; and `learned`, with the stage of the
         templates of the current annotations, the time when they were learned, and the number of decisions `since`.
@@ -290,6 +290,7 @@ def label_facts(archive: Archive, _request: Request) -> Row:
     people = sorted(filter(None, labels.column("annotator").unique().to_pylist()))
     return {
         "labels": labels.num_rows,
+        "decisions": store.labels(history=True).num_rows,
         "classes": list(counts.values()),
         "annotator": default_annotator(),
         "annotators": people,

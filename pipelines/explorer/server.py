@@ -17,6 +17,7 @@ from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.explorer.access import Rules, address, is_loopback, new_token
 from kinedex.pipelines.explorer.application import make_application, require_page
 from kinedex.pipelines.explorer.archive import Archive
+from kinedex.pipelines.explorer.jobs import end_jobs
 from kinedex.pipelines.explorer.preparation import start_preparation
 
 if TYPE_CHECKING:
@@ -147,6 +148,7 @@ def serve(store: Path, host: str, port: int | None, *, read_only: bool, browser:
             Server(config, archive).run([listening])
         finally:
             preparation.cancel()
+            end_jobs(archive)
 
 
 def _open(shown: str) -> None:

@@ -53,7 +53,7 @@ class Annotate(Stage[AnnotationParameters]):
     name = "annotate"
     parameters = AnnotationParameters
     inputs: ClassVar = {
-        "takes": Input("ingest"),
+        "takes": Input("ingest", optional=True),
         "templates": Input("learn_templates"),
         "keyframes": Input("learn_keyframes", optional=True),
     }

@@ -23,7 +23,7 @@ class LearnTemplates(Stage[TemplateParameters]):
 
     name = "learn_templates"
     parameters = TemplateParameters
-    inputs: ClassVar = {"takes": Input("ingest")}
+    inputs: ClassVar = {"takes": Input("ingest", optional=True)}
 
     def reading(self, params: TemplateParameters, store: Store) -> Reading:
         """Return a digest of the examples to learn from, rejected ones included: thresholds depend on them."""

@@ -79,6 +79,45 @@ class RecordChanges(VersionDraft):
             raise StoreError(f"{self.path}: no pipeline '{name}'; {have}{did_you_mean(name, known)}")
         self._record_current(replace(self._manifest, chosen_pipeline=name or ""))
 
+    def restore_pipeline(self, name: str, earlier: Manifest) -> None:
+        """Make the results that a pipeline had in an earlier version its current ones; others stay as they are.
+
+        Where it had none then, it has none any more.
+
+        Parameters
+        ----------
+        name : str
+            The pipeline.
+        earlier : Manifest
+            A version of this store whose files are there.
+
+        Raises
+        ------
+        StoreError
+            Neither version has results of a pipeline of this name.
+        """
+        prefix = f"{name}/"
+        kinds = {*earlier.results, *self._manifest.results}
+        results = dict(self._manifest.results)
+        for kind in sorted(kinds):
+            standing = self._manifest.results.get(kind, ())
+            others = tuple(part for part in standing if not part.stage.startswith(prefix))
+            restored = others + tuple(part for part in earlier.results.get(kind, ()) if part.stage.startswith(prefix))
+            if {part.path for part in restored} != {part.path for part in standing}:
+                results[kind] = restored
+                self._facts.name("results", kind)
+        before = {key: one for key, one in earlier.stages.items() if key.startswith(prefix)}
+        after = {key: one for key, one in self._manifest.stages.items() if key.startswith(prefix)}
+        if not before and not after:
+            raise StoreError(f"{self.path}: no pipeline '{name}'{did_you_mean(name, pipelines_by_use(self._manifest))}")
+        stages = {key: one for key, one in self._manifest.stages.items() if key not in after}
+        pipelines = {key: one for key, one in self._manifest.pipelines.items() if key != name}
+        pipelines |= {name: earlier.pipelines[name]} if name in earlier.pipelines else {}
+        recent = tuple(one for one in self._manifest.recent_pipelines if one != name or before)
+        chosen = self._manifest.chosen_pipeline if self._manifest.chosen_pipeline != name or before else ""
+        changed = replace(self._manifest, results=results, stages={**stages, **before}, pipelines=pipelines)
+        self._record_current(replace(changed, recent_pipelines=recent, chosen_pipeline=chosen))
+
     def _record_current(self, manifest: Manifest) -> None:
         before, after = current_pipeline(self._manifest), current_pipeline(manifest)
         if after is not None and after != before:

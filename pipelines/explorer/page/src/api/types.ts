@@ -76,7 +76,7 @@ export interface TakesBlock extends Same {
 export interface Job {
   id: string;
   title: string;
-  state: "running" | "done" | "failed" | "stopped";
+  state: "waiting" | "running" | "done" | "failed" | "stopped";
   done?: number;
   total?: number;
   message?: string;

@@ -8,6 +8,7 @@ import { useStore } from "../api/queries";
 import { useParameter } from "../app/address";
 import { annotatorName, openDecisions, setAnnotatorName, step, useDecisions } from "./decisions";
 import { Files } from "./Files";
+import { Learn, LearnBySelf } from "./Learn";
 import { useLabelFacts } from "./load";
 import { Queue } from "./Queue";
 import { RefusedDecisions, SavedState } from "./SavedState";
@@ -39,16 +40,21 @@ export default function LabelPage() {
         </Text>
       </div>
       <RefusedDecisions />
+      {store?.read_only === false && <LearnBySelf />}
       {take !== null ? (
         <TakeLabels name={take} annotator={annotator} />
       ) : (
         <Tabs value={shown} onChange={(value) => setView(value === "queue" ? null : value, true)} keepMounted={false}>
           <Tabs.List mb={8}>
             <Tabs.Tab value="queue">Doubtful</Tabs.Tab>
+            <Tabs.Tab value="learn">Learn</Tabs.Tab>
             <Tabs.Tab value="files">Files</Tabs.Tab>
           </Tabs.List>
           <Tabs.Panel value="queue">
             <Queue annotator={annotator} />
+          </Tabs.Panel>
+          <Tabs.Panel value="learn">
+            <Learn readOnly={store?.read_only === true} />
           </Tabs.Panel>
           <Tabs.Panel value="files">
             <Files annotator={annotator} readOnly={store?.read_only === true} />

@@ -10,6 +10,7 @@ import type { Annotation, LabelRow } from "./edits";
 
 export interface LabelFacts extends Same {
   labels: number;
+  decisions: number;
   classes: { name: string; positive: number; negative: number }[];
   annotator: string;
   annotators: string[];

@@ -1,0 +1,234 @@
+"""Learn again from labels, in the background: what would run, the run, what it changed, and back.
+
+`GET /api/learn` answers with `learning_facts`, `POST /api/learn {examples?, method?, where?}` starts a job,
+`GET /api/learn/changes` lists what the last one changed, and `POST /api/learn/undo` starts a job that brings the
+annotations before it back.
+
+What is learned belongs to a pipeline of its own, `learn-again`, with the settings of the current annotation and the
+labels of people as further examples. So the results that were there stay beside it, and an earlier result of its own
+comes back with its version (`kinedex use STORE learn-again --at VERSION`).
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import yaml
+from pydantic import Field
+
+from kinedex.ops.errors import ConflictError, KinedexError, StoreError
+from kinedex.pipelines.annotation.labels import annotate_stage
+from kinedex.pipelines.explorer.addresses import Question, get, post
+from kinedex.pipelines.explorer.jobs import FOLDER, Job, NoQuestion, jobs_of, run_words
+from kinedex.pipelines.explorer.labels import stage_of
+from kinedex.pipelines.explorer.same import command_line
+from kinedex.pipelines.labels.segments import Difference, Segment, differences
+from kinedex.pipelines.templates.examples import CLIPS, LABELS
+from kinedex.storage.disk import whole_file
+from kinedex.storage.snapshot.shown_results import current_pipeline
+from kinedex.storage.store.store import Store, open_store
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from kinedex.pipelines.explorer.archive import Archive
+
+Row = dict[str, Any]
+
+PIPELINE = "learn-again"
+
+MOST_CHANGES = 1000
+"""Most changes of an answer; the numbers count all of them."""
+
+
+class LearnQuestion(Question):
+    """What is learned from, and how it is annotated; the settings of the current annotation unless given."""
+
+    examples: Literal["labels", "clips and labels"] | None = None
+    method: Literal["best", "thesis"] | None = None
+    where: Annotated[str, Field(max_length=10_000)] | None = None
+
+
+def learning_facts(archive: Archive, _request: Request) -> Row:
+    """Return the settings with which it would be learned again, and the last time.
+
+    Returns
+    -------
+    dict
+        `based_on`, the stage whose settings are taken (None where nothing was annotated); `examples`, `method` and
+        `where`; and `last`, None or the versions `before` and `after` the last run, with `undone`.
+    """
+    store = archive.store()
+    stages = learning_stages(store, LearnQuestion())
+    examples = stages["learn_templates"]["params"]["examples"]
+    return {
+        "based_on": stage_of(store, None),
+        "examples": "clips and labels" if CLIPS in examples else "labels",
+        "method": stages["annotate"]["params"].get("method", "thesis"),
+        "where": stages["annotate"]["params"].get("where", ""),
+        "last": _last(archive),
+        "command": command_line("kinedex", *run_words(archive, _file(archive))),
+    }
+
+
+def learning_stages(store: Store, asked: LearnQuestion) -> Row:
+    """Return the stages of the pipeline that learns again, as a pipeline file has them.
+
+    Parameters
+    ----------
+    store : Store
+        The store; the settings are those of its current annotation, where there is one.
+    asked : LearnQuestion
+        Settings that a person has chosen.
+    """
+    stage = stage_of(store, None)
+    templates: Row = {"examples": [LABELS]}
+    annotate: Row = {"where": "true", "method": "best"}
+    stages: Row = {}
+    if stage is not None:
+        pipeline = stage.partition("/")[0]
+        record = store.manifest.stages[stage]
+        inputs = record.summary.get("inputs", {})
+        annotate = _given(store, stage)
+        templates = _given(store, f"{pipeline}/{inputs.get('templates', '')}")
+        known = templates.get("examples", [CLIPS])
+        templates["examples"] = [*known, *([LABELS] if LABELS not in known else [])]
+        if "keyframes" in inputs:
+            keyframes = _given(store, f"{pipeline}/{inputs['keyframes']}")
+            stages["learn_keyframes"] = {"params": keyframes | {"examples": templates["examples"]}}
+    if asked.examples is not None:
+        others = [one for one in templates["examples"] if one not in (CLIPS, LABELS)]
+        templates["examples"] = [*([CLIPS] if "clips" in asked.examples else []), LABELS, *others]
+    chosen = {"method": asked.method, "where": (asked.where or "").strip() or None}
+    annotate |= {key: value for key, value in chosen.items() if value is not None}
+    return {"learn_templates": {"params": templates}, **stages, "annotate": {"params": annotate}}
+
+
+def _given(store: Store, stage: str) -> Row:
+    """Return the parameters that a stage was given."""
+    record = store.manifest.stages.get(stage)
+    summary = record.summary if record is not None else {}
+    found: Row = dict(summary.get("given", summary.get("params", {})))
+    if "${" in json.dumps(found):
+        raise KinedexError(
+            f"a parameter of {stage} has '${{' in it, which a pipeline file cannot repeat: run it by hand"
+        )
+    return found
+
+
+def _file(archive: Archive) -> Path:
+    return archive.path / FOLDER / f"{PIPELINE}.yaml"
+
+
+def _record_file(archive: Archive) -> Path:
+    return archive.path / FOLDER / f"{PIPELINE}.json"
+
+
+def _last(archive: Archive) -> Row | None:
+    path = _record_file(archive)
+    if not path.is_file():
+        return None
+    try:
+        found: Row = json.loads(path.read_text(encoding="utf-8"))
+        return found if {"before", "after", "undone"} <= found.keys() else None
+    except (ValueError, AttributeError):
+        return None
+
+
+def _write(path: Path, text: str) -> None:
+    path.parent.mkdir(exist_ok=True)
+    with whole_file(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def learn(archive: Archive, asked: LearnQuestion, _request: Request) -> Row:
+    """Start to learn again and to annotate."""
+    store = archive.store()
+    if any(job.title == TITLE and job.state in ("waiting", "running") for job in jobs_of(archive).every()):
+        raise ConflictError("it is being learned again already; stop that job first, or wait for it")
+    stages = learning_stages(store, asked)
+    document = {
+        "name": PIPELINE,
+        "description": "Templates from the labels of people too, and annotations with them.",
+        "stages": stages,
+    }
+    _write(_file(archive), yaml.safe_dump(document, sort_keys=False, allow_unicode=True))
+    stage = stage_of(store, None)
+    before = {"before": open_store(archive.path, at="newest").manifest.version, "stage": stage}
+
+    def note(job: Job) -> None:
+        after = open_store(archive.path, at="newest").manifest.version
+        record = {**before, "after": after, "undone": False, "job": job.id}
+        if after != before["before"]:
+            _write(_record_file(archive), json.dumps(record))
+
+    words = run_words(archive, _file(archive))
+    return jobs_of(archive).add(Job(TITLE, words, len(stages), then=note)).shown()
+
+
+TITLE = "Learn again"
+
+
+def changes(archive: Archive, _request: Request) -> Row:
+    """Return what the last run changed: annotations that were added, that are gone, and that were moved or renamed."""
+    last = _last(archive)
+    if last is None:
+        return {"last": None, "counts": {}, "takes": 0, "total": 0, "rows": []}
+    try:
+        sides = [open_store(archive.path, at=last[key]) for key in ("before", "after")]
+    except StoreError as fault:
+        raise KinedexError(f"what was learned last cannot be compared any more: {fault}") from None
+    old = _segments(sides[0], last["stage"]) if last["stage"] is not None else []
+    found = [one for one in differences(old, _segments(sides[1], f"{PIPELINE}/annotate")) if one.change != "same"]
+    ids = archive.store().take_ids
+    rows = [_row(one, ids) for one in found[:MOST_CHANGES]]
+    return {
+        "last": last,
+        "counts": dict(Counter(one.change for one in found)),
+        "takes": len({row["take"] for row in map(_names, found)}),
+        "total": len(found),
+        "rows": rows,
+        "current": current_pipeline(archive.store().manifest),
+    }
+
+
+def _names(one: Difference) -> Row:
+    shown = one.after or one.before
+    assert shown is not None
+    return {"take": shown.take, "class": shown.label, "start": int(shown.start), "stop": int(shown.stop)}
+
+
+def _row(one: Difference, ids: dict[str, int]) -> Row:
+    before = one.before and {"class": one.before.label, "start": int(one.before.start), "stop": int(one.before.stop)}
+    named = _names(one)
+    return {**named, "take_id": ids.get(named["take"]), "change": one.change, "before": before}
+
+
+def _segments(store: Store, stage: str) -> list[Segment]:
+    rows = store.result("annotations", run=store.manifest.stages[annotate_stage(store, stage)].run)
+    return [Segment(row["take"], row["class"], row["start"], row["stop"]) for row in rows.to_pylist()]
+
+
+def undo(archive: Archive, _asked: NoQuestion, _request: Request) -> Row:
+    """Start to bring the annotations back that were current before the last run."""
+    last = _last(archive)
+    if last is None or last["undone"]:
+        raise KinedexError("nothing was learned again that could be undone")
+    open_store(archive.path, at=last["before"])
+
+    def note(_job: Job) -> None:
+        _write(_record_file(archive), json.dumps({**last, "undone": True}))
+
+    words = ("use", str(archive.path), PIPELINE, "--at", str(last["before"]), "--wait", "10m")
+    return jobs_of(archive).add(Job("Undo what was learned", words, then=note)).shown()
+
+
+routes = [
+    get("/api/learn", learning_facts),
+    post("/api/learn", learn, LearnQuestion, writes=True),
+    get("/api/learn/changes", changes),
+    post("/api/learn/undo", undo, NoQuestion, writes=True),
+]

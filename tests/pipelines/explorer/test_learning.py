@@ -1,0 +1,105 @@
+"""Learning again from the page: a job of the command line, what it changed, and the way back."""
+
+from __future__ import annotations
+
+import time
+import uuid
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+
+import kinedex
+from kinedex.pipelines.explorer.archive import Archive
+from kinedex.pipelines.explorer.jobs import Job, Jobs
+from kinedex.storage.index.builder import build_index
+from kinedex.storage.store.store import open_store
+from tests.pipelines.explorer.conftest import Connect
+from tests.pipelines.labelled import long_take, write_store
+
+Json = dict[str, Any]
+SECONDS = 120
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store of takes without a class, in one of which a person has labelled a walk and a kick."""
+    names = ("ann", "bob", "cat")
+    takes = [long_take(f"{one}_take", one, "rest", "walk", "rest", "kick", "rest") for one in names]
+    path = write_store(tmp_path_factory.mktemp("learning") / "store", takes)
+    build_index(open_store(path, at="newest"))
+    rows = [{"take": "ann_take", "class": "walk", "start": 5, "stop": 25}]
+    rows += [{"take": "ann_take", "class": "kick", "start": 30, "stop": 55}]
+    kinedex.open_store(path).labels.add(rows, annotator="ann")
+    return path
+
+
+def wait_for(client: TestClient, id: str) -> Json:
+    """Return a job when it has ended."""
+    deadline = time.monotonic() + SECONDS
+    while time.monotonic() < deadline:
+        (job,) = (one for one in client.get("/api/jobs").json()["jobs"] if one["id"] == id)
+        if job["state"] not in ("waiting", "running"):
+            found: Json = job
+            return found
+        time.sleep(0.1)
+    raise AssertionError("the job did not end")
+
+
+def test_few_labels_alone_annotate_an_archive_and_it_can_be_undone(connect: Connect, archive: Path) -> None:
+    client = connect(archive)
+    facts = client.get("/api/learn").json()
+    assert (facts["based_on"], facts["examples"], facts["method"], facts["last"]) == (None, "labels", "best", None)
+    started = client.post("/api/learn", json={})
+    assert started.status_code == 200, started.text
+    assert client.post("/api/learn", json={}).status_code == 409
+    job = wait_for(client, started.json()["id"])
+    log = client.get(f"/api/jobs/{job['id']}/log").json()["text"]
+    assert job["state"] == "done", log
+    assert (job["done"], job["total"]) == (2, 2)
+    assert "learn_templates" in log
+    changes = client.get("/api/learn/changes").json()
+    assert changes["takes"] == 3
+    assert {row["class"] for row in changes["rows"]} == {"walk", "kick"}
+    assert {row["change"] for row in changes["rows"]} == {"added"}
+    assert client.get("/api/labels").json()["learned"]["since"] == 0
+    found = kinedex.open_store(archive).results("annotations")
+    assert found.filter(found["take"] == "cat_take").height == 2
+    client.post("/api/learn/undo", json={})
+    undone = client.get("/api/jobs").json()["jobs"][-1]
+    assert undone["command"].endswith(f"learn-again --at {changes['last']['before']} --wait 10m")
+    assert wait_for(client, undone["id"])["state"] == "done"
+    assert kinedex.open_store(archive).results("annotations").height == 0
+    assert client.get("/api/learn").json()["last"]["undone"]
+    assert client.post("/api/learn/undo", json={}).status_code == 400
+
+
+def test_a_job_that_waits_or_runs_is_stopped(archive: Path) -> None:
+    opened = Archive(archive)
+    jobs = Jobs(opened)
+    first = jobs.add(
+        Job("first", ("sql", str(archive), "SELECT count(*) FROM range(100000000000)", "--timeout", "100s"))
+    )
+    second = jobs.add(Job("second", ("takes", "list", str(archive))))
+    deadline = time.monotonic() + SECONDS
+    while not (jobs.log_file(first).is_file() and first.state == "running") and time.monotonic() < deadline:
+        time.sleep(0.05)
+    jobs.stop(second)
+    assert second.state == "stopped"
+    jobs.end()
+    assert first.state == "stopped"
+    assert first.finished is not None
+
+
+def test_a_job_that_fails_names_its_problem(connect: Connect, archive: Path) -> None:
+    jobs = Jobs(Archive(archive))
+    job = jobs.add(Job("wrong", ("use", str(archive), f"none-{uuid.uuid4().hex}")))
+    deadline = time.monotonic() + SECONDS
+    while job.finished is None and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert job.state == "failed"
+    assert job.problem is not None
+    assert "no pipeline" in job.problem
+    jobs.end()
+    assert connect(archive, read_only=True).post("/api/learn", json={}).status_code == 403
