@@ -84,17 +84,19 @@ def queue(archive: Archive, asked: QueueQuestion, _request: Request) -> Row:
 def with_verdicts(store: Store, annotations: pl.DataFrame) -> pl.DataFrame:
     """Return annotations with the verdict of the label that decides on each, and its id as `label`.
 
-    A label decides on an annotation of its class or subclass with the same edges; one that a person has corrected
-    decides on the annotations that it overlaps.
+    A label decides on an annotation of its class or subclass with the same edges; a corrected one decides on the
+    annotations that it overlaps, and any other that the frames show the class, on those with which it shares half of
+    the frames of both: annotations that were learned again begin and end a little elsewhere.
     """
     labels = data_frame(store.labels()).filter(pl.col("limb").is_null())
     labels = labels.select("take", "start", "stop", pl.col("class").alias("named"), "verdict", "id", "origin")
     known = annotations.with_row_index("row")
     same = known.join(labels, on=_PLACE).filter(_has_name())
-    moved = known.join(labels.filter(pl.col("origin") == "corrected"), on="take", suffix="_label")
-    moved = moved.filter(
-        _has_name() & (pl.col("start_label") < pl.col("stop")) & (pl.col("start") < pl.col("stop_label"))
-    )
+    others = labels.filter((pl.col("origin") == "corrected") | (pl.col("verdict") == "positive"))
+    moved = known.join(others, on="take", suffix="_label").filter(_has_name())
+    common = pl.min_horizontal("stop", "stop_label") - pl.max_horizontal("start", "start_label")
+    whole = pl.max_horizontal("stop", "stop_label") - pl.min_horizontal("start", "start_label")
+    moved = moved.filter((common > 0) & ((pl.col("origin") == "corrected") | (2 * common >= whole)))
     columns = ["row", "verdict", pl.col("id").alias("label")]
     decided = pl.concat([same.select(columns), moved.select(columns)]).unique("row", keep="first", maintain_order=True)
     return known.join(decided, on="row", how="left", maintain_order="left").drop("row")

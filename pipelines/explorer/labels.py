@@ -270,10 +270,11 @@ def label_facts(archive: Archive, _request: Request) -> Row:
     Returns
     -------
     dict
-        `labels`, the number that count; `decisions`, that of all rows; `classes` of the store (of takes, labels and annotations), each with `name`
-        and the number of `positive` and `negative` labels; `annotator`, the name that new labels get unless a person
-        gives another; `annotators`; `takes`, the number of takes with labels; and `learned`, with the stage of the
-        templates of the current annotations, the time when they were learned, and the number of decisions `since`.
+        `labels`, the number that count; `decisions`, that of all rows; `classes` of the store (of takes, labels and
+        annotations), each with `name` and the number of `positive` and `negative` labels; `annotator`, the name that
+        new labels get unless a person gives another; `annotators`; `takes`, the number of takes with labels; and
+        `learned`, with the stage of the current annotations, the time when its templates were learned, and the number
+        of decisions `since`.
     """
     store = archive.store()
     labels = store.labels()

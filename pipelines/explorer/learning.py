@@ -11,14 +11,18 @@ comes back with its version (`kinedex use STORE learn-again --at VERSION`).
 
 from __future__ import annotations
 
+import fnmatch
+import glob
 import json
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import yaml
 from pydantic import Field
 
+from kinedex.catalog.classes import OWN, class_files
 from kinedex.ops.errors import ConflictError, KinedexError, StoreError
 from kinedex.pipelines.annotation.labels import annotate_stage
 from kinedex.pipelines.explorer.addresses import Question, get, post
@@ -150,6 +154,7 @@ def learn(archive: Archive, asked: LearnQuestion, _request: Request) -> Row:
     if any(job.title == TITLE and job.state in ("waiting", "running") for job in jobs_of(archive).every()):
         raise ConflictError("it is being learned again already; stop that job first, or wait for it")
     stages = learning_stages(store, asked)
+    _put_classes(archive, store, stages)
     document = {
         "name": PIPELINE,
         "description": "Templates from the labels of people too, and annotations with them.",
@@ -170,6 +175,49 @@ def learn(archive: Archive, asked: LearnQuestion, _request: Request) -> Row:
 
 
 TITLE = "Learn again"
+
+
+def _put_classes(archive: Archive, store: Store, stages: Row) -> None:
+    """Let the classes that people have labelled be annotated, where a class file does not have them.
+
+    The extended file stands beside the pipeline's. Without clips a class file cannot be used, since it names subclasses
+    that only clips have: then every class of a label is one of its own.
+    """
+    annotate = stages["annotate"]["params"]
+    files = class_files(annotate.get("classes", OWN))
+    if not files:
+        return
+    if CLIPS not in stages["learn_templates"]["params"]["examples"]:
+        annotate["classes"] = OWN
+        return
+    labels = store.labels().to_pylist()
+    names = sorted({row["class"] for row in labels if row["verdict"] == "positive" and row["limb"] is None})
+    text = files[0].read_text(encoding="utf-8")
+    added = classes_with(yaml.safe_load(text), names)
+    if added is not None:
+        _write(path := archive.path / FOLDER / f"{PIPELINE}-classes.yaml", added)
+        annotate["classes"] = str(path.absolute())
+
+
+def classes_with(classes: Row, names: Sequence[str]) -> str | None:
+    """Return the text of a class file with further subclasses; None where it has them all.
+
+    Parameters
+    ----------
+    classes : dict
+        Class → its subclasses, or an entry with `subclasses`, as in a class file.
+    names : sequence of str
+        Subclasses. One that no entry takes becomes a class of its own; one that bears the name of a class joins it.
+    """
+    entries = {
+        str(name): entry if isinstance(entry, dict) else {"subclasses": entry} for name, entry in classes.items()
+    }
+    taken = [pattern for entry in entries.values() for pattern in entry.get("subclasses", ())]
+    missing = [name for name in names if not any(fnmatch.fnmatchcase(name, pattern) for pattern in taken)]
+    for name in missing:
+        entry = entries.setdefault(name, {"description": "labelled by people", "subclasses": []})
+        entry["subclasses"] = [*entry["subclasses"], glob.escape(name)]
+    return yaml.safe_dump(entries, sort_keys=False, allow_unicode=True) if missing else None
 
 
 def changes(archive: Archive, _request: Request) -> Row:

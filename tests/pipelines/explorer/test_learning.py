@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from starlette.testclient import TestClient
 
 import kinedex
 from kinedex.pipelines.explorer.archive import Archive
 from kinedex.pipelines.explorer.jobs import Job, Jobs
+from kinedex.pipelines.explorer.learning import classes_with
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.store import open_store
 from tests.pipelines.explorer.conftest import Connect
@@ -103,3 +105,15 @@ def test_a_job_that_fails_names_its_problem(connect: Connect, archive: Path) -> 
     assert "no pipeline" in job.problem
     jobs.end()
     assert connect(archive, read_only=True).post("/api/learn", json={}).status_code == 403
+
+
+def test_a_class_file_gets_the_classes_that_people_have_labelled() -> None:
+    classes = {"kick": ["kick*"], "squat": {"description": "down", "subclasses": ["squat1Reps"]}}
+    assert classes_with(classes, ["kickLeft", "squat1Reps"]) is None
+    text = classes_with(classes, ["squat", "walk [slow]"])
+    assert text is not None
+    assert yaml.safe_load(text) == {
+        "kick": {"subclasses": ["kick*"]},
+        "squat": {"description": "down", "subclasses": ["squat1Reps", "squat"]},
+        "walk [slow]": {"description": "labelled by people", "subclasses": ["walk [[]slow]"]},
+    }
