@@ -185,6 +185,24 @@ def write_hdf5(path: Path, samples: Samples, *, opal: bool = False) -> Path:
     return path
 
 
+def write_opal4(path: Path, samples: Samples) -> Path:
+    """An HDF5 file of Opal in its fourth version, as others read it."""
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        file.attrs["FileFormatVersion"] = 4
+        file.attrs["CaseIdList"] = np.array([b"SI-000738", b"SI-000739"])
+        file.attrs["MonitorLabelList"] = np.array([b"Lumbar\0\0", b"Left Foot"])
+        for number in ("SI-000738", "SI-000739"):
+            group = file.create_group(number)
+            group.attrs["SampleRate"] = np.int32(samples.rate_hz)
+            group["Time"] = 1_350_879_504_438_281 + np.rint(samples.times * 1e6).astype(np.uint64)
+            for name, values in (("Accelerometers", samples.acc), ("Gyroscopes", samples.gyr),
+                                 ("Magnetometers", samples.mag), ("Orientation", samples.orientation)):  # fmt: skip
+                group[f"Calibrated/{name}"], group[f"Raw/{name}"] = values, values * 1000
+    return path
+
+
 def mvnx_text(samples: Samples) -> str:
     """An MVNX file with the orientations of two sensors."""
     frames = [

@@ -19,6 +19,7 @@ from tests.imu_files import (
     opal_text,
     turning,
     write_hdf5,
+    write_opal4,
     write_parquet,
     write_xio,
 )
@@ -77,12 +78,11 @@ def parquet() -> dict[str, bytes]:
 
 
 def hdf5() -> dict[str, bytes]:
-    """A file of Opal, and one of data sets by name."""
+    """Files of Opal in both layouts, and one of data sets by name."""
     with tempfile.TemporaryDirectory() as folder:
-        return {
-            name: write_hdf5(Path(folder) / "a.h5", KNOWN, opal=opal).read_bytes()
-            for name, opal in (("opal", True), ("names", False))
-        }
+        path = Path(folder) / "a.h5"
+        found = {name: write_hdf5(path, KNOWN, opal=name == "opal").read_bytes() for name in ("opal", "names")}
+        return found | {"opal4": write_opal4(path, KNOWN).read_bytes()}
 
 
 def sensor_sets() -> dict[str, bytes]:

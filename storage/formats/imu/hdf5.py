@@ -1,8 +1,10 @@
 """HDF5 files of sensors: those of Opal (APDM), and any other by the names of its data sets.
 
 Opal's are `Sensors/<id>/Accelerometer`, `Gyroscope`, `Magnetometer` and `Time` (µs), `Processed/<id>/Orientation`, and
-the name of a sensor in the attribute `Label 0` of its configuration. Their layout is that of the manual and of other
-people's code, since no file is given; what is missing is not asked for.
+the name of a sensor in the attribute `Label 0` of its configuration. Older files (versions 3 and 4) have
+`<id>/Calibrated/Accelerometers`, `Gyroscopes`, `Magnetometers`, `Orientation` and `<id>/Time`, the rate in `SampleRate`
+of `<id>`, and the names in `MonitorLabelList` of the file, in the order of its `CaseIdList`. Both layouts are those of
+the manual and of other people's code, since no file is given; what is missing is not asked for.
 
 Other data sets are columns as in a table: `imu_acc` of three columns is imu_acc/x, imu_acc/y and imu_acc/z. The rate is
 an attribute `sampling_rate`, `sample_rate`, `rate_hz` or `fs` of the file or of a group.
@@ -14,7 +16,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -29,8 +31,27 @@ F64 = npt.NDArray[np.float64]
 _OPAL = {"acc": ("Accelerometer", "Accelerometers"), "gyr": ("Gyroscope", "Gyroscopes"),
          "mag": ("Magnetometer", "Magnetometers")}  # fmt: skip
 _OPAL_UNITS = {"acc": "m/s2", "gyr": "rad/s", "mag": "uT"}
-_RATES = ("sampling_rate", "sample_rate", "sample rate", "samplingrate", "rate_hz", "fs")
+_RATES = ("sampling_rate", "sample_rate", "sample rate", "samplingrate", "samplerate", "rate_hz", "fs")
 _AXES = {3: "xyz", 4: "wxyz"}
+
+
+class _Layout(NamedTuple):
+    """The places of a sensor in a file of Opal: a pattern with its number, and places for {0}, the number."""
+
+    device: str
+    readings: str
+    time: str
+    orientation: str
+
+
+_LAYOUTS = (
+    _Layout(
+        r"Sensors/([^/]+)/(?:Accelerometer|Gyroscope)s?", "Sensors/{0}", "Sensors/{0}/Time", "Processed/{0}/Orientation"
+    ),
+    _Layout(
+        r"([^/]+)/Calibrated/(?:Accelerometer|Gyroscope)s?", "{0}/Calibrated", "{0}/Time", "{0}/Calibrated/Orientation"
+    ),
+)
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -47,17 +68,15 @@ def read(path: Path, given: Given) -> list[RawSensor]:
         The file is damaged, or has no data sets of a sensor.
     """
     contents = hdf5_contents(path)
-    devices = [
-        name.split("/")[1]
-        for name in contents.datasets
-        if re.fullmatch(r"Sensors/[^/]+/(Accelerometer|Gyroscope)s?", name)
-    ]
-    if devices and given.sensor_set.entries.columns is None:
-        return _opal(path, contents, list(dict.fromkeys(devices)))
+    if given.sensor_set.entries.columns is None:
+        for layout in _LAYOUTS:
+            found = (re.fullmatch(layout.device, name) for name in contents.datasets)
+            if devices := list(dict.fromkeys(match[1] for match in found if match)):
+                return _opal(path, contents, devices, layout)
     return _by_columns(path, contents, given)
 
 
-def _opal(path: Path, contents: Hdf5Contents, devices: list[str]) -> list[RawSensor]:
+def _opal(path: Path, contents: Hdf5Contents, devices: list[str], layout: _Layout) -> list[RawSensor]:
     if len(devices) > MOST_SENSORS:
         raise SourceError(path, f"has {len(devices)} sensors, and {MOST_SENSORS} are read at most")
     names = {device: _label(contents, device) or device for device in devices}
@@ -67,12 +86,12 @@ def _opal(path: Path, contents: Hdf5Contents, devices: list[str]) -> list[RawSen
         label = names[device]
         sensor = RawSensor(label if labels[label] == 1 else f"{label} {device}", units=dict(_OPAL_UNITS), frame=NWU)
         sensor.frame_assumed = True
-        wanted = {"times": f"Sensors/{device}/Time", "orientation": f"Processed/{device}/Orientation"}
+        wanted = {"times": layout.time.format(device), "orientation": layout.orientation.format(device)}
         for channel, words in _OPAL.items():
-            places = [f"Sensors/{device}/{word}" for word in words]
+            places = [f"{layout.readings.format(device)}/{word}" for word in words]
             wanted[channel] = next((place for place in places if place in contents.datasets), places[0])
         _set(path, sensor, contents, wanted)
-        sensor.rate_hz = _rate(contents, f"Sensors/{device}/Configuration", f"Sensors/{device}", "")
+        sensor.rate_hz = _rate(contents, f"Sensors/{device}/Configuration", f"Sensors/{device}", device, "")
         if sensor.times is not None:
             sensor.times, sensor.absolute = sensor.times * 1e-6, True
         found.append(sensor)
@@ -97,11 +116,17 @@ def _set(path: Path, sensor: RawSensor, contents: Hdf5Contents, wanted: Mapping[
 
 
 def _label(contents: Hdf5Contents, device: str) -> str | None:
-    """Return the name of an Opal, of the attribute `Label 0` of one of its groups."""
+    """Return the name of an Opal, of the attribute `Label 0` of one of its groups, or of the file's list of labels."""
     for group in (f"Sensors/{device}/Configuration", f"Sensors/{device}", f"Processed/{device}"):
         label = contents.attributes.get(group, {}).get("Label 0")
         if isinstance(label, str) and label.strip():
             return label.strip()
+    lists = [contents.attributes.get("", {}).get(name) for name in ("CaseIdList", "MonitorLabelList")]
+    numbers, labels = ([one] if isinstance(one, str) else one for one in lists)
+    if isinstance(numbers, list) and isinstance(labels, list):
+        for number, label in zip(numbers, labels, strict=False):
+            if number.strip() == device and label.strip():
+                return str(label.strip())
     return None
 
 

@@ -45,13 +45,16 @@ def describe(path: str) -> dict[str, Any]:
     return {"datasets": datasets, "attributes": attributes}
 
 
-def plain(attributes: Any, key: str) -> str | float | None:
-    """Return an attribute that is a short text or one number; None for any other."""
+def plain(attributes: Any, key: str) -> str | float | list[str] | None:
+    """Return an attribute that is a short text, one number, or a short list of texts; None for any other."""
     if attributes.get_id(key).get_storage_size() > _MOST_TEXT:
         return None
     value = attributes[key]
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.reshape(())[()]
+    if isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype.kind in "SO":
+        texts = [one.decode("utf-8", "replace") if isinstance(one, bytes) else one for one in value.tolist()]
+        return [one.rstrip("\0 ") for one in texts] if all(isinstance(one, str) for one in texts) else None
     if isinstance(value, bytes):
         value = value.decode("utf-8", "replace")
     if isinstance(value, str):

@@ -57,7 +57,7 @@ class Hdf5Contents:
     datasets : dict of str to Dataset
         Path → data set; a field of a compound one is `path/field`.
     attributes : dict of str to dict
-        Path of a group or data set, "" for the file → its short texts and single numbers.
+        Path of a group or data set, "" for the file → its short texts, lists of texts, and single numbers.
     """
 
     datasets: dict[str, Dataset]

@@ -28,6 +28,7 @@ from tests.imu_files import (
     opal_text,
     turning,
     write_hdf5,
+    write_opal4,
     write_parquet,
     write_xio,
 )
@@ -65,6 +66,9 @@ FILES: dict[str, tuple[Callable[[Path], Path], str, list[str], str]] = {
     "dot": (text(dot_text(KNOWN), "a.csv"), "dot", ["left"], "gq"),
     "opal": (text(opal_text(KNOWN), "a.csv"), "opal", ["Lumbar", "Foot"], "agmq"),
     "opal, format 7": (text(opal7_text(KNOWN), "a.csv"), "opal", ["Lumbar", "Foot"], "agmq"),
+    "opal, HDF5, version 4": (
+        lambda folder: write_opal4(folder / "a.h5", KNOWN), "hdf5", ["Lumbar", "Left Foot"], "agmq",
+    ),
     "opal, HDF5": (lambda folder: write_hdf5(folder / "a.h5", KNOWN, opal=True), "hdf5", ["Lumbar"], "agmq"),
     "x-IMU3": (lambda folder: write_xio(folder, KNOWN)[0], "xio", ["a"], "agq"),
     "NGIMU": (lambda folder: write_xio(folder, KNOWN)[1], "xio", ["a"], "agmq"),
