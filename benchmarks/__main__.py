@@ -12,6 +12,7 @@ from benchmarks import (
     depth_frame,
     depth_lookup,
     depth_recordings,
+    explorer,
     indexing,
     inertial,
     inertial_take,
@@ -46,6 +47,7 @@ PARTS: dict[str, Callable[[Store], Sequence[Figure]]] = {
     "depth_frame": depth_frame.figures,
     "depth_lookup": lambda opened: list(depth_lookup.figures(opened)),
     "depth_recordings": depth_recordings.figures,
+    "explorer": lambda _: explorer.figures(),
     "inertial": lambda _: inertial.figures(),
     "inertial_take": lambda _: inertial_take.figures(),
 }

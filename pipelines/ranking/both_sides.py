@@ -71,7 +71,8 @@ def rank_both_sides(
         The feature set names no pairs of left and right, or `rank_takes` raises it.
     """
     found: dict[int, Ranking] = {}
-    asked = top
+    # the same motion of both sides of the body is in both lists, and counts once
+    asked = None if top is None else top + top // 2
     while len(found) < len(templates):
         left = [place for place in range(len(templates)) if place not in found]
         pairs = [one for place in left for one in (templates[place], _image(store, templates[place]))]

@@ -11,6 +11,7 @@ from kinedex.ops.distances.granule_bounds import GRANULE, granule_bounds, granul
 from kinedex.ops.search.bit_slices import GRANULES, slice_words
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import NO_WORD, U64
+from tests.plain_python import slow_as_python
 
 FEATURES = 6
 
@@ -20,6 +21,7 @@ def words_that_stay(rng: np.random.Generator, frames: int, change: float) -> U64
     return drawn[np.cumsum(rng.random(frames) < change)]
 
 
+@slow_as_python
 @settings(max_examples=60, deadline=None)
 @given(
     lengths=st.lists(st.integers(0, 150), min_size=1, max_size=4),
