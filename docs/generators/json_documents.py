@@ -67,8 +67,8 @@ DOCUMENTS: dict[str, dict[str, str]] = {
     **{
         f"labels {name}": {
             **_STORE,
-            "counts": "number of new labels by origin (`imported`, `accepted`, `corrected`, `drawn`), or `rejected` or "
-            "`removed`",
+            "counts": "number of new labels by origin (`imported`, `accepted`, `corrected`, `drawn`), or "
+            "`without errors`, `rejected` or `removed`",
             "known": "number of decisions that the store had already",
             "remarks": "what was excluded, and why",
             "labels": "the new rows, with the columns of a label and without those that the view adds",

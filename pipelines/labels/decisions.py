@@ -59,14 +59,14 @@ class Recorded:
 
     @property
     def counts(self) -> dict[str, int]:
-        """The number of new rows by origin, those with a negative verdict as "rejected"."""
-        names = (
-            "rejected" if verdict == "negative" else "removed" if verdict == "withdrawn" else origin
-            for verdict, origin in zip(
-                *(self.rows.column(name).to_pylist() for name in ("verdict", "origin")), strict=True
-            )
-        )
-        return dict(Counter(names))
+        """The number of new rows by origin, those with a negative verdict as "rejected".
+
+        Imported rows with a negative verdict, on limbs that were looked at, count as "without errors".
+        """
+        pairs = zip(*(self.rows.column(name).to_pylist() for name in ("verdict", "origin")), strict=True)
+        names = {("negative", "imported"): "without errors"}
+        by_verdict = {"negative": "rejected", "withdrawn": "removed"}
+        return dict(Counter(names.get(pair) or by_verdict.get(pair[0], pair[1]) for pair in pairs))
 
 
 def record(store: Store, rows: Sequence[Mapping[str, Any]], remarks: Iterable[str] = ()) -> Recorded:

@@ -56,7 +56,8 @@ def rows(store: Store) -> list[tuple[object, ...]]:
 def test_nothing_of_a_file_is_lost_on_the_way_in_and_out(store: Path, tmp_path: Path) -> None:
     file = tmp_path / "labels.csv"
     file.write_text(FILE)
-    found = imported(store, file)
+    assert "10 labels recorded (6 imported, 4 without errors)" in run("labels", "import", store, file)
+    found = set(rows(open_store(store)))
     frames = open_store(store, at="newest").take_frames[1]
     assert found == {
         ("a_take01", "error", 0, 10, "lshank", "A1", "positive"),
