@@ -88,7 +88,6 @@ function OpenTake({ document, store }: { document: TakeDocument; store: StoreFac
     session.seek(found.start);
     set({ beside: found.example.take, step: "hit", bfrom: String(found.example.start), bto: String(found.example.stop) });
   };
-  const none = templates.data?.templates.length === 0;
   const fault = motionFault ?? wordsFault ?? lanes.error ?? templates.error ?? faults[0];
   return (
     <div className="page take">
@@ -123,27 +122,7 @@ function OpenTake({ document, store }: { document: TakeDocument; store: StoreFac
         </aside>
       </div>
       <section aria-label="Lanes" className="take-lanes">
-        <Group gap={10} className="take-tools">
-          <Title order={2}>Lanes</Title>
-          <MultiSelect
-            size="xs"
-            aria-label="Templates whose distance curves are shown"
-            placeholder={names.length > 0 ? "" : none ? "No templates in this store yet" : "Distance curves of templates"}
-            disabled={none}
-            searchable
-            maxValues={8}
-            data={(templates.data?.templates ?? [])
-              .filter((one) => one.applied && one.kind === "soft")
-              .map((one) => one.name)
-              .filter((one, i, all) => all.indexOf(one) === i)}
-            value={[...names]}
-            onChange={setNames}
-            className="take-templates"
-          />
-          <Text size="xs" className="muted take-hint">
-            wheel: zoom · Shift and wheel: pan · drag: select · double click: select a run · ? lists the keys
-          </Text>
-        </Group>
+        <LaneTools templates={templates.data} names={names} setNames={setNames} />
         <LanesView
           session={session}
           words={words}
@@ -159,6 +138,39 @@ function OpenTake({ document, store }: { document: TakeDocument; store: StoreFac
         <RunsTable session={session} lanes={every} features={store.features} words={words} />
       </section>
     </div>
+  );
+}
+
+function LaneTools({
+  templates,
+  names,
+  setNames,
+}: {
+  templates: TakeTemplates | undefined;
+  names: readonly string[];
+  setNames: (names: string[]) => void;
+}) {
+  const offered = (templates?.templates ?? []).filter((one) => one.applied && one.kind === "soft");
+  const none = templates?.templates.length === 0;
+  return (
+    <Group gap={10} className="take-tools">
+      <Title order={2}>Lanes</Title>
+      <MultiSelect
+        size="xs"
+        aria-label="Templates whose distance curves are shown"
+        placeholder={names.length > 0 ? "" : none ? "No templates in this store yet" : "Distance curves of templates"}
+        disabled={none}
+        searchable
+        maxValues={8}
+        data={[...new Set(offered.map((one) => one.name))]}
+        value={[...names]}
+        onChange={setNames}
+        className="take-templates"
+      />
+      <Text size="xs" className="muted take-hint">
+        wheel: zoom · Shift and wheel: pan · drag: select · double click: select a run · ? lists the keys
+      </Text>
+    </Group>
   );
 }
 

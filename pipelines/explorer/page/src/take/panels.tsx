@@ -75,21 +75,21 @@ export function PosePanel({
     const items = [...(list.current?.children ?? [])] as HTMLElement[];
     if (words === null) return;
     const hidden = items.map(() => true);
-    let said = "?";
+    let written = "?";
     return session.paint(() => {
       const frame = Math.min(words.frames - 1, Math.floor(session.seen));
       let count = 0;
       features.forEach(({ bit }, i) => {
-        const on = words.on(frame, bit);
+        const on = words.on(frame, bit) && !unknown.has(bit);
         if (on) count++;
         if (hidden[i] === !on) return;
         hidden[i] = !on;
         (items[i] as HTMLElement).hidden = !on;
       });
       const text = words.valid(frame) ? (count === 0 ? "No feature holds." : "") : "The frame is invalid: nothing is known.";
-      if (text !== said && note.current !== null) note.current.textContent = said = text;
+      if (text !== written && note.current !== null) note.current.textContent = written = text;
     });
-  }, [session, words, features]);
+  }, [session, words, features, unknown]);
   return (
     <Panel title="Features of the pose">
       <ul ref={list} className="pose-features">
