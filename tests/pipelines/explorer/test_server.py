@@ -138,12 +138,11 @@ def test_ctrl_c_ends_a_server_quietly_though_a_page_listens(copy: Path, built: P
     connection, stream = events_of(one)
     assert stream.readline()
     one.process.send_signal(signal.SIGINT)
-    out, faults = one.process.communicate(timeout=SECONDS)
+    _, faults = one.process.communicate(timeout=SECONDS)
     connection.close()
     assert one.process.returncode == 130
     assert faults.startswith("kinedex: stopped")
     assert faults.count("\n") == 1, faults
-    assert out == "Ctrl-C stops the server\n"
 
 
 def test_a_port_in_use_is_named_with_a_way_out() -> None:

@@ -11,6 +11,7 @@ const DIALOG = {
 
 export const theme = createTheme({
   primaryColor: "blue",
+  primaryShade: 8, // white on a lighter blue is too faint to read
   fontFamily: "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif",
   fontFamilyMonospace: "ui-monospace, SFMono-Regular, Menlo, Consolas, monospace",
   defaultRadius: "sm",
@@ -48,6 +49,18 @@ export const CLASS_COLOURS: readonly (readonly [string, string])[] = [
   ["#653b69", "#985b93"],
 ];
 
+/** Text on the tinted backgrounds of badges and alerts on white: Mantine's own are too faint to read. */
+const TINTED = {
+  "--mantine-color-red-light-color": "#a11414",
+  "--mantine-color-orange-light-color": "#8f3206",
+  "--mantine-color-yellow-light-color": "#744600",
+  "--mantine-color-green-light-color": "#1b612a",
+  "--mantine-color-teal-light-color": "#0a5a42",
+  "--mantine-color-blue-light-color": "#0b5cad",
+  "--mantine-color-violet-light-color": "#5a31b0",
+  "--mantine-color-gray-light-color": "#3d444c",
+};
+
 /** The variables --kx-… of the page; a class i has the colour var(--kx-class-i). */
 export const variables: CSSVariablesResolver = () => ({
   variables: {},
@@ -64,6 +77,8 @@ export const variables: CSSVariablesResolver = () => ({
     "--kx-link": "#0b5cad",
     "--kx-warning": "#a1260d",
     "--mantine-color-error": "#a1260d",
+    "--mantine-color-anchor": "#0b5cad",
+    ...TINTED,
     ...classVariables(0),
   },
   dark: {

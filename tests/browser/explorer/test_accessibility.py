@@ -1,0 +1,66 @@
+"""Every page of the explorer by the rules of axe: names, roles, landmarks and contrast, in light and in dark."""
+
+from __future__ import annotations
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from kinedex.pipelines.explorer.application import BUILT
+from tests.browser.explorer.conftest import Open
+
+AXE = BUILT.parent / "page" / "node_modules" / "axe-core" / "axe.min.js"
+
+PAGES = ["/", "/?view=quality", "/take/x_al_long_1", "/ask", "/label", "/templates", "/runs", "/export"]
+
+
+def violations(page: Page) -> list[str]:
+    """Return the rules that a page breaks, each with the element and what to do."""
+    page.evaluate(AXE.read_text(encoding="utf-8") + ";0")
+    found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")
+    return [
+        f"{rule['id']}: {node['target']}: {node['failureSummary']}"
+        for rule in found["violations"]
+        for node in rule["nodes"]
+    ]
+
+
+@pytest.fixture(autouse=True)
+def needs_axe() -> None:
+    if not AXE.is_file():
+        pytest.skip("axe-core is not installed (make page)")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_pages_keep_the_rules(open_page: Open, scheme: str) -> None:
+    page = open_page(scheme=scheme)
+    origin = page.url.rstrip("/")
+    faults = []
+    for path in PAGES:
+        page.goto(origin + path)
+        expect(page.locator("main .page, main .take")).not_to_have_count(0)
+        page.wait_for_timeout(800)
+        faults += [f"{path}: {fault}" for fault in violations(page)]
+    assert not faults, "\n".join(faults)
+
+
+def test_filters_columns_and_keys_keep_the_rules(open_page: Open) -> None:
+    page = open_page()
+    expect(page.get_by_role("gridcell").first).to_be_visible()
+    page.keyboard.press("f")
+    page.get_by_role("combobox", name="Column").fill("class")
+    page.keyboard.press("ArrowDown")
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("checkbox").first).to_be_visible()
+    page.wait_for_timeout(300)  # the opening of what floats is animated, and contrast is measured in it
+    faults = violations(page)
+    page.keyboard.press("Escape")
+    page.get_by_role("button", name="Columns").click()
+    expect(page.get_by_role("checkbox", name="seconds")).to_be_visible()
+    page.wait_for_timeout(300)
+    faults += violations(page)
+    page.keyboard.press("Escape")
+    page.keyboard.press("?")
+    expect(page.get_by_role("dialog", name="Keys")).to_be_visible()
+    page.wait_for_timeout(300)
+    faults += violations(page)
+    assert not faults, "\n".join(faults)
