@@ -213,7 +213,7 @@ if __name__ == "__main__":
     assert {one.WHOSE for one in (storage, catalog, ops, pipelines, configs)} == {"mine"}
     from kinedex.pipelines.synth.archive import write_archive
 
-    write_archive("archive", minutes=1, actors=2, jobs=1, clip_minutes=0.8)
+    write_archive("archive", minutes=0.7, actors=2, jobs=1, clip_minutes=0.6)
     for folder in Path("archive/clips").iterdir():
         if folder.is_dir() and folder.name not in ("squat1Reps", "kickLeft1Reps"):
             shutil.rmtree(folder)  # kernels are not compiled here

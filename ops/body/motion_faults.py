@@ -104,7 +104,7 @@ def motion_faults(positions: F64, joints: tuple[str, ...], rate_hz: float, valid
     valid : bool array (T,)
         The frames that count.
     """
-    positions = np.ascontiguousarray(positions)
+    positions, rate_hz = np.ascontiguousarray(positions), float(rate_hz)
     at = {joint: i for i, joint in enumerate(joints)}
     lost = 1.0 - float(valid.mean()) if len(valid) else UNKNOWN
     if not valid.any() or positions.shape[2] < 4:

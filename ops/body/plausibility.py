@@ -331,7 +331,7 @@ def _motion(
     positions: F64, joints: tuple[str, ...], rate_hz: float, counted: Bool, at: npt.NDArray[np.int64]
 ) -> dict[str, Any]:
     """Return speeds, repeated frames and tempo."""
-    total, number, repeated, steps, fastest, joint, frame, fast = _speeds(positions, counted, rate_hz)
+    total, number, repeated, steps, fastest, joint, frame, fast = _speeds(positions, counted, float(rate_hz))
     if not number:
         return {}
     found: dict[str, Any] = {

@@ -177,7 +177,7 @@ def hinge_orientation(near: F64, far: F64, bend: F64, beyond: bool) -> tuple[F64
     if not valid.any():
         return orientation, valid
     normal = np.where(good[:, None], normal, 0.0)
-    _carry(np.nan_to_num(axis), valid, good, normal)
+    _carry(np.ascontiguousarray(np.nan_to_num(axis)), valid, good, normal)
     x, z = axis[valid], normal[valid]
     columns = np.stack([x, np.cross(z, x), z], axis=2)
     orientation[valid] = from_matrix(columns)

@@ -412,7 +412,7 @@ def frame_cost(
     """Return the cost of one frame with the factors `units` of residuals as they are; see `frame_terms`."""
     pose_nodes(chain, place, turns, room.turned, room.centres)
     place_points(evidence.nodes, evidence.offsets, room.turned, room.centres, room.points)
-    cost = point_cost(evidence, t, room.points, width, units, False) + rest_cost(chain, turns)
+    cost = point_cost(evidence, t, room.points, width, units, np.bool_(False)) + rest_cost(chain, turns)
     return cost + prior_cost(chain, priors, t, turns, room.turned, room.centres)
 
 
@@ -449,4 +449,4 @@ def _observation_costs(
     for t in range(len(places)):
         pose_nodes(chain, places[t], turns[t], room.turned, room.centres)
         place_points(evidence.nodes, evidence.offsets, room.turned, room.centres, room.points)
-        costs[t] = point_cost(evidence, t, room.points, width, units, True)
+        costs[t] = point_cost(evidence, t, room.points, width, units, np.bool_(True))

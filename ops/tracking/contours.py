@@ -80,7 +80,9 @@ class Silhouettes(NamedTuple):
             if mask is not None and mask.shape != view.plane.shape[:2]:
                 raise ParameterError(f"mask of camera {v} in frame {t}", f"of shape {view.plane.shape[:2]}", mask.shape)
             if mask is not None and mask.any():
-                found.append((view, mask))
+                constant = mask.view()
+                constant.flags.writeable = False  # masks of files are: kernels are compiled for these alone
+                found.append((view, constant))
         return found
 
 

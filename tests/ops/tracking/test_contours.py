@@ -20,8 +20,14 @@ POSE = np.ascontiguousarray(JOINTS[:, :, 0])
 ONE, OTHER = np.array([0.0, 1.0, 0.0]), np.array([0.3, 1.4, 0.2])
 
 
+def constant(mask: np.ndarray) -> np.ndarray:
+    """Make a mask read-only, as those of files are: the kernels are compiled for these."""
+    mask.flags.writeable = False
+    return mask
+
+
 def mask_of(joints: np.ndarray, view: View, capsules: Capsules = CAPSULES) -> np.ndarray:
-    return render_mask(capsules, joints, view).view(np.uint8) * np.uint8(255)
+    return constant(render_mask(capsules, joints, view).view(np.uint8) * np.uint8(255))
 
 
 def test_the_worked_example() -> None:
@@ -72,7 +78,7 @@ def test_the_boundary_of_a_probability_is_a_half() -> None:
     (view,) = cameras(1)
     column, _ = mask_pixel(view, *(view.rotation @ POSE[0] + view.translation)[:2] / 4.7)
     ramp = np.clip(127.5 - 4 * (np.arange(640) - column - 30), 0, 255)
-    mask = np.broadcast_to(ramp, (480, 640)).astype(np.uint8, order="C")
+    mask = constant(np.broadcast_to(ramp, (480, 640)).astype(np.uint8, order="C"))
     found = contour_room(CAPSULES, POSE)
     count, _ = find_contours(view, mask, POSE, CAPSULES, found)
     assert count > 30
@@ -86,7 +92,7 @@ def test_masks_without_a_boundary_within_reach_give_nothing() -> None:
     found = contour_room(CAPSULES, POSE)
     mask = mask_of(POSE, view)
     for empty in (np.zeros_like(mask), np.full_like(mask, 255), np.roll(mask, 200, axis=1)):
-        assert find_contours(view, empty, POSE, CAPSULES, found)[0] == 0
+        assert find_contours(view, constant(empty), POSE, CAPSULES, found)[0] == 0
     behind = POSE + 3 * (view.centre - POSE)
     assert find_contours(view, mask, behind, CAPSULES, found)[0] == 0
 
