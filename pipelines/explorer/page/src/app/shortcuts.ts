@@ -22,7 +22,14 @@ let pendingSince = 0;
 const PAIR_MS = 1200;
 
 function changed(): void {
-  shown = [...groups].map((one) => one.current);
+  const taken = new Set<string>(); // keys that a later group uses for something else are not listed twice
+  const found: Group[] = [];
+  for (const { current } of [...groups].reverse()) {
+    const shortcuts = current.shortcuts.filter((one) => !taken.has(one.keys));
+    for (const one of shortcuts) taken.add(one.keys);
+    if (shortcuts.length > 0) found.unshift({ ...current, shortcuts });
+  }
+  shown = found;
   for (const listener of listeners) listener();
 }
 

@@ -1,6 +1,6 @@
 // The queue of doubtful annotations: one at a time, in a loop beside its nearest example, answered by a key.
 
-import { Alert, Button, Group, Loader, MultiSelect, Text, TextInput, Title } from "@mantine/core";
+import { Alert, Anchor, Button, Group, Loader, MultiSelect, NativeSelect, Text, TextInput, Title } from "@mantine/core";
 import { useEffect, useMemo, useState } from "react";
 import { Link } from "wouter";
 
@@ -25,7 +25,7 @@ export function Queue({ annotator }: { annotator: string }) {
   const [classes, setClasses] = useJsonParameter<string[]>("classes", NO_NAMES);
   const [take, setTake] = useParameter("takes");
   const [where, setWhere] = useParameter("where");
-  const [stage] = useParameter("stage");
+  const [stage, setStage] = useParameter("stage");
   const text = JSON.stringify([classes, take, where, stage]);
   const filter = useMemo<QueueFilter>(
     () => ({ classes, takes: take === null ? [] : [take], where, stage }),
@@ -48,12 +48,24 @@ export function Queue({ annotator }: { annotator: string }) {
   ]);
   return (
     <>
-      <Filters classes={classes} setClasses={setClasses} take={take} setTake={setTake} where={where} setWhere={setWhere} />
+      <Group gap={8} align="end">
+        <Filters classes={classes} setClasses={setClasses} take={take} setTake={setTake} where={where} setWhere={setWhere} />
+        {store !== undefined && store.stages.annotate.length > 1 && (
+          <NativeSelect
+            size="xs"
+            label="Annotated by"
+            value={stage ?? block?.stage ?? ""}
+            onChange={(event) => setStage(event.currentTarget.value)}
+            data={store.stages.annotate}
+          />
+        )}
+      </Group>
       {queue.fault !== null && <Fault fault={queue.fault} retry={queue.reload} />}
       {queue.fault === null && block === undefined && <Loader size="sm" aria-label="The queue is being read" />}
       {block?.stage === null && (
         <Alert color="blue" variant="light" title="Nothing was annotated yet">
-          Label a few segments of takes first, then learn from them under Learn.
+          Open a take under <Anchor component={Link} href="/take" size="sm">Take</Anchor>, select where it shows a class, and choose
+          Label this. After a few labels, go on under <Anchor component={Link} href="/label?view=learn" size="sm">Learn</Anchor>.
         </Alert>
       )}
       {block !== undefined && block.stage !== null && (

@@ -11,20 +11,20 @@ export function SavedState() {
   const connected = useConnected();
   if (pending.length === 0)
     return (
-      <Badge role="status" variant="light" color="green" tt="none" data-testid="saved">
-        {saved === 0 ? "Nothing to save" : `Saved: all ${saved.toLocaleString("en")} decisions of this tab`}
+      <Badge role="status" variant="default" tt="none" data-testid="saved">
+        {saved === 0 ? "Nothing to save" : `✓ Saved: all ${saved.toLocaleString("en")} decisions of this tab`}
       </Badge>
     );
   if (trouble === "" && connected)
     return (
-      <Badge role="status" variant="light" color="gray" tt="none" data-testid="saved">
+      <Badge role="status" variant="default" tt="none" data-testid="saved">
         Saving {pending.length}
       </Badge>
     );
   return (
     <Group gap={6} role="status">
-      <Badge color="red" variant="filled" tt="none" data-testid="saved">
-        Not saved: {pending.length} {pending.length === 1 ? "decision is" : "decisions are"} kept in this browser
+      <Badge className="queue-no" variant="outline" tt="none" data-testid="saved">
+        ⚠ Not saved: {pending.length} {pending.length === 1 ? "decision is" : "decisions are"} kept in this browser
       </Badge>
       <Text size="xs" className="muted">
         {trouble}

@@ -91,8 +91,8 @@ function Correcting({ label, frames, edits }: { label: LabelRow; frames: number;
         <ClassInput label="Class" value={name} onChange={setName} onDone={(value) => edits.change(label, { class: value })} />
       </div>
       <Group gap={8} my={6} align="end">
-        {edge("start", "First frame", 0, label.stop - 1)}
-        {edge("stop", "Frame after the last", label.start + 1, frames)}
+        {edge("start", "Start", 0, label.stop - 1)}
+        {edge("stop", "Stop", label.start + 1, frames)}
       </Group>
       <Group gap={6} my={6}>
         <Button size="compact-sm" variant="default" onClick={() => edits.split(label)} title="At the playhead (s)">
@@ -113,8 +113,8 @@ function Correcting({ label, frames, edits }: { label: LabelRow; frames: number;
         </Button>
       </Group>
       {label.file_changed === true && (
-        <Text size="sm" c="orange">
-          The file of the take has changed since this label was made.
+        <Text size="sm" fw={600}>
+          ⚠ The file of the take has changed since this label was made.
         </Text>
       )}
     </>
