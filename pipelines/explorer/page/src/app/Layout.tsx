@@ -8,7 +8,7 @@ import { useStore } from "../api/queries";
 import { Fault, FaultBoundary } from "./Fault";
 import { PAGES } from "./pages";
 import { SameBar } from "./SameBar";
-import { useShortcuts, useShownShortcuts } from "./shortcuts";
+import { keyNames, useShortcuts, useShownShortcuts } from "./shortcuts";
 
 /** The frame of every page: header, navigation, content, and the bar with the command that does the same. */
 export function Layout() {
@@ -142,7 +142,7 @@ function Keys({ opened, close }: { opened: boolean; close: () => void }) {
               {group.shortcuts.map((one) => (
                 <Table.Tr key={one.keys}>
                   <Table.Td w={140}>
-                    <kbd>{one.keys}</kbd>
+                    <kbd>{keyNames(one.keys)}</kbd>
                   </Table.Td>
                   <Table.Td>{one.what}</Table.Td>
                 </Table.Tr>

@@ -91,6 +91,22 @@ function findShortcut(keys: string): Shortcut | undefined {
   return undefined;
 }
 
+const NAMES: Record<string, string> = {
+  " ": "Space",
+  ArrowLeft: "←",
+  ArrowRight: "→",
+  ArrowUp: "↑",
+  ArrowDown: "↓",
+  Escape: "Esc",
+  PageUp: "Page Up",
+  PageDown: "Page Down",
+};
+
+/** Return keys as a list of keys shows them. */
+export function keyNames(keys: string): string {
+  return NAMES[keys] ?? keys.replace("mod+", "Ctrl+").replace("alt+", "Alt+");
+}
+
 function onKey(event: KeyboardEvent): void {
   if (event.defaultPrevented || isTyping(event.target) || usesKey(event.target, event.key)) return;
   if (document.querySelector('[role="dialog"][aria-modal="true"]') !== null) return;

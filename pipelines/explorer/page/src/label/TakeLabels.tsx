@@ -298,7 +298,7 @@ interface KeysProps {
 function useLabelKeys({ session, item, lanes, edits, choose, input, onLabel }: KeysProps): void {
   const items = useMemo(() => lanes.flatMap((lane) => lane.items).sort((a, b) => a.start - b.start || a.stop - b.stop), [lanes]);
   const starts = useMemo(() => [...new Set(items.map((one) => one.start))], [items]);
-  useKeys(session, starts, useCallback(() => document.querySelector<HTMLButtonElement>(".player-front")?.click(), []));
+  useKeys(session, starts);
   const label = item?.label;
   const annotation = item?.annotation;
   const go = (by: 1 | -1) => {

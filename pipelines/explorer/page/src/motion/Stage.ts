@@ -307,6 +307,16 @@ export class Stage {
     this.camera.lookAt(this.controls.target);
   }
 
+  /** Turn the camera about the body by an angle, and go closer (a factor below 1) or farther. */
+  turn(angle: number, distance = 1): void {
+    const { position } = this.camera;
+    const { target, minDistance, maxDistance } = this.controls;
+    const away = position.clone().sub(target).applyAxisAngle(this.camera.up, angle);
+    away.setLength(Math.min(maxDistance, Math.max(minDistance, away.length() * distance)));
+    position.copy(target).add(away);
+    this.controls.update();
+  }
+
   /** See the first figure from its front again. */
   reset(): void {
     this.aimed = false;

@@ -1,8 +1,9 @@
 // The 3D player: a stage that follows the session of a take, and its controls.
 
 import { ActionIcon, Alert, Button, Group, NativeSelect, Switch } from "@mantine/core";
-import { useEffect, useRef, useState, useSyncExternalStore } from "react";
+import { useCallback, useEffect, useMemo, useRef, useState, useSyncExternalStore } from "react";
 
+import { type Shortcut, useShortcuts } from "../app/shortcuts";
 import type { Body } from "../motion/body";
 import { type Actor, borrowStage, returnStage, type Stage } from "../motion/Stage";
 import { clock } from "./axis";
@@ -75,6 +76,11 @@ export function Player({ session, body, actors, frameOf, label }: PlayerProps) {
     stage.trails = shown.trails;
     session.changed("content");
   }, [session, stage, shown.follow, shown.trails]);
+  const front = useCallback(() => {
+    stage?.reset();
+    session.changed("content");
+  }, [session, stage]);
+  useCameraKeys(stage, front);
   return (
     <section className="player" aria-label="Player">
       <div ref={box} className="player-box">
@@ -88,15 +94,23 @@ export function Player({ session, body, actors, frameOf, label }: PlayerProps) {
           </Alert>
         )}
       </div>
-      <Controls
-        session={session}
-        front={() => {
-          stage?.reset();
-          session.changed("content");
-        }}
-      />
+      <Controls session={session} front={front} />
     </section>
   );
+}
+
+function useCameraKeys(stage: Stage | null, front: () => void): void {
+  const shortcuts = useMemo<Shortcut[]>(
+    () => [
+      { keys: "c", what: "See the body from its front", run: front },
+      { keys: "q", what: "Turn the camera to the left", run: () => stage?.turn(-0.15) },
+      { keys: "e", what: "Turn the camera to the right", run: () => stage?.turn(0.15) },
+      { keys: "z", what: "Closer", run: () => stage?.turn(0, 1 / 1.15) },
+      { keys: "x", what: "Farther", run: () => stage?.turn(0, 1.15) },
+    ],
+    [stage, front],
+  );
+  useShortcuts("Camera", shortcuts);
 }
 
 /** Put the floor under the first poses where they stand far from height 0. */
@@ -174,7 +188,7 @@ function Controls({ session, front }: { session: Session; front: () => void }) {
         <Switch size="xs" label="Loop" checked={shown.loop} onChange={() => session.choose({ loop: !shown.loop })} />
         <Switch size="xs" label="Follow" checked={shown.follow} onChange={() => session.choose({ follow: !shown.follow })} />
         <Switch size="xs" label="Trails" checked={shown.trails} onChange={() => session.choose({ trails: !shown.trails })} />
-        <Button className="player-front" size="compact-xs" variant="default" title="See the body from its front (c)" onClick={front}>
+        <Button size="compact-xs" variant="default" title="See the body from its front (c)" onClick={front}>
           Front
         </Button>
       </Group>

@@ -73,7 +73,7 @@ function OpenTake({ document, store }: { document: TakeDocument; store: StoreFac
   const starts = useMemo(() => segmentStarts(every), [every]);
   const set = useParameters();
   useSame(document);
-  useKeys(session, starts, useCallback(() => window.document.querySelector<HTMLButtonElement>(".player-front")?.click(), []));
+  useKeys(session, starts);
   const onPick = useCallback(
     (row: Row, segment: Segment | null, frame: number) => {
       if (row.kind === "curve" && row.unit === "") pick(row.name, frame);

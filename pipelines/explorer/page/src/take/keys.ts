@@ -5,7 +5,7 @@ import { useMemo } from "react";
 import { type Shortcut, useShortcuts } from "../app/shortcuts";
 import { type Session, SPEEDS } from "./session";
 
-export function useKeys(session: Session, starts: readonly number[], front: () => void): void {
+export function useKeys(session: Session, starts: readonly number[]): void {
   const shortcuts = useMemo<Shortcut[]>(() => {
     const by = (event: KeyboardEvent) => (event.shiftKey ? Math.round(session.rateHz) : 1);
     const speed = (step: number) => {
@@ -39,8 +39,7 @@ export function useKeys(session: Session, starts: readonly number[], front: () =
       { keys: "o", what: "Loop on or off", run: () => session.choose({ loop: !session.shown.loop }) },
       { keys: "f", what: "Follow the body or not", run: () => session.choose({ follow: !session.shown.follow }) },
       { keys: "y", what: "Trails of hands and feet on or off", run: () => session.choose({ trails: !session.shown.trails }) },
-      { keys: "c", what: "See the body from its front", run: front },
     ];
-  }, [session, starts, front]);
+  }, [session, starts]);
   useShortcuts("Take", shortcuts);
 }
