@@ -196,7 +196,7 @@ lock:
 	uv pip compile pyproject.toml --group docs -c requirements-dev.lock --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-docs.lock
 	uv pip compile pyproject.toml --group bench -c requirements.lock --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-bench.lock
 	cd $(PAGE) && npm install --package-lock-only --ignore-scripts --no-audit --no-fund
-	$(BIN)/python -c 'import json, pathlib; path = pathlib.Path("$(PAGE)/package-lock.json"); lock = json.loads(path.read_text()); [one.pop("funding", None) for one in lock["packages"].values()]; path.write_text(json.dumps(lock, indent=2) + "\n")'
+	$(PYTHON) -c 'import json, pathlib; path = pathlib.Path("$(PAGE)/package-lock.json"); lock = json.loads(path.read_text()); [one.pop("funding", None) for one in lock["packages"].values()]; path.write_text(json.dumps(lock, indent=2) + "\n")'
 
 clean:
 	rm -rf $(VENV) build $(PAGE)/node_modules pipelines/explorer/built
