@@ -15,6 +15,7 @@ from studies.inertial import (
     lag,
     orientation_errors,
     trial_calibration,
+    trial_offset,
 )
 from studies.inertial_recordings import read_broad, read_feet
 
@@ -45,6 +46,7 @@ def test_trials_of_broad_are_as_measured(shared: Path, name: str) -> None:
     for magnetometer, wanted in zip((True, False), ORIENTATIONS[name], strict=True):
         assert orientation_errors(trial, magnetometer) == pytest.approx(wanted, abs=0.05)
     assert 0.0039 < lag([trial], 5.0).offset_s < 0.0043
+    assert 0.0020 < trial_offset(trial) < 0.0025  # without the half interval by which a rate lags
     for (magnetometer, options), wanted in zip(SETTINGS.values(), CALIBRATIONS[trial.name], strict=True):
         assert trial_calibration(trial, magnetometer, options) == pytest.approx(wanted, abs=0.05)
 
@@ -58,6 +60,7 @@ def test_feet_are_as_measured(shared: Path) -> None:
     assert [1000 * lag([foot]).offset_s for foot in feet] == pytest.approx([0.3, 3.9], abs=0.3)
     offset = feet_offset(feet)
     assert -0.0014 < offset < -0.0008
+    assert -0.0010 < feet_offset(feet, whitened=True) < -0.0002
     streams = feet_streams(feet, offset)
     for options, wanted in (
         (Options(shared=False), [(2.5, 1.7, 6.2), (3.4, 3.1, 10.9)]),
