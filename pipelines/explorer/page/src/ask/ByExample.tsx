@@ -315,6 +315,7 @@ function Chooser({ store }: { store: StoreFacts }) {
   const rows = takes.data?.rows ?? [];
   const known = rows.find(([one]) => one === name);
   const frames = (seconds: number | string) => Math.round(Number(seconds) * store.rate_hz);
+  const beyond = known !== undefined && frames(to) > frames(Number(known[1]));
   return (
     <form
       className="chooser"
@@ -338,13 +339,13 @@ function Chooser({ store }: { store: StoreFacts }) {
         />
         <NumberInput size="xs" w={96} label="From, seconds" value={from} onChange={setFrom} min={0} step={0.1} decimalScale={2} />
         <NumberInput size="xs" w={96} label="To, seconds" value={to} onChange={setTo} min={0} step={0.1} decimalScale={2} />
-        <Button size="compact-sm" type="submit" disabled={known === undefined || frames(to) <= frames(from)}>
+        <Button size="compact-sm" type="submit" disabled={known === undefined || frames(to) <= frames(from) || beyond}>
           Search
         </Button>
       </Group>
       {known !== undefined && (
         <Text size="xs" className="muted" mt={6}>
-          {name} lasts {Number(known[1]).toFixed(2)} s.
+          {name} lasts {Number(known[1]).toFixed(2)} s{beyond ? ": the interval ends behind it" : ""}.
         </Text>
       )}
     </form>
