@@ -82,7 +82,7 @@ function gridColumns(
     return {
       key: name,
       title: name,
-      width: name === "name" ? 270 : numeric ? 96 : 132,
+      width: name === "name" ? 250 : numeric ? 88 : name === "class" || name === "actor" ? 120 : 96,
       numeric,
       sortable: true,
       cell: (row) => {
