@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 
 from kinedex.ops.errors import ConflictError, KinedexError, ParameterError, Remedy
@@ -89,6 +90,8 @@ async def fault_answer(_request: Request, fault: Exception) -> Response:
         return error_answer(422, "ParameterError", _wrong_fields(fault))
     if isinstance(fault, HTTPException):
         return error_answer(fault.status_code, "HTTPError", fault.detail)
+    if isinstance(fault, ClientDisconnect):
+        return Response(status_code=499)  # nobody waits for it
     if isinstance(fault, MemoryError):
         return error_answer(500, "MemoryError", "the server has no memory left; ask for less, or close other programs")
     if isinstance(fault, OSError):

@@ -10,7 +10,18 @@ from tests.browser.explorer.conftest import Open
 
 AXE = BUILT.parent / "page" / "node_modules" / "axe-core" / "axe.min.js"
 
-PAGES = ["/", "/?view=quality", "/take/x_al_long_1", "/ask", "/label", "/templates", "/runs", "/export"]
+PAGES = [
+    "/",
+    "/?view=quality",
+    "/take/x_al_long_1",
+    "/ask",
+    "/label",
+    "/label?take=x_al_long_1",
+    "/label?view=learn",
+    "/templates",
+    "/runs",
+    "/export",
+]
 
 
 def violations(page: Page) -> list[str]:

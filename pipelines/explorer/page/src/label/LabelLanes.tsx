@@ -81,9 +81,11 @@ function annotationItem(one: Annotation, decision: LabelRow | undefined): Item {
   const state = decision === undefined ? "open" : decision.verdict === "positive" ? "accepted" : "rejected";
   const sure = one.confidence === null ? "" : ` ${Math.round(100 * one.confidence)} %`;
   const mark = state === "open" ? "" : state === "accepted" ? "✓ " : "✗ ";
-  const title = `${one.subclass ?? one.class}, frames ${one.start} to ${one.stop}, annotation, ${state}${sure === "" ? "" : `, confidence${sure}`}`;
+  const text = `${mark}${one.class}${sure}`;
+  const finer = one.subclass === null || one.subclass === "" || one.subclass === one.class ? "" : ` (${one.subclass})`;
+  const title = `${text}${finer}, frames ${one.start} to ${one.stop}, annotation, ${state}`;
   const key = annotationKey(one);
-  return { kind: "annotation", key, class: one.class, start: one.start, stop: one.stop, state, text: `${mark}${one.class}${sure}`, title, annotation: one };
+  return { kind: "annotation", key, class: one.class, start: one.start, stop: one.stop, state, text, title, annotation: one };
 }
 
 export interface LabelLanesProps {

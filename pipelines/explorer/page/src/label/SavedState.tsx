@@ -12,7 +12,7 @@ export function SavedState() {
   if (pending.length === 0)
     return (
       <Badge role="status" variant="default" tt="none" data-testid="saved">
-        {saved === 0 ? "Nothing to save" : `✓ Saved: all ${saved.toLocaleString("en")} decisions of this tab`}
+        {saved === 0 ? "Nothing to save" : `✓ Saved: ${saved.toLocaleString("en")} ${saved === 1 ? "decision" : "decisions"} of this tab`}
       </Badge>
     );
   if (trouble === "" && connected)

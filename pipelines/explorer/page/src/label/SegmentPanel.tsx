@@ -28,7 +28,7 @@ export function SegmentPanel({ item, rows, frames, rateHz, edits, readOnly }: Pa
   const seconds = (frame: number) => clock(frame / rateHz, 2);
   return (
     <section aria-label="Chosen">
-      <Title order={3}>{item.kind === "label" ? "Label" : "Annotation"}</Title>
+      <Title order={2} size="h3">{item.kind === "label" ? "Label" : "Annotation"}</Title>
       <Text size="sm" aria-live="polite">
         {item.text}: {seconds(item.start)} to {seconds(item.stop)}, {item.stop - item.start} frames
       </Text>
