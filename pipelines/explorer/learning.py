@@ -1,4 +1,4 @@
-"""Learn again from labels, in the background: what would run, the run, what it changed, and back.
+"""Learn again from labels in the background: the settings, the run, the list of its changes, and the way back.
 
 `GET /api/learn` answers with `learning_facts`, `POST /api/learn {examples?, method?, where?}` starts a job,
 `GET /api/learn/changes` lists what the last one changed, and `POST /api/learn/undo` starts a job that brings the
@@ -49,7 +49,7 @@ MOST_CHANGES = 1000
 
 
 class LearnQuestion(Question):
-    """What is learned from, and how it is annotated; the settings of the current annotation unless given."""
+    """The settings of a run that learns again; those of the current annotation unless given."""
 
     examples: Literal["labels", "clips and labels"] | None = None
     method: Literal["best", "thesis"] | None = None
