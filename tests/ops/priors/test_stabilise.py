@@ -21,7 +21,7 @@ from kinedex.ops.tracking.take_tracker import TakeTrack, track_take
 from kinedex.ops.tracking.trust import restart, trust
 from tests.ops.body.test_kinematic_chain import BODY, CHAIN
 from tests.oracles.kinematic_chain import exp
-from tests.plain_python import PLAIN, slow_as_python
+from tests.plain_python import slow_as_python
 
 FRAMES, FAILS = 40, slice(12, 26)
 FEATURES = load_feature_set("body40")
@@ -99,8 +99,6 @@ TRACKER = failing()
 
 @pytest.fixture(scope="module")
 def without() -> TakeTrack:
-    if PLAIN:
-        pytest.skip("as plain Python it takes minutes")
     return TRACKER.track(squat(0.6), None)
 
 
@@ -112,6 +110,7 @@ def run(without: TakeTrack, motions: list[Motion], **settings: object) -> Stabil
     return stabilise(TRACKER, without, words, motions, Settings(**{"threshold": 0.3, **settings}))  # type: ignore[arg-type]
 
 
+@slow_as_python
 def test_the_archive_repairs_the_legs_and_two_runs_give_the_same_bytes(without: TakeTrack):
     first, second = run(without, [KNOWN]), run(without, [KNOWN])
     assert error_mm(first.track) < 0.5 * error_mm(without)
@@ -121,6 +120,7 @@ def test_the_archive_repairs_the_legs_and_two_runs_give_the_same_bytes(without: 
     np.testing.assert_array_equal(first.rounds[-1].costs, first.track.costs)
 
 
+@slow_as_python
 def test_without_a_hit_nothing_changes(without: TakeTrack):
     other = motion("other", (1.0,), words_of(TRUTH) ^ np.uint64((1 << 40) - 1))
     for motions in ([], [other]):
@@ -130,6 +130,7 @@ def test_without_a_hit_nothing_changes(without: TakeTrack):
         assert not done.moved_mm.any()
 
 
+@slow_as_python
 def test_without_weight_the_track_is_the_one_without_priors(without: TakeTrack):
     done = run(without, [KNOWN], factors={"archive": 0.0}, guard=np.inf)
     same = TRACKER.track(TRACKER.restart(without.poses, TRACKER.nodes_seen(without)), None)
@@ -148,6 +149,7 @@ def test_a_prior_that_is_the_track_changes_nothing():
     assert done.moved_mm.max() < 1.0
 
 
+@slow_as_python
 def test_when_every_hit_is_withdrawn_the_track_is_the_one_without_priors(without: TakeTrack):
     done = run(without, [KNOWN], guard=0.0, rounds=1)
     assert done.track is without
@@ -157,6 +159,7 @@ def test_when_every_hit_is_withdrawn_the_track_is_the_one_without_priors(without
     assert all("times as badly as without priors" in row.reason for row in rows)
 
 
+@slow_as_python
 def test_another_motion_takes_the_place_of_one_that_the_observations_refute(without: TakeTrack):
     table = KNOWN.poses
     assert table is not None
@@ -169,6 +172,7 @@ def test_another_motion_takes_the_place_of_one_that_the_observations_refute(with
     assert error_mm(done.track) < 0.5 * error_mm(without)
 
 
+@slow_as_python
 def test_a_round_that_fits_worse_as_a_whole_is_undone_where_priors_carry_over(without: TakeTrack):
     inside = (np.arange(FRAMES) >= SQUAT.start) & (np.arange(FRAMES) < SQUAT.stop)
     better = replace(without, costs=np.where(inside, without.costs, 0.0))  # beyond the hit
@@ -179,6 +183,7 @@ def test_a_round_that_fits_worse_as_a_whole_is_undone_where_priors_carry_over(wi
     assert any(not row.kept and "all frames together" in row.reason for row in done.rounds[0].rows)
 
 
+@slow_as_python
 def test_the_priors_of_the_thesis_alone_run_through(without: TakeTrack):
     done = run(without, [KNOWN], kinds=("logical", "pose"), rounds=1)
     assert np.isfinite(done.track.positions).all()

@@ -55,6 +55,7 @@ def test_place_terms_bound_the_squares_of_the_correspondences_and_touch_them() -
         assert bound(small) - bound(still) == pytest.approx(squares(small), rel=1e-3)
 
 
+@slow_as_python
 def test_a_take_is_tracked_on_silhouettes_alone() -> None:
     start = track_frames(BODY, None, None, 30.0, START, silhouettes=SILHOUETTES)
     track = track_take_on_silhouettes(BODY, None, None, 30.0, start.poses, SILHOUETTES)
