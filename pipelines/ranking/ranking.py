@@ -27,7 +27,7 @@ from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import ALL_KNOWN, TakeWords
 from kinedex.pipelines.engine.executors import batches_of, cores
-from kinedex.pipelines.ranking.promising import Promising, joined_batches, promising
+from kinedex.pipelines.ranking.candidate_granules import CandidateGranules, candidate_granules, joined_batches
 from kinedex.pipelines.search.bit_slices import SlicedWords, sliced_index, stored_words
 from kinedex.pipelines.search.not_applied import Applicability, applicability
 from kinedex.pipelines.search.preselection import known_queries, preselect_stored, template_ranges, widest_margins
@@ -44,7 +44,7 @@ SAMPLED = 6
 """So many granules are looked at for each hit that is asked for: several of them belong to one hit."""
 
 MOST_PROMISING = 0.4
-"""Where the index excludes less than the rest of the frames, all of them are ranked together."""
+"""All frames are ranked together if the index leaves a greater share of them."""
 
 Asked = TypeVar("Asked")
 Found = TypeVar("Found")
@@ -208,7 +208,7 @@ def _is_sure(ranking: Ranking, bar: float, top: int | None) -> bool:
 
 @dataclass(frozen=True)
 class _Pass:
-    """What passes over the same takes share.
+    """A pass over some takes, for any templates.
 
     Attributes
     ----------
@@ -246,8 +246,8 @@ class _Pass:
         ids = [np.array(batch, np.int64) for mask, batch in self.batches if mask & every == every]
         plain = [one.template for one in templates]
 
-        def lowest(batch: I64) -> list[Promising]:
-            found = promising(sliced, batch, plain, [tau] * len(plain))
+        def lowest(batch: I64) -> list[CandidateGranules]:
+            found = candidate_granules(sliced, batch, plain, [tau] * len(plain))
             return [one.lowest(SAMPLED * top) for one in found]
 
         parts = list(_in_threads(lowest, ids, self.workers))
@@ -257,7 +257,9 @@ class _Pass:
             bars.append(self._threshold_of(sliced, template, own, tau))
         return bars
 
-    def _threshold_of(self, sliced: SlicedWords, template: QuantisedTemplate, sample: Promising, tau: float) -> float:
+    def _threshold_of(
+        self, sliced: SlicedWords, template: QuantisedTemplate, sample: CandidateGranules, tau: float
+    ) -> float:
         """Return the cost of the last of the best hits in some granules, whose takes are ids; tau if they are few."""
         ids = np.unique(sample.takes)
         if not len(ids):
@@ -441,7 +443,7 @@ def _rank_promising(
     if sliced is None or not templates or any(one.queries for one in templates):
         return None
     ids = np.array(sorted(take_ids), np.int64)
-    low = promising(sliced, ids, [one.template for one in templates], taus)
+    low = candidate_granules(sliced, ids, [one.template for one in templates], taus)
     if max(len(one.granules) for one in low) * GRANULE > MOST_PROMISING * frames:
         return None
     chosen = np.unique(np.concatenate([one.takes for one in low]))

@@ -17,7 +17,7 @@ from kinedex.pipelines.search.bit_slices import SlicedWords
 
 
 @dataclass(frozen=True)
-class Promising:
+class CandidateGranules:
     """The granules of some takes in which paths below a threshold may end.
 
     Parameters
@@ -34,12 +34,12 @@ class Promising:
     granules: I64
     bounds: npt.NDArray[np.float32]
 
-    def lowest(self, count: int) -> Promising:
+    def lowest(self, count: int) -> CandidateGranules:
         """Return those of the lowest bounds, and of equal ones all."""
         if len(self.bounds) <= count:
             return self
         kept = self.bounds <= np.partition(self.bounds, count - 1)[count - 1]
-        return Promising(self.takes[kept], self.granules[kept], self.bounds[kept])
+        return CandidateGranules(self.takes[kept], self.granules[kept], self.bounds[kept])
 
     def ranges(self, columns: int, takes: I64, offsets: I64) -> I64:
         """Return the frames that decide about hits there: those of all paths, and one on either side.
@@ -60,9 +60,9 @@ class Promising:
         return extend_and_unite(np.stack([starts[kept], stops[kept]], axis=1), offsets, 2 * (columns - 1) + 1, 1)
 
 
-def promising(
+def candidate_granules(
     sliced: SlicedWords, take_ids: I64, templates: Sequence[QuantisedTemplate], thresholds: Sequence[float]
-) -> list[Promising]:
+) -> list[CandidateGranules]:
     """Return where templates may have hits below thresholds, in takes whose bodies know all features.
 
     Parameters
@@ -78,7 +78,7 @@ def promising(
 
     Returns
     -------
-    list of Promising
+    list of CandidateGranules
         One for each template, with positions among the takes.
     """
     chosen = sliced.select(take_ids)
@@ -105,21 +105,21 @@ def _runs(takes: I64) -> Iterator[tuple[int, int]]:
         yield from zip(begins, ends, strict=True)
 
 
-def _joined(parts: Sequence[tuple[I64, I64, npt.NDArray[np.float32]]]) -> Promising:
+def _joined(parts: Sequence[tuple[I64, I64, npt.NDArray[np.float32]]]) -> CandidateGranules:
     """Put what several shards hold into the order of the takes."""
     takes = np.concatenate([np.empty(0, np.int64), *(one for one, _, _ in parts)])
     granules = np.concatenate([np.empty(0, np.int64), *(one for _, one, _ in parts)])
     bounds = np.concatenate([np.empty(0, np.float32), *(one for _, _, one in parts)])
     order = np.argsort(takes, kind="stable")
-    return Promising(takes[order], granules[order], bounds[order])
+    return CandidateGranules(takes[order], granules[order], bounds[order])
 
 
-def joined_batches(parts: Sequence[Promising], ids: Sequence[I64]) -> Promising:
+def joined_batches(parts: Sequence[CandidateGranules], ids: Sequence[I64]) -> CandidateGranules:
     """Join what several batches of takes hold, with the ids of takes in place of their positions.
 
     Parameters
     ----------
-    parts : sequence of Promising
+    parts : sequence of CandidateGranules
         One for each batch.
     ids : sequence of int64 array
         The ids of the takes of each batch.
