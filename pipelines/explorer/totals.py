@@ -1,16 +1,17 @@
 """Totals of takes: groups with their hours, values of a column with their counts.
 
-    POST /api/totals {where?, filters?, by: [one or two columns], limit?}
+    POST /api/totals {where?, filters?, by: [one or two columns], order?: "hours" or "value", limit?}
     → {groups: [{values: [value], takes, hours}], total: groups in all, takes, hours, command, python}
     POST /api/values {where?, filters?, column, contains?, limit?}
     → {column, values: [{value, takes}], distinct, empty, min?, max?, bins?: [{from, to, takes}]}
 
-Groups are sorted by hours, values by their number of takes; `distinct` and `total` count what the limit cuts off.
+Groups are sorted by hours, or by value as `POST /api/takes` sorts takes by these columns; values are sorted by their
+number of takes. `distinct` and `total` count what the limit cuts off.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -35,6 +36,7 @@ class TotalsQuestion(Selection):
     """Takes in groups by one or two columns."""
 
     by: Annotated[tuple[str, ...], Field(min_length=1, max_length=2)]
+    order: Literal["hours", "value"] = "hours"
     limit: Rows = 200
 
 
@@ -52,9 +54,11 @@ def totals(archive: Archive, asked: TotalsQuestion, _request: Request) -> dict[s
     known = store.take_rows.column_names
     shown = ", ".join(expression(column, known, shown=True) for column in asked.by)
     keys = ", ".join(str(number + 1) for number in range(len(asked.by)))
+    values = ", ".join(f"{number + 1} ASC NULLS LAST" for number in range(len(asked.by)))
+    order = values if asked.order == "value" else f"hours DESC, {values}"
     text = (
         f"SELECT {shown}, count(*) AS takes, sum(seconds) / 3600 AS hours FROM takes{condition_of(asked, known)} "
-        f"GROUP BY {keys} ORDER BY hours DESC, {keys}"
+        f"GROUP BY {keys} ORDER BY {order}"
     )
     counted = f"SELECT *, count(*) OVER () AS n, sum(takes) OVER () AS t, sum(hours) OVER () AS h FROM ({text})"
     rows = list(

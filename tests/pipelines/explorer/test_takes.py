@@ -134,6 +134,13 @@ def test_totals_are_hours_by_one_column_or_two(client: TestClient) -> None:
     assert ask(client, "/api/totals", by=["class"], where="false")["groups"] == []
 
 
+@pytest.mark.parametrize("column", ["class", "actor", "folder", "frames"])
+def test_groups_have_the_order_of_the_takes(client: TestClient, column: str) -> None:
+    groups = ask(client, "/api/totals", by=[column], order="value")["groups"]
+    takes = ask(client, "/api/takes", sort=[{"column": column}], columns=[column])["rows"]
+    assert [row for one in groups for row in [one["values"]] * one["takes"]] == takes
+
+
 def test_values_have_counts_and_numbers_a_histogram(client: TestClient) -> None:
     classes = ask(client, "/api/values", column="class")
     assert classes["values"] == [{"value": "kick", "takes": 4}, {"value": "walk", "takes": 4}]

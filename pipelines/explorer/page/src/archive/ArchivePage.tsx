@@ -1,7 +1,7 @@
 import "./archive.css";
 
 import { Loader, Tabs, Title } from "@mantine/core";
-import { Suspense } from "react";
+import { Suspense, useMemo } from "react";
 
 import { useStore } from "../api/queries";
 import { useParameter } from "../app/address";
@@ -56,7 +56,8 @@ function Takes({ state }: { state: ReturnType<typeof useSelection> }) {
   const store = useStore();
   const [sort] = useSort();
   const [columns] = useColumns(store.data);
-  const takes = useTakes(state.selection, sort, columns);
+  const sorts = useMemo(() => (sort === null ? [] : [sort]), [sort]);
+  const takes = useTakes(state.selection, sorts, columns);
   const wrong = takes.error !== null && state.where !== null;
   useSame(takes.head);
   return (

@@ -10,6 +10,8 @@ import type { ColumnValues, Flags, Quality, RowsOf, Totals } from "./types";
 const BLOCK = 100;
 /** Blocks are asked for once the table has been still for so long, so that a long scroll asks for few. */
 const STILL_MS = 60;
+/** Most groups of one answer. */
+const MOST_GROUPS = 2000;
 
 export interface TakeRow {
   id: number;
@@ -19,12 +21,12 @@ export interface TakeRow {
 }
 
 /** The takes of a selection: rows in sight, and the totals of all. */
-export function useTakes(selection: Selection, sort: Sort | null, columns: string[]) {
+export function useTakes(selection: Selection, sort: readonly Sort[], columns: string[]) {
   const [range, setRange] = useState<[number, number]>([0, 1]);
   const still = useStill(range);
   const [first, stop] = range;
   const question = useMemo<TakesQuestion>(
-    () => ({ ...selection, sort: sort === null ? [] : [sort], columns, limit: BLOCK }),
+    () => ({ ...selection, sort: [...sort], columns, limit: BLOCK }),
     [selection, sort, columns],
   );
   const numbers = [0, ...Array.from({ length: stop - first }, (_, place) => first + place).filter((one) => one > 0)];
@@ -85,6 +87,18 @@ export function useTotals(selection: Selection, by: string[], limit = 200) {
     queryFn: ({ signal }) => post<Totals>("/api/totals", { ...selection, by, limit }, signal),
     placeholderData: keepPreviousData,
     enabled: by.length > 0,
+  });
+}
+
+/** The groups of takes by a column, in the order of its values; none are asked for without a column. */
+export function useGroups(selection: Selection, by: string | null) {
+  return useQuery({
+    queryKey: ["version", "groups", selection, by],
+    queryFn: ({ signal }) =>
+      post<Totals>("/api/totals", { ...selection, by: [by], order: "value", limit: MOST_GROUPS }, signal),
+    // Groups of other filters stay until theirs are there, so that the grid keeps the focus; those of another column do not.
+    placeholderData: (before, query) => (query?.queryKey[3] === by ? before : undefined),
+    enabled: by !== null,
   });
 }
 

@@ -14,6 +14,12 @@ export interface ArchiveView {
 
 export const VIEWS: readonly ArchiveView[] = [
   {
+    key: "wall",
+    title: "Wall",
+    filtered: true,
+    view: lazy(async () => ({ default: (await import("./WallView")).WallView })),
+  },
+  {
     key: "quality",
     title: "Quality",
     filtered: false,

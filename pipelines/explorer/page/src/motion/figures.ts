@@ -15,8 +15,11 @@ export interface FigureItem {
 /** Most stored frames of a figure; of longer intervals the server sends fewer frames a second. */
 export const FIGURE_FRAMES = 120;
 const TOGETHER = 10; // so few that the first appear early: figures of many takes lie in many places of the store
+const AT_ONCE = 3; // requests; the browser has six connections, and other questions need some
 const KEPT = 600;
 const PICTURE_MS = 30;
+/** The longest time on the main thread that the figures of one picture may take. */
+const MOST_MS = 5;
 
 const kept = new Map<string, Promise<Block>>();
 let asked: { item: FigureItem; done: (block: Block) => void; failed: (fault: unknown) => void }[] = [];
@@ -45,13 +48,21 @@ export function loadFigure(item: FigureItem, version: number): Promise<Block> {
   return block;
 }
 
+// What was asked for last is in sight, so it is loaded first: the rest may have been scrolled away.
+const waiting: (typeof asked)[] = [];
+let loading = 0;
+
 function send(): void {
-  const every = asked;
+  waiting.push(asked);
   asked = [];
-  for (let i = 0; i < every.length; i += TOGETHER) void sendSome(every.slice(i, i + TOGETHER));
+  while (loading < AT_ONCE && waiting.length > 0) void sendSome();
 }
 
-async function sendSome(some: typeof asked): Promise<void> {
+async function sendSome(): Promise<void> {
+  const latest = waiting[waiting.length - 1] ?? [];
+  const some = latest.splice(0, TOGETHER);
+  if (latest.length === 0) waiting.pop();
+  loading++;
   try {
     const body = { items: some.map((one) => one.item), frames: FIGURE_FRAMES };
     const blocks = readFigures(await postBytes("/api/figures", body));
@@ -59,6 +70,8 @@ async function sendSome(some: typeof asked): Promise<void> {
   } catch (fault) {
     for (const one of some) one.failed(fault);
   }
+  loading--;
+  if (waiting.length > 0) void sendSome();
 }
 
 const TURN = 0.6; // radians from the front, so that left and right are apart
@@ -198,8 +211,14 @@ function picture(now: number): void {
   running = moving.size > 0 ? requestAnimationFrame(picture) : 0;
   if (now - lastPicture < PICTURE_MS) return;
   lastPicture = now;
-  for (const [figure, start] of moving)
-    if (figure.visible) figure.draw((((now - start) / 1000) % figure.seconds) / figure.seconds);
+  const begun = performance.now();
+  for (const [figure, start] of [...moving]) {
+    if (performance.now() - begun > MOST_MS) return; // the rest come first in the next picture
+    if (!figure.visible) continue;
+    figure.draw((((now - start) / 1000) % figure.seconds) / figure.seconds);
+    moving.delete(figure);
+    moving.set(figure, start);
+  }
 }
 
 const placed = new WeakMap<Element, DrawnFigure>();
