@@ -13,6 +13,7 @@ AXE = BUILT.parent / "page" / "node_modules" / "axe-core" / "axe.min.js"
 PAGES = [
     "/",
     "/?view=quality",
+    "/?view=wall",
     "/take/x_al_long_1",
     "/ask",
     "/label",

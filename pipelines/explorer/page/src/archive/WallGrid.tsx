@@ -1,5 +1,5 @@
 // Takes as small moving figures: a grid of which only the lines in sight are in the page. It has one stop for Tab;
-// arrows, Page Up and Down, Home and End move from take to take, `[` and `]` from group to group, Enter opens a take.
+// arrows, Page Up and Down, Home and End move from take to take, Enter opens one.
 
 import "./wall.css";
 
@@ -9,6 +9,7 @@ import { type CSSProperties, type KeyboardEvent, memo, type MouseEvent, useEffec
 import { useLocation } from "wouter";
 
 import { takeAddress, useParameter, useParameters } from "../app/address";
+import { useShortcuts } from "../app/shortcuts";
 import { SmallFigure } from "../motion/SmallFigure";
 import type { TakeRow } from "./questions";
 import { counted, hours, named } from "./text";
@@ -94,10 +95,19 @@ export function WallGrid({ groups, by, rateHz, size, still, row, onRange, onKeep
     setActive(inside ? active - before : 0);
     onKeep(group);
   };
+  const line = lines[lineOf(lines, active)];
+  useShortcuts("Wall", [
+    { keys: "]", what: "Next group", run: () => move(takeOfGroup(groups, active, 1)) },
+    { keys: "[", what: "Group before", run: () => move(takeOfGroup(groups, active, -1)) },
+    {
+      keys: "o",
+      what: "Only the group of the chosen take",
+      run: () => line !== undefined && by !== null && keepGroup(line.group),
+    },
+  ]);
   const onKey = (event: KeyboardEvent) => {
     const page = Math.max(1, Math.floor(((scroller.current?.clientHeight ?? 0) - HEADING) / (height + CAPTION)));
     const whole = event.ctrlKey || event.metaKey;
-    const line = lines[lineOf(lines, active)];
     const [left, right] = line?.kind === "row" ? [line.first, line.stop - 1] : [0, total - 1];
     const steps: Record<string, () => void> = {
       ArrowRight: () => move(active + 1),
@@ -108,12 +118,9 @@ export function WallGrid({ groups, by, rateHz, size, still, row, onRange, onKeep
       PageUp: () => move(takeBelow(lines, active, -page)),
       Home: () => move(whole ? 0 : left),
       End: () => move(whole ? total - 1 : right),
-      "]": () => move(takeOfGroup(groups, active, 1)),
-      "[": () => move(takeOfGroup(groups, active, -1)),
-      o: () => line !== undefined && by !== null && keepGroup(line.group),
       Enter: () => open(active),
     };
-    const step = event.altKey || (whole && event.key.length === 1) ? undefined : steps[event.key];
+    const step = event.altKey ? undefined : steps[event.key];
     if (step === undefined) return;
     event.preventDefault();
     step();
@@ -136,7 +143,6 @@ export function WallGrid({ groups, by, rateHz, size, still, row, onRange, onKeep
       aria-rowcount={lines.length}
       aria-colcount={across}
       aria-activedescendant={`${id}-active`}
-      aria-keyshortcuts="[ ] o"
       tabIndex={0}
       onKeyDown={onKey}
       onClick={onClick}
@@ -226,7 +232,7 @@ function Heading({ group, by, place, across, onKeep }: HeadingProps) {
         <button
           type="button"
           tabIndex={-1}
-          aria-label={`Only ${by}: ${named(group.value)}`}
+          aria-label={`only these: ${by} ${named(group.value)}`}
           title="Show these takes only (o)"
           onClick={() => onKeep(place)}
         >
