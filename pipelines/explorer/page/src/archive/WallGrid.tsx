@@ -15,12 +15,14 @@ import type { TakeRow } from "./questions";
 import { counted, hours, named } from "./text";
 import { lineOf, shownFrames, takeBelow, takeOfGroup, type WallGroup, type WallLine, wallLines } from "./wall";
 
-const SIZES = { small: [72, 84], medium: [104, 116], large: [160, 180] } as const;
+/** Width and height of the figures, and lines of the names. */
+const SIZES = { small: [72, 84, 3], medium: [104, 116, 2], large: [160, 180, 2] } as const;
 export type WallSize = keyof typeof SIZES;
 export const WALL_SIZES = Object.keys(SIZES) as WallSize[];
 export const isWallSize = (text: string | null): text is WallSize => text !== null && text in SIZES;
 
-const CAPTION = 34;
+const TEXT_LINE = 15;
+const CAPTION_PADDING = 4;
 const GAP = 6;
 const BORDER = 2;
 const HEADING = 30;
@@ -40,14 +42,17 @@ interface Props {
   onRange: (first: number, stop: number) => void;
   /** Show the takes of one group alone. */
   onKeep: (group: number) => void;
+  /** Let the figures rest, or move again. */
+  onStill: () => void;
 }
 
-export function WallGrid({ groups, by, rateHz, size, still, row, onRange, onKeep }: Props) {
+export function WallGrid({ groups, by, rateHz, size, still, row, onRange, onKeep, onStill }: Props) {
   const id = useId();
   const scroller = useRef<HTMLDivElement>(null);
   const measured = useElementSize();
   const both = useMergedRef(scroller, measured.ref);
-  const [width, height] = SIZES[size];
+  const [width, height, names] = SIZES[size];
+  const full = height + names * TEXT_LINE + CAPTION_PADDING + BORDER;
   const across = Math.max(1, Math.floor((measured.width - GAP) / (width + BORDER + GAP)));
   const lines = useMemo(() => wallLines(groups, across, by !== null), [groups, across, by]);
   const total = useMemo(() => groups.reduce((sum, one) => sum + one.takes, 0), [groups]);
@@ -56,7 +61,7 @@ export function WallGrid({ groups, by, rateHz, size, still, row, onRange, onKeep
   const virtual = useVirtualizer({
     count: lines.length,
     getScrollElement: () => scroller.current,
-    estimateSize: (place) => (lines[place]?.kind === "heading" ? HEADING : height + CAPTION + BORDER + GAP),
+    estimateSize: (place) => (lines[place]?.kind === "heading" ? HEADING : full + GAP),
     overscan: 1,
     scrollPaddingStart: by === null ? 0 : HEADING,
     rangeExtractor: (range) => withHeading(range, lines, sticky),
@@ -104,9 +109,10 @@ export function WallGrid({ groups, by, rateHz, size, still, row, onRange, onKeep
       what: "Only the group of the chosen take",
       run: () => line !== undefined && by !== null && keepGroup(line.group),
     },
+    { keys: "m", what: "Let the figures move or rest", run: onStill },
   ]);
   const onKey = (event: KeyboardEvent) => {
-    const page = Math.max(1, Math.floor(((scroller.current?.clientHeight ?? 0) - HEADING) / (height + CAPTION)));
+    const page = Math.max(1, Math.floor(((scroller.current?.clientHeight ?? 0) - HEADING) / (full + GAP)));
     const whole = event.ctrlKey || event.metaKey;
     const [left, right] = line?.kind === "row" ? [line.first, line.stop - 1] : [0, total - 1];
     const steps: Record<string, () => void> = {
@@ -138,6 +144,7 @@ export function WallGrid({ groups, by, rateHz, size, still, row, onRange, onKeep
     <div
       ref={both}
       className="wall"
+      data-size={size}
       role="grid"
       aria-label="Takes"
       aria-rowcount={lines.length}
@@ -176,6 +183,7 @@ export function WallGrid({ groups, by, rateHz, size, still, row, onRange, onKeep
                       rateHz={rateHz}
                       width={width}
                       height={height}
+                      full={full}
                       active={take === active}
                       still={still}
                     />
@@ -251,11 +259,13 @@ interface CellProps {
   rateHz: number;
   width: number;
   height: number;
+  /** Height with the caption. */
+  full: number;
   active: boolean;
   still: boolean;
 }
 
-const Cell = memo(function Cell({ id, take, column, data, rateHz, width, height, active, still }: CellProps) {
+const Cell = memo(function Cell({ id, take, column, data, rateHz, width, height, full, active, still }: CellProps) {
   const [due, setDue] = useState(false);
   const [pointed, setPointed] = useState(false);
   useEffect(() => {
@@ -276,7 +286,7 @@ const Cell = memo(function Cell({ id, take, column, data, rateHz, width, height,
       aria-colindex={column}
       aria-selected={active}
       className="wall-take"
-      style={{ height: height + CAPTION + BORDER }}
+      style={{ height: full }}
       data-take={take}
       onPointerEnter={() => setPointed(true)}
       onPointerLeave={() => setPointed(false)}

@@ -6,7 +6,6 @@ import type { Selection, Sort } from "../api/types";
 import { useParameter } from "../app/address";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
-import { useShortcuts } from "../app/shortcuts";
 import { useGroups, useTakes } from "./questions";
 import { filterColumns, useSelection, useSort } from "./selection";
 import { counted, hours } from "./text";
@@ -40,7 +39,6 @@ export function WallView({ selection }: { selection: Selection }) {
     [groups, by, state],
   );
   const toggleStill = () => setStill(still === null ? "1" : null);
-  useShortcuts("Wall", [{ keys: "m", what: "Let the figures move or rest", run: toggleStill }]);
   const size = isWallSize(sized) ? sized : "medium";
   const fault = takes.error ?? found.error;
   if (fault !== null) return <Fault fault={fault} />;
@@ -93,6 +91,7 @@ export function WallView({ selection }: { selection: Selection }) {
           row={takes.row}
           onRange={takes.onRange}
           onKeep={keep}
+          onStill={toggleStill}
         />
       )}
     </div>
