@@ -106,7 +106,7 @@ def _files(asked: FilesQuestion) -> tuple[list[LabelFile], str]:
             f"{missing}: there is no such file or folder on the machine of the server; give its whole path"
         )
     files = label_files(paths)
-    text = repr([(file.path, file.takes, file.segments) for file in files])
+    text = repr([(file.path, file.takes, file.segments, file.covered) for file in files])
     return files, hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()
 
 
@@ -121,7 +121,8 @@ def _proposed(store: Store, files: list[LabelFile], asked: FilesQuestion, **more
 def _counts(rows: list[Row]) -> dict[str, int]:
     found: dict[str, int] = {}
     for row in rows:
-        name = str({"negative": "rejected", "withdrawn": "removed"}.get(row["verdict"], row["origin"]))
+        own = {"withdrawn": "removed", "negative": "without errors" if row["origin"] == "imported" else "rejected"}
+        name = str(own.get(row["verdict"], row["origin"]))
         found[name] = found.get(name, 0) + 1
     return found
 

@@ -21,6 +21,7 @@ from kinedex.ops.inertial.disagreement import (
 from kinedex.ops.inertial.drift import HeadingDrift
 from kinedex.ops.inertial.limb_orientation import NONE, long_axis
 from kinedex.ops.inertial.rotations import interpolate
+from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.inertial.error_parameters import LimbErrorsParameters
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake
@@ -118,11 +119,12 @@ def take_errors(
     """
     found: dict[str, LimbCurve] = {}
     left_out = []
+    lacking: dict[str, list[str]] = {}
     for sensor in take.sensors:
         clock = clocks.get((take.take_id, sensor.recording))
         row = calibrations.get((take.take_id, sensor.recording, sensor.sensor))
         if clock is None or row is None:
-            left_out.append(f"{sensor.sensor} of {sensor.recording} has no clock or no mount")
+            lacking.setdefault(sensor.recording, []).append(sensor.sensor)
             continue
         curve = _curve(take.limbs[sensor.limb], sensor, clock, row)
         other = found.get(sensor.limb)
@@ -134,10 +136,15 @@ def take_errors(
                 left_out.append(f"{kept.limb}: where {first} and {second} both know a frame, the former judges it")
             curve = _filled(kept, filler)
         found[sensor.limb] = curve
+    left_out += [f"{_sensors(names)} of {one}: no clock or no mount" for one, names in lacking.items()]
     curves = tuple(found.values())
     tau = auto_tau((one.error, one.valid) for one in curves) if params.tau == "auto" else params.tau
     rules = RunRules(tau, params.low, params.gap_s, params.min_s)
     return TakeErrors(curves, tau, {one.limb: _runs(one, rules) for one in curves}, left_out)
+
+
+def _sensors(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else counted(len(names), "sensor")
 
 
 def _filled(one: LimbCurve, other: LimbCurve) -> LimbCurve:

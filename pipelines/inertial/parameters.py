@@ -25,7 +25,11 @@ class LimbOrientationsParameters(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    where: str = Field("true", description="SQL filter over the columns of takes: those whose limbs are read")
+    where: str | None = Field(
+        None,
+        description="SQL filter over the columns of takes: those whose limbs are read; unless given, those that wear "
+        "sensors by read_imu, and all in a pipeline without it",
+    )
     limbs: list[str] = Field(
         default_factory=list,
         description="limbs, or groups of them (trunk, head, arms, hands, legs), that are read; all unless given",

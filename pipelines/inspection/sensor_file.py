@@ -35,6 +35,8 @@ class InspectedSensor:
         Samples per second.
     samples : int
         Their number.
+    lost : int
+        The samples that the rate leaves room for and that the file does not have.
     seconds : float
         From the first to the last one.
     frame : str or None
@@ -61,6 +63,7 @@ class InspectedSensor:
     channels: tuple[str, ...]
     rate_hz: float
     samples: int
+    lost: int
     seconds: float
     frame: str | None
     frame_assumed: bool
@@ -119,9 +122,11 @@ def _inspected(sensor: ImuSensor, recording: ImuRecording, sensor_set: SensorSet
             correlation, ratio = _number(found[0]), _number(found[1])
     lengths = np.full(1, np.nan) if sensor.acc is None else np.linalg.norm(sensor.acc, axis=1)
     known = lengths[np.isfinite(lengths)]
+    seconds = float(sensor.times[-1] - sensor.times[0])
+    lost = max(round(seconds * sensor.rate_hz) + 1 - len(sensor.times), 0)
     return InspectedSensor(
         sensor.name, sensor_set.limb(sensor.name, recording.files[sensor.name].name), sensor.channels, sensor.rate_hz,
-        len(sensor.times), float(sensor.times[-1] - sensor.times[0]), sensor.frame or None, sensor.frame_assumed,
+        len(sensor.times), lost, seconds, sensor.frame or None, sensor.frame_assumed,
         _number(float(known.mean())) if len(known) else None,
         None if sensor.acc is None else _number(typical_length(sensor.acc)), correlation, ratio, sensor.gaps,
         tuple(rests(sensor.times, sensor.rate_hz, sensor.acc, sensor.gyr)), sensor.warnings,
@@ -136,7 +141,8 @@ def _add_sensor(found: Inspection, sensor: InspectedSensor) -> None:
     """Add the facts about a sensor."""
     worn = f", worn on {sensor.limb}" if sensor.limb else ""
     found.add("sensor", f"{sensor.sensor}{worn}: {', '.join(sensor.channels)}")
-    found.add("rate", f"{sensor.rate_hz:.6g} Hz, {counted(sensor.samples, 'sample')}, {sensor.seconds:.2f} s")
+    lost = f" ({sensor.lost:,} more are lost)" if sensor.lost else ""
+    found.add("rate", f"{sensor.rate_hz:.6g} Hz, {counted(sensor.samples, 'sample')}{lost}, {sensor.seconds:.2f} s")
     if sensor.median_acc_m_s2 is not None and sensor.mean_acc_m_s2 is not None:
         off = sensor.median_acc_m_s2 / GRAVITY - 1
         fits = "as gravity" if abs(off) < 0.1 else f"{abs(off):.0%} {'above' if off > 0 else 'below'} gravity"

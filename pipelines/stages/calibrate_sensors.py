@@ -63,19 +63,34 @@ class CalibrateSensors(Stage[CalibrationSettings]):
                 rows += [calibration_row(one) | {"fingerprint": prints[one.take_id]} for one in fits]
                 bar.advance(len({one.take_id for one in fits}))
         reuse.put(CALIBRATION, take_tables(CALIBRATION, rows, reuse.fresh, context.run))
-        for row in rows:
-            for what, text in (("left out", row["left_out"]), ("warning", row.get("warning"))):
-                if text:
-                    named = str(text).startswith(f"{row['sensor']}: ")  # a sensor that is named after its limb
-                    sensor = "" if named else f", {row['sensor']}"
-                    context.say(f"{row['take']}{sensor}: {what}: {text}")
+        for line in _remarks(rows):
+            context.say(line)
         every = context.open().result(CALIBRATION, stage=context.key()).to_pylist()
         found = [row for row in every if not row["left_out"]]
         if found:
             context.terminal.show(_table(found))
-        context.say(f"{counted(len(found), 'sensor')} calibrated, {len(every) - len(found)} left out")
+        sensors, recordings = (len({row[name] for row in found}) for name in ("sensor", "recording"))
+        context.say(
+            f"{counted(len(found), 'calibration')}: {counted(sensors, 'sensor')} in "
+            f"{counted(recordings, 'recording')}; {len(every) - len(found)} left out"
+        )
         reuse.report("not calibrated")
         return {"calibrated": len(found), "without_mount": len(every) - len(found), "unchanged": reuse.unchanged}
+
+
+def _remarks(rows: list[dict[str, Any]]) -> list[str]:
+    """Return lines on sensors that were left out and on warnings; sensors of a recording with one reason share one."""
+    found: dict[tuple[str, str, str, str], list[str]] = {}
+    for row in rows:
+        for what, text in (("left out", row["left_out"]), ("warning", row.get("warning"))):
+            if text:
+                found.setdefault((row["take"], row["recording"], what, str(text)), []).append(str(row["sensor"]))
+    lines = []
+    for (take, recording, what, text), sensors in found.items():
+        own = "" if text.startswith(f"{sensors[0]}: ") else f"{sensors[0]}: "  # a sensor that is named after its limb
+        who = own if len(sensors) == 1 else f"{counted(len(sensors), 'sensor')}: "
+        lines.append(f"{take}, {recording}: {who}{what}: {text}")
+    return lines
 
 
 def _wearing(store: Store, columns: list[str]) -> dict[int, Hashable]:

@@ -31,21 +31,22 @@ class LimbOrientations(Stage[LimbOrientationsParameters]):
 
     name = "limb_orientations"
     parameters = LimbOrientationsParameters
-    inputs: ClassVar = {"takes": Input("ingest", optional=True)}
+    inputs: ClassVar = {"takes": Input("ingest", optional=True), "sensors": Input("read_imu", optional=True)}
 
     def reading(self, params: LimbOrientationsParameters, store: Store) -> Reading:
         """Return a digest of the takes whose limbs are read."""
         takes = store.takes_table(params.where)["name"].to_pylist()
-        return Reading(reading_digest(store, takes), counted(len(takes), "take"))
+        what = counted(len(takes), "take")
+        return Reading(reading_digest(store, takes), what if params.where is not None else f"up to {what}")
 
     def run(self, context: StageContext, params: LimbOrientationsParameters) -> dict[str, object]:
         """Read the limbs of the takes, and store them."""
         store = context.open()
-        takes = store.takes_table(params.where)["name"].to_pylist()
+        takes = _takes(context, store, params.where)
         if not takes:
             raise KinedexError(
-                f"where: no take fits '{params.where}'; `kinedex sql STORE 'FROM takes'` lists what there is, and "
-                f"`--set {context.stage}.where=true` takes all"
+                f"where: no take fits '{params.where or 'takes that wear sensors'}'; `kinedex sql STORE 'FROM takes'` "
+                f"lists what there is, and `--set {context.stage}.where=true` takes all"
             )
         prints = limb_fingerprints(store, takes, params.chosen, context.code)
         reuse = ReusedTakes(context, store, prints, KIND)
@@ -73,6 +74,16 @@ class LimbOrientations(Stage[LimbOrientationsParameters]):
             "takes": len(takes), "unchanged": reuse.unchanged, "frames": figures.frames, "limbs": dict(figures.bases),
             "jumped": figures.jumped, "remarks": remarks,
         }  # fmt: skip
+
+
+def _takes(context: StageContext, store: Store, where: str | None) -> list[str]:
+    """Return the takes that a filter selects; without one those that wear sensors, or all where nothing states it."""
+    takes: list[str] = store.takes_table(where)["name"].to_pylist()
+    if where is not None or "sensors" not in context.inputs:
+        return takes
+    rows = store.result("imu_recordings", stage=context.key(context.inputs["sensors"])).select(["take", "limb"])
+    worn = {row["take"] for row in rows.to_pylist() if row["limb"] is not None}
+    return [take for take in takes if take in worn]
 
 
 def _show(context: StageContext, takes: int, figures: LimbFigures, lacking: Counter[str]) -> None:

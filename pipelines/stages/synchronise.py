@@ -10,14 +10,14 @@ from rich import box
 from rich.table import Table
 
 from kinedex.pipelines.console.tables import plain_text
-from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.inertial.reused_takes import ReusedTakes
 from kinedex.pipelines.inertial.sensor_parameters import SynchroniseParameters
 from kinedex.pipelines.inertial.sensor_tables import SYNC, sync_row, take_tables
-from kinedex.pipelines.inertial.synchronisation import synchronise
+from kinedex.pipelines.inertial.synchronisation import LEAST_DRIFT_S, synchronise
 from kinedex.pipelines.inertial.worn_sensors import WornTake, WornTakes
 from kinedex.storage.store.store import Store
 
@@ -55,6 +55,7 @@ class Synchronise(Stage[SynchroniseParameters]):
         for row in rows:
             if row["left_out"]:
                 context.say(f"{row['take']}, {row['recording']}: left out: {row['left_out']}")
+        _show_constant(context, rows, params)
         shown = [row for row in rows if not row["left_out"]]
         if shown:
             context.terminal.show(_table(shown))
@@ -69,6 +70,21 @@ def _rows(take: WornTake, params: SynchroniseParameters) -> list[dict[str, Any]]
     return [sync_row(take.take_id, take.take, one, synchronise(take, one, params)) for one in take.recordings]
 
 
+def _show_constant(context: StageContext, rows: list[dict[str, Any]], params: SynchroniseParameters) -> None:
+    """Show the recordings whose clocks stay constant although their drift was asked for."""
+    constant = [str(row["recording"]) for row in rows if not row["left_out"] and row["ppm"] == 0.0]
+    if params.clock == "drift" and constant:
+        context.say(
+            f"clock: drift: constant in {counted(len(constant), 'recording')}, since a drift shows only where take and "
+            f"calibrated sensors share {LEAST_DRIFT_S / 60:.0f} minutes, and `offset_s` is not given: {few(constant)}"
+        )
+
+
+def _fixed(value: float, digits: int) -> str:
+    """Return a number with digits behind the point, and no sign where all of them are 0."""
+    return f"{round(value, digits) + 0.0:.{digits}f}"
+
+
 def _table(rows: list[dict[str, Any]]) -> Table:
     """Return a row for each recording with its offset and how sure it is."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
@@ -77,7 +93,7 @@ def _table(rows: list[dict[str, Any]]) -> Table:
     for row in rows[:_SHOWN]:
         figures = ("–" if row[name] is None else f"{row[name]:.2f}" for name in ("correlation", "next_best"))
         names = (plain_text(row[name]) for name in ("take", "recording"))
-        table.add_row(*names, f"{row['offset_s']:.4f}", f"{row['ppm']:.0f}", *figures)
+        table.add_row(*names, _fixed(row["offset_s"], 4), _fixed(row["ppm"], 0), *figures)
     if len(rows) > _SHOWN:
         table.caption = f"and {len(rows) - _SHOWN} more in the view {SYNC}"
     return table

@@ -83,6 +83,9 @@ FORMATS = {
 }
 """Name → format; a file is of the first that recognises it."""
 
+HDF5_ENDINGS = (".h5", ".hdf5")
+"""Endings of HDF5 files."""
+
 _HEAD = 1 << 16
 _WHOLE = ("hdf5", "mvnx")  # formats of which a file that is cut off cannot be read
 
@@ -201,6 +204,11 @@ def recognised(path: Path) -> str:
     for name, form in FORMATS.items():
         if form.recognises(path, head):
             return name
+    if path.suffix.lower() in HDF5_ENDINGS:
+        raise SourceError(
+            path, f"is no HDF5 file, although its ending is {path.suffix}; export or copy it again, or give it the "
+            "ending of what it is"
+        )  # fmt: skip
     known = ", ".join(form.title for form in FORMATS.values())
     raise SourceError(path, f"is no file of inertial sensors that is known; known: {known}")
 

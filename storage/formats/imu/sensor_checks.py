@@ -40,6 +40,8 @@ LATEST_S = 1e11
 FASTEST_RAD_S = 70.0
 """No gyroscope reads more: 4,000 degrees per second."""
 
+_LONG_STEPS = 10.0  # steps that are longer than so many mean ones are holes
+_MOST_MISSING = 1.5  # of an even clock the median step makes at most so many steps for each that is there
 _DEFAULT_UNITS = {"acc": "m/s2", "gyr": "rad/s", "mag": "uT"}
 _WORLDS = {"NWU": NWU, "ENU": ENU, "NED": NED}
 _TO_NWU = {NWU: None, ENU: TO_NORTH_WEST_UP, NED: exp(np.array([np.pi, 0.0, 0.0]))}
@@ -339,11 +341,18 @@ def _shown_world(orientation: F64, acc: F64 | None, mag: F64 | None) -> str | No
 
 
 def _measured_rate(times: F64) -> float | None:
-    """Return samples per second by times that may have holes; None for a single sample."""
+    """Return samples per second by times that may have holes or jitter; None for a single sample.
+
+    The median step of an even clock is its period, whatever samples are lost. Where steps between long holes would make
+    half as many samples again as there are, the times jitter or come in bursts: the mean step counts.
+    """
     steps = np.diff(times)
     if not len(steps):
         return None
     step = float(np.median(steps))
+    near = steps[steps <= max(LONGEST_GAP_S, _LONG_STEPS * float(steps.mean()))]
+    if np.rint(near / step).sum() > _MOST_MISSING * len(near):
+        return float(len(near) / near.sum())
     return float(np.rint(steps / step).sum() / (times[-1] - times[0]))
 
 

@@ -36,6 +36,11 @@ def test_recordings_of_parts_of_a_take_judge_their_frames() -> None:
     (curve,) = found.curves
     assert curve.valid.all()
     assert found.left_out == []
+    assert take_errors(take, {}, rows, LimbErrorsParameters()).left_out == [
+        "s-a of a: no clock or no mount", "s-b of b: no clock or no mount",
+    ]  # fmt: skip
+    both = WornTake(1, "take", {"lshank": limb}, (sensors[0], sensor("a", 0, 100, 5.0)), {})
+    assert take_errors(both, {}, {}, LimbErrorsParameters()).left_out == ["2 sensors of a: no clock or no mount"]
     assert np.allclose(curve.degrees, np.where(TIMES < 0.995, 60.0, 10.0))
     assert [str(name) for name in curve.recording[[0, 99, 100, 299]]] == ["a", "a", "b", "b"]
     assert [(run.start, run.stop) for run in found.runs["lshank"][0]] == [(0, 100)]

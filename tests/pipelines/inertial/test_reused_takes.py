@@ -44,7 +44,7 @@ def run(folder: Path, store: str, *sources: Path, anew: bool = False) -> dict[st
 
     for source in sources:
         step(Ingest(), "ingest", source=str(source), patterns=[r"x_(?P<actor>[a-z]+)_[a-z]+_\d"])
-    reused = {"limbs": step(LimbOrientations(), "limb_orientations", limbs=["lshank", "rhand", "torso"])}
+    reused = {"limbs": step(LimbOrientations(), "limb_orientations", where="true", limbs=["lshank", "rhand", "torso"])}
     put_sensors(folder, store=store)
     reused["broken"] = step(BreakTrack(), "break_track", limbs=["lshank"])
     reused["clocks"] = step(Synchronise(), "synchronise")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -11,10 +12,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
+from rich.console import Console
 
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.inertial import rotations as r
 from kinedex.ops.inertial.rotations import Z_TO_Y
+from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.limb_tables import limb_table, stored_limbs, struct_array
@@ -205,6 +208,45 @@ def test_a_take_without_a_clock_is_left_out_and_the_others_go_on(synchronised: P
     assert left["x_bo_sway_1"] == "the clock of the recording was not found"
     assert left["x_al_hop_1"] is None
     assert {row["offset_s"] for row in synchronise(tmp_path, offset_s=0.25)} == {0.25}
+
+
+def printed(folder: Path, stage: Synchronise | CalibrateSensors, **params: object) -> str:
+    """Return what a stage prints, on one line."""
+    out = io.StringIO()
+    place = dataclasses.replace(stage_context(folder, stage.name), terminal=Terminal(Console(file=out, width=400)))
+    stage.run(place, stage.parameters(**params))
+    return " ".join(out.getvalue().split())
+
+
+def test_a_recording_that_is_left_out_is_named_once(synchronised: Path, tmp_path: Path) -> None:
+    shutil.copytree(synchronised / "store", tmp_path / "store")
+    put_sensors(tmp_path, still="x_bo_sway_1")
+    shown = printed(tmp_path, Synchronise(), clock="drift")
+    assert "clock: drift: constant in 2 recordings" in shown
+    assert "share 5 minutes" in shown
+    assert "x_al_hop_1.csv, x_al_hop_2.csv" in shown
+    shown = printed(tmp_path, CalibrateSensors())
+    reason = "the clock of the recording was not found"
+    assert shown.count(reason) == 1
+    assert f"x_bo_sway_1, x_bo_sway_1.csv: 3 sensors: left out: {reason}" in shown
+    assert "6 calibrations: 3 sensors in 2 recordings; 6 left out" in shown
+    assert "-0.0000" not in printed(tmp_path, Synchronise(), offset_s=-0.00001)
+
+
+def test_limbs_are_read_of_the_takes_that_wear_sensors(synchronised: Path, tmp_path: Path) -> None:
+    shutil.copytree(synchronised, tmp_path, dirs_exist_ok=True)
+    rows = open_store(tmp_path / "store", at="newest").result("imu_recordings")
+    own = pa.Table.from_pylist(
+        [row for row in rows.to_pylist() if row["take"] == "x_al_hop_2"], schema=result_schema("imu_recordings")
+    )
+    with context(tmp_path / "store").writer() as writer:
+        writer.put_results("imu_recordings", own, stage="test/read_imu", run="run-1")
+        writer.commit()
+    stage, place = LimbOrientations(), stage_context(tmp_path, "limb_orientations")
+    assert stage.run(place, stage.parameters(limbs=["legs"]))["takes"] == 1
+    assert stage.run(place, stage.parameters(limbs=["legs"], where="true"))["takes"] == 3
+    without = context(tmp_path / "store", "limb_orientations")
+    assert stage.run(without, stage.parameters(limbs=["legs"]))["takes"] == 3
 
 
 def changed(**values: object) -> Callable[[list[dict[str, Any]]], None]:

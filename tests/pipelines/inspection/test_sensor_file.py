@@ -30,7 +30,7 @@ def test_a_sensor_file_is_recognised_and_described(tmp_path: Path) -> None:
     shown = inspected(path, "--sensors", tmp_path / "five.yaml")
     for part in (
         "MT Manager TXT (Xsens), 1 sensor", "00B421ED, worn on lshank: acc, gyr, orientation",
-        "50 Hz, 110 samples, 2.38 s",
+        "50 Hz, 110 samples (10 more are lost), 2.38 s",
         "median 9.81: as gravity", "correlates at 1.00", "1.00 times as large", "sensor to north-west-up",
         "1, 0.22 s: 0.70 to 0.92 s", "none of a second or more",
     ):  # fmt: skip
@@ -39,6 +39,7 @@ def test_a_sensor_file_is_recognised_and_described(tmp_path: Path) -> None:
     (sensor,) = document["sensors"]
     assert sensor["gyr_ratio"] == pytest.approx(1, abs=0.02)
     assert sensor["limb"] is None
+    assert sensor["lost"] == 10
     assert sensor["gaps"] == [[pytest.approx(0.7), pytest.approx(0.92)]]
 
 

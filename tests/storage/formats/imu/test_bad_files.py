@@ -253,3 +253,18 @@ def test_a_rate_that_the_quaternions_contradict_is_warned_of(tmp_path: Path) -> 
     path.write_text(mtmanager_text(turning(300)).replace("Update Rate: 50.0Hz", "Update Rate: 30.0Hz"))
     (sensor,) = read_recording(path).sensors
     assert any("gyr turns 1.67 times as fast" in one and "30 Hz right?" in one for one in sensor.warnings)
+
+
+def test_times_that_jitter_make_the_mean_rate(tmp_path: Path) -> None:
+    jittered = np.cumsum([0.0, *np.tile([0.018, 0.006, 0.006, 0.018, 0.002], 11), *[0.01] * 4])
+    (sensor,) = read_recording(write(tmp_path, replace(KNOWN, times=jittered))).sensors
+    assert sensor.rate_hz == pytest.approx(100.0, rel=0.02)
+    gaps = np.arange(60) / 50 + np.repeat([0, 0.1, 0.2], 20)
+    (sensor,) = read_recording(write(tmp_path, replace(KNOWN, times=gaps))).sensors
+    assert sensor.rate_hz == pytest.approx(50.0)
+
+
+def test_a_file_that_is_no_hdf5_is_named_so(tmp_path: Path) -> None:
+    (tmp_path / "a.h5").write_bytes(np.random.default_rng(1).bytes(500))
+    with pytest.raises(SourceError, match="is no HDF5 file, although its ending is .h5"):
+        read_recording(tmp_path / "a.h5")
