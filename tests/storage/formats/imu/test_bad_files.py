@@ -266,5 +266,5 @@ def test_times_that_jitter_make_the_mean_rate(tmp_path: Path) -> None:
 
 def test_a_file_that_is_no_hdf5_is_named_so(tmp_path: Path) -> None:
     (tmp_path / "a.h5").write_bytes(np.random.default_rng(1).bytes(500))
-    with pytest.raises(SourceError, match="is no HDF5 file, although its ending is .h5"):
+    with pytest.raises(SourceError, match=r"is no HDF5 file, although its ending is \.h5"):
         read_recording(tmp_path / "a.h5")
