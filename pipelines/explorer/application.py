@@ -36,6 +36,7 @@ SUBJECTS = (
     "doubtful",
     "events",
     "examples",
+    "exports",
     "keyframes",
     "jobs",
     "label_files",

@@ -69,7 +69,7 @@ class Folder:
         self.known: dict[str, Written] = {}
 
     def __enter__(self) -> Folder:
-        _require_own(self.path)
+        require_own(self.path)
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             self._lock.acquire()
@@ -159,7 +159,7 @@ def sha256_of(path: Path) -> str | None:
     return digest.hexdigest()
 
 
-def _require_own(path: Path) -> None:
+def require_own(path: Path) -> None:
     """Raise a KinedexError if a folder holds anything but an export."""
     if path.exists() and not path.is_dir():
         raise KinedexError(f"{path}: is a file; a data set is a folder: give another name with -o")
@@ -176,6 +176,12 @@ def _require_own(path: Path) -> None:
     links = [name for name in (CLIPS, *SPLITS) if (path / name).is_symlink()]
     if links:
         raise KinedexError(f"{path / links[0]}: is a link, through which nothing is written; remove it")
+
+
+def written_by(path: Path) -> tuple[list[str], int]:
+    """Return the files of the clips of a finished export, and the number of clips that could not be written."""
+    excluded = _content(path).get("excluded")
+    return [one.file for one in _of_data_set(path)], len(excluded) if isinstance(excluded, list) else 0
 
 
 def _is_data_set(path: Path) -> bool:

@@ -97,13 +97,24 @@ export function SaveBar({ hits, file, onRefine }: SaveBarProps) {
           >
             {accepted.length > 0 ? "Accepted" : "Shown"} intervals (ranges.csv, for kinedex export --ranges)
           </Menu.Item>
-          <Menu.Item component={Link} href={name.trim() === "" ? "/export" : `/export?what=labels&class=${encodeURIComponent(name.trim())}`}>
-            Data set: go to Export
+          <Menu.Item component={Link} href={exportAddress(chosen, name.trim())}>
+            Data set of the {accepted.length > 0 ? "accepted" : "shown"} hits: go to Export
           </Menu.Item>
         </Menu.Dropdown>
       </Menu>
     </Group>
   );
+}
+
+/** Most hits that an address holds; servers refuse longer addresses. */
+const MOST_HITS = 200;
+
+/** Return the address of Export with intervals; beyond what an address holds, it asks for the file of intervals. */
+export function exportAddress(intervals: readonly Interval[], label: string): string {
+  if (intervals.length === 0) return label === "" ? "/export" : `/export?what=labels&class=${encodeURIComponent(label)}`;
+  if (intervals.length > MOST_HITS) return "/export?what=ranges";
+  const hits = intervals.map(({ take, start, stop }) => ({ take, start, stop, ...(label === "" ? {} : { class: label }) }));
+  return `/export?${new URLSearchParams({ hits: JSON.stringify(hits) }).toString()}`;
 }
 
 function failed(fault: unknown): void {

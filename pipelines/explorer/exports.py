@@ -1,0 +1,284 @@
+"""Export: the plan of a data set with its splits and sizes, and the job that writes it.
+
+    GET /api/export → {forms: [{name, meaning}], kinds, folder: the last one that was written to}
+    POST /api/export/plan {kind, …, form, split, …, folder?} → the plan (`plan_export`); nothing stays on disk
+    POST /api/export {the same, folder} → a job, whose command is that of the plan
+    GET /api/export/ID → what a job has written: {folder, files, bytes, clips, excluded}
+
+A server that is read only shows plans and refuses to write: an export writes files, although none into the store.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import defaultdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.engine.context import ProgressBar
+from kinedex.pipelines.explorer.addresses import Question, get, post
+from kinedex.pipelines.explorer.answers import NotFoundError
+from kinedex.pipelines.explorer.jobs import Job, jobs_of
+from kinedex.pipelines.explorer.same import command_line
+from kinedex.pipelines.explorer.selections import SQL_SECONDS, Selection, condition_of
+from kinedex.pipelines.export.folder import DATA_SET, METADATA, require_own, written_by
+from kinedex.pipelines.export.forms import FORMS
+from kinedex.pipelines.export.metadata import Facts, data_set_text, metadata_rows, metadata_text, split_facts
+from kinedex.pipelines.export.plan import Plan, planned
+from kinedex.pipelines.export.request import CLIPS, SHARES, How, Kind, What
+from kinedex.pipelines.export.sizes import estimated_bytes
+from kinedex.pipelines.export.work import Done, Written
+from kinedex.storage.duck import quote
+from kinedex.storage.store.store import Store
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from kinedex.pipelines.explorer.archive import Archive
+
+Row = dict[str, Any]
+
+TITLE = "Export"
+
+MOST_HITS = 1000
+"""Most hits of a request: they stand in the command line, whose length systems limit."""
+
+Name = Annotated[str, Field(min_length=1, max_length=500)]
+Text = Annotated[str, Field(max_length=50_000)]
+Frame = Annotated[int, Field(ge=0)]
+
+
+class Hit(Question):
+    """An interval that another page hands over."""
+
+    take: Name
+    start: Frame
+    stop: Frame
+    label: Name | None = Field(None, alias="class")
+
+
+class ExportQuestion(Selection):
+    """A request for an export: the fields of `What` and of `How`, and the folder."""
+
+    kind: Kind = "takes"
+    name: Text | None = None
+    hits: Annotated[tuple[Hit, ...], Field(max_length=MOST_HITS)] = ()
+    classes: Annotated[tuple[Name, ...], Field(max_length=500)] = ()
+    pipeline: Name | None = None
+    min_confidence: Annotated[float, Field(ge=0, le=1)] | None = None
+    form: str = "csv"
+    joints: bool = False
+    margin: float = 0.0
+    context: float = 0.0
+    min_length: float = 0.0
+    mirror: bool = False
+    rate_hz: float | None = None
+    in_place: bool = False
+    split: Name | None = None
+    shares: Annotated[tuple[float, ...], Field(max_length=3)] = SHARES
+    seed: int = 0
+    balance: bool = False
+    per_class: int | None = None
+    distinct: float | None = None
+    folder: Annotated[str, Field(max_length=4000)] | None = None
+
+
+_HOW = tuple(How.__dataclass_fields__)
+
+
+class _Silent:
+    """A progress bar that nobody sees."""
+
+    def __enter__(self) -> _Silent:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def advance(self, n: int = 1) -> None:
+        """Move nothing."""
+
+
+def _silent(_description: str, _total: int) -> ProgressBar:
+    return _Silent()
+
+
+def export_facts(archive: Archive, _request: Request) -> Row:
+    """Return the forms, and the folder of the last export of this server."""
+    last = [job for job in jobs_of(archive).every() if job.title == TITLE]
+    return {
+        "forms": [{"name": name, "meaning": form.meaning} for name, form in FORMS.items()],
+        "job": last[-1].shown() if last else None,
+    }
+
+
+def request_of(store: Store, asked: ExportQuestion) -> tuple[What, How]:
+    """Return a question of the page as the request of an export."""
+    kind, name = asked.kind, asked.name
+    if asked.hits:
+        kind, name = "sql", _hits_query(asked.hits)
+    if kind in ("hits", "ranges", "sql") and not (name or "").strip():
+        raise KinedexError({"hits": "name the saved hits", "ranges": "name the file", "sql": "write a query"}[kind])
+    where = condition_of(asked, store.take_rows.column_names).removeprefix(" WHERE ") or None
+    given = Path(str(name)).expanduser() if kind == "ranges" else name if kind in ("hits", "sql") else None
+    what = What(kind, given, (), where, asked.classes, asked.pipeline or None, asked.min_confidence)
+    return what, How(**{field: getattr(asked, field) for field in _HOW})
+
+
+def _hits_query(hits: tuple[Hit, ...]) -> str:
+    """Return a query whose rows are hits."""
+    rows = ", ".join(
+        f"({quote(one.take)}, {one.start}, {one.stop}, {'NULL' if one.label is None else quote(one.label)})"
+        for one in hits
+    )
+    query = f'SELECT * FROM (VALUES {rows}) AS hits(take, "start", stop, "class")'
+    if len(query.encode()) > 100_000:
+        raise KinedexError("these hits are too many for a command line; save them as ranges.csv and export that file")
+    return query
+
+
+def folder_of(archive: Archive, text: str) -> Path:
+    """Return the folder that a person has typed.
+
+    Raises
+    ------
+    KinedexError
+        It is not absolute, lies in the store or around it, or holds files that no export has written.
+    """
+    folder = Path(text.strip()).expanduser()
+    if not folder.is_absolute() or "\0" in text:
+        raise KinedexError(f"folder {text.strip()!r}: expected an absolute path, such as {Path.home() / 'clips'}")
+    there, store = folder.resolve(), archive.path.resolve()
+    if there == store or store in there.parents or there in store.parents:
+        raise KinedexError(f"{folder}: lies in the store or around it; choose a folder beside {archive.path}")
+    require_own(folder)
+    return folder
+
+
+def words_of(archive: Archive, what: What, how: How, folder: str) -> tuple[str, ...]:
+    """Return the words of `kinedex export` that write a request."""
+    plain = How()
+    words = ["export", str(archive.path), f"--output={folder.rstrip(os.sep)}{os.sep}", f"--format={how.form}"]
+    words += {"takes": [], "annotations": ["--annotations"], "labels": ["--labels"]}.get(
+        what.kind, [f"--{what.kind}={what.name}"]
+    )
+    words += [f"--where={what.where}"] if what.where else []
+    words += [f"--class={name}" for name in what.classes]
+    words += [f"--pipeline={what.pipeline}"] if what.pipeline else []
+    words += [f"--min-confidence={what.min_confidence!r}"] if what.min_confidence is not None else []
+    for name, unit in (("margin", "s"), ("context", "s"), ("min_length", "s"), ("distinct", "m")):
+        value = getattr(how, name)
+        words += [f"--{name.replace('_', '-')}={_decimal(value)}{unit}"] if value else []
+    words += [
+        f"--{name.replace('_', '-')}" for name in ("joints", "mirror", "in_place", "balance") if getattr(how, name)
+    ]
+    words += [f"--resample={how.rate_hz!r}"] if how.rate_hz is not None else []
+    words += [f"--split={how.split}"] if how.split else []
+    words += [f"--shares={','.join(map(repr, how.shares))}"] if how.shares != plain.shares else []
+    words += [f"--seed={how.seed}"] if how.seed else []
+    words += [f"--per-class={how.per_class}"] if how.per_class is not None else []
+    return tuple(words)
+
+
+def _decimal(value: float) -> str:
+    return f"{value:.9f}".rstrip("0").rstrip(".")
+
+
+def plan_export(archive: Archive, asked: ExportQuestion, _request: Request) -> Row:
+    """Return what an export would write.
+
+    Returns
+    -------
+    dict
+        `clips`, `takes`, `files`, `seconds` and `bytes` of the whole (bytes None where no clip of the sample can be
+        written), `splits` as in dataset.json, `rows` with clips, seconds and bytes of each class of each split,
+        `remarks` about what is left out, `estimate`, which describes the sample, `earlier`, which is True if the folder
+        has an earlier export that would be replaced, and `command`.
+    """
+    store = archive.store()
+    what, how = request_of(store, asked)
+    folder = folder_of(archive, asked.folder) if asked.folder and asked.folder.strip() else None
+    if what.kind == "sql":
+        store.answer(str(what.name), timeout=SQL_SECONDS)
+    plan = planned(store, what, how, _silent)
+    with archive.kernels:
+        sizes = estimated_bytes(store, how, plan)
+    rows, record = _records(store, what, how, plan)
+    known = None if sizes.clips is None else sum(sizes.clips) + record
+    return {
+        "clips": len(plan.jobs),
+        "takes": len({job.clip.take for job in plan.jobs}),
+        "files": sum(len(job.files) for job in plan.jobs) + 2,
+        "seconds": sum(row["seconds"] for row in rows),
+        "bytes": known,
+        "estimate": sizes.remark,
+        "splits": split_facts(rows, how),
+        "rows": _by_class(rows, sizes.clips),
+        "remarks": list(plan.remarks),
+        "earlier": folder is not None and folder.is_dir() and bool(os.listdir(folder)),
+        "command": command_line("kinedex", *words_of(archive, what, how, str(folder or "FOLDER"))),
+    }
+
+
+def _records(store: Store, what: What, how: How, plan: Plan) -> tuple[list[Row], int]:
+    """Return the rows of metadata.csv, and the bytes of it and of dataset.json, which follow from the plan."""
+    done = [Done(job, tuple(Written(file, job.fingerprint, "0" * 64) for file in job.files)) for job in plan.jobs]
+    facts = Facts(store, what, how, {}, plan.remarks)
+    rows = metadata_rows(facts, done)
+    return rows, len(metadata_text(rows).encode()) + len(data_set_text(facts, rows, done).encode())
+
+
+def _by_class(rows: list[Row], sizes: list[int] | None) -> list[Row]:
+    """Return clips, seconds and bytes of each class of each split."""
+    groups: dict[tuple[str, str], list[int]] = defaultdict(list)
+    for number, row in enumerate(rows):
+        groups[row["split"] or CLIPS, row["class"] or ""].append(number)
+    return [
+        {
+            "split": split,
+            "class": label or None,
+            "clips": len(numbers),
+            "seconds": float(np.sum([rows[number]["seconds"] for number in numbers])),
+            "bytes": None if sizes is None else sum(sizes[number] for number in numbers),
+        }
+        for (split, label), numbers in sorted(groups.items())
+    ]
+
+
+def write_export(archive: Archive, asked: ExportQuestion, _request: Request) -> Row:
+    """Start the job that writes an export."""
+    if not asked.folder or not asked.folder.strip():
+        raise KinedexError("the folder is missing: name one that does not exist yet, or is empty")
+    folder = folder_of(archive, asked.folder)
+    what, how = request_of(archive.store(), asked)
+    return jobs_of(archive).add(Job(TITLE, words_of(archive, what, how, str(folder)))).shown()
+
+
+def written_export(archive: Archive, request: Request) -> Row:
+    """Return what an export of this server has written."""
+    job = jobs_of(archive).find(request.path_params["job"])
+    if job.title != TITLE:
+        raise NotFoundError(f"the job {job.id} is no export")
+    folder = Path(next(word for word in job.words if word.startswith("--output=")).removeprefix("--output="))
+    files, excluded = written_by(folder)
+    paths = [folder / name for name in (*files, DATA_SET, METADATA)]
+    there = [path for path in paths if path.is_file()]
+    return {
+        "folder": str(folder),
+        "files": len(there),
+        "bytes": sum(path.stat().st_size for path in there),
+        "excluded": excluded,
+        "command": command_line("kinedex", *job.words),
+    }
+
+
+routes = [
+    get("/api/export", export_facts),
+    post("/api/export/plan", plan_export, ExportQuestion),
+    post("/api/export", write_export, ExportQuestion, writes=True),
+    get("/api/export/{job}", written_export),
+]

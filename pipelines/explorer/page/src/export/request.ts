@@ -1,0 +1,64 @@
+// The request in the address: a link opens the same plan.
+
+import { useMemo } from "react";
+
+import { useParameters } from "../app/address";
+import { useSearch } from "wouter";
+
+export type Values = Record<string, string>;
+
+export const KEYS = [
+  "what", "name", "where", "class", "pipeline", "confidence", "form", "joints", "split", "shares", "seed", "margin",
+  "context", "shortest", "mirror", "balance", "perclass", "distinct", "rate", "inplace", "folder", "hits", "filters",
+] as const;
+
+/** Return the values of the address, and a function that sets some of them. */
+export function useRequest(): [Values, (values: Record<string, string | null>) => void] {
+  const search = useSearch();
+  const values = useMemo(() => {
+    const parameters = new URLSearchParams(window.location.search);
+    return Object.fromEntries(KEYS.map((key) => [key, parameters.get(key) ?? ""]));
+  }, [search]);
+  return [values, useParameters()];
+}
+
+const number = (text: string | undefined) => (text === undefined || text.trim() === "" ? null : Number(text));
+
+function json(text: string | undefined): unknown[] {
+  try {
+    const found: unknown = JSON.parse(text || "[]");
+    return Array.isArray(found) ? found : [];
+  } catch {
+    return [];
+  }
+}
+
+/** Return the body of the request. */
+export function bodyOf(values: Values): Record<string, unknown> {
+  const kind = values.what || "takes";
+  return {
+    kind,
+    name: ["hits", "ranges", "sql"].includes(kind) ? values.name || null : null,
+    hits: json(values.hits),
+    filters: json(values.filters),
+    where: values.where || null,
+    classes: (values.class ?? "").split(",").map((one) => one.trim()).filter((one) => one !== ""),
+    pipeline: kind === "annotations" ? values.pipeline || null : null,
+    min_confidence: number(values.confidence),
+    form: values.form || "csv",
+    joints: values.joints === "1",
+    split: values.split || null,
+    shares: (values.shares || "0.8,0.1,0.1").split(",").map(Number),
+    seed: number(values.seed) ?? 0,
+    margin: number(values.margin) ?? 0,
+    context: number(values.context) ?? 0,
+    min_length: number(values.shortest) ?? 0,
+    mirror: values.mirror === "1",
+    balance: values.balance === "1",
+    per_class: number(values.perclass),
+    distinct: (number(values.distinct) ?? 0) > 0 ? (number(values.distinct) as number) / 100 : null,
+    rate_hz: number(values.rate),
+    in_place: values.inplace === "1",
+    folder: values.folder || null,
+  };
+}
