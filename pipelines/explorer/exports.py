@@ -1,9 +1,9 @@
 """Export: the plan of a data set with its splits and sizes, and the job that writes it.
 
-    GET /api/export → {forms: [{name, meaning}], kinds, folder: the last one that was written to}
+    GET /api/export → {forms: [{name, meaning}], job: the last export of this server or null}
     POST /api/export/plan {kind, …, form, split, …, folder?} → the plan (`plan_export`); nothing stays on disk
     POST /api/export {the same, folder} → a job, whose command is that of the plan
-    GET /api/export/ID → what a job has written: {folder, files, bytes, clips, excluded}
+    GET /api/export/ID → what a job has written: {folder, files, bytes, excluded, command}
 
 A server that is read only shows plans and refuses to write: an export writes files, although none into the store.
 """
@@ -25,13 +25,13 @@ from kinedex.pipelines.explorer.answers import NotFoundError
 from kinedex.pipelines.explorer.jobs import Job, jobs_of
 from kinedex.pipelines.explorer.same import command_line
 from kinedex.pipelines.explorer.selections import SQL_SECONDS, Selection, condition_of
-from kinedex.pipelines.export.folder import DATA_SET, METADATA, require_own, written_by
+from kinedex.pipelines.export.folder import DATA_SET, METADATA, Written, require_own, written_by
 from kinedex.pipelines.export.forms import FORMS
 from kinedex.pipelines.export.metadata import Facts, data_set_text, metadata_rows, metadata_text, split_facts
 from kinedex.pipelines.export.plan import Plan, planned
 from kinedex.pipelines.export.request import CLIPS, SHARES, How, Kind, What
 from kinedex.pipelines.export.sizes import estimated_bytes
-from kinedex.pipelines.export.work import Done, Written
+from kinedex.pipelines.export.work import Done
 from kinedex.storage.duck import quote
 from kinedex.storage.store.store import Store
 
@@ -108,7 +108,7 @@ def _silent(_description: str, _total: int) -> ProgressBar:
 
 
 def export_facts(archive: Archive, _request: Request) -> Row:
-    """Return the forms, and the folder of the last export of this server."""
+    """Return the forms, and the last export of this server."""
     last = [job for job in jobs_of(archive).every() if job.title == TITLE]
     return {
         "forms": [{"name": name, "meaning": form.meaning} for name, form in FORMS.items()],
