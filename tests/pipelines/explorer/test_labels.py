@@ -192,6 +192,16 @@ def test_the_facts_count_labels_and_decisions_since_the_templates(page: Page) ->
     assert page.post("/api/labels/list", {"history": True})["total"] > listed["total"]
 
 
+def test_limbs_without_errors_are_counted_apart_and_are_part_of_the_checksum(page: Page, tmp_path: Path) -> None:
+    file = tmp_path / "limbs.csv"
+    asked: Json = {"paths": [str(file)]}
+    file.write_text(f"take,class,start,stop,limb,annotator\n{TAKE},,,,torso,A1\n")
+    shown = page.post("/api/labels/read", asked)
+    assert shown["counts"] == {"without errors": 1}
+    file.write_text(f"take,class,start,stop,limb,annotator\n{TAKE},,,,lshank,A1\n")
+    page.post("/api/labels/import", {**asked, "checksum": shown["checksum"]}, status=409)
+
+
 def test_files_are_shown_before_they_are_taken_in(page: Page, tmp_path: Path) -> None:
     page.decide(draw("walk", 4, 24))
     folder = tmp_path / "labels"
