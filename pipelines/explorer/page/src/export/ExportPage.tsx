@@ -21,7 +21,7 @@ export default function ExportPage() {
   const current = JSON.stringify(bodyOf(values));
   const [asked] = useDebouncedValue(current, 400);
   const plan = useQuery({
-    queryKey: ["version", "export", store?.version, asked],
+    queryKey: ["labels", "export", store?.version, asked],
     queryFn: ({ signal }) => post<Plan>("/api/export/plan", JSON.parse(asked), signal),
     retry: false,
   });

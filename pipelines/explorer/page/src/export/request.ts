@@ -22,7 +22,17 @@ export function useRequest(): [Values, (values: Record<string, string | null>) =
   return [values, useParameters()];
 }
 
-const number = (text: string | undefined) => (text === undefined || text.trim() === "" ? null : Number(text));
+/** Return the number of a text, null where it is empty; what is no number is sent as it is, and the server refuses it. */
+function number(text: string | undefined): number | string | null {
+  if (text === undefined || text.trim() === "") return null;
+  const found = Number(text);
+  return Number.isFinite(found) ? found : text;
+}
+
+function metres(text: string | undefined): number | string | null {
+  const centimetres = number(text);
+  return typeof centimetres === "number" ? centimetres / 100 : centimetres;
+}
 
 function json(text: string | undefined): unknown[] {
   try {
@@ -56,7 +66,7 @@ export function bodyOf(values: Values): Record<string, unknown> {
     mirror: values.mirror === "1",
     balance: values.balance === "1",
     per_class: number(values.perclass),
-    distinct: (number(values.distinct) ?? 0) > 0 ? (number(values.distinct) as number) / 100 : null,
+    distinct: metres(values.distinct),
     rate_hz: number(values.rate),
     in_place: values.inplace === "1",
     folder: values.folder || null,
