@@ -45,6 +45,8 @@ SUBJECTS = (
     "learning",
     "motion",
     "quality",
+    "reports",
+    "runs",
     "sql",
     "store",
     "takes",

@@ -1,0 +1,78 @@
+// Jobs of this start of the server, with their progress and log as they come.
+
+import { Alert, Button, Group, Progress, Text } from "@mantine/core";
+import { useQuery } from "@tanstack/react-query";
+import { useState } from "react";
+
+import { get, post } from "../api/client";
+import { useJobs } from "../api/events";
+import { Fault } from "../app/Fault";
+import type { RunJob } from "./types";
+
+const SHOWN = 5;
+const LOG_MS = 1500;
+
+const active = (job: RunJob) => job.state === "waiting" || job.state === "running";
+
+/** Return a text that changes whenever a job begins or ends. */
+export function useJobStamp(): string {
+  return useJobs().map((one) => `${one.id} ${one.state}`).join();
+}
+
+export function Jobs({ readOnly }: { readOnly: boolean }) {
+  const stamp = useJobStamp();
+  const events = useJobs();
+  const known = useQuery({ queryKey: ["jobs", stamp], queryFn: ({ signal }) => get<{ jobs: RunJob[] }>("/api/jobs", signal), placeholderData: (old) => old });
+  if (known.isError) return <Fault fault={known.error} retry={() => void known.refetch()} />;
+  const jobs = (known.data?.jobs ?? []).map((one) => (events.find((event) => event.id === one.id) as unknown as RunJob | undefined) ?? one);
+  if (jobs.length === 0) return null;
+  return (
+    <section aria-label="Jobs">
+      {jobs.slice(-SHOWN).reverse().map((job) => (
+        <OneJob key={job.id} job={job} readOnly={readOnly} />
+      ))}
+      {jobs.length > SHOWN && <Text size="sm" className="muted">The last {SHOWN} of {jobs.length} jobs; the others are in the history.</Text>}
+    </section>
+  );
+}
+
+function OneJob({ job, readOnly }: { job: RunJob; readOnly: boolean }) {
+  const [open, setOpen] = useState(false);
+  const [fault, setFault] = useState<unknown>(null);
+  const running = active(job);
+  const log = useQuery({
+    queryKey: ["job log", job.id, job.state],
+    queryFn: ({ signal }) => get<{ text: string; file: string }>(`/api/jobs/${job.id}/log`, signal),
+    enabled: open,
+    refetchInterval: running ? LOG_MS : false,
+    placeholderData: (old) => old,
+  });
+  return (
+    <div className="runs-job" data-testid="run-job">
+      <Group gap={8}>
+        <Text size="sm" role="status" style={{ flex: 1, minWidth: 0 }}>
+          <strong>{job.title}</strong>: {job.state}
+          {running && job.total > 0 && ` · ${job.done} of ${job.total} stages`}
+          {running && job.message !== "" && ` · ${job.message}`}
+        </Text>
+        {running && !readOnly && (
+          <Button size="compact-xs" variant="default" onClick={() => post(`/api/jobs/${job.id}/stop`, {}).catch(setFault)}>
+            Stop
+          </Button>
+        )}
+        <Button size="compact-xs" variant="default" aria-expanded={open} onClick={() => setOpen(!open)}>
+          {open ? "Hide the log" : "Show the log"}
+        </Button>
+      </Group>
+      {running && job.total > 0 && <Progress value={(100 * job.done) / job.total} animated my={4} aria-label={`${job.done} of ${job.total} stages`} />}
+      {job.problem !== null && (
+        <Alert color="red" variant="light" title="It failed">
+          <Text size="sm" style={{ whiteSpace: "pre-wrap", overflowWrap: "anywhere" }}>{job.problem}</Text>
+        </Alert>
+      )}
+      {fault !== null && <Fault fault={fault} />}
+      {open && log.isError && <Fault fault={log.error} />}
+      {open && log.data !== undefined && <pre className="runs-log" tabIndex={0} aria-label="Log">{log.data.text}</pre>}
+    </div>
+  );
+}

@@ -1,0 +1,53 @@
+"""The Runs page in a browser: the plan with its reasons, the history, metrics, and a report in a sandbox."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import expect
+
+from tests.browser.explorer.conftest import Open
+
+
+@pytest.mark.parametrize("width", [1400, 390])
+def test_a_report_opens_without_the_origin_of_the_explorer(open_page: Open, width: int) -> None:
+    page = open_page("/runs", width=width)
+    expect(page.get_by_role("region", name="Runs of pipelines")).to_contain_text("dances")
+    page.get_by_text("6 ran").click()
+    expect(page.get_by_text("has not run yet").first).to_be_visible()
+    with page.context.expect_page() as opened:
+        page.get_by_role("link", name="report.html").click()
+    report = opened.value
+    faults: list[str] = []
+    report.on("pageerror", lambda fault: faults.append(str(fault)))
+    report.reload()
+    expect(report.locator("h1").first).to_be_visible()
+    assert report.evaluate("window.origin") == "null"
+    assert report.evaluate("fetch('/api/store').then(() => 'answered', () => 'refused')") == "refused"
+    assert not faults
+
+
+def test_a_plan_has_reasons_and_a_wrong_setting_its_error_in_place(open_page: Open, store: Path) -> None:
+    page = open_page("/runs?view=start")
+    page.get_by_role("button", name="dances").click()
+    source = page.get_by_label("source", exact=True)
+    for text, error in (("", "the setting 'source' must be given"), ("/nowhere", "is not a folder")):
+        source.fill(text)
+        source.press("Enter")
+        expect(page.get_by_text(error)).to_have_count(1)
+        expect(source).to_have_attribute("aria-invalid", "true")
+    source.fill(str(store.parent / "archive"))
+    source.press("Enter")
+    expect(page.get_by_test_id("plan")).to_contain_text("Every stage is up to date")
+    page.get_by_label("Parameters of stages").fill("annotate.tau=0.1")
+    page.get_by_role("button", name="Show the plan").click()
+    expect(page.get_by_role("region", name="Stages of the plan")).to_contain_text("its parameters changed")
+    page.get_by_label("Parameters of stages").fill("")
+    page.get_by_role("button", name="Run", exact=True).click()
+    job = page.get_by_test_id("run-job")
+    expect(job).to_contain_text("Run dances: done")
+    job.get_by_role("button", name="Show the log").click()
+    expect(job.get_by_label("Log")).to_contain_text("kinedex run")
+    page.get_by_role("tab", name="Methods compared").click()
+    expect(page.get_by_role("region", name="Methods compared")).to_contain_text("F (segments)")
