@@ -21,6 +21,8 @@ PAGES = [
     "/label?view=learn",
     "/templates",
     "/runs",
+    "/runs?view=start&pipeline=annotate",
+    "/runs?view=methods",
     "/export",
 ]
 
