@@ -19,7 +19,6 @@ PAGES = [
     "/label",
     "/label?take=x_al_long_1",
     "/label?view=learn",
-    "/templates",
     "/runs",
     "/runs?view=start&pipeline=annotate",
     "/runs?view=methods",
