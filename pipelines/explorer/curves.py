@@ -352,13 +352,13 @@ def _number(request: Request, name: str, absent: float) -> float:
 
 def _templates(archive: Archive, request: Request) -> Row:
     store, take = take_of(archive, request)
-    same = {"command": command_line("kinedex", "templates", "list", store.path)}
+    same = {"command": command_line("kinedex", "template", "list", store.path)}
     return {**templates_of_take(store, take), **same, "python": python_lines(store.path, "store.templates()")}
 
 
 def _image(archive: Archive, request: Request) -> Row:
     store, choice = archive.store(), _choice(request)
-    show = command_line("kinedex", "templates", "show", store.path, choice.name)
+    show = command_line("kinedex", "template", "show", store.path, choice.name)
     python = python_lines(store.path, f"store.template({choice.name!r}, {choice.kind!r}).plot()")
     return {**template_image(store, choice), "command": show, "python": python}
 
