@@ -62,7 +62,7 @@ def test_a_take_plays_zooms_and_selects(open_page: Open) -> None:
     page.mouse.down()
     page.mouse.move(left + 0.5 * width, y, steps=3)
     page.mouse.up()
-    page.wait_for_url(re.compile(r"from=\d+&to=\d+"))
+    expect(page).to_have_url(re.compile(r"from=\d+&to=\d+"), timeout=20_000)
     found = re.search(r"from=(\d+)&to=(\d+)", page.url)
     assert found is not None
     interval = f"from={found.group(1)}&to={found.group(2)}"
@@ -89,7 +89,7 @@ def test_a_column_of_a_template_shows_the_pose_of_its_hit_and_the_clip_plays_bes
         shown.append(frame_of(page) / 30)
     assert times[0] <= shown[0] < shown[1] <= times[1]
     page.get_by_role("button", name="Beside its nearest clip").click()
-    page.wait_for_url(re.compile("step=hit"))
+    expect(page).to_have_url(re.compile("step=hit"), timeout=20_000)
     expect(page.get_by_text(re.compile(r"Beside x_(al|bo)_reel_1"))).to_be_visible()
 
 
@@ -101,7 +101,7 @@ def test_the_lanes_are_a_table_and_keys_are_listed(open_page: Open) -> None:
     expect(rows).to_have_count(4)
     expect(rows.nth(2)).to_contain_text("reel")
     rows.nth(2).get_by_role("button").click()
-    page.wait_for_url(re.compile(r"from=\d+"))
+    expect(page).to_have_url(re.compile(r"from=\d+"), timeout=20_000)
     page.locator("body").press("?")
     expect(page.get_by_role("dialog", name="Keys")).to_contain_text("Play or pause")
 

@@ -1,6 +1,6 @@
 // Every colour and measure of the page that is not Mantine's own.
 
-import { createTheme, type CSSVariablesResolver, Drawer, Modal } from "@mantine/core";
+import { createTheme, type CSSVariablesResolver, Drawer, Loader, Modal } from "@mantine/core";
 
 /** The page itself does not scroll; the lock would insert a style without the nonce, which the policy refuses. */
 const DIALOG = {
@@ -22,6 +22,7 @@ export const theme = createTheme({
   components: {
     Modal: Modal.extend({ defaultProps: DIALOG }),
     Drawer: Drawer.extend({ defaultProps: DIALOG }),
+    Loader: Loader.extend({ defaultProps: { role: "status" } }), // an element without a role must not have a name
   },
 });
 
