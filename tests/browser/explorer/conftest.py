@@ -10,12 +10,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, ConsoleMessage, Page
+from playwright.sync_api import Browser, ConsoleMessage, Page, expect
 
 from kinedex.pipelines.explorer.application import BUILT
 
 WAIT_MS = 30_000
-"""Every wait for the page ends after so long."""
+"""Every wait for the page ends after so long: first questions load what answers them, beside other tests."""
+
+expect.set_options(timeout=WAIT_MS)
 
 Open = Callable[..., Page]
 
