@@ -73,11 +73,14 @@ export interface TakesBlock extends Same {
   warnings: string[][];
 }
 
-export interface Job {
+export interface Job extends Same {
   id: string;
   title: string;
   state: "waiting" | "running" | "done" | "failed" | "stopped";
-  done?: number;
-  total?: number;
-  message?: string;
+  done: number;
+  total: number;
+  message: string;
+  begun: string | null;
+  finished: string | null;
+  problem: string | null;
 }

@@ -100,7 +100,7 @@ function Header({ onHelp }: { onHelp: () => void }) {
         {!connected && <Badge color="red">no connection to the server</Badge>}
         {jobs.map((job) => (
           <Badge key={job.id} variant="light">
-            {job.title} {job.total !== undefined && job.total > 0 ? `${job.done ?? 0} of ${job.total}` : ""}
+            {job.title} {job.total > 0 ? `${job.done} of ${job.total}` : ""}
           </Badge>
         ))}
       </div>

@@ -6,28 +6,29 @@ import { useState } from "react";
 
 import { get, post } from "../api/client";
 import { useJobs } from "../api/events";
+import type { Job } from "../api/types";
 import { Fault } from "../app/Fault";
-import { bytesText, type ExportJob, type Written } from "./types";
+import { bytesText, type Written } from "./types";
 
 interface WritingProps {
   folder: string;
   setFolder: (folder: string) => void;
   body: Record<string, unknown>;
   planned: boolean;
-  last: ExportJob | null;
+  last: Job | null;
   readOnly: boolean;
 }
 
 export function Writing({ folder, setFolder, body, planned, last, readOnly }: WritingProps) {
-  const [started, setStarted] = useState<ExportJob | null>(null);
+  const [started, setStarted] = useState<Job | null>(null);
   const [fault, setFault] = useState<unknown>(null);
   const known = started ?? last;
-  const live = useJobs().find((one) => one.id === known?.id) as unknown as ExportJob | undefined;
+  const live = useJobs().find((one) => one.id === known?.id);
   const job = live ?? known;
   const active = job?.state === "waiting" || job?.state === "running";
   const write = () => {
     setFault(null);
-    post<ExportJob>("/api/export", body).then(setStarted, setFault);
+    post<Job>("/api/export", body).then(setStarted, setFault);
   };
   return (
     <section aria-label="Write">

@@ -1,18 +1,10 @@
 // Requests for an export, and what the server answers.
 
-import type { Same } from "../api/types";
+import type { Job, Same } from "../api/types";
 
 export interface Facts {
   forms: { name: string; meaning: string }[];
-  job: ExportJob | null;
-}
-
-export interface ExportJob extends Same {
-  id: string;
-  title: string;
-  state: "waiting" | "running" | "done" | "failed" | "stopped";
-  message: string;
-  problem: string | null;
+  job: Job | null;
 }
 
 export interface PlanRow {

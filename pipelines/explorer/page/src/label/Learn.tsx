@@ -9,22 +9,10 @@ import { Link } from "wouter";
 import { get, post } from "../api/client";
 import { useJobs } from "../api/events";
 import { useStore } from "../api/queries";
-import type { Same } from "../api/types";
+import type { Job, Same } from "../api/types";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
 import { type LabelFacts, useLabelFacts } from "./load";
-
-interface Job extends Same {
-  id: string;
-  title: string;
-  state: "waiting" | "running" | "done" | "failed" | "stopped";
-  done: number;
-  total: number;
-  message: string;
-  begun: string | null;
-  finished: string | null;
-  problem: string | null;
-}
 
 interface LearnFacts extends Same {
   based_on: string | null;
@@ -66,7 +54,7 @@ function useLearningJob(): Job | undefined {
   const stamp = events.map((one) => `${one.id} ${one.state}`).join();
   const known = useQuery({ queryKey: ["jobs", stamp], queryFn: ({ signal }) => get<{ jobs: Job[] }>("/api/jobs", signal), placeholderData: (old) => old });
   const ours = known.data?.jobs.filter((one) => OURS.includes(one.title)).at(-1);
-  const live = events.find((one) => one.id === ours?.id) as unknown as Job | undefined;
+  const live = events.find((one) => one.id === ours?.id);
   return live ?? ours;
 }
 

@@ -5,9 +5,8 @@ import { useState } from "react";
 
 import { clock } from "../take/axis";
 import { ClassInput } from "./ClassInput";
-import type { LabelRow } from "./edits";
+import type { Edits, LabelRow } from "./edits";
 import type { Item } from "./LabelLanes";
-import type { Edits } from "./TakeLabels";
 
 interface PanelProps {
   item: Item | null;

@@ -24,7 +24,7 @@ import { Session } from "../take/session";
 import type { TakeDocument } from "../take/types";
 import { ClassInput } from "./ClassInput";
 import { decide, step, useDecisions } from "./decisions";
-import { type Annotation, type Change, currentLabels, decisionOn, type LabelRow, newId, withChanges } from "./edits";
+import { type Annotation, type Change, currentLabels, decisionOn, type Edits, type LabelRow, newId, withChanges } from "./edits";
 import { type Chosen, type Item, isChosen, LabelLanes, type Lane, makeLanes } from "./LabelLanes";
 import { useClassNames, useTakeLabels } from "./load";
 import { SegmentPanel } from "./SegmentPanel";
@@ -184,18 +184,6 @@ function NewLabel(props: {
       </Group>
     </div>
   );
-}
-
-export interface Edits {
-  draw: (label: string, start: number, stop: number) => void;
-  change: (label: LabelRow, values: { class?: string; start?: number; stop?: number; verdict?: "positive" | "negative" }) => void;
-  split: (label: LabelRow) => void;
-  join: (label: LabelRow) => void;
-  withdraw: (label: LabelRow) => void;
-  decide: (annotation: Annotation, accept: boolean) => void;
-  correct: (annotation: Annotation) => void;
-  undo: () => void;
-  redo: () => void;
 }
 
 interface EditContext {

@@ -26,6 +26,19 @@ export interface Annotation {
   confidence: number | null;
 }
 
+/** What a person does to the labels of a take. */
+export interface Edits {
+  draw: (label: string, start: number, stop: number) => void;
+  change: (label: LabelRow, values: { class?: string; start?: number; stop?: number; verdict?: "positive" | "negative" }) => void;
+  split: (label: LabelRow) => void;
+  join: (label: LabelRow) => void;
+  withdraw: (label: LabelRow) => void;
+  decide: (annotation: Annotation, accept: boolean) => void;
+  correct: (annotation: Annotation) => void;
+  undo: () => void;
+  redo: () => void;
+}
+
 type Verdict = "positive" | "negative";
 
 export type Change =

@@ -6,13 +6,13 @@ import { useState } from "react";
 
 import { get, post } from "../api/client";
 import { useJobs } from "../api/events";
+import type { Job } from "../api/types";
 import { Fault } from "../app/Fault";
-import type { RunJob } from "./types";
 
 const SHOWN = 5;
 const LOG_MS = 1500;
 
-const active = (job: RunJob) => job.state === "waiting" || job.state === "running";
+const active = (job: Job) => job.state === "waiting" || job.state === "running";
 
 /** Return a text that changes whenever a job begins or ends. */
 export function useJobStamp(): string {
@@ -22,9 +22,9 @@ export function useJobStamp(): string {
 export function Jobs({ readOnly }: { readOnly: boolean }) {
   const stamp = useJobStamp();
   const events = useJobs();
-  const known = useQuery({ queryKey: ["jobs", stamp], queryFn: ({ signal }) => get<{ jobs: RunJob[] }>("/api/jobs", signal), placeholderData: (old) => old });
+  const known = useQuery({ queryKey: ["jobs", stamp], queryFn: ({ signal }) => get<{ jobs: Job[] }>("/api/jobs", signal), placeholderData: (old) => old });
   if (known.isError) return <Fault fault={known.error} retry={() => void known.refetch()} />;
-  const jobs = (known.data?.jobs ?? []).map((one) => (events.find((event) => event.id === one.id) as unknown as RunJob | undefined) ?? one);
+  const jobs = (known.data?.jobs ?? []).map((one) => events.find((event) => event.id === one.id) ?? one);
   if (jobs.length === 0) return null;
   return (
     <section aria-label="Jobs">
@@ -36,7 +36,7 @@ export function Jobs({ readOnly }: { readOnly: boolean }) {
   );
 }
 
-function OneJob({ job, readOnly }: { job: RunJob; readOnly: boolean }) {
+function OneJob({ job, readOnly }: { job: Job; readOnly: boolean }) {
   const [open, setOpen] = useState(false);
   const [fault, setFault] = useState<unknown>(null);
   const running = active(job);

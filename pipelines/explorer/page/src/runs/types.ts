@@ -23,18 +23,6 @@ export interface Plan extends Same {
   problem: { setting: string | null; message: string } | null;
 }
 
-export interface RunJob extends Same {
-  id: string;
-  title: string;
-  state: "waiting" | "running" | "done" | "failed" | "stopped";
-  done: number;
-  total: number;
-  message: string;
-  begun: string | null;
-  finished: string | null;
-  problem: string | null;
-}
-
 export interface Run {
   run: string;
   pipeline: string;
