@@ -28,7 +28,7 @@ from kinedex.pipelines.commands.pages import Pages
 from kinedex.pipelines.commands.store_access import open_for_reading
 
 if TYPE_CHECKING:
-    from kinedex.pipelines.ranking.ranking import Ranking
+    from kinedex.pipelines.ranking.ranked_hits import Ranking
     from kinedex.pipelines.ranking.store_ranking import StoreRanking
     from kinedex.storage.store.store import Store
 

@@ -39,7 +39,7 @@ from kinedex.pipelines.explorer.selections import Selection
 from kinedex.pipelines.labels.decisions import record
 from kinedex.pipelines.ranking.both_sides import mirrored_template
 from kinedex.pipelines.ranking.examples import ChosenInterval, ChosenTemplate, template_of_chosen
-from kinedex.pipelines.ranking.ranking import RankedTemplate
+from kinedex.pipelines.ranking.ranked_hits import RankedTemplate
 from kinedex.pipelines.ranking.store_ranking import DELTA, TAU, TOP, rank_store
 from kinedex.pipelines.search.bit_slices import stored_words
 

@@ -16,7 +16,7 @@ from kinedex.pipelines.explorer.selections import Selection, condition_of
 from kinedex.pipelines.ranking.examples import ChosenInterval
 
 if TYPE_CHECKING:
-    from kinedex.pipelines.ranking.ranking import Ranking
+    from kinedex.pipelines.ranking.ranked_hits import Ranking
     from kinedex.storage.store.store import Store
 
 MOST_HITS = 500

@@ -10,7 +10,8 @@ from kinedex.catalog.mirror import mirrored
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.ranking.hit_selection import KEYS
 from kinedex.ops.templates.mirror import rearrange
-from kinedex.pipelines.ranking.ranking import Hit, RankedTemplate, Ranking, rank_takes
+from kinedex.pipelines.ranking.ranked_hits import Hit, RankedTemplate, Ranking
+from kinedex.pipelines.ranking.ranking import rank_takes
 from kinedex.storage.store.store import Store
 
 

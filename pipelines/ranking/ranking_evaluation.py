@@ -22,7 +22,7 @@ from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.console.tables import plain_text
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth, Manual, place_ground_truth
-from kinedex.pipelines.ranking.ranking import Hit
+from kinedex.pipelines.ranking.ranked_hits import Hit
 from kinedex.storage.formats.labels.ground_truth import ground_truth_files, read_ground_truth
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store

@@ -12,7 +12,8 @@ from kinedex.catalog.queries.keyframe_query import SAME_FRAME, Gap, KeyframeQuer
 from kinedex.ops.evaluation.ranking_metrics import precision_recall
 from kinedex.ops.search.gaps import UNBOUNDED, nominal_gap
 from kinedex.pipelines.evaluation.ground_truth import Manual
-from kinedex.pipelines.ranking.ranking import RankedTemplate, rank_takes
+from kinedex.pipelines.ranking.ranked_hits import RankedTemplate
+from kinedex.pipelines.ranking.ranking import rank_takes
 from kinedex.pipelines.ranking.ranking_evaluation import Judged, judge_hits
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store

@@ -14,7 +14,8 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind, quantise
 from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.ranking.both_sides import rank_both_sides
-from kinedex.pipelines.ranking.ranking import RankedTemplate, Ranking, partly_known, rank_takes, ranking_table
+from kinedex.pipelines.ranking.ranked_hits import RankedTemplate, Ranking, ranking_table
+from kinedex.pipelines.ranking.ranking import partly_known, rank_takes
 from kinedex.pipelines.search.not_applied import known_of, remarks_on
 from kinedex.pipelines.templates.stored_templates import choose_templates
 from kinedex.storage.store.store import Store

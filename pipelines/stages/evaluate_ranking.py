@@ -13,7 +13,8 @@ from kinedex.ops.templates.templates import Kind, quantise
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.ranking.ranking import RankedTemplate, rank_takes
+from kinedex.pipelines.ranking.ranked_hits import RankedTemplate
+from kinedex.pipelines.ranking.ranking import rank_takes
 from kinedex.pipelines.ranking.ranking_evaluation import (
     Fold,
     Judged,

@@ -19,7 +19,8 @@ from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.file_parameters import NamesFile
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.ranking.ranking import RankedTemplate, Ranking, partly_known, rank_takes, ranking_table
+from kinedex.pipelines.ranking.ranked_hits import RankedTemplate, Ranking, ranking_table
+from kinedex.pipelines.ranking.ranking import partly_known, rank_takes
 from kinedex.pipelines.ranking.stiffness import mean_stiffness
 from kinedex.pipelines.ranking.store_ranking import ranked_templates
 from kinedex.pipelines.search.explanation import explain_store

@@ -30,7 +30,8 @@ from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.annotation.methods import BestMethod, ClassTemplates, ThesisMethod
 from kinedex.pipelines.keyframes.learning import training_sets, training_task
 from kinedex.pipelines.keyframes.parameters import KeyframeParameters, setting_of
-from kinedex.pipelines.ranking.ranking import RankedTemplate, rank_takes
+from kinedex.pipelines.ranking.ranked_hits import RankedTemplate
+from kinedex.pipelines.ranking.ranking import rank_takes
 from kinedex.pipelines.ranking.ranking_evaluation import clip_costs
 from kinedex.pipelines.ranking.store_ranking import rank_store
 from kinedex.pipelines.search.bit_slices import sliced_words

@@ -23,9 +23,10 @@ from kinedex.ops.words import NO_WORD, TakeWords
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.evaluation.ground_truth import Manual
-from kinedex.pipelines.ranking import ranking
+from kinedex.pipelines.ranking import batch_ranking, first_thresholds, ranking
 from kinedex.pipelines.ranking.both_sides import mirrored_template, rank_both_sides
-from kinedex.pipelines.ranking.ranking import Hit, RankedTemplate, rank_takes, ranking_table
+from kinedex.pipelines.ranking.ranked_hits import Hit, RankedTemplate, ranking_table
+from kinedex.pipelines.ranking.ranking import rank_takes
 from kinedex.pipelines.ranking.ranking_evaluation import (
     Judged,
     judge_clips,
@@ -425,11 +426,12 @@ def test_hits_are_the_same_with_and_without_what_the_index_excludes(
     asked = [RankedTemplate("clip", QuantisedTemplate(mask, clip & mask))]
     ranked = rank_both_sides if both else rank_takes
     with monkeypatch.context() as patch:
-        patch.setattr(ranking, "_sound_index", lambda _: None)
+        for module in (batch_ranking, first_thresholds):
+            patch.setattr(module, "sound_index", lambda _: None)
         (plain,) = ranked(repeated, asked, tau, top)
     with monkeypatch.context() as patch:
-        patch.setattr(ranking, "WORTH_FRAMES", 0)
-        patch.setattr(ranking, "MOST_PROMISING", 1.0)
+        patch.setattr(first_thresholds, "WORTH_FRAMES", 0)
+        patch.setattr(batch_ranking, "MOST_PROMISING", 1.0)
         patch.setattr(ranking, "BATCH_FRAMES", 150)
         (found,) = ranked(repeated, asked, tau, top)
     assert found.hits == plain.hits
