@@ -37,6 +37,7 @@ SUBJECTS = (
     "events",
     "examples",
     "exports",
+    "hits",
     "keyframes",
     "jobs",
     "label_files",

@@ -2,25 +2,37 @@
 
 {take_id, take, start, stop, cost: number or null, mirrored, name}: the frames [start, stop) of a take, what they cost,
 whether they fit the mirror image, and the template or query that found them.
+
+`POST /api/ask/labelled` {hits: [interval]} → {labels: [[{class, verdict, share}]]}: for each interval the labels that
+ people have given it, or an interval of which half, or which by half, lies in it.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any
 
+import pyarrow as pa
+import pyarrow.compute as pc
 from pydantic import Field
 
 from kinedex.ops.errors import ParameterError
-from kinedex.pipelines.explorer.addresses import Question
+from kinedex.pipelines.explorer.addresses import Question, post
 from kinedex.pipelines.explorer.selections import Selection, condition_of
 from kinedex.pipelines.ranking.examples import ChosenInterval
+from kinedex.storage.snapshot.labels import is_of_limbs
 
 if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from kinedex.pipelines.explorer.archive import Archive
     from kinedex.pipelines.ranking.ranked_hits import Ranking
     from kinedex.storage.store.store import Store
 
 MOST_HITS = 500
 """Most hits of one answer."""
+
+SHARED = 0.5
+"""Two intervals are of the same place if they share so much of the shorter one, as the page marks verdicts."""
 
 Limit = Annotated[int, Field(ge=1, le=MOST_HITS)]
 
@@ -51,8 +63,45 @@ class ChosenHit(Question):
         if take_id is None or frames is None:
             raise ParameterError("take_id", "the id of a take; it may have been removed from the store", take_id)
         if not self.start < self.stop <= frames:
-            raise ParameterError("start and stop", f"0 <= start < stop <= {frames}", [self.start, self.stop])
+            of = next((name for name, one in store.take_ids.items() if one == take_id), take_id)
+            expected = f"0 <= start < stop <= {frames}, the frames of {of}"
+            raise ParameterError("start and stop", expected, [self.start, self.stop])
         return ChosenInterval(take_id, self.start, self.stop, self.mirrored)
+
+
+class LabelledQuestion(Question):
+    """Hits whose labels are wanted."""
+
+    hits: Annotated[tuple[ChosenHit, ...], Field(max_length=MOST_HITS)]
+
+
+def find_labels(archive: Archive, asked: LabelledQuestion, _request: Request) -> dict[str, Any]:
+    """Return the labels of hits, those that share most first."""
+    store = archive.store()
+    names = {take_id: name for name, take_id in store.take_ids.items()}
+    places = [one.interval(store) for one in asked.hits]
+    rows = store.labels()
+    wanted = pa.array({names[one.take_id] for one in places}, rows.schema.field("take").type)
+    by_take: dict[str, list[dict[str, Any]]] = {}
+    for row in rows.filter(pc.is_in(rows.column("take"), wanted)).to_pylist():
+        if not is_of_limbs(row):
+            by_take.setdefault(row["take"], []).append(row)
+    labels = []
+    for one in places:
+        found: dict[tuple[str, str], float] = {}
+        for row in by_take.get(names[one.take_id], ()):
+            length = min(one.stop, row["stop"]) - max(one.start, row["start"])
+            share = length / min(one.stop - one.start, row["stop"] - row["start"])
+            key = (row["class"], row["verdict"])
+            if share >= SHARED and share > found.get(key, 0):
+                found[key] = share
+        labels.append(
+            [
+                {"class": name, "verdict": verdict, "share": round(share, 3)}
+                for (name, verdict), share in sorted(found.items(), key=lambda pair: (-pair[1], pair[0]))
+            ]
+        )
+    return {"labels": labels}
 
 
 def ranked_hits(ranking: Ranking) -> list[dict[str, Any]]:
@@ -75,3 +124,6 @@ def take_condition(store: Store, selection: Selection) -> str | None:
     """Return the condition on takes of a selection as SQL, None for all takes."""
     condition = condition_of(selection, store.take_rows.column_names)
     return condition.removeprefix(" WHERE ") or None
+
+
+routes = [post("/api/ask/labelled", find_labels, LabelledQuestion)]

@@ -6,7 +6,7 @@
  `query` is null where the text holds more than a sequence of poses. A text that cannot be read is answered with
  `fault`: {message, line}, and no hits, so that the page can mark the line while somebody types.
 
-`POST /api/ask/propose` {take_id, start, stop, keyframes?, name?} → {text, query}: keyframes of an example.
+`POST /api/ask/propose` {take_id | take, start, stop, keyframes?, name?} → {text, query}: keyframes of an example.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from kinedex.catalog.queries.query_writer import pose_groups
 from kinedex.ops.errors import ConfigError, KinedexError
 from kinedex.ops.search.gaps import UNBOUNDED
 from kinedex.pipelines.explorer.addresses import Question, post
-from kinedex.pipelines.explorer.hits import Limit, take_condition
+from kinedex.pipelines.explorer.hits import ChosenHit, Limit, take_condition
 from kinedex.pipelines.explorer.same import command_line, python_lines
 from kinedex.pipelines.explorer.selections import Selection
 from kinedex.pipelines.search.query_proposal import propose_query
@@ -85,12 +85,9 @@ class KeyframesQuestion(Selection):
         return self
 
 
-class ProposalQuestion(Question):
+class ProposalQuestion(ChosenHit):
     """An example whose keyframes are proposed."""
 
-    take_id: int
-    start: Annotated[int, Field(ge=0)]
-    stop: Annotated[int, Field(ge=1)]
     keyframes: Annotated[int, Field(ge=1, le=MOST_POSES)] = 3
     name: Annotated[str, Field(min_length=1, max_length=100)] = "proposed"
 
@@ -213,11 +210,10 @@ def propose(archive: Archive, asked: ProposalQuestion, _request: Request) -> dic
     """Return keyframes of an example, as text and as poses."""
     store = archive.store()
     names = {take_id: name for name, take_id in store.take_ids.items()}
-    if asked.take_id not in names:
-        raise KinedexError(f"no take has the id {asked.take_id}; it may have been removed from the store")
-    take = names[asked.take_id]
-    text = propose_query(store, take, asked.start, asked.stop, name=asked.name, keyframes=asked.keyframes)
-    words: list[str | Path] = ["kinedex", "query", "from-clip", archive.path, take, str(asked.start), str(asked.stop)]
+    one = asked.interval(store)
+    take = names[one.take_id]
+    text = propose_query(store, take, one.start, one.stop, name=asked.name, keyframes=asked.keyframes)
+    words: list[str | Path] = ["kinedex", "query", "from-clip", archive.path, take, str(one.start), str(one.stop)]
     return {
         "text": text,
         "query": model_of(read_text(text, store), store),

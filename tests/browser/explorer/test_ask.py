@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from urllib.parse import quote
 
 from playwright.sync_api import expect
@@ -25,12 +27,51 @@ def test_hits_are_judged_by_keys_and_the_next_question_has_their_verdicts(open_p
     expect(page.get_by_role("complementary", name="The chosen hit")).to_contain_text("cost")
     page.reload()
     expect(bar).to_contain_text("1 accepted, 1 rejected")
+    # how a hit fits stands beside it, while the pointer rests on it
+    hits.last.hover()
+    expect(page.locator(".fit-preview svg").first).to_be_visible()
     page.get_by_role("button", name="More like these, less like those").click()
     expect(page.get_by_role("heading", name="Less like these 1")).to_be_visible()
+    # a place that was decided is marked in the next answer, whatever its ends are there
+    expect(hits.filter(has_text="✓ yes").first).to_be_visible()
+    expect(page.get_by_role("option", name=re.compile(", the example$")).first).to_be_visible()
     assert "less=" in page.url
     expect(page.get_by_label("The same by command")).to_contain_text("kinedex rank")
     page.go_back()
     expect(page.get_by_role("heading", name="Like this")).to_be_visible()
+
+
+def test_what_a_search_leaves_is_saved_and_the_page_says_where(open_page: Open) -> None:
+    page = open_page(EXAMPLE)
+    expect(page.get_by_role("listbox", name="Hits, the best first").get_by_role("option").first).to_be_visible()
+    for item, ending, command in (
+        (re.compile("^Template"), "example.yaml", "kinedex rank"),
+        (re.compile("^Query"), "query.yaml", "kinedex search"),
+        (re.compile("^Intervals"), "ranges.csv", "kinedex export"),
+    ):
+        page.get_by_role("button", name="Save as…").click()
+        with page.expect_download() as got:
+            page.get_by_role("menuitem", name=item).click()
+        assert got.value.suggested_filename == ending
+        assert got.value.path().stat().st_size > 20
+        expect(page.get_by_role("alert").filter(has_text=command)).to_be_visible()
+    page.get_by_role("button", name="Save as…").click()
+    page.get_by_role("menuitem", name="go to Export").click()
+    expect(page).to_have_url(re.compile("/export.*hits="))
+
+
+def test_filters_of_the_archive_limit_the_search_and_go_to_export(open_page: Open) -> None:
+    page = open_page(f"/?where={quote('seconds > 0')}")
+    page.get_by_role("link", name="Search these").click()
+    expect(page).to_have_url(re.compile("/ask.where="))
+    filters = json.dumps([{"column": "name", "values": [CLIP]}])
+    page.goto(f"{page.url.split('/ask')[0]}{EXAMPLE}&filters={quote(filters)}")
+    hits = page.get_by_role("listbox", name="Hits, the best first").get_by_role("option")
+    expect(hits.first).to_be_visible()
+    assert all(CLIP in (one.get_attribute("aria-label") or "") for one in hits.all())
+    expect(page.get_by_label("The same by command")).to_contain_text("--where")
+    page.get_by_role("link", name="Export these").click()
+    expect(page).to_have_url(re.compile("/export.filters="))
 
 
 def test_keyframes_answer_while_they_are_edited_and_name_the_line_of_a_fault(open_page: Open) -> None:

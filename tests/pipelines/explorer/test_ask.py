@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import kinedex
 from kinedex.catalog.template_files import read_templates
@@ -268,3 +270,46 @@ def test_verdicts_become_labels_of_a_class_once(path: Path, opened: Store, ask: 
         ("take_0", "kick", "positive"),
         ("take_2", "kick", "negative"),
     ]
+
+
+@given(
+    hits=st.lists(st.tuples(st.sampled_from(["take_0", "take_1"]), st.integers(0, 30), st.integers(1, 30)), max_size=6),
+)
+@settings(max_examples=25, deadline=None)
+def test_hits_have_the_labels_of_their_places(
+    labelled: tuple[Ask, list[dict[str, Any]]], hits: list[tuple[str, int, int]]
+) -> None:
+    ask, labels = labelled
+    places = [{"take": take, "start": start, "stop": start + length} for take, start, length in hits]
+    found = ask("labelled", hits=places)["labels"]
+    for place, those in zip(places, found, strict=True):
+        frames = set(range(place["start"], place["stop"]))
+        expected = set()
+        for one in labels:
+            own = set(range(one["start"], one["stop"]))
+            if one["take"] == place["take"] and 2 * len(frames & own) >= min(len(frames), len(own)):
+                expected.add((one["class"], one["verdict"]))
+        assert {(one["class"], one["verdict"]) for one in those} == expected
+        assert [one["share"] for one in those] == sorted((one["share"] for one in those), reverse=True)
+
+
+@pytest.fixture(scope="module")
+def labelled(tmp_path_factory: pytest.TempPathFactory, connect: Connect) -> tuple[Ask, list[dict[str, Any]]]:
+    """Return the questions to a store with labels of two takes, and the labels."""
+    takes = [long_take(f"take_{i}", "ann", "walk", "rest", "kick", "wave", "rest", "kick") for i in range(2)]
+    client = connect(write_store(tmp_path_factory.mktemp("labelled") / "store", takes))
+    rng = np.random.default_rng(3)
+    labels = []
+    for side, verdict in (("positives", "positive"), ("negatives", "negative")):
+        starts = rng.integers(0, 40, 4).tolist()
+        own = [{"take": f"take_{i % 2}", "start": at, "stop": at + 3 + 4 * i} for i, at in enumerate(starts)]
+        name = "kick" if verdict == "positive" else "wave"
+        assert client.post("/api/ask/labels", json={"class": name, side: own}).status_code == 200
+        labels += [{**one, "class": name, "verdict": verdict} for one in own]
+
+    def asked(what: str, **body: Any) -> Any:
+        answer = client.post(f"/api/ask/{what}", json=body)
+        assert answer.status_code == 200, answer.text
+        return answer.json()
+
+    return asked, labels

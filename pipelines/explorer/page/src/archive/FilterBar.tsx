@@ -1,3 +1,5 @@
+import "./archive.css";
+
 import { Button, CloseButton, Popover, Select, Stack, TextInput } from "@mantine/core";
 import { type KeyboardEvent, useEffect, useRef, useState } from "react";
 
@@ -5,6 +7,7 @@ import { useStore } from "../api/queries";
 import type { Column, Filter } from "../api/types";
 import { useShortcuts } from "../app/shortcuts";
 import { FilterEditor } from "./FilterEditor";
+import { HandOn } from "./HandOn";
 import { filterColumns, type useSelection } from "./selection";
 import { filterText } from "./text";
 
@@ -12,10 +15,19 @@ interface Props {
   state: ReturnType<typeof useSelection>;
   /** Why the server refuses the condition of SQL, if it does. */
   fault: string | null;
+  /** The pages that the filters can be taken to. */
+  to?: readonly (readonly [path: string, text: string])[];
+  /** The page, as the list of keys names it. */
+  page?: string;
 }
 
+const ON: NonNullable<Props["to"]> = [
+  ["/ask", "Search these"],
+  ["/export", "Export these"],
+];
+
 /** Filters as chips, and a condition of SQL. */
-export function FilterBar({ state, fault }: Props) {
+export function FilterBar({ state, fault, to = ON, page = "Archive" }: Props) {
   const { filters, put, where, clear } = state;
   const store = useStore();
   const columns = filterColumns(store.data);
@@ -23,7 +35,7 @@ export function FilterBar({ state, fault }: Props) {
   const [column, setColumn] = useState<string | null>(null);
   const chosen = columns.find((one) => one.name === column);
   const sql = useRef<HTMLInputElement>(null);
-  useShortcuts("Archive", [
+  useShortcuts(page, [
     { keys: "f", what: "Add a filter", run: () => setAdding(true) },
     { keys: "/", what: "Write a condition of SQL", run: () => sql.current?.focus() },
     { keys: "x", what: "Remove all filters", run: clear },
@@ -78,6 +90,7 @@ export function FilterBar({ state, fault }: Props) {
         </Popover.Dropdown>
       </Popover>
       <SqlCondition input={sql} where={where} onChange={state.setWhere} fault={fault} />
+      <HandOn state={state} to={to} />
       {(filters.length > 0 || where !== null) && (
         <Button size="compact-sm" variant="subtle" onClick={clear}>
           Clear

@@ -11,29 +11,27 @@ import type { StoreFacts, TakesBlock } from "../api/types";
 import { takeAddress, useJsonParameter, useParameter, useParameters } from "../app/address";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
+import { useSelection } from "../archive/selection";
 import { SmallFigure } from "../motion/SmallFigure";
 import type { Explain } from "./Details";
 import { Results } from "./Results";
 import { SaveBar } from "./SaveBar";
-import { asked, type ExamplesAnswer, type ExamplesQuestion, type HitAnswer, type Interval } from "./types";
-
-type Packed = [string, number, number, 0 | 1];
+import {
+  asked,
+  type ExamplesAnswer,
+  type ExamplesQuestion,
+  type HitAnswer,
+  type Interval,
+  type Packed,
+  packed,
+  samePlace,
+  unpacked,
+} from "./types";
 
 const NONE: Packed[] = [];
 const TAU = 0.1;
 const TOP = 60;
 const MOST = 500;
-
-function unpacked(list: unknown): Interval[] {
-  if (!Array.isArray(list)) return [];
-  return (list as unknown[])
-    .filter((one): one is Packed => Array.isArray(one) && typeof one[0] === "string" && one.length === 4)
-    .map(([take, start, stop, mirrored]) => ({ take, start, stop, mirrored: mirrored === 1 }));
-}
-
-function packed({ take, start, stop, mirrored }: Interval): Packed {
-  return [take, start, stop, mirrored ? 1 : 0];
-}
 
 export function ByExample({ store }: { store: StoreFacts }) {
   const question = useQuestion();
@@ -59,17 +57,10 @@ export function ByExample({ store }: { store: StoreFacts }) {
           },
     [settled],
   );
-  const file = useMemo(
-    () => ({
-      title: "Template as YAML",
-      load: () => post<{ name: string; text: string }>("/api/ask/template", JSON.parse(settled)),
-    }),
-    [settled],
-  );
   const [origin] = useParameter("of");
   const refine = (accepted: Interval[], rejected: Interval[]) => {
     const [first] = question?.positives ?? [];
-    const example = question?.positives.filter((one) => !accepted.some((other) => overlap(one, other))) ?? [];
+    const example = question?.positives.filter((one) => !accepted.some((other) => samePlace(one, other))) ?? [];
     set(
       {
         more: JSON.stringify([...example, ...accepted].map(packed)),
@@ -101,8 +92,14 @@ export function ByExample({ store }: { store: StoreFacts }) {
               {found.hours.toFixed(1)} h <span className="muted">· {(1000 * found.seconds).toFixed(0)} ms</span>
               {old && <span className="muted"> · searching…</span>}
             </Text>
-            <SaveBar hits={found.hits} file={file} onRefine={refine} />
-            <Results hits={found.hits} rateHz={store.rate_hz} old={old} explain={explain} />
+            <SaveBar hits={found.hits} examples={question.positives} onRefine={refine} />
+            <Results
+              hits={found.hits}
+              rateHz={store.rate_hz}
+              old={old}
+              explain={explain}
+              examples={question.positives}
+            />
             {found.more && top < MOST && (
               <Button
                 size="compact-sm"
@@ -124,10 +121,6 @@ export function ByExample({ store }: { store: StoreFacts }) {
   );
 }
 
-function overlap(one: Interval, other: Interval): boolean {
-  return one.take === other.take && one.start < other.stop && other.start < one.stop;
-}
-
 /** Return what the address asks for, null where it names no example. */
 function useQuestion(): ExamplesQuestion | null {
   const [take] = useParameter("take");
@@ -138,7 +131,7 @@ function useQuestion(): ExamplesQuestion | null {
   const [tau] = useParameter("tau");
   const [top] = useParameter("top");
   const [mirror] = useParameter("mirror");
-  const [where] = useParameter("where");
+  const { filters, where } = useSelection();
   return useMemo(() => {
     const start = Number(from);
     const stop = Number(to);
@@ -152,8 +145,9 @@ function useQuestion(): ExamplesQuestion | null {
       tau: bounded(tau, 0.001, 1, TAU),
       top: Math.round(bounded(top, 1, MOST, TOP)),
       ...(where === null ? {} : { where }),
+      ...(filters.length === 0 ? {} : { filters }),
     };
-  }, [take, from, to, more, less, tau, top, mirror, where]);
+  }, [take, from, to, more, less, tau, top, mirror, where, filters]);
 }
 
 function bounded(text: string | null, least: number, most: number, absent: number): number {

@@ -11,9 +11,12 @@ import type { StoreFacts, TakesBlock } from "../api/types";
 import { useParameter, useParameters } from "../app/address";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
+import { useSelection } from "../archive/selection";
+import { counted } from "../archive/text";
 import { PoseCard, type Seen, TimeBetween } from "./PoseCard";
 import { addPose, MOST_POSES, withGap, withoutPose, withPose } from "./poses";
 import { Results } from "./Results";
+import { useRefine } from "./refine";
 import { SaveBar } from "./SaveBar";
 import type { KeyframesAnswer, Query } from "./types";
 
@@ -25,7 +28,8 @@ const SHOWN = 60;
 
 export function ByKeyframes({ store }: { store: StoreFacts }) {
   const [yaml] = useParameter("yaml");
-  const [where] = useParameter("where");
+  const { filters, where } = useSelection();
+  const refine = useRefine("keyframes");
   const set = useParameters();
   const [draft, setDraft] = useState<Draft>(() => (yaml === null ? { query: EMPTY } : { text: yaml }));
   const [seen, setSeen] = useState<Record<number, Seen>>({});
@@ -40,8 +44,8 @@ export function ByKeyframes({ store }: { store: StoreFacts }) {
   }, [yaml]);
   const body = useMemo(() => {
     const empty = "query" in draft ? draft.query.poses.length === 0 : draft.text.trim() === "";
-    return empty ? null : JSON.stringify({ ...draft, limit: count, ...(where === null ? {} : { where }) });
-  }, [draft, where, count]);
+    return empty ? null : JSON.stringify({ ...draft, limit: count, filters, ...(where === null ? {} : { where }) });
+  }, [draft, filters, where, count]);
   const [settled] = useDebouncedValue(body, WAIT_MS);
   const answer = useQuery({
     queryKey: ["version", "ask-keyframes", settled],
@@ -124,7 +128,7 @@ export function ByKeyframes({ store }: { store: StoreFacts }) {
         {found !== undefined && fault === null && (
           <>
             <Text size="sm" role="status" aria-live="polite">
-              {found.total.toLocaleString("en")} intervals in {found.takes.toLocaleString("en")} takes,{" "}
+              {counted(found.total, "interval")} in {counted(found.takes, "take")},{" "}
               {(100 * found.share).toPrecision(2)} % of all frames{" "}
               <span className="muted">
                 · {(1000 * found.seconds).toFixed(0)} ms{current ? "" : " · searching…"}
@@ -137,23 +141,8 @@ export function ByKeyframes({ store }: { store: StoreFacts }) {
             ))}
             <SaveBar
               hits={found.hits}
-              file={{
-                title: "Query as YAML",
-                load: () => Promise.resolve({ name: found.query?.name ?? "queries", text: found.text }),
-              }}
-              onRefine={(accepted, rejected) =>
-                set(
-                  {
-                    way: null,
-                    more: JSON.stringify(accepted.map((one) => [one.take, one.start, one.stop, 0])),
-                    less: rejected.length === 0 ? null : JSON.stringify(rejected.map((one) => [one.take, one.start, one.stop, 0])),
-                    take: null,
-                    from: null,
-                    to: null,
-                  },
-                  true,
-                )
-              }
+              query={{ name: found.query?.name ?? "queries", text: found.text }}
+              onRefine={refine}
             />
             <Results hits={found.hits} rateHz={store.rate_hz} old={!current} />
             {found.total > found.hits.length && count < 500 && (

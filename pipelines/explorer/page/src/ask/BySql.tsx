@@ -10,6 +10,7 @@ import type { StoreFacts, Value } from "../api/types";
 import { useParameter } from "../app/address";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
+import { useRefine } from "./refine";
 import { Results } from "./Results";
 import { SaveBar } from "./SaveBar";
 import type { SqlAnswer, ViewFacts } from "./types";
@@ -85,6 +86,7 @@ export function BySql({ store }: { store: StoreFacts }) {
 
 function Result({ first, text, turn, store }: { first: SqlAnswer; text: string; turn: number; store: StoreFacts }) {
   const [shown, setShown] = useState<"hits" | "table">(first.hits !== null && first.hits.length > 0 ? "hits" : "table");
+  const refine = useRefine("sql");
   const many = first.counted ? first.total.toLocaleString("en") : `more than ${first.total.toLocaleString("en")}`;
   return (
     <>
@@ -109,7 +111,7 @@ function Result({ first, text, turn, store }: { first: SqlAnswer; text: string; 
       </Group>
       {shown === "hits" && first.hits !== null ? (
         <>
-          <SaveBar hits={first.hits} />
+          <SaveBar hits={first.hits} onRefine={refine} />
           <Some hits={first.hits} rateHz={store.rate_hz} />
         </>
       ) : (

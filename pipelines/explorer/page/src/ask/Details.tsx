@@ -7,7 +7,7 @@ import { Link } from "wouter";
 import { takeAddress } from "../app/address";
 import { Fault } from "../app/Fault";
 import { SmallFigure } from "../motion/SmallFigure";
-import { type Hit, type HitAnswer, keyOf } from "./types";
+import { type Hit, type HitAnswer, type Known, keyOf } from "./types";
 import type { Verdict } from "./verdicts";
 
 export interface Explain {
@@ -21,11 +21,13 @@ export interface DetailsProps {
   rateHz: number;
   explain?: Explain;
   verdict: Verdict | undefined;
+  /** Labels that the store has for its place. */
+  known?: Known[];
   onVerdict: (verdict: Verdict | null) => void;
   onClose: () => void;
 }
 
-export function Details({ hit, rateHz, explain, verdict, onVerdict, onClose }: DetailsProps) {
+export function Details({ hit, rateHz, explain, verdict, known = [], onVerdict, onClose }: DetailsProps) {
   const seconds = (frame: number) => (frame / rateHz).toFixed(2);
   const example = `/ask?take=${encodeURIComponent(hit.take)}&from=${hit.start}&to=${hit.stop}`;
   return (
@@ -41,6 +43,11 @@ export function Details({ hit, rateHz, explain, verdict, onVerdict, onClose }: D
         {hit.cost !== null && <>, cost {hit.cost.toFixed(4)}</>}
         {hit.mirrored && <>, as its mirror image</>}
       </Text>
+      {known.length > 0 && (
+        <Text size="sm">
+          Labelled {known.map((one) => `${one.verdict === "negative" ? "not " : ""}${one.class}`).join(", ")}
+        </Text>
+      )}
       <SmallFigure item={hit} width={250} height={230} label={`The motion of ${hit.take}`} />
       <Group gap={6}>
         <Button
@@ -82,8 +89,8 @@ function Fit({ hit, rateHz, explain }: { hit: Hit; rateHz: number; explain: Expl
   const { contradicted } = fit.data;
   return (
     <>
-      <Curve fit={fit.data} hit={hit} rateHz={rateHz} />
-      <Path fit={fit.data} hit={hit} />
+      <FitCurve fit={fit.data} hit={hit} rateHz={rateHz} />
+      <FitPath fit={fit.data} hit={hit} />
       <Text size="sm" fw={600} mt={6}>
         {contradicted.length === 0 ? "No feature contradicts the example." : "What differs from the example"}
       </Text>
@@ -104,7 +111,7 @@ function Fit({ hit, rateHz, explain }: { hit: Hit; rateHz: number; explain: Expl
 const WIDTH = 280;
 const HEIGHT = 84;
 
-function Curve({ fit, hit, rateHz }: { fit: HitAnswer; hit: Hit; rateHz: number }) {
+export function FitCurve({ fit, hit, rateHz }: { fit: HitAnswer; hit: Hit; rateHz: number }) {
   const frames = fit.curve.length;
   const most = Math.max(2 * fit.tau, ...fit.curve.map((cost) => cost ?? 0));
   const x = (frame: number) => ((frame - fit.first) / Math.max(1, frames - 1)) * WIDTH;
@@ -129,7 +136,7 @@ function Curve({ fit, hit, rateHz }: { fit: HitAnswer; hit: Hit; rateHz: number 
   );
 }
 
-function Path({ fit, hit }: { fit: HitAnswer; hit: Hit }) {
+export function FitPath({ fit, hit }: { fit: HitAnswer; hit: Hit }) {
   if (fit.columns.length < 2) return null;
   const frames = hit.stop - fit.start - 1;
   const points = fit.columns

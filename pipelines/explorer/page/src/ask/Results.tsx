@@ -1,15 +1,19 @@
 // A grid of looping hits. Arrow keys move between them, y accepts, n rejects, Space leaves one undecided; each goes on
-// to the next. Enter opens the take.
+// to the next that is undecided. Enter opens the take. What was said of the place of a hit before is marked on it: by a
+// verdict on the hits of an earlier question, or by a label of the store. The pointer shows how a hit fits.
 
-import { memo, useCallback, useEffect, useRef, useState } from "react";
+import { useQuery } from "@tanstack/react-query";
+import { memo, useCallback, useEffect, useMemo, useRef, useState } from "react";
 import { useLocation } from "wouter";
 
-import { takeAddress } from "../app/address";
+import { post } from "../api/client";
+import { takeAddress, useParameter } from "../app/address";
 import { useShortcuts } from "../app/shortcuts";
 import { SmallFigure } from "../motion/SmallFigure";
 import { Details, type Explain } from "./Details";
-import { type Hit, keyOf } from "./types";
-import { useVerdicts, type Verdict } from "./verdicts";
+import { FitPreview } from "./FitPreview";
+import { asked, type Hit, type Interval, type Known, keyOf, samePlace } from "./types";
+import { type Mark, useVerdicts, type Verdict } from "./verdicts";
 
 export interface ResultsProps {
   hits: readonly Hit[];
@@ -18,13 +22,20 @@ export interface ResultsProps {
   old?: boolean;
   /** Answers how a hit fits; without it details show the hit alone. */
   explain?: Explain;
+  /** What was asked for; hits of its places are named so. */
+  examples?: readonly Interval[];
 }
 
-export function Results({ hits, rateHz, old = false, explain }: ResultsProps) {
+const NO_EXAMPLES: readonly Interval[] = [];
+
+export function Results({ hits, rateHz, old = false, explain, examples = NO_EXAMPLES }: ResultsProps) {
   const verdicts = useVerdicts();
   const [, navigate] = useLocation();
+  const [wanted] = useParameter("class");
   const [place, setPlace] = useState(-1);
+  const [pointed, setPointed] = useState<{ hit: Hit; cell: HTMLElement } | null>(null);
   const grid = useRef<HTMLDivElement>(null);
+  const labels = useLabels(hits);
   const at = Math.min(place, hits.length - 1);
   const chosen = hits[at];
 
@@ -35,10 +46,13 @@ export function Results({ hits, rateHz, old = false, explain }: ResultsProps) {
     setPlace(to);
     cells[to]?.focus();
   }, []);
+  const isDecided = (hit: Hit, i: number) =>
+    verdicts.of(hit) !== undefined || (labels?.[i] ?? []).some((one) => one.class === wanted);
   const decide = (verdict: Verdict | null) => {
     if (chosen === undefined) return go(0);
-    verdicts.set(chosen, verdicts.of(chosen) === verdict ? null : verdict);
-    go(at + 1);
+    verdicts.set(chosen, verdict);
+    const next = hits.findIndex((hit, i) => i > at && !samePlace(hit, chosen) && !isDecided(hit, i));
+    go(next < 0 ? at + 1 : next);
   };
   const columns = () => {
     const cells = grid.current?.querySelectorAll<HTMLElement>(".hit") ?? [];
@@ -63,29 +77,52 @@ export function Results({ hits, rateHz, old = false, explain }: ResultsProps) {
     },
   ]);
   useEffect(() => setPlace((before) => Math.min(before, hits.length - 1)), [hits]);
+  useEffect(() => setPointed(null), [hits, explain]);
+  const point = useCallback((hit: Hit | null, cell: HTMLElement | null) => {
+    setPointed(hit === null || cell === null ? null : { hit, cell });
+  }, []);
 
   return (
     <div className="hits-and-details">
-      <div ref={grid} className="hits" role="listbox" aria-label="Hits, the best first" aria-busy={old} data-old={old}>
-        {hits.map((hit, i) => (
-          <Cell
-            key={keyOf(hit)}
-            hit={hit}
-            place={i}
-            rateHz={rateHz}
-            verdict={verdicts.of(hit)}
-            chosen={i === at}
-            first={i === Math.max(at, 0)}
-            onChoose={setPlace}
-          />
-        ))}
+      <div
+        ref={grid}
+        className="hits"
+        role="listbox"
+        aria-label="Hits, the best first"
+        aria-busy={old}
+        data-old={old}
+        onPointerLeave={() => setPointed(null)}
+      >
+        {hits.map((hit, i) => {
+          const mark = verdicts.of(hit);
+          return (
+            <Cell
+              key={keyOf(hit)}
+              hit={hit}
+              place={i}
+              rateHz={rateHz}
+              verdict={mark?.verdict}
+              earlier={mark?.earlier === true}
+              known={labels?.[i]}
+              example={examples.some((one) => samePlace(one, hit))}
+              chosen={i === at}
+              first={i === Math.max(at, 0)}
+              onChoose={setPlace}
+              onPoint={explain === undefined ? undefined : point}
+            />
+          );
+        })}
+        {pointed !== null && explain !== undefined && pointed.hit !== chosen && (
+          <FitPreview key={keyOf(pointed.hit)} hit={pointed.hit} cell={pointed.cell} rateHz={rateHz} explain={explain} />
+        )}
       </div>
       {chosen !== undefined && (
         <Details
           hit={chosen}
           rateHz={rateHz}
           explain={explain}
-          verdict={verdicts.of(chosen)}
+          verdict={verdicts.of(chosen)?.verdict}
+          known={labels?.[at]}
           onVerdict={(verdict) => verdicts.set(chosen, verdict)}
           onClose={() => setPlace(-1)}
         />
@@ -94,38 +131,70 @@ export function Results({ hits, rateHz, old = false, explain }: ResultsProps) {
   );
 }
 
+/** Return the labels that the store has for each hit, once they are known. */
+function useLabels(hits: readonly Hit[]): Known[][] | undefined {
+  const places = useMemo(() => hits.map(asked), [hits]);
+  const found = useQuery({
+    queryKey: ["labels", "ask-labelled", places],
+    queryFn: ({ signal }) => post<{ labels: Known[][] }>("/api/ask/labelled", { hits: places }, signal),
+    enabled: places.length > 0,
+  });
+  return found.data?.labels;
+}
+
+/** Return what a mark or a label says, as text: "✓ yes", "✕ wave". */
+export function markText(mark: Pick<Mark, "verdict">): string {
+  return mark.verdict === "yes" ? "✓ yes" : "✕ no";
+}
+
+export function knownText(one: Known): string {
+  return `${one.verdict === "negative" ? "✕" : "✓"} ${one.class}`;
+}
+
 interface CellProps {
   hit: Hit;
   place: number;
   rateHz: number;
   verdict: Verdict | undefined;
+  earlier: boolean;
+  known: Known[] | undefined;
+  example: boolean;
   chosen: boolean;
   first: boolean;
   onChoose: (place: number) => void;
+  onPoint: ((hit: Hit, cell: HTMLElement) => void) | undefined;
 }
 
-const Cell = memo(function Cell({ hit, place, rateHz, verdict, chosen, first, onChoose }: CellProps) {
+const Cell = memo(function Cell(props: CellProps) {
+  const { hit, place, rateHz, verdict, earlier, known = [], example, chosen, first, onChoose, onPoint } = props;
   const at = (hit.start / rateHz).toFixed(1);
   const state = verdict === "yes" ? ", accepted" : verdict === "no" ? ", rejected" : "";
   const cost = hit.cost === null ? "" : `, cost ${hit.cost.toFixed(3)}`;
+  const labelled = known.map((one) => `${one.verdict === "negative" ? "not " : ""}${one.class}`).join(", ");
+  const said = [earlier ? "decided with other ends" : "", labelled === "" ? "" : `labelled ${labelled}`, example ? "the example" : ""];
+  const more = said.filter((one) => one !== "").map((one) => `, ${one}`).join("");
   return (
     <div
       className="hit"
       role="option"
       aria-selected={chosen}
-      aria-label={`${place + 1}: ${hit.take} at ${at} s${cost}${hit.mirrored ? ", mirrored" : ""}${state}`}
+      aria-label={`${place + 1}: ${hit.take} at ${at} s${cost}${hit.mirrored ? ", mirrored" : ""}${state}${more}`}
       tabIndex={first ? 0 : -1}
       data-verdict={verdict}
+      data-earlier={earlier}
       onClick={() => onChoose(place)}
       onFocus={() => onChoose(place)}
-      title={`${hit.take}, frames ${hit.start} to ${hit.stop}`}
+      onPointerEnter={(event) => event.pointerType === "mouse" && onPoint?.(hit, event.currentTarget)}
+      title={onPoint === undefined ? `${hit.take}, frames ${hit.start} to ${hit.stop}${more}` : undefined}
     >
       <SmallFigure item={hit} width={104} height={112} />
+      {example && <span className="hit-example">example</span>}
       <span className="hit-facts">
         <span className="hit-cost">{hit.cost === null ? `${place + 1}` : hit.cost.toFixed(3)}</span>
         {hit.mirrored && <span className="muted">mirror</span>}
-        {verdict !== undefined && <b className={`hit-${verdict}`}>{verdict === "yes" ? "✓ yes" : "✕ no"}</b>}
+        {verdict !== undefined && <b className={`hit-${verdict}`}>{markText({ verdict })}</b>}
       </span>
+      {known.length > 0 && <span className="hit-known">{known.map(knownText).join(", ")}</span>}
       <span className="hit-name muted">{hit.take}</span>
     </div>
   );

@@ -1,64 +1,86 @@
-// What becomes of verdicts and questions: labels of a class, a template, a query, a list of intervals.
+// What becomes of verdicts and questions: labels of a class, a template, a query, a list of intervals, a data set.
 
 import { Autocomplete, Button, Group, Menu, Text } from "@mantine/core";
 import { notifications } from "@mantine/notifications";
-import { useState } from "react";
+import { type ReactNode, useState } from "react";
 import { Link } from "wouter";
 
 import { ApiError, post } from "../api/client";
 import { useStore } from "../api/queries";
-import { asked, type Hit, type Interval } from "./types";
+import { useParameter } from "../app/address";
+import { counted } from "../archive/text";
+import { download, exportAddress, rangesOf } from "./files";
+import { asked, type Hit, type Interval, samePlace } from "./types";
 import { useVerdicts } from "./verdicts";
+
+interface Named {
+  name: string;
+  text: string;
+}
 
 export interface SaveBarProps {
   hits: readonly Hit[];
-  /** Offers the question as a file: its title, and a function that returns its name and text. */
-  file?: { title: string; load: () => Promise<{ name: string; text: string }> };
+  /** What was searched by, if intervals were. */
+  examples?: readonly Interval[];
+  /** The query that was searched by; otherwise one is proposed from the first accepted hit or example. */
+  query?: Named;
   /** Begins the next question: more like what was accepted, less like what was rejected. */
-  onRefine?: (accepted: Interval[], rejected: Interval[]) => void;
+  onRefine: (accepted: Interval[], rejected: Interval[]) => void;
 }
 
-export function SaveBar({ hits, file, onRefine }: SaveBarProps) {
+const NONE: readonly Interval[] = [];
+
+export function SaveBar({ hits, examples = NONE, query, onRefine }: SaveBarProps) {
   const store = useStore().data;
   const verdicts = useVerdicts();
-  const [name, setName] = useState("");
+  const [label, setLabel] = useParameter("class");
   const [saving, setSaving] = useState(false);
   const { accepted, rejected } = verdicts;
   const decided = accepted.length + rejected.length;
-
-  const save = async () => {
+  const name = (label ?? "").trim();
+  const path = store?.path ?? "STORE";
+  const attempt = (action: () => Promise<void>) => () => {
     setSaving(true);
-    try {
-      const body = { class: name.trim(), positives: accepted.map(asked), negatives: rejected.map(asked) };
-      const done = await post<{ recorded: number; known: number }>("/api/ask/labels", body);
-      notifications.show({
-        message: `${done.recorded} labels of ${name.trim()} are saved${done.known > 0 ? `; ${done.known} were there already` : ""}`,
-      });
-    } catch (fault) {
-      failed(fault);
-    } finally {
-      setSaving(false);
-    }
+    action()
+      .catch(failed)
+      .finally(() => setSaving(false));
   };
-  const saveFile = async () => {
-    try {
-      const { name: called, text } = await (file as NonNullable<typeof file>).load();
-      download(`${called}.yaml`, text, "text/yaml");
-    } catch (fault) {
-      failed(fault);
-    }
-  };
+
+  const saveLabels = attempt(async () => {
+    const body = { class: name, positives: accepted.map(asked), negatives: rejected.map(asked) };
+    const done = await post<{ recorded: number; known: number }>("/api/ask/labels", body);
+    const before = done.known > 0 ? `; ${done.known} were there already` : "";
+    tell(`${counted(done.recorded, "label")} of ${name} saved in the store${before}.`, <Link href="/label">Label</Link>);
+  });
+  /** Accepted hits, and the examples that are not among them. */
+  const positives = [...examples.filter((one) => !accepted.some((other) => samePlace(one, other))), ...accepted];
+  const saveTemplate = attempt(async () => {
+    const body = { positives: positives.map(asked), negatives: rejected.map(asked), name: name || "example" };
+    const made = await post<Named>("/api/ask/template", body);
+    const file = download(`${made.name}.yaml`, made.text, "text/yaml");
+    tell(`${file}: a template of ${counted(positives.length, "interval")}. To search by it: kinedex rank ${path} ${file}`);
+  });
+  const first = accepted[0] ?? examples[0];
+  const saveQuery = attempt(async () => {
+    const made = query ?? (await propose(first, name || "query"));
+    const file = download(`${made.name}.yaml`, made.text, "text/yaml");
+    const source = query === undefined ? `keyframes proposed from ${first?.take ?? ""}` : "the query";
+    tell(`${file}: ${source}. To search by it: kinedex search ${path} ${file}`);
+  });
   const chosen: readonly Interval[] = accepted.length > 0 ? accepted : hits;
+  const which = accepted.length > 0 ? "accepted" : "shown";
+  const saveRanges = () => {
+    const file = download("ranges.csv", rangesOf(chosen, name), "text/csv");
+    tell(`${file}: ${counted(chosen.length, "interval")}. To write their clips: kinedex export ${path} --ranges ${file}`);
+  };
   return (
     <Group gap={8} className="save-bar" role="toolbar" aria-label="What to do with the hits">
       <Text size="sm" role="status">
         {accepted.length} accepted, {rejected.length} rejected
       </Text>
-      {onRefine !== undefined && (
-        <Button size="compact-sm" disabled={accepted.length === 0} onClick={() => onRefine(accepted, rejected)}>
-          More like these{rejected.length > 0 ? ", less like those" : ""}
-        </Button>
-      )}
+      <Button size="compact-sm" disabled={accepted.length === 0} onClick={() => onRefine(accepted, rejected)}>
+        More like these{rejected.length > 0 ? ", less like those" : ""}
+      </Button>
       <Button size="compact-sm" variant="default" disabled={decided === 0} onClick={verdicts.clear}>
         Forget verdicts
       </Button>
@@ -68,17 +90,17 @@ export function SaveBar({ hits, file, onRefine }: SaveBarProps) {
           aria-label="Class of the accepted hits"
           placeholder="class"
           data={store?.classes ?? []}
-          value={name}
-          onChange={setName}
+          value={label ?? ""}
+          onChange={setLabel}
           limit={30}
         />
         <Button
           size="compact-sm"
           variant="default"
           loading={saving}
-          disabled={decided === 0 || name.trim() === "" || store?.read_only === true}
+          disabled={decided === 0 || name === "" || store?.read_only === true}
           title={store?.read_only === true ? "This explorer was started with --read-only" : undefined}
-          onClick={() => void save()}
+          onClick={saveLabels}
         >
           Save as labels
         </Button>
@@ -86,19 +108,21 @@ export function SaveBar({ hits, file, onRefine }: SaveBarProps) {
       <Menu position="bottom-end">
         <Menu.Target>
           <Button size="compact-sm" variant="default">
-            Files…
+            Save as…
           </Button>
         </Menu.Target>
         <Menu.Dropdown>
-          {file !== undefined && <Menu.Item onClick={() => void saveFile()}>{file.title}</Menu.Item>}
-          <Menu.Item
-            disabled={chosen.length === 0}
-            onClick={() => download("ranges.csv", rangesOf(chosen, name.trim()), "text/csv")}
-          >
-            {accepted.length > 0 ? "Accepted" : "Shown"} intervals (ranges.csv, for kinedex export --ranges)
+          <Menu.Item disabled={positives.length === 0} onClick={saveTemplate}>
+            Template (YAML){positives.length > 0 ? ` of ${counted(positives.length, "interval")}` : ": accept a hit first"}
           </Menu.Item>
-          <Menu.Item component={Link} href={exportAddress(chosen, name.trim())}>
-            Data set of the {accepted.length > 0 ? "accepted" : "shown"} hits: go to Export
+          <Menu.Item disabled={query === undefined && first === undefined} onClick={saveQuery}>
+            Query (YAML){query === undefined ? `: keyframes ${first === undefined ? "; accept a hit first" : `proposed from ${first.take}`}` : ""}
+          </Menu.Item>
+          <Menu.Item disabled={chosen.length === 0} onClick={saveRanges}>
+            Intervals (CSV) of the {which} hits
+          </Menu.Item>
+          <Menu.Item component={Link} href={exportAddress(chosen, name)}>
+            Data set of the {which} hits: go to Export
           </Menu.Item>
         </Menu.Dropdown>
       </Menu>
@@ -106,39 +130,26 @@ export function SaveBar({ hits, file, onRefine }: SaveBarProps) {
   );
 }
 
-/** Most hits that an address holds; servers refuse longer addresses. */
-const MOST_HITS = 200;
+/** Ask for keyframes of an interval, as a query file. */
+async function propose(one: Interval | undefined, name: string): Promise<Named> {
+  if (one === undefined) throw new Error("accept a hit first: the query is proposed from it");
+  const { take, start, stop } = one;
+  const made = await post<{ text: string }>("/api/ask/propose", { take, start, stop, name });
+  return { name, text: made.text };
+}
 
-/** Return the address of Export with intervals; beyond what an address holds, it asks for the file of intervals. */
-export function exportAddress(intervals: readonly Interval[], label: string): string {
-  if (intervals.length === 0) return label === "" ? "/export" : `/export?what=labels&class=${encodeURIComponent(label)}`;
-  if (intervals.length > MOST_HITS) return "/export?what=ranges";
-  const hits = intervals.map(({ take, start, stop }) => ({ take, start, stop, ...(label === "" ? {} : { class: label }) }));
-  return `/export?${new URLSearchParams({ hits: JSON.stringify(hits) }).toString()}`;
+function tell(message: string, link?: ReactNode): void {
+  notifications.show({
+    message: (
+      <>
+        {message} {link}
+      </>
+    ),
+    autoClose: 10_000,
+  });
 }
 
 function failed(fault: unknown): void {
   const message = fault instanceof Error ? fault.message : String(fault);
   notifications.show({ color: "red", title: fault instanceof ApiError ? fault.type : "Error", message });
-}
-
-/** Return intervals as CSV. A text that a spreadsheet would take for a formula gets an apostrophe in front. */
-export function rangesOf(intervals: readonly Interval[], label: string): string {
-  const cell = (text: string) => {
-    const safe = /^[=+\-@\t\r]/.test(text) ? `'${text}` : text;
-    return /[",\n\r]/.test(safe) ? `"${safe.replaceAll('"', '""')}"` : safe;
-  };
-  const head = label === "" ? "take,start,stop" : "take,start,stop,class";
-  const rows = intervals.map((one) => [cell(one.take), one.start, one.stop, ...(label === "" ? [] : [cell(label)])].join(","));
-  return [head, ...rows, ""].join("\n");
-}
-
-/** Hand a text to the browser as a file. */
-export function download(name: string, text: string, type: string): void {
-  const address = URL.createObjectURL(new Blob([text], { type }));
-  const link = document.createElement("a");
-  link.href = address;
-  link.download = name.replaceAll(/[^\p{L}\p{N}._ -]/gu, "_");
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(address), 10_000);
 }

@@ -1,6 +1,6 @@
 // What the server answers to questions (pipelines/explorer/{hits,examples,keyframes,sql}.py).
 
-import type { Same, Value } from "../api/types";
+import type { Filter, Same, Value } from "../api/types";
 
 export interface Interval {
   take: string;
@@ -34,6 +34,7 @@ export interface ExamplesQuestion {
   tau: number;
   top: number;
   where?: string;
+  filters?: Filter[];
   name?: string;
 }
 
@@ -103,7 +104,42 @@ export function intervalOf(key: string): Interval {
   return { take, start, stop, mirrored };
 }
 
+/** Two intervals are of the same place if they share so much of the shorter one (as pipelines/explorer/hits.py has it). */
+const SHARED = 0.5;
+
+/** Return which share of the shorter of two intervals lies in the other one. */
+export function shareOf(one: Interval, other: Interval): number {
+  if (one.take !== other.take) return 0;
+  const common = Math.min(one.stop, other.stop) - Math.max(one.start, other.start);
+  return Math.max(0, common) / Math.min(one.stop - one.start, other.stop - other.start);
+}
+
+export function samePlace(one: Interval, other: Interval): boolean {
+  return shareOf(one, other) >= SHARED;
+}
+
+/** A statement of a person about the place of a hit, as the store has it. */
+export interface Known {
+  class: string;
+  verdict: string;
+  share: number;
+}
+
 /** Return an interval as the server takes it. */
 export function asked({ take, start, stop, mirrored }: Interval): Interval {
   return { take, start, stop, mirrored };
+}
+
+/** An interval as addresses have it. */
+export type Packed = [take: string, start: number, stop: number, mirrored: 0 | 1];
+
+export function packed({ take, start, stop, mirrored }: Interval): Packed {
+  return [take, start, stop, mirrored ? 1 : 0];
+}
+
+export function unpacked(list: unknown): Interval[] {
+  if (!Array.isArray(list)) return [];
+  return (list as unknown[])
+    .filter((one): one is Packed => Array.isArray(one) && typeof one[0] === "string" && one.length === 4)
+    .map(([take, start, stop, mirrored]) => ({ take, start, stop, mirrored: mirrored === 1 }));
 }
