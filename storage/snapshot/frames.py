@@ -1,8 +1,9 @@
-"""Reading of frames parts: the words of many takes at once, and the rows of one take."""
+"""Reading of frames parts: the words of many takes at once, and the rows of takes and of intervals of them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,7 @@ import pyarrow.parquet as pq
 from kinedex.ops.errors import StoreError
 from kinedex.ops.words import NO_WORD, TakeWords
 from kinedex.storage.snapshot.checked_files import CheckedFiles
+from kinedex.storage.snapshot.footers import footer_of
 from kinedex.storage.snapshot.manifest import Manifest
 from kinedex.storage.snapshot.part_records import Part
 from kinedex.storage.snapshot.parts import read_errors
@@ -91,10 +93,80 @@ def read_frames(
 ) -> pa.Table:
     """Read the rows of frames [start, stop) of one live take: take_id and the columns that are asked for, or all."""
     part = next(part for part in manifest.frames if take_id in part.live)
-    table = _read(files, part, None if columns is None else ["take_id", *columns], take_id, take_id)
+    path = files.part(part)
+    with read_errors(path):
+        footer = footer_of(path)
+        with pq.ParquetFile(path, metadata=footer.metadata) as file:
+            table = file.read_row_groups(footer.groups(take_id, start, stop), _placed(columns))
+    first, last = _rows(table, take_id, start, stop)
+    return _wanted(table.slice(first, last - first), columns).combine_chunks()
+
+
+def read_intervals(
+    files: CheckedFiles, manifest: Manifest, intervals: Sequence[tuple[int, int, int]], columns: Sequence[str]
+) -> Iterator[tuple[int, pa.Table]]:
+    """Yield the places of intervals in a sequence, and their rows; every row group is read once.
+
+    Parameters
+    ----------
+    files : CheckedFiles
+        The files of the store.
+    manifest : Manifest
+        The version to read.
+    intervals : sequence of (int, int, int)
+        Ids of live takes with ranges of frames [start, stop), none of them empty.
+    columns : sequence of str
+        The columns to read beside take_id.
+    """
+    order = sorted(range(len(intervals)), key=intervals.__getitem__)
+    for part in manifest.frames:
+        live = set(part.live)
+        wanted = [place for place in order if intervals[place][0] in live]
+        if not wanted:
+            continue
+        path = files.part(part)
+        with read_errors(path):
+            yield from ((place, _wanted(rows, columns)) for place, rows in _of_part(path, intervals, wanted, columns))
+
+
+def _of_part(
+    path: Path, intervals: Sequence[tuple[int, int, int]], wanted: Sequence[int], columns: Sequence[str]
+) -> Iterator[tuple[int, pa.Table]]:
+    """Yield the rows of some intervals whose takes lie in a part."""
+    footer = footer_of(path)
+    places_of: dict[int, list[int]] = {}
+    for place in wanted:
+        for group in footer.groups(*intervals[place]):
+            places_of.setdefault(group, []).append(place)
+    missing = {place: intervals[place][2] - intervals[place][1] for place in wanted}
+    held: dict[int, list[pa.Table]] = {}
+    with pq.ParquetFile(path, metadata=footer.metadata) as file:
+        for group in sorted(places_of):
+            table = file.read_row_group(group, _placed(columns))
+            for place in places_of[group]:
+                first, last = _rows(table, *intervals[place])
+                if first < last:
+                    held.setdefault(place, []).append(table.slice(first, last - first))
+                    missing[place] -= last - first
+                    if not missing[place]:
+                        yield place, pa.concat_tables(held.pop(place))
+
+
+def _placed(columns: Sequence[str] | None) -> list[str] | None:
+    """Return the columns to read if some are wanted: with those that tell which rows belong to which take."""
+    return None if columns is None else list(dict.fromkeys(["take_id", "frame", *columns]))
+
+
+def _wanted(table: pa.Table, columns: Sequence[str] | None) -> pa.Table:
+    return table if columns is None or "frame" in columns else table.drop_columns("frame")
+
+
+def _rows(table: pa.Table, take_id: int, start: int, stop: int) -> tuple[int, int]:
+    """Return the rows of a table that hold the frames [start, stop) of a take."""
     ids = table.column("take_id").to_numpy()
-    first = int(np.searchsorted(ids, take_id, side="left"))
-    return table.slice(first + start, stop - start).combine_chunks()
+    first, last = np.searchsorted(ids, take_id, "left"), np.searchsorted(ids, take_id, "right")
+    frames = table.column("frame").slice(first, last - first).to_numpy()
+    return int(first + np.searchsorted(frames, start)), int(first + np.searchsorted(frames, stop))
 
 
 def read_takes(
@@ -110,34 +182,27 @@ def read_takes(
         if not len(wanted):
             continue
         path = files.part(part)
-        with read_errors(path), pq.ParquetFile(path) as file:
+        with read_errors(path):
+            footer = footer_of(path)
             held: dict[int, list[pa.Table]] = {}
-            for group in _groups(file, int(wanted[0]), int(wanted[-1])):
-                table = file.read_row_group(group, None if columns is None else ["take_id", *columns])
-                ids = table.column("take_id").to_numpy()
-                for take_id in wanted[(wanted >= ids[0]) & (wanted <= ids[-1])].tolist():
-                    first, last = np.searchsorted(ids, take_id, "left"), np.searchsorted(ids, take_id, "right")
-                    if first < last:
-                        held.setdefault(take_id, []).append(table.slice(first, last - first))
-                for take_id in [one for one in held if one < ids[-1]]:
-                    yield take_id, pa.concat_tables(held.pop(take_id)).combine_chunks()
-            for take_id, tables in held.items():
-                yield take_id, pa.concat_tables(tables).combine_chunks()
-
-
-def _groups(file: pq.ParquetFile, lowest: int, highest: int) -> list[int]:
-    """Return the row groups that can hold takes from lowest to highest."""
-    column = file.schema_arrow.get_field_index("take_id")
-    groups = []
-    for group in range(file.num_row_groups):
-        known = file.metadata.row_group(group).column(column).statistics
-        if known is None or not known.has_min_max or (known.min <= highest and known.max >= lowest):
-            groups.append(group)
-    return groups
+            with pq.ParquetFile(path, metadata=footer.metadata) as file:
+                for group in footer.groups_between(int(wanted[0]), int(wanted[-1])):
+                    table = file.read_row_group(group, None if columns is None else ["take_id", *columns])
+                    ids = table.column("take_id").to_numpy()
+                    for take_id in wanted[(wanted >= ids[0]) & (wanted <= ids[-1])].tolist():
+                        first, last = np.searchsorted(ids, take_id, "left"), np.searchsorted(ids, take_id, "right")
+                        if first < last:
+                            held.setdefault(take_id, []).append(table.slice(first, last - first))
+                    for take_id in [one for one in held if one < ids[-1]]:
+                        yield take_id, pa.concat_tables(held.pop(take_id)).combine_chunks()
+                for take_id, tables in held.items():
+                    yield take_id, pa.concat_tables(tables).combine_chunks()
 
 
 def _read(files: CheckedFiles, part: Part, columns: list[str] | None, lowest: int, highest: int) -> pa.Table:
     """Read the row groups that can hold takes from lowest to highest; the parts are sorted by take."""
     path = files.part(part)
-    with read_errors(path), pq.ParquetFile(path) as file:
-        return file.read_row_groups(_groups(file, lowest, highest), columns)
+    with read_errors(path):
+        footer = footer_of(path)
+        with pq.ParquetFile(path, metadata=footer.metadata) as file:
+            return file.read_row_groups(footer.groups_between(lowest, highest), columns)

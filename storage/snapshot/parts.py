@@ -24,8 +24,8 @@ from kinedex.storage.remedies import repair
 from kinedex.storage.snapshot.part_records import Part
 from kinedex.storage.snapshot.schemas import frames_schema
 
-ROW_GROUP = 131_072
-"""Rows of a row group of frames: about 27 MB on disk, so that one take is read without much else."""
+ROW_GROUP = 16_384
+"""Rows of a row group of frames: about 3.4 MB on disk, so that some seconds of a take are read without much else."""
 
 FULL_BYTES = 32_000_000
 """A results part of this size is full: what follows goes into another one."""

@@ -31,7 +31,7 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import StoreError
 from kinedex.storage.snapshot.checked_files import CheckedFiles
 from kinedex.storage.snapshot.part_records import Part, ResultPart
-from kinedex.storage.snapshot.parts import ROW_GROUP, FramesWriter, read_errors, write_part
+from kinedex.storage.snapshot.parts import FramesWriter, read_errors, write_part
 from kinedex.storage.snapshot.schemas import with_columns
 from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.writer import StoreWriter
@@ -42,7 +42,10 @@ TARGET_BYTES = 100_000_000
 FANOUT = 8
 """The number of parts of one tier that are merged; also the ratio of the tiers' sizes."""
 
-KEPT_ROWS = 2 * ROW_GROUP
+LEAST_ROWS = 131_072
+"""A merge is divided among workers into parts of so many rows at least: about 27 MB on disk."""
+
+KEPT_ROWS = 262_144
 """Most rows of the old parts that a merge holds in memory: some 90 MB. A single row group or take may be larger."""
 
 AnyPart = TypeVar("AnyPart", Part, ResultPart)
@@ -199,7 +202,7 @@ def divided(count: int, workers: int, *, fits: int, worth: int) -> int:
     fits : int
         Number of full parts that there are rows for.
     worth : int
-        Number of parts that climb a tier and fill a row group. Of parts that are not full, a merge makes half of
+        Number of parts that climb a tier and have `LEAST_ROWS`. Of parts that are not full, a merge makes half of
         `FANOUT` at most, or they would soon have to be merged again.
     """
     if count < workers:
@@ -250,7 +253,7 @@ def _merges(store: Snapshot, group: list[Part], target_bytes: int, workers: int)
     count = max(1, int(live_bytes / (1.1 * target_bytes)))
     if len(group) > 1:
         climbs = FANOUT ** (_tier(group[0].live_rows) + 1)
-        count = divided(count, workers, fits=int(live_bytes / target_bytes), worth=rows // max(climbs, ROW_GROUP))
+        count = divided(count, workers, fits=int(live_bytes / target_bytes), worth=rows // max(climbs, LEAST_ROWS))
     share = rows / count
     merges = []
     ends = accumulate(frames[take] for take in takes)

@@ -252,7 +252,7 @@ def test_a_large_merge_is_divided_evenly_and_parts_do_not_get_small(
 
 
 def test_the_workers_share_a_merge_and_its_parts_need_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compaction, "ROW_GROUP", 60)
+    monkeypatch.setattr(compaction, "LEAST_ROWS", 60)
     before = in_batches(tmp_path, FANOUT)
     tasks = []
 
