@@ -35,17 +35,23 @@ settings: {source: }
 
 
 @pytest.fixture(scope="session")
-def browser() -> Iterator[Browser]:
-    """Chromium without a window; where there is none the test is skipped, and fails if a browser is required."""
+def executable() -> str:
+    """The path of Chromium; where there is none the test is skipped, and fails if a browser is required."""
     path = next((found for name in NAMES if (found := shutil.which(name))), None)
     if path is None:
         missing = "no Chromium on this machine (apt-get install chromium): pages are not looked at in a browser"
         if os.environ.get("KINEDEX_BROWSER") == "required":
             pytest.fail(missing)
         pytest.skip(missing)
+    return path
+
+
+@pytest.fixture(scope="session")
+def browser(executable: str) -> Iterator[Browser]:
+    """Chromium without a window."""
     with sync_playwright() as driver:
         chromium = driver.chromium.launch(
-            executable_path=path, args=["--no-sandbox", "--enable-unsafe-swiftshader"], timeout=60_000
+            executable_path=executable, args=["--no-sandbox", "--enable-unsafe-swiftshader"], timeout=60_000
         )
         yield chromium
         chromium.close()

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 
-from playwright.sync_api import Locator, Page, expect
+from playwright.sync_api import Browser, Locator, Page, expect
 
-from tests.browser.explorer.conftest import Open
+from tests.browser.explorer.conftest import WAIT_MS, Open
 
 TAKE = "/take/x_al_long_1"
 
@@ -72,6 +72,10 @@ def test_a_take_plays_zooms_and_selects(open_page: Open) -> None:
     page.reload()
     length = int(found.group(2)) - int(found.group(1))
     expect(page.get_by_text(re.compile(rf"\b{length} frames"))).to_be_visible()
+    # what the archive has like it stands beside it, without another click
+    expect(page.get_by_text("Most like the selection")).to_be_visible()
+    alike = page.get_by_role("list", name="Most like the selection, the best first").get_by_role("link")
+    expect(alike.first.or_(page.get_by_text("No other interval below"))).to_be_visible()
 
 
 def test_a_column_of_a_template_shows_the_pose_of_its_hit_and_the_clip_plays_beside_it(open_page: Open) -> None:
@@ -113,3 +117,52 @@ def test_a_wrong_name_is_an_error_with_the_nearest_one(open_page: Open) -> None:
     expect(page.get_by_role("link")).not_to_contain_text(["x_al_long_1"])
     page.get_by_role("link", name="x_bo_long_1").click()
     expect(page.get_by_role("heading", name="x_bo_long_1")).to_be_visible()
+
+
+def pinch(page: Page, x: float, y: float) -> None:
+    """Move two fingers apart, from left and right of a place."""
+    session = page.context.new_cdp_session(page)
+
+    def touch(kind: str, *places: float) -> None:
+        points = [{"x": place, "y": y, "id": number} for number, place in enumerate(places)]
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    touch("touchStart", x - 20)
+    touch("touchStart", x - 20, x + 20)
+    for apart in range(30, 80, 10):
+        touch("touchMove", x - apart, x + apart)
+    touch("touchEnd")
+
+
+def test_without_webgl_the_motion_is_drawn_as_lines_and_two_fingers_go_closer(
+    browser: Browser, explorer: str, executable: str
+) -> None:
+    plain = browser.browser_type.launch(executable_path=executable, args=["--no-sandbox", "--disable-3d-apis"])
+    try:
+        page = plain.new_context(viewport={"width": 390, "height": 900}, has_touch=True, is_mobile=True).new_page()
+        page.set_default_timeout(WAIT_MS)
+        faults: list[str] = []
+        page.on("pageerror", lambda fault: faults.append(str(fault)))
+        page.goto(explorer)
+        page.goto(explorer.split("/?")[0] + TAKE)
+        expect(page.get_by_text("bones are drawn as lines")).to_be_visible()
+        expect(page.locator(".player-note")).to_be_hidden()
+        canvas = page.locator(".player-box canvas")
+        before = canvas.evaluate("canvas => canvas.toDataURL()")
+        box = canvas.bounding_box()
+        assert box is not None
+        pinch(page, box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        page.wait_for_function(
+            "before => document.querySelector('.player-box canvas').toDataURL() !== before", arg=before
+        )
+        # the lanes follow two fingers, too
+        page.locator(".lanes").scroll_into_view_if_needed()
+        strip = page.locator(".lanes-strip")
+        before = strip.evaluate("canvas => canvas.toDataURL()")
+        area = page.locator(".lanes-area").bounding_box()
+        assert area is not None
+        pinch(page, area["x"] + area["width"] / 2, min(area["y"] + area["height"] / 2, 600))
+        page.wait_for_function("before => document.querySelector('.lanes-strip').toDataURL() !== before", arg=before)
+        assert not faults
+    finally:
+        plain.close()

@@ -15,7 +15,7 @@ import { useSame } from "../app/same";
 import { useShortcuts } from "../app/shortcuts";
 import { classColour } from "../app/theme";
 import { makeBody } from "../motion/body";
-import type { Actor } from "../motion/Stage";
+import type { Actor } from "../motion/actors";
 import { clock } from "../take/axis";
 import { useKeys } from "../take/keys";
 import { useDocument, useMotion } from "../take/load";

@@ -8,7 +8,6 @@ import {
   CylinderGeometry,
   DirectionalLight,
   DynamicDrawUsage,
-  GridHelper,
   Group,
   HemisphereLight,
   InstancedMesh,
@@ -24,25 +23,27 @@ import {
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
+import {
+  type Actor,
+  ActorPoses,
+  ASIDE,
+  EYE_M,
+  FARTHEST,
+  FIELD_OF_VIEW,
+  NEAREST,
+  SQUARES,
+  type Staging,
+  TRAIL_JOINTS,
+  TRAIL_POINTS,
+  trailFrames,
+} from "./actors";
 import { type Body, facing, makeBody } from "./body";
-import { place, type Placement, writeFigure } from "./bones";
+import { writeFigure } from "./bones";
 import { type Colours, colours, onTheme } from "./colours";
-import type { Motion } from "./motion";
+import { FlatStage } from "./FlatStage";
 
 const BONE_RADIUS = 0.024;
 const BALL_RADIUS = 0.032;
-const TRAIL_POINTS = 40;
-const TRAIL_JOINTS = ["lwrist", "rwrist", "lankle", "rankle"];
-const EYE_M = 0.95;
-
-/** A motion on the stage. */
-export interface Actor {
-  motion: Motion;
-  /** Another tone, for the second of two takes. */
-  second?: boolean;
-  /** Where it stands instead of its own place: beside others, facing the camera in the frame `facing`. */
-  stand?: { x: number; facing: number };
-}
 
 const NOBODY = makeBody([], []);
 
@@ -60,12 +61,13 @@ class Figure {
   private readonly trailPlaces: Float32Array;
   private readonly trailJoints: number[];
   private readonly scratch: Float32Array;
-  private yaw: number | null = null;
+  private readonly poses: ActorPoses;
 
   constructor(
     readonly actor: Actor,
     private readonly body: Body,
   ) {
+    this.poses = new ActorPoses(actor, body);
     const joints = body.joints.length;
     this.pose = new Float32Array(3 * joints);
     this.scratch = new Float32Array(3 * joints);
@@ -114,7 +116,7 @@ class Figure {
 
   /** Take the pose of a frame; false where it is not known, and the figure vanishes. */
   show(frame: number, trails: boolean, floor: number): boolean {
-    const known = this.read(frame, this.pose);
+    const known = this.poses.read(frame, this.pose);
     this.group.visible = known;
     this.group.position.y = -floor;
     this.trail.visible = known && trails;
@@ -133,30 +135,12 @@ class Figure {
     return true;
   }
 
-  private read(frame: number, out: Float32Array): boolean {
-    if (!this.actor.motion.pose(frame, out)) return false;
-    const stand = this.actor.stand;
-    if (stand === undefined) return true;
-    if (this.yaw === null) {
-      if (!this.actor.motion.pose(stand.facing, this.scratch)) return false;
-      const yaw = facing(this.body, this.scratch);
-      this.yaw = Number.isNaN(yaw) ? 0 : yaw;
-    }
-    const { root } = this.body;
-    const from: Placement = { x: out[3 * root] as number, z: out[3 * root + 2] as number, yaw: this.yaw };
-    place(out, from, stand.x);
-    return true;
-  }
-
   /** Draw where hands and feet have been in the last second and will be in the next half. */
   private drawTrail(frame: number): void {
-    const rate = this.actor.motion.rateHz;
-    const first = frame - rate;
-    const step = (1.5 * rate) / (TRAIL_POINTS - 1);
     const places = this.trailPlaces;
     places.fill(NaN);
-    for (let k = 0; k < TRAIL_POINTS; k++) {
-      if (!this.read(Math.max(0, first + k * step), this.scratch)) continue;
+    trailFrames(frame, this.actor.motion.rateHz).forEach((at, k) => {
+      if (!this.poses.read(at, this.scratch)) return;
       this.trailJoints.forEach((joint, i) => {
         const base = 6 * (TRAIL_POINTS - 1) * i;
         for (let axis = 0; axis < 3; axis++) {
@@ -165,7 +149,7 @@ class Figure {
           if (k > 0) places[base + 6 * (k - 1) + 3 + axis] = value;
         }
       });
-    }
+    });
     for (let i = 0; i < places.length; i += 6)
       if (Number.isNaN((places[i] as number) + (places[i + 3] as number))) places.fill(0, i, i + 6);
     (this.trail.geometry.getAttribute("position") as BufferAttribute).needsUpdate = true;
@@ -183,28 +167,29 @@ class Figure {
   }
 }
 
-export class Stage {
+/** The stage by WebGL. */
+class Stage implements Staging {
   follow = true;
   trails = false;
-  /** Called when somebody turns the camera: the picture has to be drawn again. */
   onView: () => void = () => {};
 
   private readonly renderer: WebGLRenderer;
   private readonly scene = new Scene();
-  private readonly camera = new PerspectiveCamera(32, 1, 0.05, 200);
+  private readonly camera = new PerspectiveCamera(FIELD_OF_VIEW, 1, 0.05, 200);
   private readonly controls: OrbitControls;
   private readonly target = new Vector3(0, EYE_M, 0);
   private figures: Figure[] = [];
-  private grid: GridHelper | null = null;
+  private grid: LineSegments | null = null;
   private floor = 0;
   private aimed = false;
-  readonly canvas = document.createElement("canvas");
+  readonly flat = false;
 
-  /** Make a stage; it throws where the browser has no WebGL. */
-  constructor() {
-    const { canvas } = this;
+  constructor(
+    readonly canvas: HTMLCanvasElement,
+    context: WebGL2RenderingContext,
+  ) {
     canvas.setAttribute("role", "img");
-    this.renderer = new WebGLRenderer({ canvas, antialias: true, powerPreference: "low-power" });
+    this.renderer = new WebGLRenderer({ canvas, context });
     this.renderer.setPixelRatio(Math.min(2, window.devicePixelRatio || 1));
     const sun = new DirectionalLight(0xffffff, 1.6);
     sun.position.set(1, 3, 2);
@@ -213,8 +198,8 @@ export class Stage {
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.enableDamping = false;
     this.controls.maxPolarAngle = Math.PI * 0.55;
-    this.controls.minDistance = 0.8;
-    this.controls.maxDistance = 40;
+    this.controls.minDistance = NEAREST;
+    this.controls.maxDistance = FARTHEST;
     this.controls.addEventListener("change", () => this.onView());
     onTheme(() => {
       this.paint();
@@ -223,7 +208,6 @@ export class Stage {
     this.paint();
   }
 
-  /** Put motions on the stage in place of others. */
   setActors(actors: readonly Actor[], body: Body): void {
     for (const figure of this.figures) {
       this.scene.remove(figure.group);
@@ -235,7 +219,6 @@ export class Stage {
     this.paint();
   }
 
-  /** Put the floor at a height, in metres. */
   setFloor(height: number): void {
     this.floor = height;
   }
@@ -247,13 +230,11 @@ export class Stage {
       this.scene.remove(this.grid);
       this.grid.geometry.dispose();
     }
-    const line = new Color(theme.line);
-    this.grid = new GridHelper(24, 24, line.clone().lerp(new Color(theme.muted), 0.35), line);
+    this.grid = makeFloor(theme);
     this.scene.add(this.grid);
     for (const figure of this.figures) figure.paint(theme);
   }
 
-  /** Fit the picture to its box, in CSS pixels. */
   resize(width: number, height: number): void {
     if (width < 1 || height < 1) return;
     this.renderer.setSize(width, height, false);
@@ -261,7 +242,6 @@ export class Stage {
     this.camera.updateProjectionMatrix();
   }
 
-  /** Draw a frame of each actor; returns whether the first of them is known there. */
   draw(frames: readonly number[], body: Body): boolean {
     let shown = false;
     this.figures.forEach((figure, i) => {
@@ -282,7 +262,7 @@ export class Stage {
     if (Number.isNaN(x + z)) return;
     if (!this.aimed) {
       this.aimed = true;
-      this.turnTo(alone ? facing(body, figure.pose) + 0.5 : 0.35, x, z);
+      this.turnTo(alone ? facing(body, figure.pose) + ASIDE : 0.35, x, z);
     } else if (this.follow) this.shift(x - this.target.x, z - this.target.z);
     if (this.grid !== null) this.grid.position.set(Math.round(this.target.x), 0, Math.round(this.target.z));
   }
@@ -307,7 +287,6 @@ export class Stage {
     this.camera.lookAt(this.controls.target);
   }
 
-  /** Turn the camera about the body by an angle, and go closer (a factor below 1) or farther. */
   turn(angle: number, distance = 1): void {
     const { position } = this.camera;
     const { target, minDistance, maxDistance } = this.controls;
@@ -317,24 +296,39 @@ export class Stage {
     this.controls.update();
   }
 
-  /** See the first figure from its front again. */
   reset(): void {
     this.aimed = false;
   }
-
 }
 
-let idle: Stage | null = null;
+/** Return squares of one metre. Each side is a line: some renderers drop long lines that begin behind the camera. */
+function makeFloor(theme: Colours): LineSegments {
+  const places: number[] = [];
+  for (let k = -SQUARES; k <= SQUARES; k++)
+    for (let part = -SQUARES; part < SQUARES; part++) places.push(k, 0, part, k, 0, part + 1, part, 0, k, part + 1, 0, k);
+  const geometry = new BufferGeometry();
+  geometry.setAttribute("position", new BufferAttribute(new Float32Array(places), 3));
+  return new LineSegments(geometry, new LineBasicMaterial({ color: new Color(theme.line) }));
+}
+
+let idle: Staging | null = null;
 
 /** Return a stage that nobody uses, or a new one: to set up WebGL takes longer than to open a take. */
-export function borrowStage(): Stage {
-  const stage = idle ?? new Stage();
+export function borrowStage(): Staging {
+  const stage = idle ?? newStage();
   idle = null;
   return stage;
 }
 
+/** Return a stage by WebGL, or one that draws lines where the browser has none. */
+function newStage(): Staging {
+  const canvas = document.createElement("canvas");
+  const context = canvas.getContext("webgl2", { antialias: true, powerPreference: "low-power" });
+  return context === null ? new FlatStage() : new Stage(canvas, context);
+}
+
 /** Give a stage back; its canvas leaves the page. */
-export function returnStage(stage: Stage): void {
+export function returnStage(stage: Staging): void {
   stage.setActors([], NOBODY);
   stage.onView = () => {};
   stage.canvas.remove();

@@ -1,11 +1,12 @@
 // The 3D player: a stage that follows the session of a take, and its controls.
 
-import { ActionIcon, Alert, Button, Group, NativeSelect, Switch } from "@mantine/core";
+import { ActionIcon, Button, Group, NativeSelect, Switch } from "@mantine/core";
 import { useCallback, useEffect, useMemo, useRef, useState, useSyncExternalStore } from "react";
 
 import { type Shortcut, useShortcuts } from "../app/shortcuts";
 import type { Body } from "../motion/body";
-import { type Actor, borrowStage, returnStage, type Stage } from "../motion/Stage";
+import type { Actor, Staging } from "../motion/actors";
+import { borrowStage, returnStage } from "../motion/Stage";
 import { clock } from "./axis";
 import { type Session, SPEEDS } from "./session";
 
@@ -21,19 +22,14 @@ export interface PlayerProps {
 export function Player({ session, body, actors, frameOf, label }: PlayerProps) {
   const box = useRef<HTMLDivElement>(null);
   const note = useRef<HTMLDivElement>(null);
-  const [stage, setStage] = useState<Stage | null>(null);
-  const [fault, setFault] = useState(false);
+  const [stage, setStage] = useState<Staging | null>(null);
   const shown = useSyncExternalStore(session.subscribe, () => session.shown);
   useEffect(() => {
-    let borrowed: Stage | null = null;
+    let borrowed: Staging | null = null;
     // after the first picture of the page, when its questions are on their way
     const later = setTimeout(() => {
-      try {
-        borrowed = borrowStage();
-        setStage(borrowed);
-      } catch {
-        setFault(true);
-      }
+      borrowed = borrowStage();
+      setStage(borrowed);
     }, 0);
     return () => {
       clearTimeout(later);
@@ -87,19 +83,14 @@ export function Player({ session, body, actors, frameOf, label }: PlayerProps) {
         <div ref={note} className="player-note" hidden>
           no pose here yet
         </div>
-        {fault && (
-          <Alert color="yellow" title="No 3D here" className="player-fault">
-            This browser draws no WebGL, which the player needs. Switch on hardware acceleration, or use another browser;
-            the lanes below work without it.
-          </Alert>
-        )}
+        {stage?.flat === true && <div className="player-flat">This browser has no WebGL: bones are drawn as lines.</div>}
       </div>
       <Controls session={session} front={front} />
     </section>
   );
 }
 
-function useCameraKeys(stage: Stage | null, front: () => void): void {
+function useCameraKeys(stage: Staging | null, front: () => void): void {
   const shortcuts = useMemo<Shortcut[]>(
     () => [
       { keys: "c", what: "See the body from its front", run: front },
@@ -114,7 +105,7 @@ function useCameraKeys(stage: Stage | null, front: () => void): void {
 }
 
 /** Put the floor under the first poses where they stand far from height 0. */
-function putFloor(stage: Stage, actor: Actor | undefined, body: Body): boolean {
+function putFloor(stage: Staging, actor: Actor | undefined, body: Body): boolean {
   if (actor === undefined || actor.motion.stop === 0) return false;
   const pose = new Float32Array(3 * body.joints.length);
   const heights: number[] = [];

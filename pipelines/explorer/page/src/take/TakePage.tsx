@@ -1,22 +1,23 @@
 import "./take.css";
 
 import { Badge, Group, Loader, MultiSelect, Switch, Text, Title } from "@mantine/core";
-import { useCallback, useMemo, useState } from "react";
-import { useLocation } from "wouter";
+import { useCallback, useMemo } from "react";
+import { Link, useLocation } from "wouter";
 
 import { useStore } from "../api/queries";
 import type { StoreFacts } from "../api/types";
-import { takeName, useParameters } from "../app/address";
+import { takeAddress, takeName, useJsonParameter, useParameters } from "../app/address";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
 import { makeBody } from "../motion/body";
-import type { Actor } from "../motion/Stage";
+import type { Actor } from "../motion/actors";
+import { AlikePanel } from "./Alike";
 import { useBeside } from "./beside";
 import { ChooseTake } from "./ChooseTake";
 import { HitPanel } from "./HitPanel";
 import { useKeys } from "./keys";
 import { LanesView } from "./LanesView";
-import { useCurves, useDocument, useHit, useImage, useLanes, useMotion, useTemplates, useWords } from "./load";
+import { useCurves, useDocument, useHit, useImage, useLanes, useMotion, useMotions, useTemplates, useWords } from "./load";
 import { FactsPanel, Panel, PosePanel, SelectionPanel } from "./panels";
 import { Player } from "./Player";
 import type { Row } from "./rows";
@@ -103,6 +104,7 @@ function OpenTake({ document, store }: { document: TakeDocument; store: StoreFac
         />
         <aside className="take-side" aria-label="About the selection, the pose and the take">
           <SelectionPanel session={session} name={name} />
+          <AlikePanel session={session} id={id} name={name} />
           {picked !== null && (
             <HitPanel
               session={session}
@@ -186,23 +188,39 @@ function Header({ document }: { document: TakeDocument }) {
   );
 }
 
+/** Most other persons that are shown; the motion of each is loaded. */
+const MOST_PERSONS = 6;
+const NOBODY: readonly number[] = [];
+
 /** The other persons of the same file, who stand where they stood. */
 function usePersons(document: TakeDocument, session: Session) {
-  const [shown, setShown] = useState<number | null>(null);
-  const { motion } = useMotion(shown, document.version, session);
-  const actors = useMemo<Actor[]>(() => (shown === null ? [] : [{ motion, second: true }]), [shown, motion]);
+  const [asked, setAsked] = useJsonParameter<readonly number[]>("with", NOBODY);
+  const shown = useMemo(() => {
+    const wanted = Array.isArray(asked) ? asked : NOBODY;
+    return document.persons.map((one) => one.take_id).filter((id) => wanted.includes(id)).slice(0, MOST_PERSONS);
+  }, [asked, document.persons]);
+  const { motions, fault } = useMotions(shown, session);
+  const actors = useMemo<Actor[]>(() => motions.map((motion) => ({ motion, second: true })), [motions]);
+  const toggle = (id: number) => {
+    const next = shown.includes(id) ? shown.filter((one) => one !== id) : [...shown, id];
+    setAsked(next.length === 0 ? null : next);
+  };
   const panel =
     document.persons.length === 0 ? null : (
       <Panel title="Other persons of the file">
-        {document.persons.slice(0, 20).map((one) => (
-          <Switch
-            key={one.take_id}
-            size="xs"
-            label={one.name}
-            checked={shown === one.take_id}
-            onChange={() => setShown(shown === one.take_id ? null : one.take_id)}
-          />
+        {document.persons.map((one) => (
+          <Group key={one.take_id} gap={8} wrap="nowrap">
+            <Switch
+              size="xs"
+              label={one.name}
+              checked={shown.includes(one.take_id)}
+              disabled={shown.length === MOST_PERSONS && !shown.includes(one.take_id)}
+              onChange={() => toggle(one.take_id)}
+            />
+            <Link href={takeAddress(one.name)}>open</Link>
+          </Group>
         ))}
+        {fault !== null && <Fault fault={fault} />}
       </Panel>
     );
   return { actors, panel };

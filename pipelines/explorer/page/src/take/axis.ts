@@ -43,6 +43,16 @@ export const frameAt = (view: View, x: number, width: number): number =>
 export const xOf = (view: View, frame: number, width: number): number =>
   ((frame - view.from) / (view.to - view.from)) * width;
 
+/** Return the view in which the frames under two fingers stay under them. */
+export function pinched(view: View, before: [number, number], after: [number, number], width: number): View {
+  const [one, other] = before.map((x) => frameAt(view, x, width)) as [number, number];
+  const spread = (after[1] - after[0]) * Math.sign(before[1] - before[0]);
+  if (Math.abs(before[1] - before[0]) < 1 || spread < 1) return view;
+  const seen = (Math.abs(other - one) / spread) * width;
+  const from = one - (after[0] / width) * seen;
+  return { from, to: from + seen };
+}
+
 const STEPS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600];
 
 /** Return the seconds of the ticks of a view, at least so many pixels apart. */

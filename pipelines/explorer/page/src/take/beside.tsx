@@ -7,7 +7,7 @@ import { type ReactNode, useCallback, useMemo, useState } from "react";
 import { get } from "../api/client";
 import { Fault } from "../app/Fault";
 import { useParameter, useParameters } from "../app/address";
-import type { Actor } from "../motion/Stage";
+import type { Actor } from "../motion/actors";
 import { clock } from "./axis";
 import { useDocument, useMotion } from "./load";
 import { type Pairing, partnerOf } from "./pairing";

@@ -1,7 +1,7 @@
 import { describe, expect, it } from "vitest";
 
 import { takeAddress, takeName } from "../app/address";
-import { clock, frameAt, showing, ticks, within, xOf, zoomed } from "./axis";
+import { clock, frameAt, pinched, showing, ticks, within, xOf, zoomed } from "./axis";
 import { partnerOf } from "./pairing";
 import { makeRows, rowAt, segmentAt, stacked } from "./rows";
 import { ordered, Session } from "./session";
@@ -9,6 +9,18 @@ import type { Lane } from "./types";
 import { Words } from "./words";
 
 describe("the axis of time", () => {
+  it("what two fingers hold stays under them", () => {
+    const view = { from: 100, to: 300 };
+    for (const [before, after] of [[[100, 300], [50, 380]], [[300, 100], [310, 250]], [[10, 200], [60, 250]]] as [number, number][][]) {
+      const next = pinched(view, before as [number, number], after as [number, number], 400);
+      for (const finger of [0, 1])
+        expect(frameAt(next, (after as number[])[finger] as number, 400)).toBeCloseTo(
+          frameAt(view, (before as number[])[finger] as number, 400),
+        );
+    }
+    expect(pinched(view, [100, 101], [100, 99], 400)).toBe(view);
+  });
+
   it("zooms around a frame that stays where it is", () => {
     const view = zoomed({ from: 0, to: 1000 }, 4, 300, 1000);
     expect(view.to - view.from).toBe(250);

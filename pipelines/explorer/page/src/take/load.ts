@@ -34,20 +34,40 @@ export function useMotion(
     const stop = new AbortController();
     setFault(null);
     setWhole(false);
-    const load = async () => {
-      await readBlocks(await getStream(path(id, "/motion"), stop.signal), (block) => {
-        if (stop.signal.aborted) return;
-        motion.add(block);
-        session.changed("content");
-      });
-      if (!stop.signal.aborted) setWhole(true);
-    };
-    load().catch((reason: unknown) => {
-      if (!stop.signal.aborted) setFault(reason);
-    });
+    load(id, motion, session, stop.signal).then(
+      () => !stop.signal.aborted && setWhole(true),
+      (reason: unknown) => !stop.signal.aborted && setFault(reason),
+    );
     return () => stop.abort();
   }, [id, motion, session]);
   return { motion, fault, whole };
+}
+
+/** Return the motions of several takes, and why one of them did not arrive. */
+export function useMotions(ids: readonly number[], session: Session): { motions: Motion[]; fault: unknown } {
+  const [fault, setFault] = useState<unknown>(null);
+  const key = ids.join(" ");
+  const motions = useMemo(() => ids.map(() => new Motion()), [key]);
+  useEffect(() => {
+    const stop = new AbortController();
+    setFault(null);
+    ids.forEach((id, i) => {
+      load(id, motions[i] as Motion, session, stop.signal).catch((reason: unknown) => {
+        if (!stop.signal.aborted) setFault(reason);
+      });
+    });
+    return () => stop.abort();
+  }, [motions, session]);
+  return { motions, fault };
+}
+
+/** Add the poses of a take to a motion as they arrive. */
+async function load(id: number, motion: Motion, session: Session, signal: AbortSignal): Promise<void> {
+  await readBlocks(await getStream(path(id, "/motion"), signal), (block) => {
+    if (signal.aborted) return;
+    motion.add(block);
+    session.changed("content");
+  });
 }
 
 export function useWords(id: number, version: number, features: number) {

@@ -2,7 +2,7 @@
 
 import { type PointerEvent as ReactPointerEvent, useCallback, useEffect, useRef } from "react";
 
-import { clock, frameAt } from "./axis";
+import { clock, frameAt, pinched } from "./axis";
 import { type Row, rowAt, segmentAt } from "./rows";
 import type { Session } from "./session";
 import type { Segment } from "./types";
@@ -26,6 +26,7 @@ export function usePointer(
 ) {
   const { session, words, onPick } = props;
   const down = useRef<{ x: number; frame: number; brush: boolean } | null>(null);
+  const pinch = usePinch(session, width);
   const place = useCallback(
     (event: { clientX: number; clientY: number }) => {
       const box = (area.current as HTMLDivElement).getBoundingClientRect();
@@ -38,6 +39,7 @@ export function usePointer(
   const onPointerMove = (event: ReactPointerEvent) => {
     if (session.frames < 1) return;
     const { x, y, frame, row } = place(event);
+    if (pinch.move(event.pointerId, x)) return;
     const held = down.current;
     if (held !== null && event.pointerType === "mouse") {
       if (Math.abs(x - held.x) > CLICK_PX) held.brush = true;
@@ -53,10 +55,12 @@ export function usePointer(
   const onPointerDown = (event: ReactPointerEvent) => {
     if (event.button !== 0) return;
     const { x, frame } = place(event);
-    down.current = { x, frame, brush: false };
+    const pinched = event.pointerType === "touch" && pinch.down(event.pointerId, x);
+    down.current = pinched ? null : { x, frame, brush: false };
     (event.currentTarget as HTMLElement).setPointerCapture(event.pointerId);
   };
   const onPointerUp = (event: ReactPointerEvent) => {
+    pinch.up(event.pointerId);
     const held = down.current;
     down.current = null;
     if (held === null) return;
@@ -69,7 +73,8 @@ export function usePointer(
     }
     if (x < 0 || x > width) onPointerLeave();
   };
-  const onPointerCancel = () => {
+  const onPointerCancel = (event: ReactPointerEvent) => {
+    pinch.up(event.pointerId);
     down.current = null;
     session.brush(null);
   };
@@ -84,6 +89,30 @@ export function usePointer(
     }
   };
   return { onPointerMove, onPointerLeave, onPointerDown, onPointerUp, onPointerCancel, onDoubleClick };
+}
+
+/** Two fingers: what lies under them stays under them, so that the view zooms and pans. */
+function usePinch(session: Session, width: number) {
+  const fingers = useRef(new Map<number, number>());
+  return {
+    /** Take in a finger; true from the second on. */
+    down: (id: number, x: number): boolean => {
+      fingers.current.set(id, x);
+      if (fingers.current.size > 1) session.hover(null);
+      return fingers.current.size > 1;
+    },
+    /** Follow a finger; true while there are two. */
+    move: (id: number, x: number): boolean => {
+      const held = fingers.current;
+      if (!held.has(id)) return false;
+      const before = [...held.values()];
+      held.set(id, x);
+      if (held.size !== 2) return held.size > 2;
+      session.setView(pinched(session.view, before as [number, number], [...held.values()] as [number, number], width));
+      return true;
+    },
+    up: (id: number) => fingers.current.delete(id),
+  };
 }
 
 function showTip(tip: HTMLDivElement | null, x: number, y: number, width: number, lines: readonly string[]): void {
