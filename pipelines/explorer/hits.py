@@ -17,7 +17,7 @@ from pydantic import Field
 
 from kinedex.ops.errors import ParameterError
 from kinedex.pipelines.explorer.addresses import Question, post
-from kinedex.pipelines.explorer.selections import Selection, condition_of
+from kinedex.pipelines.explorer.selections import Selection, columns_with_nan, condition_of
 from kinedex.pipelines.ranking.examples import ChosenInterval
 from kinedex.storage.snapshot.labels import is_of_limbs
 
@@ -122,7 +122,7 @@ def ranked_hits(ranking: Ranking) -> list[dict[str, Any]]:
 
 def take_condition(store: Store, selection: Selection) -> str | None:
     """Return the condition on takes of a selection as SQL, None for all takes."""
-    condition = condition_of(selection, store.take_rows.column_names)
+    condition = condition_of(selection, store.take_rows.column_names, columns_with_nan(store))
     return condition.removeprefix(" WHERE ") or None
 
 

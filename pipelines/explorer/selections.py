@@ -5,14 +5,18 @@ A column is one of takes, or `folder`: the folder of the source file.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Collection, Sequence
+from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.explorer.addresses import Question
 from kinedex.storage.duck import identifier, quote
+
+if TYPE_CHECKING:
+    from kinedex.storage.store.store import Store
 
 SQL_SECONDS = 20.0
 """The longest time of a question in SQL."""
@@ -45,7 +49,14 @@ class Selection(Question):
     filters: tuple[Filter, ...] = ()
 
 
-def expression(column: str, known: Sequence[str], *, shown: bool = False) -> str:
+def columns_with_nan(store: Store) -> frozenset[str]:
+    """Return the columns of takes that hold NaN somewhere, which people mean as no value."""
+    rows = store.take_rows
+    numbers = [field.name for field in rows.schema if pa.types.is_floating(field.type)]
+    return frozenset(name for name in numbers if pc.any(pc.is_nan(rows.column(name))).as_py())
+
+
+def expression(column: str, known: Sequence[str], *, shown: bool = False, nan: Collection[str] = ()) -> str:
     """Return a column as SQL has it.
 
     Parameters
@@ -56,6 +67,8 @@ def expression(column: str, known: Sequence[str], *, shown: bool = False) -> str
         The columns of takes.
     shown : bool, optional
         Name the column, for a SELECT.
+    nan : collection of str, optional
+        Columns whose NaN counts as no value.
 
     Raises
     ------
@@ -66,21 +79,24 @@ def expression(column: str, known: Sequence[str], *, shown: bool = False) -> str
         return f"{_FOLDER} AS {FOLDER}" if shown else _FOLDER
     if column not in known:
         raise KinedexError(f"takes have no column '{column}'{did_you_mean(column, [*known, FOLDER])}")
-    return column if column.isidentifier() and column.lower() not in _PLAIN else identifier(column)
+    name = column if column.isidentifier() and column.lower() not in _PLAIN else identifier(column)
+    if column not in nan:
+        return name
+    return f"nullif({name}, 'NaN'::DOUBLE) AS {name}" if shown else f"nullif({name}, 'NaN'::DOUBLE)"
 
 
-def condition_of(asked: Selection, known: Sequence[str]) -> str:
+def condition_of(asked: Selection, known: Sequence[str], nan: Collection[str] = ()) -> str:
     """Return a selection as a WHERE clause that begins with a space; empty where it has no condition."""
-    parts = [_condition(one, known) for one in asked.filters]
+    parts = [_condition(one, known, nan) for one in asked.filters]
     if asked.where is not None and asked.where.strip():
         text = asked.where.strip()
         parts.append(f"({text}\n)" if "--" in text else f"({text})")  # a comment would hide the bracket
     return f" WHERE {' AND '.join(parts)}" if parts else ""
 
 
-def _condition(one: Filter, known: Sequence[str]) -> str:
+def _condition(one: Filter, known: Sequence[str], nan: Collection[str]) -> str:
     """Return a filter as a condition."""
-    name = expression(one.column, known)
+    name = expression(one.column, known, nan=nan)
     parts = []
     if one.values is not None:
         values = [value for value in one.values if value is not None]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,7 +21,14 @@ from pydantic import Field
 
 from kinedex.pipelines.explorer.addresses import Question, post
 from kinedex.pipelines.explorer.same import same_query
-from kinedex.pipelines.explorer.selections import SQL_SECONDS, Selection, condition_of, expression, values_of
+from kinedex.pipelines.explorer.selections import (
+    SQL_SECONDS,
+    Selection,
+    columns_with_nan,
+    condition_of,
+    expression,
+    values_of,
+)
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -103,9 +110,10 @@ class Orders:
 _ORDERS = Orders()
 
 
-def order_of(sort: Sequence[Sort], known: Sequence[str]) -> str:
+def order_of(sort: Sequence[Sort], known: Sequence[str], nan: Collection[str] = ()) -> str:
     """Return the order as an ORDER BY clause; takes that are equal in it are sorted by name."""
-    parts = [f"{expression(one.column, known)} {'DESC' if one.descending else 'ASC'} NULLS LAST" for one in sort]
+    directions = ("ASC", "DESC")
+    parts = [f"{expression(one.column, known, nan=nan)} {directions[one.descending]} NULLS LAST" for one in sort]
     if all(one.column != "name" for one in sort):
         parts.append("name")
     return f" ORDER BY {', '.join(parts)}"
@@ -116,8 +124,9 @@ def find_takes(archive: Archive, asked: TakesQuestion, _request: Request) -> dic
     store = archive.store()
     known = store.take_rows.column_names
     columns = list(asked.columns) if asked.columns is not None else known
+    nan = columns_with_nan(store)
     shown = ", ".join(expression(name, known, shown=True) for name in columns)
-    condition, order = condition_of(asked, known), order_of(asked.sort, known)
+    condition, order = condition_of(asked, known, nan), order_of(asked.sort, known, nan)
     found = _ORDERS.find(store, condition, order)
     block = store.take_rows.take(pa.array(found.rows[asked.offset : asked.offset + asked.limit]))
     lists = [values_of(block, name) for name in columns]

@@ -17,7 +17,7 @@ from pydantic import Field
 
 from kinedex.pipelines.explorer.addresses import post
 from kinedex.pipelines.explorer.same import same_query
-from kinedex.pipelines.explorer.selections import SQL_SECONDS, Selection, condition_of, expression
+from kinedex.pipelines.explorer.selections import SQL_SECONDS, Selection, columns_with_nan, condition_of, expression
 from kinedex.pipelines.explorer.store import NUMERIC
 from kinedex.storage.duck import quote, sql_type
 
@@ -52,12 +52,13 @@ def totals(archive: Archive, asked: TotalsQuestion, _request: Request) -> dict[s
     """Return groups of takes with their hours."""
     store = archive.store()
     known = store.take_rows.column_names
-    shown = ", ".join(expression(column, known, shown=True) for column in asked.by)
+    nan = columns_with_nan(store)
+    shown = ", ".join(expression(column, known, shown=True, nan=nan) for column in asked.by)
     keys = ", ".join(str(number + 1) for number in range(len(asked.by)))
     values = ", ".join(f"{number + 1} ASC NULLS LAST" for number in range(len(asked.by)))
     order = values if asked.order == "value" else f"hours DESC, {values}"
     text = (
-        f"SELECT {shown}, count(*) AS takes, sum(seconds) / 3600 AS hours FROM takes{condition_of(asked, known)} "
+        f"SELECT {shown}, count(*) AS takes, sum(seconds) / 3600 AS hours FROM takes{condition_of(asked, known, nan)} "
         f"GROUP BY {keys} ORDER BY {order}"
     )
     counted = f"SELECT *, count(*) OVER () AS n, sum(takes) OVER () AS t, sum(hours) OVER () AS h FROM ({text})"
@@ -80,7 +81,8 @@ def values(archive: Archive, asked: ValuesQuestion, _request: Request) -> dict[s
     """Return the values of a column, and the histogram of numbers."""
     store = archive.store()
     known = store.take_rows.column_names
-    name, condition = expression(asked.column, known), condition_of(asked, known)
+    nan = columns_with_nan(store)
+    name, condition = expression(asked.column, known, nan=nan), condition_of(asked, known, nan)
     inside = f"SELECT {name} AS value FROM takes{condition}"
     fitting = f" AND contains(lower(value::VARCHAR), {quote(asked.contains.lower())})" if asked.contains else ""
     grouped = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import kinedex
 from kinedex.pipelines.explorer.selections import Filter, Selection, condition_of
 from kinedex.storage.store.store import open_store
 from tests.pipelines.explorer.conftest import Connect
+from tests.pipelines.labelled import long_take, write_store
 
 
 @pytest.fixture(scope="module")
@@ -139,6 +141,20 @@ def test_groups_have_the_order_of_the_takes(client: TestClient, column: str) -> 
     groups = ask(client, "/api/totals", by=[column], order="value")["groups"]
     takes = ask(client, "/api/takes", sort=[{"column": column}], columns=[column])["rows"]
     assert [row for one in groups for row in [one["values"]] * one["takes"]] == takes
+
+
+def test_nan_and_no_value_are_one_group(tmp_path: Path, connect: Connect) -> None:
+    rates = {"a": 60.0, "b": math.nan, "c": None, "d": 30.0, "e": math.nan}
+    takes = [{**long_take(name, "al", "rest"), "source_rate_hz": rate} for name, rate in rates.items()]
+    client = connect(write_store(tmp_path / "store", takes))
+    column = "source_rate_hz"
+    groups = ask(client, "/api/totals", by=[column], order="value")["groups"]
+    assert [(one["values"], one["takes"]) for one in groups] == [([30.0], 1), ([60.0], 1), ([None], 3)]
+    assert names(client, sort=[{"column": column}]) == ["d", "a", "b", "c", "e"]
+    assert names(client, filters=[{"column": column, "values": [None]}]) == ["b", "c", "e"]
+    assert names(client, filters=[{"column": column, "min": 40}]) == ["a"]
+    values = ask(client, "/api/values", column=column)
+    assert (values["empty"], values["distinct"], values["min"], values["max"]) == (3, 2, 30.0, 60.0)
 
 
 def test_values_have_counts_and_numbers_a_histogram(client: TestClient) -> None:
