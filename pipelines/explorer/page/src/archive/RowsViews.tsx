@@ -1,11 +1,14 @@
 import { Code, Loader, Text } from "@mantine/core";
+import { useMemo } from "react";
 import { Link, useLocation } from "wouter";
 
 import type { Value } from "../api/types";
 import { takeAddress } from "../app/address";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
-import { type GridColumn, VirtualGrid } from "../table/VirtualGrid";
+import { listed } from "../table/blocks";
+import type { GridColumn } from "../table/lines";
+import { VirtualGrid } from "../table/VirtualGrid";
 import { useRows } from "./questions";
 import { takesWhere } from "./selection";
 import { count, counted, shown } from "./text";
@@ -22,11 +25,7 @@ function take(key: string, title: string): GridColumn<Row> {
     key,
     title,
     width: 230,
-    cell: (row) => (
-      <a href={takeAddress(shown(row[key]))} tabIndex={-1}>
-        {shown(row[key])}
-      </a>
-    ),
+    cell: (row) => ({ text: shown(row[key]), href: takeAddress(shown(row[key])) }),
   };
 }
 
@@ -109,6 +108,7 @@ interface Props {
 }
 
 function RowsGrid({ found, label, columns, none, onOpen, more }: Props) {
+  const rows = useMemo(() => listed<Row>(found.data?.rows ?? []), [found.data]);
   if (found.isError) return <Fault fault={found.error} />;
   if (found.data === undefined) return <Loader size="sm" aria-label="Loading" />;
   const data: RowsOf = found.data;
@@ -129,8 +129,7 @@ function RowsGrid({ found, label, columns, none, onOpen, more }: Props) {
         <VirtualGrid<Row>
           label={label}
           columns={columns}
-          rowCount={data.rows.length}
-          row={(index) => data.rows[index]}
+          rows={rows}
           {...(onOpen === undefined ? {} : { onOpen })}
         />
       </div>

@@ -6,7 +6,8 @@ import { useStore } from "../api/queries";
 import type { Column } from "../api/types";
 import { takeAddress } from "../app/address";
 import { Fault } from "../app/Fault";
-import { type GridColumn, VirtualGrid } from "../table/VirtualGrid";
+import type { Cell, GridColumn } from "../table/lines";
+import { VirtualGrid } from "../table/VirtualGrid";
 import { type TakeRow, useFlags, type useTakes } from "./questions";
 import { allColumns, useColumns, type useSelection, useSort } from "./selection";
 import { shown } from "./text";
@@ -32,12 +33,10 @@ export function TakesView({ state, takes, columns }: Props) {
       <VirtualGrid<TakeRow>
         label="Takes"
         columns={shownColumns}
-        rowCount={takes.head?.total ?? 0}
-        row={takes.row}
+        rows={takes.rows}
         sort={sort === null ? null : { column: sort.column, descending: sort.descending === true }}
         onSort={toggleSort}
         onOpen={(row) => navigate(takeAddress(row.name))}
-        onRange={takes.onRange}
       />
       <TotalsPanel state={state} wrong={takes.error !== null} />
     </div>
@@ -86,30 +85,16 @@ function gridColumns(
       numeric,
       sortable: true,
       cell: (row) => {
+        if (name === "name") return { text: row.name, href: takeAddress(row.name) };
         const value = row.values[place];
-        const text = name === "seconds" && typeof value === "number" ? value.toFixed(2) : shown(value);
-        if (name === "name")
-          return (
-            <a href={takeAddress(row.name)} tabIndex={-1}>
-              {row.name}
-            </a>
-          );
-        return text;
+        return name === "seconds" && typeof value === "number" ? value.toFixed(2) : shown(value);
       },
     };
   });
-  return [
-    ...made,
-    { key: "flags", title: "flags", width: 70, cell: (row) => <FlagsOf row={row} texts={flags?.[row.id]} /> },
-  ];
+  return [...made, { key: "flags", title: "flags", width: 70, className: "flag", cell: (row) => flagsOf(row, flags?.[row.id]) }];
 }
 
-function FlagsOf({ row, texts = [] }: { row: TakeRow; texts?: string[] | undefined }) {
+function flagsOf(row: TakeRow, texts: string[] = []): Cell {
   const all = [...texts, ...row.warnings];
-  if (all.length === 0) return null;
-  return (
-    <span className="flag" title={all.join("\n")}>
-      ▲ {all.length}
-    </span>
-  );
+  return all.length === 0 ? "" : { text: `▲ ${all.length}`, note: all.join("\n") };
 }

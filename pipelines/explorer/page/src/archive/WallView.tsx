@@ -6,6 +6,7 @@ import type { Selection, Sort } from "../api/types";
 import { useParameter } from "../app/address";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
+import { useArrivals } from "../table/blocks";
 import { useGroups, useTakes } from "./questions";
 import { filterColumns, useSelection, useSort } from "./selection";
 import { counted, hours } from "./text";
@@ -27,6 +28,7 @@ export function WallView({ selection }: { selection: Selection }) {
   const sorts = useMemo<Sort[]>(() => sortsOf(by, sort), [by, sort]);
   const shown = useMemo(() => ["name", "frames", "seconds"], []);
   const takes = useTakes(selection, sorts, shown);
+  useArrivals(takes.rows);
   const found = useGroups(selection, by);
   useSame(takes.head);
   const groups = useMemo(() => groupsOf(found.data, takes.head, by), [found.data, takes.head, by]);
@@ -88,8 +90,8 @@ export function WallView({ selection }: { selection: Selection }) {
           rateHz={facts?.rate_hz ?? 30}
           size={size}
           still={still !== null}
-          row={takes.row}
-          onRange={takes.onRange}
+          row={takes.rows.row}
+          onRange={takes.rows.look}
           onKeep={keep}
           onStill={toggleStill}
         />

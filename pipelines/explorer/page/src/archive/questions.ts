@@ -1,15 +1,14 @@
 // Questions of the Archive page to the server.
 
-import { keepPreviousData, useQueries, useQuery } from "@tanstack/react-query";
-import { useCallback, useEffect, useMemo, useRef, useState } from "react";
+import { keepPreviousData, useQuery, useQueryClient } from "@tanstack/react-query";
+import { useMemo, useRef } from "react";
 
 import { get, post } from "../api/client";
 import type { Selection, Sort, TakesBlock, TakesQuestion, Value } from "../api/types";
+import { Blocks } from "../table/blocks";
 import type { ColumnValues, Flags, Quality, RowsOf, Totals } from "./types";
 
 const BLOCK = 100;
-/** Blocks are asked for once the table has been still for so long, so that a long scroll asks for few. */
-const STILL_MS = 60;
 /** Most groups of one answer. */
 const MOST_GROUPS = 2000;
 
@@ -20,65 +19,33 @@ export interface TakeRow {
   warnings: string[];
 }
 
-/** The takes of a selection: rows in sight, and the totals of all. */
+/** The takes of a selection: rows, loaded while they are in sight, and the totals of all. */
 export function useTakes(selection: Selection, sort: readonly Sort[], columns: string[]) {
-  const [range, setRange] = useState<[number, number]>([0, 1]);
-  const still = useStill(range);
-  const [first, stop] = range;
-  const question = useMemo<TakesQuestion>(
-    () => ({ ...selection, sort: [...sort], columns, limit: BLOCK }),
-    [selection, sort, columns],
-  );
-  const numbers = [0, ...Array.from({ length: stop - first }, (_, place) => first + place).filter((one) => one > 0)];
-  const found = useQueries({
-    queries: numbers.map((number) => ({
-      queryKey: ["version", "takes", question, number],
+  const client = useQueryClient();
+  const query = useMemo(() => {
+    const question: TakesQuestion = { ...selection, sort: [...sort], columns, limit: BLOCK };
+    return (block: number) => ({
+      queryKey: ["version", "takes", question, block],
       queryFn: ({ signal }: { signal: AbortSignal }) =>
-        post<TakesBlock>("/api/takes", { ...question, offset: number * BLOCK }, signal),
-      enabled: still || number === 0,
-    })),
-  });
-  const head = found[0]?.data;
+        post<TakesBlock>("/api/takes", { ...question, offset: block * BLOCK }, signal),
+    });
+  }, [selection, sort, columns]);
+  const first = useQuery(query(0));
   const last = useRef<TakesBlock>(undefined);
-  if (head !== undefined) last.current = head;
-  const blocks = new Map(found.map((one, place) => [numbers[place], one.data] as const));
-  const rowsOf = useRowsOf();
-  const row = (index: number) => rowsOf(blocks.get(Math.floor(index / BLOCK)))?.[index % BLOCK];
-  // Only a change of blocks renders the page anew, not every row that comes into sight.
-  const onRange = useCallback((from: number, to: number) => {
-    const first = Math.floor(from / BLOCK);
-    const stop = Math.max(first + 1, Math.ceil(to / BLOCK));
-    setRange((before) => (before[0] === first && before[1] === stop ? before : [first, stop]));
-  }, []);
-  return { head: head ?? last.current, error: found[0]?.error ?? null, row, onRange, pending: head === undefined };
+  if (first.data !== undefined) last.current = first.data;
+  const head = first.data ?? last.current;
+  const count = head?.total ?? 0;
+  const rows = useMemo(() => new Blocks(client, count, BLOCK, query, rowsOf), [client, count, query]);
+  return { head, error: first.error, rows };
 }
 
-/** Return a function that makes the rows of a block once, so that rows in sight keep their identity. */
-function useRowsOf() {
-  const made = useRef(new WeakMap<TakesBlock, TakeRow[]>());
-  return (block: TakesBlock | undefined): TakeRow[] | undefined => {
-    if (block === undefined) return undefined;
-    let rows = made.current.get(block);
-    if (rows === undefined) {
-      rows = block.rows.map((values, place) => ({
-        id: block.ids[place] ?? -1,
-        name: block.names[place] ?? "",
-        values,
-        warnings: block.warnings[place] ?? [],
-      }));
-      made.current.set(block, rows);
-    }
-    return rows;
-  };
-}
-
-function useStill(range: [number, number]): boolean {
-  const [still, setStill] = useState(range);
-  useEffect(() => {
-    const timer = setTimeout(() => setStill(range), STILL_MS);
-    return () => clearTimeout(timer);
-  }, [range]);
-  return still === range;
+function rowsOf(block: TakesBlock): TakeRow[] {
+  return block.rows.map((values, place) => ({
+    id: block.ids[place] ?? -1,
+    name: block.names[place] ?? "",
+    values,
+    warnings: block.warnings[place] ?? [],
+  }));
 }
 
 export function useTotals(selection: Selection, by: string[], limit = 200) {

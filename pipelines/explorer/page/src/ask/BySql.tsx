@@ -1,22 +1,20 @@
 // SQL over the views of the archive: a text, a virtual table of the rows, and hits where rows name intervals.
 
 import { Button, Group, SegmentedControl, Text } from "@mantine/core";
-import { useQueries, useQuery } from "@tanstack/react-query";
-import { useVirtualizer } from "@tanstack/react-virtual";
+import { useQuery } from "@tanstack/react-query";
 import { useEffect, useMemo, useRef, useState } from "react";
 
-import { get, post } from "../api/client";
-import type { StoreFacts, Value } from "../api/types";
+import { get } from "../api/client";
+import type { StoreFacts } from "../api/types";
 import { useParameter } from "../app/address";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
 import { useRefine } from "./refine";
 import { Results } from "./Results";
 import { SaveBar } from "./SaveBar";
+import { sqlBlock, SqlRows } from "./SqlRows";
 import type { SqlAnswer, ViewFacts } from "./types";
 
-const BLOCK = 200;
-const ROW = 24;
 const FIRST = "SELECT name AS take, 0 AS start, least(frames, 90) AS stop, class, actor\nFROM takes\nORDER BY random()\nLIMIT 60";
 
 export function BySql({ store }: { store: StoreFacts }) {
@@ -28,8 +26,7 @@ export function BySql({ store }: { store: StoreFacts }) {
   }, [asked]);
   const field = useRef<HTMLTextAreaElement>(null);
   const first = useQuery({
-    queryKey: ["version", "sql", asked, turn, 0],
-    queryFn: ({ signal }) => post<SqlAnswer>("/api/ask/sql", { text: asked, offset: 0, limit: BLOCK }, signal),
+    ...sqlBlock(asked ?? "", turn, 0),
     enabled: asked !== null,
   });
   useSame(first.data);
@@ -115,7 +112,7 @@ function Result({ first, text, turn, store }: { first: SqlAnswer; text: string; 
           <Some hits={first.hits} rateHz={store.rate_hz} />
         </>
       ) : (
-        <Rows first={first} text={text} turn={turn} />
+        <SqlRows first={first} text={text} turn={turn} />
       )}
     </>
   );
@@ -135,74 +132,6 @@ function Some({ hits, rateHz }: { hits: NonNullable<SqlAnswer["hits"]>; rateHz: 
       )}
     </>
   );
-}
-
-function Rows({ first, text, turn }: { first: SqlAnswer; text: string; turn: number }) {
-  const frame = useRef<HTMLDivElement>(null);
-  const virtual = useVirtualizer({
-    count: first.kept,
-    getScrollElement: () => frame.current,
-    estimateSize: () => ROW,
-    overscan: 12,
-  });
-  const items = virtual.getVirtualItems();
-  const from = Math.floor((items[0]?.index ?? 0) / BLOCK);
-  const to = Math.floor((items[items.length - 1]?.index ?? 0) / BLOCK);
-  const blocks = useQueries({
-    queries: Array.from({ length: to - from + 1 }, (_, i) => ({
-      queryKey: ["version", "sql", text, turn, from + i],
-      queryFn: ({ signal }: { signal: AbortSignal }) =>
-        post<SqlAnswer>("/api/ask/sql", { text, offset: (from + i) * BLOCK, limit: BLOCK }, signal),
-      enabled: from + i > 0,
-    })),
-  });
-  const row = (index: number): Value[] | undefined => {
-    const block = Math.floor(index / BLOCK);
-    const rows = block === 0 ? first.rows : blocks[block - from]?.data?.rows;
-    return rows?.[index % BLOCK];
-  };
-  const widths = first.columns.map((column) => {
-    const longest = Math.max(column.name.length, ...first.rows.slice(0, 40).map((one, _i) => shownValue(one[first.columns.indexOf(column)]).length));
-    return Math.min(360, Math.max(60, 8 * longest + 16));
-  });
-  const template = widths.map((width) => `${width}px`).join(" ");
-  return (
-    <div ref={frame} className="sql-rows" role="table" aria-label="Rows" aria-rowcount={first.kept + 1} tabIndex={0}>
-      <div role="row" className="sql-row sql-head" style={{ gridTemplateColumns: template }} aria-rowindex={1}>
-        {first.columns.map((column) => (
-          <span key={column.name} role="columnheader" title={column.type}>
-            {column.name}
-          </span>
-        ))}
-      </div>
-      <div role="rowgroup" style={{ height: virtual.getTotalSize(), position: "relative" }}>
-        {items.map((item) => (
-          <div
-            key={item.key}
-            role="row"
-            aria-rowindex={item.index + 2}
-            className="sql-row"
-            style={{ gridTemplateColumns: template, transform: `translateY(${item.start}px)`, position: "absolute" }}
-          >
-            {first.columns.map((column, i) => {
-              const value = row(item.index)?.[i];
-              return (
-                <span key={column.name} role="cell" className={typeof value === "number" ? "number" : undefined}>
-                  {row(item.index) === undefined ? "…" : shownValue(value)}
-                </span>
-              );
-            })}
-          </div>
-        ))}
-      </div>
-    </div>
-  );
-}
-
-function shownValue(value: Value | undefined): string {
-  if (value === null || value === undefined) return "";
-  if (typeof value === "number") return Number.isInteger(value) ? String(value) : String(Number(value.toPrecision(8)));
-  return typeof value === "object" ? JSON.stringify(value) : String(value);
 }
 
 function Views({ onInsert }: { onInsert: (word: string) => void }) {

@@ -3,19 +3,11 @@
 
 import "./grid.css";
 
-import { useVirtualizer } from "@tanstack/react-virtual";
-import { type KeyboardEvent, memo, type MouseEvent, type ReactNode, useEffect, useId, useMemo, useRef, useState } from "react";
+import { type KeyboardEvent, type MouseEvent, useEffect, useId, useLayoutEffect, useMemo, useRef, useState } from "react";
 import { useLocation } from "wouter";
 
-export interface GridColumn<Row> {
-  key: string;
-  title: string;
-  /** Width in pixels; the first column takes what is left. */
-  width: number;
-  numeric?: boolean;
-  sortable?: boolean;
-  cell: (row: Row, index: number) => ReactNode;
-}
+import type { RowSource } from "./blocks";
+import { cellClass, type GridColumn, Lines, ROW, template } from "./lines";
 
 export interface GridSort {
   column: string;
@@ -25,46 +17,23 @@ export interface GridSort {
 interface Props<Row> {
   label: string;
   columns: readonly GridColumn<Row>[];
-  rowCount: number;
-  /** Return a row, or undefined while it is being loaded. */
-  row: (index: number) => Row | undefined;
+  /** The rows; the same object as long as they are the same. */
+  rows: RowSource<Row>;
   sort?: GridSort | null;
   onSort?: (column: string) => void;
   onOpen?: (row: Row, index: number) => void;
-  /** Report the rows in sight: first, and the one after the last. */
-  onRange?: (first: number, stop: number) => void;
 }
 
-const ROW = 26;
 const HEADER = -1;
 
 export function VirtualGrid<Row>(props: Props<Row>) {
-  const { label, columns, rowCount, row, sort, onSort, onOpen, onRange } = props;
+  const { label, columns, rows, sort, onSort, onOpen } = props;
   const id = useId();
-  const scroller = useRef<HTMLDivElement>(null);
-  const [active, setActive] = useState<[number, number]>([HEADER, 0]);
-  const virtual = useVirtualizer({
-    count: rowCount,
-    getScrollElement: () => scroller.current,
-    estimateSize: () => ROW,
-    overscan: 5,
-    paddingEnd: ROW,
-  });
-  const items = virtual.getVirtualItems();
-  const first = items[0]?.index ?? 0;
-  const stop = (items[items.length - 1]?.index ?? -1) + 1;
-  useEffect(() => onRange?.(first, stop), [onRange, first, stop]);
-
-  const template = useMemo(
-    () => columns.map((one, place) => (place === 0 ? `minmax(${one.width}px, 1fr)` : `${one.width}px`)).join(" "),
-    [columns],
-  );
+  const [active, setActive] = useState<readonly [number, number]>([HEADER, 0]);
+  const [at, column] = [Math.min(active[0], rows.count - 1), Math.min(active[1], columns.length - 1)];
+  const { scroller, body } = useLines(columns, rows, `${id}-active`, at, column);
+  const laid = useMemo(() => template(columns), [columns]);
   const width = useMemo(() => columns.reduce((sum, one) => sum + one.width, 0), [columns]);
-  const [at, column] = [Math.min(active[0], rowCount - 1), Math.min(active[1], columns.length - 1)];
-
-  // Rows that leave sight lend their elements to those that come: to change texts is quicker than to make elements.
-  const pool = useRef(1);
-  pool.current = Math.max(pool.current, items.length);
 
   const [, navigate] = useLocation();
   // One listener for all cells: a row has none of its own.
@@ -80,15 +49,14 @@ export function VirtualGrid<Row>(props: Props<Row>) {
       navigate(link.pathname + link.search);
     }
   };
-  const onDoubleClick = (event: MouseEvent) => {
-    const [index] = placeOf(event.target);
-    const data = index >= 0 ? row(index) : undefined;
+  const open = (index: number) => {
+    const data = index >= 0 ? rows.row(index) : undefined;
     if (data !== undefined) onOpen?.(data, index);
   };
   const move = (index: number, place: number) => {
-    const next = Math.max(HEADER, Math.min(rowCount - 1, index));
+    const next = Math.max(HEADER, Math.min(rows.count - 1, index));
     setActive([next, Math.max(0, Math.min(columns.length - 1, place))]);
-    if (next >= 0) virtual.scrollToIndex(next, { align: "auto" });
+    if (next >= 0 && scroller.current !== null) bringIntoSight(scroller.current, next);
   };
   const onKey = (event: KeyboardEvent) => {
     const page = Math.max(1, Math.floor((scroller.current?.clientHeight ?? 0) / ROW) - 2);
@@ -101,11 +69,10 @@ export function VirtualGrid<Row>(props: Props<Row>) {
       PageDown: () => move(at + page, column),
       PageUp: () => move(Math.max(0, at - page), column),
       Home: () => move(whole ? 0 : at, whole ? column : 0),
-      End: () => move(whole ? rowCount - 1 : at, whole ? column : columns.length - 1),
+      End: () => move(whole ? rows.count - 1 : at, whole ? column : columns.length - 1),
       Enter: () => {
-        const data = at >= 0 ? row(at) : undefined;
-        if (data !== undefined) onOpen?.(data, at);
-        else if (at === HEADER && columns[column]?.sortable === true) onSort?.(columns[column].key);
+        if (at >= 0) open(at);
+        else if (columns[column]?.sortable === true) onSort?.(columns[column].key);
       },
     };
     const step = event.altKey ? undefined : steps[event.key];
@@ -120,17 +87,16 @@ export function VirtualGrid<Row>(props: Props<Row>) {
       className="grid"
       role="grid"
       aria-label={label}
-      aria-rowcount={rowCount + 1}
+      aria-rowcount={rows.count + 1}
       aria-colcount={columns.length}
       aria-activedescendant={`${id}-active`}
       tabIndex={0}
       onKeyDown={onKey}
       onClick={onClick}
-      onDoubleClick={onDoubleClick}
-      onMouseOver={showWhole}
+      onDoubleClick={(event) => open(placeOf(event.target)[0])}
     >
       <div role="rowgroup" className="grid-head" style={{ minWidth: width }}>
-        <div role="row" data-row={HEADER} aria-rowindex={1} className="grid-row" style={{ gridTemplateColumns: template }}>
+        <div role="row" data-row={HEADER} aria-rowindex={1} className="grid-row" style={{ gridTemplateColumns: laid }}>
           {columns.map((one, place) => (
             <div
               key={one.key}
@@ -138,8 +104,9 @@ export function VirtualGrid<Row>(props: Props<Row>) {
               role="columnheader"
               aria-colindex={place + 1}
               aria-sort={sorted(one.key, sort)}
-              className={cellClass(one, at === HEADER && place === column)}
+              className={`${cellClass(one)} long${at === HEADER && place === column ? " active" : ""}`}
               data-sortable={one.sortable}
+              title={one.about}
             >
               {one.title}
               {sort?.column === one.key && <span aria-hidden> {sort.descending ? "▾" : "▴"}</span>}
@@ -147,22 +114,53 @@ export function VirtualGrid<Row>(props: Props<Row>) {
           ))}
         </div>
       </div>
-      <div role="rowgroup" style={{ height: virtual.getTotalSize(), position: "relative", minWidth: width }}>
-        {items.map((item) => (
-          <GridRow
-            key={item.index % pool.current}
-            id={id}
-            index={item.index}
-            top={item.start}
-            template={template}
-            columns={columns as readonly GridColumn<unknown>[]}
-            data={row(item.index)}
-            active={item.index === at ? column : -1}
-          />
-        ))}
-      </div>
+      <div ref={body} role="rowgroup" className="grid-rows" style={{ height: (rows.count + 1) * ROW, minWidth: width }} />
     </div>
   );
+}
+
+/** Keep the rows in sight in the page, whenever somebody scrolls, rows arrive, or the table changes its size. */
+function useLines<Row>(
+  columns: readonly GridColumn<Row>[],
+  rows: RowSource<Row>,
+  activeId: string,
+  at: number,
+  column: number,
+) {
+  const scroller = useRef<HTMLDivElement>(null);
+  const body = useRef<HTMLDivElement>(null);
+  const lines = useRef<Lines<Row>>(null);
+  useLayoutEffect(() => {
+    const [outer, inner] = [scroller.current, body.current];
+    if (outer === null || inner === null) return;
+    const made = new Lines(inner, outer, columns, rows, activeId);
+    lines.current = made;
+    made.height = outer.clientHeight;
+    made.draw();
+    const watch = new ResizeObserver(() => {
+      made.height = outer.clientHeight;
+      made.draw();
+    });
+    watch.observe(outer);
+    outer.addEventListener("scroll", made.draw, { passive: true });
+    const end = rows.subscribe?.(made.draw);
+    return () => {
+      watch.disconnect();
+      outer.removeEventListener("scroll", made.draw);
+      end?.();
+      made.end();
+    };
+  }, [columns, rows, activeId]);
+  useEffect(() => lines.current?.setActive(at, column), [columns, rows, activeId, at, column]);
+  return { scroller, body };
+}
+
+/** Scroll as little as needed for a whole row to be in sight, below the titles. */
+function bringIntoSight(scroller: HTMLElement, index: number): void {
+  const top = index * ROW;
+  const low = top + 2 * ROW - scroller.clientHeight + 2;
+  if (scroller.scrollTop > top) scroller.scrollTop = top;
+  else if (scroller.scrollTop < low) scroller.scrollTop = low;
 }
 
 function sorted(key: string, sort: GridSort | null | undefined): "ascending" | "descending" | "none" {
@@ -181,49 +179,3 @@ function placeOf(target: EventTarget): [number, number] {
   if (cell === null || line == null) return [HEADER, -1];
   return [Number(line.dataset.row), [...line.children].indexOf(cell)];
 }
-
-/** Show the whole text of a cell that is cut off, once the pointer is on it. */
-function showWhole(event: MouseEvent): void {
-  const cell = (event.target as Element).closest<HTMLElement>(".grid-cell");
-  if (cell === null || cell.querySelector("[title]") !== null) return;
-  if (cell.scrollWidth > cell.clientWidth) cell.title = cell.textContent ?? "";
-  else cell.removeAttribute("title");
-}
-
-function cellClass(column: { numeric?: boolean }, active: boolean): string {
-  return `grid-cell${column.numeric === true ? " number" : ""}${active ? " active" : ""}`;
-}
-
-interface RowProps {
-  id: string;
-  index: number;
-  top: number;
-  template: string;
-  columns: readonly GridColumn<unknown>[];
-  data: unknown;
-  active: number;
-}
-
-const GridRow = memo(function GridRow({ id, index, top, template, columns, data, active }: RowProps) {
-  return (
-    <div
-      role="row"
-      data-row={index}
-      aria-rowindex={index + 2}
-      className={active >= 0 ? "grid-row grid-body active" : "grid-row grid-body"}
-      style={{ gridTemplateColumns: template, transform: `translateY(${top}px)` }}
-    >
-      {columns.map((one, place) => (
-        <div
-          key={one.key}
-          id={place === active ? `${id}-active` : undefined}
-          role="gridcell"
-          aria-colindex={place + 1}
-          className={cellClass(one, place === active)}
-        >
-          {data === undefined ? <span className="muted">…</span> : one.cell(data, index)}
-        </div>
-      ))}
-    </div>
-  );
-});
