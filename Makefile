@@ -24,7 +24,7 @@ PAGE_SOURCES := $(addprefix $(PAGE)/,package.json package-lock.json vite.config.
 
 PAGE_INDEX := pipelines/explorer/built/index.html
 
-.PHONY: page check-page explore setup demo demo-tracking demo-depth demo-inertial test lint types compile-tests check-kernels fuzz attack bench docs links wheel sbom audit lock clean help
+.PHONY: page check-page explore setup demo demo-tracking demo-depth demo-inertial test lint types compile-tests check-kernels fuzz attack bench bench-explorer docs links wheel sbom audit lock clean help
 .DEFAULT_GOAL := help
 
 help:
@@ -40,6 +40,7 @@ help:
 	@echo "make fuzz                  broken files against every reader (FUZZ_SECONDS=20 for each, FUZZ_SEED=0)"
 	@echo "make attack                attacks on a store, counted (ATTACK=kills for one, NIGHTLY=1 for all of each)"
 	@echo "make bench                 benchmarks: a table, and JSON in build/bench"
+	@echo "make bench-explorer        times of the explorer in Chromium (DATA=dir: with the motion files of a folder, five times)"
 	@echo "make docs                  the site in build/site, every warning an error; make links checks links to other sites"
 	@echo "make wheel                 dist/kinedex-*.whl, installed into an environment of its own and tried"
 	@echo "make sbom                  what is installed for users: build/sbom.json (CycloneDX) and build/licenses.md"
@@ -147,6 +148,10 @@ $(VENV)/bench.stamp: requirements-bench.lock $(VENV)/run.stamp
 
 bench: setup $(VENV)/bench.stamp
 	$(BIN)/python -m benchmarks
+
+# In a real browser, over 100 hours and over some 3,000 short takes, which are made first where they are missing.
+bench-explorer: setup page
+	$(BIN)/python -m benchmarks.explorer_page $(if $(DATA),--data "$(DATA)")
 
 # ---- site and release ------------------------------------------------------------------------------------
 $(VENV)/docs.stamp: requirements-docs.lock $(VENV)/run.stamp

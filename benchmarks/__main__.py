@@ -13,6 +13,7 @@ from benchmarks import (
     depth_lookup,
     depth_recordings,
     explorer,
+    explorer_page,
     indexing,
     inertial,
     inertial_take,
@@ -48,6 +49,7 @@ PARTS: dict[str, Callable[[Store], Sequence[Figure]]] = {
     "depth_lookup": lambda opened: list(depth_lookup.figures(opened)),
     "depth_recordings": depth_recordings.figures,
     "explorer": lambda _: explorer.figures(),
+    "explorer_page": lambda _: explorer_page.figures(),
     "inertial": lambda _: inertial.figures(),
     "inertial_take": lambda _: inertial_take.figures(),
 }
