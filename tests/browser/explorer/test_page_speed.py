@@ -1,4 +1,4 @@
-"""The benchmark of the page drives a browser as it should: a long table, motion that is scrubbed, takes that open, questions."""
+"""The benchmark of the page drives a long table, motion that is scrubbed, takes that open, and questions."""
 
 from __future__ import annotations
 
