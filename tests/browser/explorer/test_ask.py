@@ -41,6 +41,15 @@ def test_hits_are_judged_by_keys_and_the_next_question_has_their_verdicts(open_p
     expect(page.get_by_role("heading", name="Like this")).to_be_visible()
 
 
+def test_the_ends_of_the_example_are_moved_and_the_next_question_is_asked(open_page: Open) -> None:
+    page = open_page(EXAMPLE)
+    end = page.get_by_role("slider", name="The example ends")
+    end.press("ArrowLeft")
+    end.press("ArrowLeft")
+    expect(page).to_have_url(re.compile("to=18"))
+    expect(page.get_by_label("The same by command")).to_contain_text("--stop 18")
+
+
 def test_what_a_search_leaves_is_saved_and_the_page_says_where(open_page: Open) -> None:
     page = open_page(EXAMPLE)
     expect(page.get_by_role("listbox", name="Hits, the best first").get_by_role("option").first).to_be_visible()
@@ -81,6 +90,15 @@ def test_keyframes_answer_while_they_are_edited_and_name_the_line_of_a_fault(ope
     expect(status).to_contain_text("intervals in")
     page.get_by_role("button", name="lknee_bent: on").first.click()
     expect(page.get_by_label("The same as YAML")).to_have_value("low:\n  keyframes:\n    - {off: [lknee_bent]}\n")
+    # by keys alone: features by the first letters of their names, and the time between poses
+    page.get_by_role("combobox", name="Add a feature to pose 1").focus()
+    page.keyboard.type("rknee_b")
+    page.keyboard.press("Enter")
+    page.get_by_role("button", name="Add a pose").press("Enter")
+    page.get_by_role("slider", name="Time from pose 1 to pose 2: at least").press("ArrowRight")
+    yaml = page.get_by_label("The same as YAML")
+    expect(yaml).to_have_value(re.compile("on: .rknee_bent.*\n.*after: 4 to 30 frames"))
+    expect(page.get_by_role("combobox", name="Add a feature to pose 1")).to_have_value("")
     page.get_by_label("The same as YAML").fill("low:\n  keyframes:\n    - {on: [no_such]}\n")
     expect(page.get_by_role("alert").filter(has_text="Line 3")).to_contain_text("no_such")
 

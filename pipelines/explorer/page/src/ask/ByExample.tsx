@@ -1,13 +1,13 @@
 // Search by example: the interval of the address, or several accepted hits, in contrast to rejected ones.
 
-import { Autocomplete, Button, Group, NumberInput, Switch, Text } from "@mantine/core";
+import { Button, Group, NumberInput, RangeSlider, Switch, Text } from "@mantine/core";
 import { useDebouncedValue } from "@mantine/hooks";
 import { keepPreviousData, useQuery } from "@tanstack/react-query";
-import { useMemo, useState } from "react";
+import { useEffect, useMemo, useState } from "react";
 import { Link } from "wouter";
 
 import { post } from "../api/client";
-import type { StoreFacts, TakesBlock } from "../api/types";
+import type { StoreFacts } from "../api/types";
 import { takeAddress, useJsonParameter, useParameter, useParameters } from "../app/address";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
@@ -16,6 +16,7 @@ import { SmallFigure } from "../motion/SmallFigure";
 import type { Explain } from "./Details";
 import { Results } from "./Results";
 import { SaveBar } from "./SaveBar";
+import { TakeName, useNamedTakes } from "./TakeName";
 import {
   asked,
   type ExamplesAnswer,
@@ -187,7 +188,7 @@ function Examples({ question, store }: { question: ExamplesQuestion; store: Stor
   const [take] = useParameter("take");
   const [from] = useParameter("from");
   const [to] = useParameter("to");
-  const ids = useTakeIds(question);
+  const takes = useNamedTakes([...question.positives, ...question.negatives].map((one) => one.take));
   const keep = (positives: Interval[], negatives: Interval[]) =>
     set({
       more: JSON.stringify(positives.map(packed)),
@@ -198,11 +199,13 @@ function Examples({ question, store }: { question: ExamplesQuestion; store: Stor
       to: null,
     });
   const { positives, negatives } = question;
+  const [first] = positives;
+  const length = takes?.get(first?.take ?? "")?.frames;
   const row = (one: Interval, without: () => void, key: number) => (
     <li key={key}>
-      {ids.has(one.take) && (
+      {takes?.has(one.take) === true && (
         <SmallFigure
-          item={{ take_id: ids.get(one.take) as number, start: one.start, stop: one.stop }}
+          item={{ take_id: takes.get(one.take)?.id ?? -1, start: one.start, stop: one.stop }}
           width={positives.length > 1 ? 56 : 150}
           height={positives.length > 1 ? 62 : 160}
         />
@@ -233,6 +236,9 @@ function Examples({ question, store }: { question: ExamplesQuestion; store: Stor
           row(one, () => keep(positives.filter((_, j) => j !== i), negatives), i),
         )}
       </ul>
+      {first !== undefined && length !== undefined && positives.length + negatives.length === 1 && (
+        <Ends key={first.take} interval={first} frames={length} rateHz={store.rate_hz} />
+      )}
       {negatives.length > 0 && (
         <>
           <h2>Less like these {negatives.length}</h2>
@@ -245,19 +251,49 @@ function Examples({ question, store }: { question: ExamplesQuestion; store: Stor
   );
 }
 
-/** Return the ids of the takes of a question by their names. */
-function useTakeIds(question: ExamplesQuestion): Map<string, number> {
-  const names = [...new Set([...question.positives, ...question.negatives].map((one) => one.take))].sort();
-  const block = useQuery({
-    queryKey: ["version", "take-ids", names],
-    queryFn: ({ signal }) =>
-      post<TakesBlock>(
-        "/api/takes",
-        { columns: ["name", "take_id"], filters: [{ column: "name", values: names }], limit: 500 },
-        signal,
-      ),
-  });
-  return useMemo(() => new Map((block.data?.rows ?? []).map(([name, id]) => [String(name), Number(id)])), [block.data]);
+/** The two ends of the example, to be dragged; the next question is asked as they are let go. */
+function Ends({ interval, frames, rateHz }: { interval: Interval; frames: number; rateHz: number }) {
+  const set = useParameters();
+  const [origin] = useParameter("of");
+  const { take, start, stop, mirrored } = interval;
+  const [ends, setEnds] = useState<[number, number]>([start, stop]);
+  const [range, setRange] = useState(() => rangeAround(start, stop, frames));
+  useEffect(() => {
+    setEnds([start, stop]);
+    // the range stays while somebody drags, until an end has come to its edge
+    setRange((before) => (start > before[0] && stop < before[1] ? before : rangeAround(start, stop, frames)));
+  }, [start, stop, frames]);
+  const shown = (frame: number) => `${(frame / rateHz).toFixed(2)} s`;
+  return (
+    <div className="ends">
+      <RangeSlider
+        size="sm"
+        min={range[0]}
+        max={range[1]}
+        step={1}
+        minRange={1}
+        value={ends}
+        label={shown}
+        thumbFromLabel="The example begins"
+        thumbToLabel="The example ends"
+        onChange={setEnds}
+        onChangeEnd={([from, to]) =>
+          set({
+            ...(mirrored
+              ? { more: JSON.stringify([packed({ take, start: from, stop: to, mirrored })]) }
+              : { take, from: String(from), to: String(to), more: null }),
+            of: origin ?? [take, start, stop].join(" "), // verdicts stay
+          })
+        }
+      />
+    </div>
+  );
+}
+
+/** Return the frames that can be reached from an interval: twice its length on both sides, within the take. */
+function rangeAround(start: number, stop: number, frames: number): [number, number] {
+  const length = stop - start;
+  return [Math.max(0, start - 2 * length), Math.min(frames, stop + 2 * length)];
 }
 
 function Remarks({ found }: { found: ExamplesAnswer }) {
@@ -294,22 +330,10 @@ function Chooser({ store }: { store: StoreFacts }) {
   const [name, setName] = useState(wanted ?? "");
   const [from, setFrom] = useState<number | string>(0);
   const [to, setTo] = useState<number | string>(2);
-  const [typed] = useDebouncedValue(name, 200);
   const set = useParameters();
-  const takes = useQuery({
-    queryKey: ["version", "take-names", typed],
-    queryFn: ({ signal }) =>
-      post<TakesBlock>(
-        "/api/takes",
-        { columns: ["name", "seconds"], filters: typed === "" ? [] : [{ column: "name", contains: typed }], limit: 30 },
-        signal,
-      ),
-    placeholderData: keepPreviousData,
-  });
-  const rows = takes.data?.rows ?? [];
-  const known = rows.find(([one]) => one === name);
+  const known = useNamedTakes(name === "" ? [] : [name])?.get(name);
   const frames = (seconds: number | string) => Math.round(Number(seconds) * store.rate_hz);
-  const beyond = known !== undefined && frames(to) > frames(Number(known[1]));
+  const beyond = known !== undefined && frames(to) > known.frames;
   return (
     <form
       className="chooser"
@@ -322,15 +346,7 @@ function Chooser({ store }: { store: StoreFacts }) {
         Select an interval on the page of a <Link href="/take">take</Link> and choose “Search by this”, or name it here.
       </Text>
       <Group align="end" gap={8} mt="sm">
-        <Autocomplete
-          size="xs"
-          label="Take"
-          w={280}
-          data={rows.map(([one]) => String(one))}
-          filter={({ options }) => options}
-          value={name}
-          onChange={setName}
-        />
+        <TakeName width={280} value={name} onChange={setName} />
         <NumberInput size="xs" w={96} label="From, seconds" value={from} onChange={setFrom} min={0} step={0.1} decimalScale={2} />
         <NumberInput size="xs" w={96} label="To, seconds" value={to} onChange={setTo} min={0} step={0.1} decimalScale={2} />
         <Button size="compact-sm" type="submit" disabled={known === undefined || frames(to) <= frames(from) || beyond}>
@@ -339,7 +355,7 @@ function Chooser({ store }: { store: StoreFacts }) {
       </Group>
       {known !== undefined && (
         <Text size="xs" className="muted" mt={6}>
-          {name} lasts {Number(known[1]).toFixed(2)} s{beyond ? ": the interval ends behind it" : ""}.
+          {name} lasts {known.seconds.toFixed(2)} s{beyond ? ": the interval ends behind it" : ""}.
         </Text>
       )}
     </form>

@@ -1,13 +1,13 @@
 // Search by keyframes: poses by features that are on, off or either, the time between them, and the same as YAML. The
 // count and the hits follow while somebody edits; an answer to an earlier state is dropped.
 
-import { Button, Group, Text } from "@mantine/core";
+import { Button, Group, Text, TextInput } from "@mantine/core";
 import { useDebouncedValue } from "@mantine/hooks";
 import { keepPreviousData, useQuery } from "@tanstack/react-query";
 import { useEffect, useMemo, useRef, useState } from "react";
 
 import { get, post } from "../api/client";
-import type { StoreFacts, TakesBlock } from "../api/types";
+import type { StoreFacts } from "../api/types";
 import { useParameter, useParameters } from "../app/address";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
@@ -18,6 +18,7 @@ import { addPose, MOST_POSES, withGap, withoutPose, withPose } from "./poses";
 import { Results } from "./Results";
 import { useRefine } from "./refine";
 import { SaveBar } from "./SaveBar";
+import { TakeName, useNamedTakes } from "./TakeName";
 import type { KeyframesAnswer, Query } from "./types";
 
 type Draft = { text: string } | { query: Query };
@@ -183,17 +184,9 @@ function FromTake({
   const [to] = useParameter("to");
   const [fault, setFault] = useState<unknown>(null);
   const [busy, setBusy] = useState(false);
-  const block = useQuery({
-    queryKey: ["version", "take-ids", take],
-    queryFn: ({ signal }) =>
-      post<TakesBlock>(
-        "/api/takes",
-        { columns: ["take_id", "frames"], filters: [{ column: "name", values: [take] }], limit: 1 },
-        signal,
-      ),
-    enabled: take !== null && take !== "",
-  });
-  const [id, frames] = (block.data?.rows[0] ?? []) as [number?, number?];
+  const takes = useNamedTakes(take === null || take === "" ? [] : [take]);
+  const known = takes?.get(take ?? "");
+  const [id, frames] = [known?.id, known?.frames];
   const propose = async (start: number, stop: number, keyframes: number) => {
     setBusy(true);
     setFault(null);
@@ -227,19 +220,15 @@ function FromTake({
       }}
     >
       <Group gap={6} align="end">
-        <label>
-          Take
-          <input value={take ?? ""} onChange={(event) => setTake(event.currentTarget.value)} placeholder="name of a take" />
-        </label>
-        <label>
-          Frame
-          <input
-            className="short"
-            inputMode="numeric"
-            value={frame ?? ""}
-            onChange={(event) => setFrame(event.currentTarget.value.replace(/\D/g, ""))}
-          />
-        </label>
+        <TakeName width={160} value={take ?? ""} onChange={setTake} />
+        <TextInput
+          size="xs"
+          label="Frame"
+          w={58}
+          inputMode="numeric"
+          value={frame ?? ""}
+          onChange={(event) => setFrame(event.currentTarget.value.replace(/\D/g, ""))}
+        />
         <Button size="compact-sm" variant="default" type="submit" loading={busy} disabled={id === undefined || !frame}>
           Add this pose
         </Button>
@@ -249,7 +238,7 @@ function FromTake({
           </Button>
         )}
       </Group>
-      {take !== null && take !== "" && block.data !== undefined && id === undefined && (
+      {take !== null && take !== "" && takes !== undefined && id === undefined && (
         <Text size="xs" c="red">
           No take has this name.
         </Text>

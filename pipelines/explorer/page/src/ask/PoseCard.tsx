@@ -86,7 +86,11 @@ export function PoseCard({ place, pose, seen, features, onChange, onRemove }: Po
         data={features.filter((one) => stateOf(pose, one.name) === "any").map((one) => one.name)}
         value={typed}
         onChange={setTyped}
-        onOptionSubmit={add}
+        selectFirstOptionOnChange
+        onOptionSubmit={(name) => {
+          add(name);
+          setTimeout(() => setTyped("")); // the field takes the name of the option after this
+        }}
         onKeyDown={(event) => {
           if (event.key === "Enter" && features.some((one) => one.name === typed)) add(typed);
         }}
