@@ -63,6 +63,47 @@ def mirrored(template: Template, order: I64) -> Template:
     )
 
 
+def adjusted(template: Template, factors: F64, first: int, stop: int) -> Template:
+    """Return the columns [first, stop) of a template, with the weights of its features multiplied by factors.
+
+    Parameters
+    ----------
+    template : Template
+        The template, with N columns and f features.
+    factors : float64 array (f,)
+        How much each feature counts compared to before; 0 makes it a wildcard in distance curves.
+    first, stop : int
+        The columns to keep, 0 ≤ first < stop ≤ N.
+
+    Returns
+    -------
+    Template
+        Without weights of features where the template has none and all factors are 1.
+
+    Raises
+    ------
+    ParameterError
+        If no column is left, a factor is negative or not finite, or no feature is left that counts.
+
+    Examples
+    --------
+    >>> whole = Template(np.eye(3), np.ones(3))
+    >>> part = adjusted(whole, np.array([1.0, 0.0, 2.0]), 1, 3)
+    >>> part.values.tolist(), part.feature_weights.tolist()
+    ([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], [1.0, 0.0, 2.0])
+    """
+    if not 0 <= first < stop <= len(template):
+        raise ParameterError("first and stop", f"columns with 0 <= first < stop <= {len(template)}", [first, stop])
+    if not (np.isfinite(factors) & (factors >= 0)).all():
+        raise ParameterError("factors", "finite and not negative", factors.tolist())
+    weights = template.feature_weights
+    if weights is not None or (factors != 1).any():
+        weights = factors * (1.0 if weights is None else weights)
+        if not weights.any():
+            raise ParameterError("factors", "above 0 for one feature that counts at least", factors.tolist())
+    return Template(template.values[first:stop], template.weights[first:stop], weights)
+
+
 def joined(templates: Sequence[Template], gap: int) -> Template:
     """Join templates one after the other, with columns of wildcards between two of them (thesis, Figure 3.11 b).
 

@@ -114,8 +114,13 @@ def nearest_examples(
 
 def clips_of(store: Store, template: Template | SubclassTemplate) -> list[tuple[str, int, int]]:
     """Return the clips of a template that the store has, as take, start and stop."""
-    mirrored = _MIRRORED.search(template.origin)
-    return stored_clips(store, template.clips[: len(template.clips) - int(mirrored[1])] if mirrored else template.clips)
+    return stored_clips(store, template.clips[: len(template.clips) - mirrored_clips(template.origin)])
+
+
+def mirrored_clips(origin: str) -> int:
+    """Return how many clips of a template, the last ones, are those of another class in the mirror, by its origin."""
+    found = _MIRRORED.search(origin)
+    return int(found[1]) if found else 0
 
 
 def stored_clips(store: Store, names: Sequence[str]) -> list[tuple[str, int, int]]:

@@ -60,9 +60,25 @@ def clip_remarks(names: Sequence[str], lengths: Sequence[int], costs: Sequence[f
 
 def far_clips(costs: Sequence[float]) -> list[int]:
     """Return the positions of clips that are far from all others; none among fewer than four clips."""
+    limit = far_limit(costs)
+    return [] if limit is None else [index for index, cost in enumerate(costs) if cost >= limit]
+
+
+def far_limit(costs: Sequence[float]) -> float | None:
+    """Return the cost from which on a clip is far from all others; None among fewer than four clips.
+
+    Parameters
+    ----------
+    costs : sequence of float
+        The cost of each clip to the others.
+
+    Examples
+    --------
+    >>> round(far_limit([0.10, 0.11, 0.12, 0.11, 0.30]), 3)
+    0.165
+    """
     if len(costs) <= FEW:
-        return []
+        return None
     median = float(np.median(costs))
     spread = float(np.median(np.abs(np.asarray(costs) - median)))
-    least = max(LONELY_TIMES * median, median + LONELY_SPREADS * spread, median + LONELY_EXCESS)
-    return [index for index, cost in enumerate(costs) if cost >= least]
+    return max(LONELY_TIMES * median, median + LONELY_SPREADS * spread, median + LONELY_EXCESS)
