@@ -37,12 +37,14 @@ SUBJECTS = (
     "events",
     "examples",
     "exports",
+    "held_out",
     "hits",
     "keyframes",
     "jobs",
     "label_files",
     "labels",
     "lanes",
+    "learned_queries",
     "learning",
     "motion",
     "quality",
@@ -51,6 +53,8 @@ SUBJECTS = (
     "sql",
     "store",
     "takes",
+    "template_edits",
+    "templates",
     "totals",
 )
 """The modules whose `routes` the application has."""

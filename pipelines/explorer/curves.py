@@ -325,18 +325,22 @@ def aligned_intervals(store: Store, one: Interval, other: Interval) -> Row:
     }
 
 
-def _choice(request: Request) -> TemplateChoice:
+def template_choice(request: Request) -> TemplateChoice:
     """Return the template that an address names."""
     asked = request.query_params
-    kind = asked.get("kind", "soft")
-    if kind not in ("soft", "hard"):
-        raise ParameterError("kind", "soft or hard", kind)
     return TemplateChoice(
         asked.get("template", ""),
-        "hard" if kind == "hard" else "soft",
+        kind_of(asked.get("kind", "soft")),
         asked.get("stage"),
         _number(request, "delta", DELTA),
     )
+
+
+def kind_of(text: str) -> Kind:
+    """Return the kind of template that an address names."""
+    if text not in ("soft", "hard"):
+        raise ParameterError("kind", "soft or hard", text)
+    return "hard" if text == "hard" else "soft"
 
 
 def _number(request: Request, name: str, absent: float) -> float:
@@ -357,20 +361,20 @@ def _templates(archive: Archive, request: Request) -> Row:
 
 
 def _image(archive: Archive, request: Request) -> Row:
-    store, choice = archive.store(), _choice(request)
+    store, choice = archive.store(), template_choice(request)
     show = command_line("kinedex", "template", "show", store.path, choice.name)
     python = python_lines(store.path, f"store.template({choice.name!r}, {choice.kind!r}).plot()")
     return {**template_image(store, choice), "command": show, "python": python}
 
 
 def _curve(archive: Archive, request: Request) -> Response:
-    curve = curve_of_template(*take_of(archive, request), _choice(request))
+    curve = curve_of_template(*take_of(archive, request), template_choice(request))
     return Response(curve.tobytes(), media_type="application/octet-stream")
 
 
 def _hit(archive: Archive, request: Request) -> Row:
     store, take = take_of(archive, request)
-    choice, tau = _choice(request), _number(request, "tau", DEFAULT_TAU)
+    choice, tau = template_choice(request), _number(request, "tau", DEFAULT_TAU)
     found = nearest_hit(store, take, choice, whole_number(request, "frame"), tau)
     where = f"take_id = {take}"
     rank = f"store.rank({choice.name!r}, None, tau={tau:g}, delta={choice.delta:g}, where={where!r})"

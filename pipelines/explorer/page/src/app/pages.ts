@@ -18,6 +18,7 @@ export const PAGES: readonly Page[] = [
   { title: "Take", path: "/take", pattern: "/take/:name?", key: "t", view: lazy(() => import("../take/TakePage")) },
   { title: "Ask", path: "/ask", pattern: "/ask/*?", key: "s", view: lazy(() => import("../ask/AskPage")) },
   { title: "Label", path: "/label", pattern: "/label/*?", key: "l", view: lazy(() => import("../label/LabelPage")) },
+  { title: "Templates", path: "/templates", pattern: "/templates/*?", key: "p", view: lazy(() => import("../templates/TemplatesPage")) },
   { title: "Runs", path: "/runs", pattern: "/runs/*?", key: "r", view: lazy(() => import("../runs/RunsPage")) },
   { title: "Export", path: "/export", pattern: "/export/*?", key: "e", view: lazy(() => import("../export/ExportPage")) },
 ];
