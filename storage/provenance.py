@@ -13,8 +13,14 @@ LONGEST = 1000
 
 
 def running_command() -> str:
-    """Return the command line of this process as it would be typed, such as "kinedex ingest STORE DIR"."""
+    """Return the command line of this process as it would be typed, such as "kinedex ingest STORE DIR".
+
+    Where its log goes is left out: it changes nothing that is made, and the explorer adds it to the commands it runs.
+    """
     program, *arguments = sys.argv or [""]
+    if "--log-file" in arguments:
+        place = arguments.index("--log-file")
+        del arguments[place : place + 2]
     path = Path(program)
     name = path.parent.name if path.name == "__main__.py" else path.name
     # a program that was given to Python as a text has no name

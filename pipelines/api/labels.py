@@ -137,6 +137,57 @@ class Labels:
             row["note"] = row.get("note") or note
         return _rows(record(self._stored, given))
 
+    def change(
+        self,
+        id: str,
+        *,
+        label: str | None = None,
+        start: int | None = None,
+        stop: int | None = None,
+        verdict: Literal["positive", "negative"] | None = None,
+        annotator: str | None = None,
+    ) -> pl.DataFrame:
+        """Give a label another class, other edges or another verdict; the label before stays in the history.
+
+        Parameters
+        ----------
+        id : str
+            The id of the label, or its beginning.
+        label : str, optional
+            The class that it has from now on.
+        start, stop : int, optional
+            Its frames [start, stop).
+        verdict : {"positive", "negative"}, optional
+            Whether the interval shows the class.
+        annotator : str, optional
+            The person.
+
+        Returns
+        -------
+        polars.DataFrame
+            The row that takes its place, with an id of its own.
+
+        Raises
+        ------
+        KinedexError
+            No label has such an id, or several have; or another label says the same already.
+        ParameterError
+            Nothing would change, or the interval is not within the take.
+
+        Examples
+        --------
+        >>> made = store.labels.add([{"take": take.name, "class": "nod", "start": 3, "stop": 12}])
+        >>> changed = store.labels.change(made["id"][0], stop=10)
+        >>> changed.select("start", "stop", "origin").row(0)
+        (3, 10, 'corrected')
+        >>> store.labels.remove(changed["id"]).height
+        1
+        """
+        from kinedex.pipelines.labels.edits import change_label
+
+        values = {"class": label, "start": start, "stop": stop, "verdict": verdict}
+        return _rows(change_label(self._stored, id, annotator=annotator, **values))
+
     def remove(self, ids: Iterable[str], *, annotator: str | None = None, note: str | None = None) -> pl.DataFrame:
         """Take labels back; they stay in the history.
 

@@ -1,4 +1,4 @@
-"""Commands about the labels that a store keeps: labels import, add, remove, list, accept, reject."""
+"""Commands about the labels that a store keeps: labels import, add, change, remove, list, accept, reject."""
 
 from __future__ import annotations
 
@@ -108,6 +108,33 @@ def add(
     row = {"take": take, "class": name, "start": first, "stop": last, "origin": "drawn", "limb": limb}
     row |= {"verdict": "negative" if negative else "positive", "confidence": confidence}
     _report(store, record(opened, [{**row, "annotator": annotator, "note": note}]), as_json)
+
+
+@command(of=labels)
+def change(
+    store: StorePath,
+    id: Annotated[str, typer.Argument(metavar="ID", help="Id of the label, or its beginning.")],
+    name: Annotated[str | None, typer.Option("--class", help="Class that it has from now on.")] = None,
+    start: Annotated[str | None, typer.Option(help="First frame (45) or seconds (1.5s).")] = None,
+    stop: Annotated[str | None, typer.Option(help="Frame after the last, or seconds.")] = None,
+    verdict: Annotated[str | None, typer.Option(metavar="WORD", help="positive, or negative: it is not this.")] = None,
+    annotator: AnnotatorOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Give a label another class, other edges or another verdict."""
+    from kinedex.pipelines.labels.decisions import labels_by_id
+    from kinedex.pipelines.labels.edits import change_label
+    from kinedex.pipelines.templates.stored_templates import clip_range
+
+    opened = open_for_reading(store, None)
+    if verdict not in (None, "positive", "negative"):
+        raise typer.BadParameter(f"--verdict {verdict}: expected positive or negative")
+    values: dict[str, str | int | None] = {"class": name, "verdict": verdict}
+    if start is not None or stop is not None:
+        before = labels_by_id(opened, [id]).row(0, named=True)
+        given = (start or str(before["start"]), stop or str(before["stop"]))
+        values |= dict(zip(("start", "stop"), clip_range(opened, before["take"], *given), strict=True))
+    _report(store, change_label(opened, id, annotator=annotator, **values), as_json)
 
 
 @command(of=labels)

@@ -17,6 +17,10 @@ FIRST_SECONDS = 10.0
 SHARE = 0.2
 """The least time between two lines as a share of the time since the step began, so that a long step has few."""
 
+LOG_SECONDS = 1.0
+LOG_SHARE = 0.02
+"""The same for records of the log with a count, which programs turn into per cent: some 270 in an hour."""
+
 
 @dataclass
 class PulseStep:
@@ -71,16 +75,30 @@ class Pulse:
                 thread.join()
 
     def _beat(self, end: threading.Event) -> None:
-        begin = time.monotonic()
-        while not end.wait(self._due(begin)):
+        begin = logged = time.monotonic()
+        while not end.wait(min(self._due(begin), _log_due(begin, logged))):
             steps = list(self._steps)
-            if steps and self._due(begin) <= 0:
-                text = steps[-1].text(time.monotonic() - begin)
+            if not steps:
+                continue
+            text = steps[-1].text(time.monotonic() - begin)
+            is_due, is_counted = self._due(begin) <= 0, steps[-1].total is not None
+            if is_due:
                 self.speak()
                 self._show(text)
-                _log.info("%s", text, extra={"event": "progress"})
+            if _log_due(begin, logged) <= 0:
+                logged = time.monotonic()
+                is_due = is_due or is_counted
+            if is_due:
+                count = {"done": steps[-1].done, "total": steps[-1].total} if is_counted else {}
+                _log.info("%s", text, extra={"event": "progress", **count})
 
     def _due(self, begin: float) -> float:
         """Return the seconds until a line is due."""
         now = time.monotonic()
         return max(0.0, self._spoken + max(FIRST_SECONDS, SHARE * (now - begin)) - now)
+
+
+def _log_due(begin: float, logged: float) -> float:
+    """Return the seconds until a record with a count is due."""
+    now = time.monotonic()
+    return max(0.0, logged + max(LOG_SECONDS, LOG_SHARE * (now - begin)) - now)

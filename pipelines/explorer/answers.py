@@ -106,7 +106,7 @@ async def fault_answer(_request: Request, fault: Exception) -> Response:
 def _wrong_fields(fault: ValidationError) -> str:
     """Return the fields of a request that do not fit, with what is expected of each."""
     parts = (
-        f"{'.'.join(map(str, one['loc'])) or 'the request'}: {one['msg']}"
+        f"{'.'.join(map(str, one['loc'])) or 'the request'}: {one['msg'].removeprefix('Value error, ')}"
         for one in fault.errors(include_url=False, include_context=False, include_input=False)[:10]
     )
     return "; ".join(parts)

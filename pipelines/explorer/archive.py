@@ -77,8 +77,17 @@ class Archive:
                 self._looking.release()
         return self._store
 
-    def state(self) -> dict[str, object]:
-        """Return the version that is shown, and a number that changes whenever labels do."""
+    def state(self, *, look: bool = False) -> dict[str, object]:
+        """Return the version that is shown, and a number that changes whenever it or labels do.
+
+        Parameters
+        ----------
+        look : bool, optional
+            Look for a newer version now, however short ago that was done.
+        """
+        if look:
+            with self._looking:
+                self._look()
         version = self.store().manifest.version
         return {"version": version, "labels": f"{hash((version, self._journal)):x}"}
 

@@ -10,8 +10,8 @@
 
 `POST /api/ask/template` {the same} → {name, text}: the template as a file of YAML.
 
-`POST /api/ask/labels` {class, positives, negatives, annotator?, note?} → {recorded, known, remarks}: decisions of a
- person as labels.
+`POST /api/ask/labels` {class, positives, negatives, annotator?, note?} → {recorded, known, remarks, command, python}:
+ decisions of a person as labels, and the commands that make them.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from kinedex.ops.words import ALL_KNOWN, TakeWords, bits
 from kinedex.pipelines.explorer.addresses import post
 from kinedex.pipelines.explorer.hits import ChosenHit, Limit, ranked_hits, take_condition
 from kinedex.pipelines.explorer.same import command_line, python_lines
+from kinedex.pipelines.explorer.same_decisions import same_decisions
 from kinedex.pipelines.explorer.selections import Selection
 from kinedex.pipelines.labels.decisions import record
 from kinedex.pipelines.ranking.both_sides import mirrored_template
@@ -241,14 +242,14 @@ def save_labels(archive: Archive, asked: LabelsQuestion, _request: Request) -> d
         for verdict, side in (("positive", asked.positives), ("negative", asked.negatives))
         for one in (chosen.interval(store) for chosen in side)
     ]
+    standing = {row["id"]: row for row in store.labels().to_pylist()}
     done = record(store, rows)
     archive.labels_changed()
     return {
         "recorded": done.rows.num_rows,
         "known": done.known,
         "remarks": list(done.remarks),
-        "command": command_line("kinedex", "labels", "list", archive.path, "--class", asked.label),
-        "python": python_lines(archive.path, "store.labels.table()"),
+        **same_decisions(archive, done.rows.to_pylist(), standing),
     }
 
 

@@ -1,35 +1,37 @@
 """Export: the plan of a data set with its splits and sizes, and the job that writes it.
 
     GET /api/export → {forms: [{name, meaning}], job: the last export of this server or null}
-    POST /api/export/plan {kind, …, form, split, …, folder?} → the plan (`plan_export`); nothing stays on disk
-    POST /api/export {the same, folder} → a job, whose command is that of the plan
+    POST /api/export/plan {what, how, filters?, hits?, folder?} → the plan (`plan_export`); nothing stays on disk
+    POST /api/export {the same, folder, planned?} → a job, whose command is that of the plan
     GET /api/export/ID → what a job has written: {folder, files, bytes, excluded, command}
 
-A server that is read only shows plans and refuses to write: an export writes files, although none into the store.
+`what` and `how` have the fields of `What` and `How` of `pipelines.export.request`. A server that is read only shows
+plans and refuses to write: an export writes files, although none into the store.
 """
 
 from __future__ import annotations
 
 import os
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from pydantic import Field
 
-from kinedex.ops.errors import KinedexError
+from kinedex.ops.errors import ConflictError, KinedexError
 from kinedex.pipelines.engine.context import ProgressBar
 from kinedex.pipelines.explorer.addresses import Question, get, post
 from kinedex.pipelines.explorer.answers import NotFoundError
 from kinedex.pipelines.explorer.jobs import Job, jobs_of
-from kinedex.pipelines.explorer.same import command_line
-from kinedex.pipelines.explorer.selections import SQL_SECONDS, Selection, condition_of
+from kinedex.pipelines.explorer.same import command_line, python_lines
+from kinedex.pipelines.explorer.selections import SQL_SECONDS, Filter, Selection, condition_of
 from kinedex.pipelines.export.folder import DATA_SET, METADATA, Written, require_own, written_by
 from kinedex.pipelines.export.forms import FORMS
 from kinedex.pipelines.export.metadata import Facts, data_set_text, metadata_rows, metadata_text, split_facts
 from kinedex.pipelines.export.plan import Plan, planned
-from kinedex.pipelines.export.request import CLIPS, SHARES, How, Kind, What
+from kinedex.pipelines.export.request import CLIPS, SPLITS, How, What
 from kinedex.pipelines.export.sizes import estimated_bytes
 from kinedex.pipelines.export.work import Done
 from kinedex.storage.duck import quote
@@ -47,47 +49,35 @@ TITLE = "Export"
 MOST_HITS = 1000
 """Most hits of a request: they stand in the command line, whose length systems limit."""
 
+NAMES = {"hits": "name the saved hits", "ranges": "name the file", "sql": "write a query"}
+"""The sources of clips that need a name, with what is asked for where it is missing."""
+
 Name = Annotated[str, Field(min_length=1, max_length=500)]
-Text = Annotated[str, Field(max_length=50_000)]
 Frame = Annotated[int, Field(ge=0)]
 
 
 class Hit(Question):
-    """An interval that another page hands over."""
+    """An interval that another page hands over; `mirrored` where it shows the mirror image of what was asked for."""
 
     take: Name
     start: Frame
     stop: Frame
     label: Name | None = Field(None, alias="class")
+    mirrored: bool = False
 
 
-class ExportQuestion(Selection):
-    """A request for an export: the fields of `What` and of `How`, and the folder."""
+class ExportQuestion(Question):
+    """A request for an export: what, how, further filters of takes, or hits in place of a source, and the folder.
 
-    kind: Kind = "takes"
-    name: Text | None = None
+    `planned` is the `state` of the plan that a person has seen: nothing is written once the store has changed.
+    """
+
+    what: What = What()
+    how: How = How()
+    filters: tuple[Filter, ...] = ()
     hits: Annotated[tuple[Hit, ...], Field(max_length=MOST_HITS)] = ()
-    classes: Annotated[tuple[Name, ...], Field(max_length=500)] = ()
-    pipeline: Name | None = None
-    min_confidence: Annotated[float, Field(ge=0, le=1)] | None = None
-    form: str = "csv"
-    joints: bool = False
-    margin: float = 0.0
-    context: float = 0.0
-    min_length: float = 0.0
-    mirror: bool = False
-    rate_hz: float | None = None
-    in_place: bool = False
-    split: Name | None = None
-    shares: Annotated[tuple[float, ...], Field(max_length=3)] = SHARES
-    seed: int = 0
-    balance: bool = False
-    per_class: int | None = None
-    distinct: float | None = None
     folder: Annotated[str, Field(max_length=4000)] | None = None
-
-
-_HOW = tuple(How.__dataclass_fields__)
+    planned: str | None = None
 
 
 class _Silent:
@@ -116,26 +106,29 @@ def export_facts(archive: Archive, _request: Request) -> Row:
     }
 
 
-def request_of(store: Store, asked: ExportQuestion) -> tuple[What, How]:
-    """Return a question of the page as the request of an export."""
-    kind, name = asked.kind, asked.name
+def request_of(store: Store, asked: ExportQuestion) -> What:
+    """Return the intervals that a question of the page means."""
+    kind, name = asked.what.kind, asked.what.name
     if asked.hits:
         kind, name = "sql", _hits_query(asked.hits)
-    if kind in ("hits", "ranges", "sql") and not (name or "").strip():
-        raise KinedexError({"hits": "name the saved hits", "ranges": "name the file", "sql": "write a query"}[kind])
-    where = condition_of(asked, store.take_rows.column_names).removeprefix(" WHERE ") or None
-    given = Path(str(name)).expanduser() if kind == "ranges" else name if kind in ("hits", "sql") else None
-    what = What(kind, given, (), where, asked.classes, asked.pipeline or None, asked.min_confidence)
-    return what, How(**{field: getattr(asked, field) for field in _HOW})
+    if kind in NAMES and not str(name or "").strip():
+        raise KinedexError(NAMES[kind])
+    chosen = Selection(where=asked.what.where, filters=asked.filters)
+    where = condition_of(chosen, store.take_rows.column_names).removeprefix(" WHERE ") or None
+    given = Path(str(name)).expanduser() if kind == "ranges" else name if kind in NAMES else None
+    return replace(asked.what, kind=kind, name=given, where=where, pipeline=asked.what.pipeline or None)
 
 
 def _hits_query(hits: tuple[Hit, ...]) -> str:
-    """Return a query whose rows are hits."""
+    """Return a query whose rows are hits; their mirror images are marked, where there are any."""
+    mirrored = any(one.mirrored for one in hits)
     rows = ", ".join(
-        f"({quote(one.take)}, {one.start}, {one.stop}, {'NULL' if one.label is None else quote(one.label)})"
+        f"({quote(one.take)}, {one.start}, {one.stop}, {'NULL' if one.label is None else quote(one.label)}"
+        f"{f', {one.mirrored}'.lower() if mirrored else ''})"
         for one in hits
     )
-    query = f'SELECT * FROM (VALUES {rows}) AS hits(take, "start", stop, "class")'
+    more = ", mirror_image" if mirrored else ""
+    query = f'SELECT * FROM (VALUES {rows}) AS hits(take, "start", stop, "class"{more})'
     if len(query.encode()) > 100_000:
         raise KinedexError("these hits are too many for a command line; save them as ranges.csv and export that file")
     return query
@@ -162,7 +155,13 @@ def folder_of(archive: Archive, text: str) -> Path:
 def words_of(archive: Archive, what: What, how: How, folder: str) -> tuple[str, ...]:
     """Return the words of `kinedex export` that write a request."""
     plain = How()
-    words = ["export", str(archive.path), f"--output={folder.rstrip(os.sep)}{os.sep}", f"--format={how.form}"]
+    words = [
+        "export",
+        str(archive.path),
+        *what.takes,
+        f"--output={folder.rstrip(os.sep)}{os.sep}",
+        f"--format={how.form}",
+    ]
     words += {"takes": [], "annotations": ["--annotations"], "labels": ["--labels"]}.get(
         what.kind, [f"--{what.kind}={what.name}"]
     )
@@ -181,7 +180,23 @@ def words_of(archive: Archive, what: What, how: How, folder: str) -> tuple[str, 
     words += [f"--shares={','.join(map(repr, how.shares))}"] if how.shares != plain.shares else []
     words += [f"--seed={how.seed}"] if how.seed else []
     words += [f"--per-class={how.per_class}"] if how.per_class is not None else []
-    return tuple(words)
+    return (*words, *(["--", *what.takes] if what.takes else []))
+
+
+_ARGUMENTS = {"form": "format", "rate_hz": "resample"}
+"""Fields of `How` that `Store.export` names otherwise."""
+
+
+def python_line(what: What, how: How, folder: str) -> str:
+    """Return the line of Python that writes a request."""
+    named: Row = {} if what.kind == "takes" else {what.kind: True if what.kind not in NAMES else str(what.name)}
+    parts = {"where": what.where, "classes": what.classes, "pipeline": what.pipeline}
+    named |= {key: value for key, value in parts.items() if value}
+    named |= {} if what.min_confidence is None else {"min_confidence": what.min_confidence}
+    changed = {key: value for key, value in vars(how).items() if value != getattr(How(), key)}
+    named |= {"format": how.form} | {_ARGUMENTS.get(key, key): value for key, value in changed.items()}
+    takes = [repr(list(what.takes))] if what.takes else []
+    return f"store.export({', '.join([repr(folder), *takes, *(f'{key}={value!r}' for key, value in named.items())])})"
 
 
 def _decimal(value: float) -> str:
@@ -197,10 +212,11 @@ def plan_export(archive: Archive, asked: ExportQuestion, _request: Request) -> R
         `clips`, `takes`, `files`, `seconds` and `bytes` of the whole (bytes None where no clip of the sample can be
         written), `splits` as in dataset.json, `rows` with clips, seconds and bytes of each class of each split,
         `remarks` about what is left out, `estimate`, which describes the sample, `earlier`, which is True if the folder
-        has an earlier export that would be replaced, and `command`.
+        has an earlier export that would be replaced, `state`, that of the store, and `command` and `python`.
     """
+    state = archive.state()
     store = archive.store()
-    what, how = request_of(store, asked)
+    what, how = request_of(store, asked), asked.how
     folder = folder_of(archive, asked.folder) if asked.folder and asked.folder.strip() else None
     if what.kind == "sql":
         store.answer(str(what.name), timeout=SQL_SECONDS)
@@ -220,7 +236,10 @@ def plan_export(archive: Archive, asked: ExportQuestion, _request: Request) -> R
         "rows": _by_class(rows, sizes.clips),
         "remarks": list(plan.remarks),
         "earlier": folder is not None and folder.is_dir() and bool(os.listdir(folder)),
+        "state": state["labels"],
+        "version": state["version"],
         "command": command_line("kinedex", *words_of(archive, what, how, str(folder or "FOLDER"))),
+        "python": python_lines(archive.path, python_line(what, how, str(folder or "FOLDER"))),
     }
 
 
@@ -230,6 +249,9 @@ def _records(store: Store, what: What, how: How, plan: Plan) -> tuple[list[Row],
     facts = Facts(store, what, how, {}, plan.remarks)
     rows = metadata_rows(facts, done)
     return rows, len(metadata_text(rows).encode()) + len(data_set_text(facts, rows, done).encode())
+
+
+_ORDER = (*SPLITS, CLIPS)
 
 
 def _by_class(rows: list[Row], sizes: list[int] | None) -> list[Row]:
@@ -245,7 +267,7 @@ def _by_class(rows: list[Row], sizes: list[int] | None) -> list[Row]:
             "seconds": float(np.sum([rows[number]["seconds"] for number in numbers])),
             "bytes": None if sizes is None else sum(sizes[number] for number in numbers),
         }
-        for (split, label), numbers in sorted(groups.items())
+        for (split, label), numbers in sorted(groups.items(), key=lambda one: (_ORDER.index(one[0][0]), one[0][1]))
     ]
 
 
@@ -254,8 +276,14 @@ def write_export(archive: Archive, asked: ExportQuestion, _request: Request) -> 
     if not asked.folder or not asked.folder.strip():
         raise KinedexError("the folder is missing: name one that does not exist yet, or is empty")
     folder = folder_of(archive, asked.folder)
-    what, how = request_of(archive.store(), asked)
-    return jobs_of(archive).add(Job(TITLE, words_of(archive, what, how, str(folder)))).shown()
+
+    def check() -> None:
+        if asked.planned is not None and archive.state(look=True)["labels"] != asked.planned:
+            raise ConflictError("the store has changed since this was planned; look at the plan and write again")
+
+    check()
+    words = words_of(archive, request_of(archive.store(), asked), asked.how, str(folder))
+    return jobs_of(archive).add(Job(TITLE, words, check=check)).shown()
 
 
 def written_export(archive: Archive, request: Request) -> Row:

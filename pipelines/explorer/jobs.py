@@ -1,13 +1,14 @@
 """Jobs: runs of the command line that the page starts, one at a time, with their progress, log and outcome.
 
-`GET /api/jobs` → {jobs: [job]}, the latest last; `GET /api/jobs/ID/log` → {text}; `POST /api/jobs/ID/stop`. A job is
-{id, title, state, done, total, message, command, begun, finished, version, problem}; its state is waiting, running,
-done, failed or stopped. Every change of a job is an event `job`.
+`GET /api/jobs` → {jobs: [job]}, the latest last; `GET /api/jobs/ID/log` → {text}; `POST /api/jobs/ID/stop {force?}`. A
+job is {id, title, state, stopping, share, done, total, message, command, begun, finished, version, problem}; its state
+is waiting, running, done, failed or stopped, and `share` is how much of it is done, from 0 to 1, null while nobody
+knows. Every change of a job is an event `job`.
 
 A job is a process of its own, so that it outlives the tab. One job writes at a time; the next ones wait, and a writer
 from elsewhere is waited for as `--wait` does. Stopping is Ctrl-C: what the run has committed stays, and the same
-command continues. When the server ends, it stops its job so, and jobs that wait are dropped. The logs are kept in the
-folder `jobs` of the store.
+command continues. A job that ignores it is killed with `force`, which costs what it has not committed. When the server
+ends, it stops its job so, and jobs that wait are dropped. The logs are kept in the folder `jobs` of the store.
 """
 
 from __future__ import annotations
@@ -65,15 +66,20 @@ class Job:
         The number of stages, for progress; 0 for a command without stages.
     then : callable, optional
         Called with the job when it is done.
+    check : callable, optional
+        Called before the job begins; a KinedexError is the reason why it does not, for instance since the store is not
+        any more what was planned while it waited.
     """
 
     title: str
     words: tuple[str, ...]
     steps: int = 0
     then: Callable[[Job], None] | None = None
+    check: Callable[[], None] | None = None
     id: str = field(default_factory=lambda: uuid.uuid4().hex[:12])
     state: State = "waiting"
     done: int = 0
+    part: float | None = None
     message: str = ""
     begun: str | None = None
     finished: str | None = None
@@ -83,9 +89,12 @@ class Job:
 
     def shown(self) -> dict[str, Any]:
         """Return the job as pages have it."""
-        keys = ("id", "title", "state", "done", "message", "begun", "finished", "version", "problem")
+        keys = ("id", "title", "state", "stopping", "done", "message", "begun", "finished", "version", "problem")
+        part = self.part or 0.0
+        share = min(1.0, (self.done + part) / self.steps) if self.steps else self.part
         return {key: getattr(self, key) for key in keys} | {
             "total": self.steps,
+            "share": share,
             "command": command_line("kinedex", *self.words),
         }
 
@@ -129,14 +138,17 @@ class Jobs:
         """Return the file of the log of a job."""
         return self._path / FOLDER / f"{job.id}.log"
 
-    def stop(self, job: Job) -> None:
-        """Stop a job as Ctrl-C does, or drop it where it waits."""
+    def stop(self, job: Job, *, force: bool = False) -> None:
+        """Stop a job as Ctrl-C does, or drop it where it waits; `force` ends it and its workers at once."""
         with self._lock:
             if job.state == "waiting":
                 job.state = "stopped"
             elif job.state == "running":
                 job.stopping = True
-                self._interrupt()
+                if force:
+                    self._kill()
+                else:
+                    self._interrupt()
         self._publish(job)
 
     def end(self) -> None:
@@ -152,8 +164,15 @@ class Jobs:
         if self._thread is not None:
             self._thread.join(END_SECONDS)
         with self._lock:
-            if self._process is not None and self._process.poll() is None:
+            self._kill()
+
+    def _kill(self) -> None:
+        """End the process that runs, and those that it has started."""
+        if self._process is not None and self._process.poll() is None:
+            if os.name == "nt":
                 self._process.kill()
+            else:
+                os.killpg(self._process.pid, signal.SIGKILL)
 
     def _interrupt(self) -> None:
         if self._process is not None and self._process.poll() is None:
@@ -179,6 +198,8 @@ class Jobs:
         log = self.log_file(job)
         code, problem = 1, ""
         try:
+            if job.check is not None:
+                job.check()
             log.parent.mkdir(exist_ok=True)
             lines = log.with_suffix(".jsonl")
             with log.open("wb") as out:
@@ -237,7 +258,9 @@ def _progress(job: Job, lines: Path, place: int) -> tuple[int, bool]:
         event = record.get("event")
         if event in ("start", "skip", "progress"):
             job.message, changed = str(record["message"]), True
+            job.part = record["done"] / record["total"] if record.get("total") else None
         if event in ("finish", "skip"):
+            job.part = None
             job.done, changed = min(job.steps, job.done + 1), True
     return place + len(whole), changed
 
@@ -300,6 +323,12 @@ class NoQuestion(Question):
     """A request without a body of its own: {}."""
 
 
+class StopQuestion(Question):
+    """How a job is stopped: as Ctrl-C does, or by force."""
+
+    force: bool = False
+
+
 def list_jobs(archive: Archive, _request: Request) -> dict[str, Any]:
     """Return all jobs of this server."""
     return {"jobs": [job.shown() for job in jobs_of(archive).every()]}
@@ -312,16 +341,16 @@ def job_log(archive: Archive, request: Request) -> dict[str, Any]:
     return {"text": _tail(jobs.log_file(job), MOST_LOG_BYTES), "file": str(jobs.log_file(job))}
 
 
-def stop_job(archive: Archive, _asked: NoQuestion, request: Request) -> dict[str, Any]:
+def stop_job(archive: Archive, asked: StopQuestion, request: Request) -> dict[str, Any]:
     """Stop a job."""
     jobs = jobs_of(archive)
     job = jobs.find(request.path_params["job"])
-    jobs.stop(job)
+    jobs.stop(job, force=asked.force)
     return job.shown()
 
 
 routes = [
     get("/api/jobs", list_jobs),
     get("/api/jobs/{job}/log", job_log),
-    post("/api/jobs/{job}/stop", stop_job, NoQuestion, writes=True),
+    post("/api/jobs/{job}/stop", stop_job, StopQuestion, writes=True),
 ]

@@ -16,7 +16,8 @@ none. A change is one of
 
 An id is 32 hexadecimal digits that the page makes, and `label` is the id of a label. The answer is on its way only
 after the journal is on disk; a request that is sent again records nothing twice. A label that was changed meanwhile
-gives the status 409 and a `ConflictError`, and nothing is recorded.
+gives the status 409 and a `ConflictError`, and nothing is recorded. `command` and `python` of the answer make the same
+decisions, one line each.
 """
 
 from __future__ import annotations
@@ -33,12 +34,10 @@ from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.annotation.labels import annotate_stage
 from kinedex.pipelines.explorer.addresses import Question, get, post, take_of
 from kinedex.pipelines.explorer.same import command_line, python_lines
-from kinedex.pipelines.labels.edits import LabelEdits
+from kinedex.pipelines.explorer.same_decisions import same_decisions
+from kinedex.pipelines.labels.edits import LabelEdits, label_edits, record_edits
 from kinedex.pipelines.labels.selection import Selection, selected
 from kinedex.storage.snapshot.label_view import shown_labels
-from kinedex.storage.snapshot.schemas import labels_schema
-from kinedex.storage.store.decisions import record_labels
-from kinedex.storage.store.store import all_labels
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -183,20 +182,17 @@ def decide(archive: Archive, asked: Decisions, _request: Request) -> Row:
     with _DECIDING:
         store = archive.store()
         _require_take(store, asked.take)
-        rows = all_labels(store.path, store.manifest, store.checked)
-        history = rows.filter(pc.equal(rows.column("take"), asked.take)).to_pylist()
-        frames = {asked.take: store.take_frames[store.take_ids[asked.take]]}
-        edits = LabelEdits(history, frames, (asked.annotator or "").strip() or None)
+        edits = label_edits(store, asked.take, (asked.annotator or "").strip() or None)
         for change in asked.changes:
             change.apply(edits, asked.take, store)
-        recorded = record_labels(archive.path, pa.Table.from_pylist(edits.rows, schema=labels_schema()))
+        recorded = record_edits(store, edits).rows
     if recorded.num_rows:
         archive.labels_changed()
     return {
         "made": [row["id"] for row in edits.rows],
         "restored": edits.restored,
         "rows": [_shown(row) for row in recorded.to_pylist()],
-        "command": command_line("kinedex", "labels", "list", archive.path, "--take", asked.take),
+        **same_decisions(archive, edits.rows, edits.known),
     }
 
 

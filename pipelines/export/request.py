@@ -20,6 +20,9 @@ CLIPS = "clips"
 
 SHARES = (0.8, 0.1, 0.1)
 
+FORBID = {"extra": "forbid", "strict": True}
+"""Requests of the explorer have no other fields than these."""
+
 
 @dataclass(frozen=True)
 class What:
@@ -43,6 +46,8 @@ class What:
         Least confidence.
     """
 
+    __pydantic_config__ = FORBID
+
     kind: Kind = "takes"
     name: str | Path | None = None
     takes: tuple[str, ...] = ()
@@ -50,6 +55,10 @@ class What:
     classes: tuple[str, ...] = ()
     pipeline: str | None = None
     min_confidence: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.min_confidence is not None and not 0 <= self.min_confidence <= 1:
+            raise ParameterError("min_confidence", "a number from 0 to 1", self.min_confidence)
 
 
 def source_of(
@@ -120,6 +129,8 @@ class How:
     distinct : float or None
         Leave out clips whose joints differ from those of an earlier clip by less, in metres.
     """
+
+    __pydantic_config__ = FORBID
 
     form: str = "csv"
     joints: bool = False

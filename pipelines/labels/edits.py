@@ -5,11 +5,18 @@ Every edit becomes rows of labels: nothing is changed in place, so that the hist
 
 from __future__ import annotations
 
+import uuid
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import pyarrow as pa
+import pyarrow.compute as pc
+
 from kinedex.ops.errors import ConflictError, KinedexError, ParameterError
-from kinedex.pipelines.labels.decisions import decision_row
+from kinedex.pipelines.labels.decisions import Recorded, decision_row, labels_by_id
+from kinedex.storage.snapshot.schemas import labels_schema
+from kinedex.storage.store.decisions import record_labels
+from kinedex.storage.store.store import Store, all_labels
 
 Row = dict[str, Any]
 
@@ -38,12 +45,14 @@ class LabelEdits:
         The new rows.
     restored : dict of str to str
         Id of a label that counts again → the id that it has now.
+    known : dict of str to dict
+        All rows by their ids, the new ones included.
     """
 
     def __init__(self, history: Iterable[Row], frames: Mapping[str, int], annotator: str | None = None) -> None:
         self._frames = frames
         self._annotator = annotator
-        self._known: dict[str, Row] = {}
+        self.known: dict[str, Row] = {}
         self._replaced: dict[str, str] = {}
         self.rows: list[Row] = []
         self.restored: dict[str, str] = {}
@@ -52,12 +61,12 @@ class LabelEdits:
 
     def draw(self, id: str, take: str, label: str, start: int, stop: int, **more: Any) -> None:
         """Add a label; `more` are other columns, such as `verdict` and `limb`."""
-        if id not in self._known:
+        if id not in self.known:
             self._add({"id": id, "take": take, "class": label, "start": start, "stop": stop, "origin": "drawn", **more})
 
     def change(self, id: str, label: str, **values: Any) -> None:
         """Give a label, by its id, another class, other edges or another verdict."""
-        if id in self._known:
+        if id in self.known:
             return
         before = self._standing(label)
         given = {key: value for key, value in values.items() if value is not None}
@@ -68,7 +77,7 @@ class LabelEdits:
     def split(self, ids: Sequence[str], label: str, at: int) -> None:
         """Divide a label in two at a frame; the two ids are those of the parts."""
         first, second = ids
-        if first in self._known:
+        if first in self.known:
             return
         before = self._standing(label)
         if not before["start"] < at < before["stop"]:
@@ -82,7 +91,7 @@ class LabelEdits:
 
         The first id is that of the whole, the others are those of the rows that withdraw the other labels.
         """
-        if ids[0] in self._known:
+        if ids[0] in self.known:
             return
         if len(labels) < 2 or len(ids) != len(labels):
             raise ParameterError("labels", "at least two, with an id for each", len(labels))
@@ -97,7 +106,7 @@ class LabelEdits:
 
     def withdraw(self, id: str, label: str) -> None:
         """Take a label back."""
-        if id not in self._known:
+        if id not in self.known:
             self._standing(label)
             self._withdraw(id, label)
 
@@ -122,7 +131,7 @@ class LabelEdits:
         ConflictError
             There is another label with its class and edges.
         """
-        if id in self._known:
+        if id in self.known:
             return
         row = decision_row(annotation, accept, source, {"annotator": self._annotator})
         names = row.pop("names")
@@ -154,19 +163,19 @@ class LabelEdits:
         ConflictError
             One of the rows has been replaced since.
         """
-        if not ids or ids[0] in self._known:
+        if not ids or ids[0] in self.known:
             return
         undone = {id: self._last(id) for id in made}
         left = iter(ids)
         for earlier in back:
-            if earlier not in self._known:
+            if earlier not in self.known:
                 raise ConflictError(f"no label has the id {earlier}")
-            if self._known[earlier]["verdict"] == "withdrawn":
+            if self.known[earlier]["verdict"] == "withdrawn":
                 continue
             place = next((id for id, row in undone.items() if row["replaces"] == earlier), next(iter(undone), None))
             if place is not None:
                 del undone[place]
-            content = {key: self._known[earlier][key] for key in _CONTENT}
+            content = {key: self.known[earlier][key] for key in _CONTENT}
             self.restored[earlier] = _next(left)
             self._add({**content, "id": self.restored[earlier], "replaces": place}, restored=True)
         for row in undone.values():
@@ -174,19 +183,19 @@ class LabelEdits:
                 self._withdraw(_next(left), row["id"])
 
     def _last(self, id: str) -> Row:
-        if id not in self._known or id in self._replaced:
-            row = self._known.get(id)
+        if id not in self.known or id in self._replaced:
+            row = self.known.get(id)
             shown = "a label" if row is None else _shown(row)
             raise ConflictError(f"{shown} was changed again meanwhile, so that this edit cannot be undone")
-        return self._known[id]
+        return self.known[id]
 
     def _standing(self, id: str) -> Row:
         """Return a label that counts."""
-        row = self._known.get(id)
+        row = self.known.get(id)
         if row is None:
             raise ConflictError(f"no label has the id {id}")
         if id in self._replaced:
-            after = self._known[self._replaced[id]]
+            after = self.known[self._replaced[id]]
             how = "withdrawn" if after["verdict"] == "withdrawn" else f"changed to {_shown(after)}"
             raise ConflictError(f"{_shown(row)} was {how} meanwhile{_by(after)}")
         if row["verdict"] == "withdrawn":
@@ -197,7 +206,7 @@ class LabelEdits:
         """Return the label that counts with the edges of a row and one of some classes."""
         chosen = set(names)
         place = row["take"], row["start"], row["stop"], row.get("limb")
-        for one in self._known.values():
+        for one in self.known.values():
             same = (one["take"], one["start"], one["stop"], one["limb"]) == place and one["class"] in chosen
             if same and one["verdict"] != "withdrawn" and one["id"] not in self._replaced:
                 return one
@@ -210,7 +219,7 @@ class LabelEdits:
 
     def _withdraw(self, id: str, label: str) -> None:
         kept = ("take", "class", "start", "stop", "limb", "origin")
-        row = {key: self._known[label][key] for key in kept}
+        row = {key: self.known[label][key] for key in kept}
         self._add({**row, "id": id, "replaces": label, "verdict": "withdrawn"})
 
     def _add(self, row: Row, *, restored: bool = False) -> None:
@@ -236,9 +245,61 @@ class LabelEdits:
             raise ConflictError(f"there is such a label already: {_shown(other)}{_by(other)}")
 
     def _enter(self, row: Row) -> None:
-        self._known[row["id"]] = row
+        self.known[row["id"]] = row
         if row["replaces"] is not None:
             self._replaced[row["replaces"]] = row["id"]
+
+
+def label_edits(store: Store, take: str, annotator: str | None = None) -> LabelEdits:
+    """Return the edits of the labels of one take, as the disk has them now.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    take : str
+        Name of the take.
+    annotator : str, optional
+        The person.
+    """
+    rows = all_labels(store.path, store.manifest, store.checked)
+    history = rows.filter(pc.equal(rows.column("take"), take)).to_pylist()
+    frames = {name: store.take_frames[take_id] for name, take_id in store.take_ids.items() if name == take}
+    return LabelEdits(history, frames, annotator)
+
+
+def record_edits(store: Store, edits: LabelEdits) -> Recorded:
+    """Record edits of labels; the store shows them afterwards."""
+    recorded = record_labels(store.path, pa.Table.from_pylist(edits.rows, schema=labels_schema()))
+    store.forget_labels()
+    return Recorded(recorded)
+
+
+def change_label(store: Store, id: str, *, annotator: str | None = None, **values: Any) -> Recorded:
+    """Give a label another class, other edges or another verdict.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    id : str
+        The id of the label, or its beginning.
+    annotator : str, optional
+        The person who corrects it.
+    **values : str or int, optional
+        `class`, `start`, `stop` (frames) and `verdict`; the others stay.
+
+    Raises
+    ------
+    KinedexError
+        No label, or more than one, has such an id; or another label says the same already.
+    ParameterError
+        Nothing would change, or the interval is not within the take.
+    """
+    (before,) = labels_by_id(store, [id]).iter_rows(named=True)
+    edits = label_edits(store, before["take"], annotator)
+    edits.change(uuid.uuid4().hex, before["id"], **values)
+    return record_edits(store, edits)
 
 
 def _next(ids: Any) -> str:

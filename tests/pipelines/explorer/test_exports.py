@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 import time
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,10 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
+import kinedex
+from kinedex.pipelines.explorer.jobs import Job, jobs_of
 from tests.pipelines.explorer.conftest import Connect
+from tests.pipelines.labelled import clip, write_store
 
 Json = dict[str, Any]
 SECONDS = 120
@@ -39,14 +43,15 @@ def plan(client: TestClient, **asked: object) -> Json:
 def test_what_is_written_is_what_was_planned(connect: Connect, tmp_path: Path) -> None:
     client = connect()
     folder = tmp_path / "a set"
-    asked = {"kind": "takes", "filters": [{"column": "actor", "values": ["al", "bo"]}], "form": "npz",
-             "split": "actor", "shares": [0.5, 0.5], "folder": str(folder)}  # fmt: skip
+    how = {"form": "npz", "split": "actor", "shares": [0.5, 0.5]}
+    asked = {"filters": [{"column": "actor", "values": ["al", "bo"]}], "how": how, "folder": str(folder)}
     shown = plan(client, **asked)
     assert not folder.exists()
     assert (shown["clips"], shown["takes"], shown["files"]) == (11, 11, 13)
     assert sum(row["clips"] for row in shown["rows"]) == 11
     assert {row["split"] for row in shown["rows"]} == {"train", "test"}
-    started = client.post("/api/export", json=asked)
+    assert [row["split"] for row in shown["rows"]] == sorted((row["split"] for row in shown["rows"]), reverse=True)
+    started = client.post("/api/export", json={**asked, "planned": shown["state"]})
     assert started.status_code == 200, started.text
     job = ended(client, started.json()["id"])
     assert job["state"] == "done", client.get(f"/api/jobs/{job['id']}/log").json()["text"]
@@ -60,6 +65,50 @@ def test_what_is_written_is_what_was_planned(connect: Connect, tmp_path: Path) -
         name: one["clips"] for name, one in shown["splits"].items()
     }
     assert plan(client, **asked)["earlier"]
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    shutil.rmtree(folder)
+    exec(shown["python"])
+    after = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    record_file = folder / "dataset.json"
+    by_python = json.loads(after.pop(record_file))
+    assert json.loads(before.pop(record_file)) | {"command": by_python["command"]} == by_python
+    assert record["command"] == shown["command"]
+    assert after == before
+
+
+def test_nothing_is_written_once_the_store_has_changed(connect: Connect, tmp_path: Path) -> None:
+    path = write_store(tmp_path / "store", [clip("walk", "al", 1)])
+    client = connect(path)
+    asked = {"folder": str(tmp_path / "set")}
+    seen = plan(client, **asked)["state"]
+    jobs = jobs_of(client.app.app.state.archive)  # type: ignore[attr-defined]
+    long = jobs.add(Job("long", ("sql", str(path), "SELECT count(*) FROM range(100000000000)", "--timeout", "100s")))
+    waiting = client.post("/api/export", json={**asked, "planned": seen})
+    assert waiting.status_code == 200
+    kinedex.open_store(path).labels.add(
+        [{"take": clip("walk", "al", 1)["name"], "class": "step", "start": 0, "stop": 5}]
+    )
+    late = client.post("/api/export", json={**asked, "planned": seen})
+    assert late.status_code == 409
+    jobs.stop(long, force=True)
+    job = ended(client, waiting.json()["id"])
+    assert job["state"] == "failed"
+    assert "the store has changed since this was planned" in job["problem"]
+    assert not (tmp_path / "set").exists()
+
+
+def test_hits_that_show_a_mirror_image_are_marked(connect: Connect, tmp_path: Path) -> None:
+    client = connect()
+    folder = tmp_path / "hits"
+    hits = [{"take": "al_long", "start": 2, "stop": 12, "mirrored": one} for one in (False, True)]
+    hits[1]["start"] = 4
+    asked = {"hits": hits, "folder": str(folder)}
+    assert ended(client, client.post("/api/export", json=asked).json()["id"])["state"] == "done"
+    rows = csv.DictReader((folder / "metadata.csv").open(encoding="utf-8"))
+    assert [(row["start"], row["mirrored"], row["mirror_image"]) for row in rows] == [
+        ("2", "false", "false"),
+        ("4", "false", "true"),
+    ]
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet", "glb", "c3d"])
@@ -70,7 +119,7 @@ def test_sizes_are_those_of_a_sample(connect: Connect, tmp_path: Path, form: str
     from kinedex.pipelines.export.request import How, What
 
     client = connect()
-    shown = plan(client, form=form)
+    shown = plan(client, how={"form": form})
     assert "estimated from 6 clips" in shown["estimate"]
     store = client.app.app.state.archive.store()  # type: ignore[attr-defined]
     target = tmp_path / "set"
@@ -128,12 +177,15 @@ def test_a_server_that_is_read_only_plans_and_writes_nothing(connect: Connect, t
 @pytest.mark.parametrize(
     ("asked", "status", "problem"),
     [
-        ({"form": "doc"}, 400, "no export format 'doc'"),
-        ({"kind": "sql", "name": "SELECT 1 AS one"}, 400, "no column 'take'"),
-        ({"kind": "sql", "name": "COPY takes TO 'x.csv'"}, 400, ""),
-        ({"kind": "sql"}, 400, "write a query"),
-        ({"split": "actr"}, 400, "actor"),
-        ({"margin": -1}, 422, "margin"),
+        ({"how": {"form": "doc"}}, 400, "no export format 'doc'"),
+        ({"what": {"kind": "sql", "name": "SELECT 1 AS one"}}, 400, "no column 'take'"),
+        ({"what": {"kind": "sql", "name": "COPY takes TO 'x.csv'"}}, 400, ""),
+        ({"what": {"kind": "sql"}}, 400, "write a query"),
+        ({"what": {"kind": "annotations", "min_confidence": 2}}, 422, "a number from 0 to 1"),
+        ({"how": {"split": "actr"}}, 400, "actor"),
+        ({"how": {"margin": -1}}, 422, "margin"),
+        ({"how": {"margin": "1"}}, 422, "margin"),
+        ({"how": {"surprise": 1}}, 422, "surprise"),
         ({"surprise": 1}, 422, "surprise"),
     ],
 )

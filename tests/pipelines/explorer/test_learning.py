@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 import uuid
 from pathlib import Path
@@ -92,6 +93,22 @@ def test_a_job_that_waits_or_runs_is_stopped(archive: Path) -> None:
     jobs.end()
     assert first.state == "stopped"
     assert first.finished is not None
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there is no group of processes to end")
+def test_a_job_that_ignores_the_stop_is_ended_by_force(archive: Path, tmp_path: Path) -> None:
+    jobs = Jobs(Archive(archive))
+    pipe = tmp_path / "pipe.csv"
+    os.mkfifo(pipe)  # reading it waits for ever, and a wait of the system hears no Ctrl-C in all libraries
+    job = jobs.add(Job("waits", ("labels", "import", str(archive), str(pipe))))
+    deadline = time.monotonic() + SECONDS
+    while not (jobs._process is not None and jobs.log_file(job).is_file()) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    jobs.stop(job, force=True)
+    while job.finished is None and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert (job.state, job.problem) == ("stopped", None)
+    jobs.end()
 
 
 def test_a_job_that_fails_names_its_problem(connect: Connect, archive: Path) -> None:

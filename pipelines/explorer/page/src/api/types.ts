@@ -77,6 +77,9 @@ export interface Job extends Same {
   id: string;
   title: string;
   state: "waiting" | "running" | "done" | "failed" | "stopped";
+  stopping: boolean;
+  /** How much of it is done, from 0 to 1; null while nobody knows. */
+  share: number | null;
   done: number;
   total: number;
   message: string;

@@ -19,6 +19,7 @@ export function Layout() {
   useEffect(() => {
     document.title = page === undefined ? "kinedex" : `${page.title} · kinedex`;
   }, [page]);
+  useDoubleClickOnce(location);
   useShortcuts("Everywhere", [
     { keys: "?", what: "List the keys", run: open },
     ...PAGES.map((one) => ({ keys: `g ${one.key}`, what: `Go to ${one.title}`, run: () => navigate(one.path) })),
@@ -49,6 +50,20 @@ export function Layout() {
       <Keys opened={help} close={close} />
     </div>
   );
+}
+
+const DOUBLE_MS = 700;
+
+/** Let the second press of a double click on a link do nothing on the page that it leads to, where it selects all text. */
+function useDoubleClickOnce(location: string): void {
+  useEffect(() => {
+    const begin = performance.now();
+    const hold = (event: MouseEvent) => {
+      if (event.detail > 1 && performance.now() - begin < DOUBLE_MS) event.preventDefault();
+    };
+    window.addEventListener("mousedown", hold, true);
+    return () => window.removeEventListener("mousedown", hold, true);
+  }, [location]);
 }
 
 /** The page of the address; only a store that could never be read stands in its place. */
@@ -100,7 +115,7 @@ function Header({ onHelp }: { onHelp: () => void }) {
         {!connected && <Badge color="red">no connection to the server</Badge>}
         {jobs.map((job) => (
           <Badge key={job.id} variant="light">
-            {job.title} {job.total > 0 ? `${job.done} of ${job.total}` : ""}
+            {job.title} {job.share === null ? "" : `${Math.floor(100 * job.share)} %`}
           </Badge>
         ))}
       </div>

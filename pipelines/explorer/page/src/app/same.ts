@@ -7,8 +7,9 @@ import type { Same } from "../api/types";
 let current: Same = {};
 const listeners = new Set<() => void>();
 
-function show(same: Same): void {
-  current = same;
+/** Show the command of something that was just done, until the page shows something else. */
+export function showSame({ command, python }: Same): void {
+  current = { command, python };
   for (const listener of listeners) listener();
 }
 
@@ -16,8 +17,8 @@ function show(same: Same): void {
 export function useSame(same: Same | undefined): void {
   const { command, python } = same ?? {};
   useEffect(() => {
-    show({ command, python });
-    return () => show({});
+    showSame({ command, python });
+    return () => showSame({});
   }, [command, python]);
 }
 

@@ -7,8 +7,12 @@ import { Link } from "wouter";
 
 import { ApiError, post } from "../api/client";
 import { useStore } from "../api/queries";
+import type { Same } from "../api/types";
 import { useParameter } from "../app/address";
+import { showSame } from "../app/same";
 import { counted } from "../archive/text";
+import { annotatorName } from "../label/decisions";
+import { useLabelFacts } from "../label/load";
 import { download, exportAddress, rangesOf } from "./files";
 import { asked, type Hit, type Interval, samePlace } from "./types";
 import { useVerdicts } from "./verdicts";
@@ -32,6 +36,7 @@ const NONE: readonly Interval[] = [];
 
 export function SaveBar({ hits, examples = NONE, query, onRefine }: SaveBarProps) {
   const store = useStore().data;
+  const facts = useLabelFacts().data;
   const verdicts = useVerdicts();
   const [label, setLabel] = useParameter("class");
   const [saving, setSaving] = useState(false);
@@ -47,10 +52,12 @@ export function SaveBar({ hits, examples = NONE, query, onRefine }: SaveBarProps
   };
 
   const saveLabels = attempt(async () => {
-    const body = { class: name, positives: accepted.map(asked), negatives: rejected.map(asked) };
-    const done = await post<{ recorded: number; known: number }>("/api/ask/labels", body);
+    const annotator = annotatorName(facts?.annotator ?? "") || null;
+    const body = { class: name, positives: accepted.map(asked), negatives: rejected.map(asked), annotator };
+    const done = await post<Same & { recorded: number; known: number }>("/api/ask/labels", body);
+    if (done.command !== undefined) showSame(done);
     const before = done.known > 0 ? `; ${done.known} were there already` : "";
-    tell(`${counted(done.recorded, "label")} of ${name} saved in the store${before}.`, <Link href="/label">Label</Link>);
+    tell(`${counted(done.recorded, "label")} of ${name} saved in the store${before}.`, <Link href="/label?view=learn">Learn from the labels</Link>);
   });
   /** Accepted hits, and the examples that are not among them. */
   const positives = [...examples.filter((one) => !accepted.some((other) => samePlace(one, other))), ...accepted];
@@ -89,7 +96,7 @@ export function SaveBar({ hits, examples = NONE, query, onRefine }: SaveBarProps
           size="xs"
           aria-label="Class of the accepted hits"
           placeholder="class"
-          data={store?.classes ?? []}
+          data={facts?.classes.map((one) => one.name) ?? []}
           value={label ?? ""}
           onChange={setLabel}
           limit={30}

@@ -7,9 +7,15 @@ const MOST_HITS = 200;
 
 /** Return the address of Export with intervals; beyond what an address holds, it asks for the file of intervals. */
 export function exportAddress(intervals: readonly Interval[], label: string): string {
-  if (intervals.length === 0) return label === "" ? "/export" : `/export?what=labels&class=${encodeURIComponent(label)}`;
+  if (intervals.length === 0) return label === "" ? "/export" : `/export?what=labels&classes=${encodeURIComponent(JSON.stringify([label]))}`;
   if (intervals.length > MOST_HITS) return "/export?what=ranges";
-  const hits = intervals.map(({ take, start, stop }) => ({ take, start, stop, ...(label === "" ? {} : { class: label }) }));
+  const hits = intervals.map(({ take, start, stop, mirrored }) => ({
+    take,
+    start,
+    stop,
+    ...(label === "" ? {} : { class: label }),
+    ...(mirrored ? { mirrored } : {}),
+  }));
   return `/export?${new URLSearchParams({ hits: JSON.stringify(hits) }).toString()}`;
 }
 

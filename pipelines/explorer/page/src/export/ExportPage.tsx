@@ -39,7 +39,7 @@ export default function ExportPage() {
       {plan.isError && <Fault fault={plan.error} />}
       {plan.isFetching && <Loader size="xs" aria-label="Planning" />}
       {plan.data !== undefined && !plan.isError && <PlanTable plan={plan.data} />}
-      <Writing folder={values.folder ?? ""} setFolder={(folder) => set({ folder })} body={JSON.parse(current) as Record<string, unknown>} planned={isCurrent} last={facts.data.job} readOnly={store?.read_only === true} />
+      <Writing folder={values.folder ?? ""} setFolder={(folder) => set({ folder })} body={JSON.parse(current) as Record<string, unknown>} planned={isCurrent ? plan.data.state : null} last={facts.data.job} readOnly={store?.read_only === true} />
     </div>
   );
 }

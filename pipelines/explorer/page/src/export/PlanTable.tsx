@@ -12,7 +12,7 @@ export function PlanTable({ plan }: { plan: Plan }) {
   return (
     <section aria-label="Plan">
       <Text size="sm" role="status" my={4} data-testid="plan">
-        {plan.clips.toLocaleString("en")} clips of {plan.takes.toLocaleString("en")} takes, {(plan.seconds / 60).toFixed(1)} minutes, {plan.files.toLocaleString("en")} files, {bytesText(plan.bytes)}
+        {plan.clips.toLocaleString("en")} clips of {plan.takes.toLocaleString("en")} takes, {(plan.seconds / 60).toFixed(1)} minutes, {plan.files.toLocaleString("en")} files, {bytesText(plan.bytes)}, of version {plan.version}
       </Text>
       <Text size="xs" className="muted">
         Size: {plan.estimate}.

@@ -1,11 +1,12 @@
 // The settings of an export: what leaves the store, in what form, into which splits.
 
-import { Button, Checkbox, Group, NativeSelect, Text, TextInput, Title } from "@mantine/core";
+import { Button, Checkbox, Group, NativeSelect, TagsInput, Text, TextInput, Title } from "@mantine/core";
 import type { ReactNode } from "react";
 
 import { useStore } from "../api/queries";
+import { useClassNames } from "../label/load";
 import type { Facts } from "./types";
-import type { Values } from "./request";
+import { classesOf, type Values } from "./request";
 
 const KINDS = [
   { value: "takes", label: "Whole takes" },
@@ -38,6 +39,8 @@ export function Settings({ values, set, facts }: SettingsProps) {
   );
   const kind = values.what || "takes";
   const handed = values.hits !== "" && values.hits !== undefined;
+  const classes = useClassNames();
+  const chosen = classesOf(values);
   const columns = (store?.columns ?? []).map((one) => one.name);
   return (
     <>
@@ -53,7 +56,7 @@ export function Settings({ values, set, facts }: SettingsProps) {
           <NativeSelect size="xs" label="Clips" data={KINDS} value={kind} onChange={(event) => set({ what: event.currentTarget.value, name: null })} />
         )}
         {!handed && NAMED[kind] !== undefined && text("name", NAMED[kind], kind === "sql" ? 420 : 240)}
-        {text("class", "Only classes (with commas)", 200, "all")}
+        <TagsInput size="xs" w={260} maw="100%" label="Only classes" placeholder={chosen.length === 0 ? "all" : ""} data={classes} limit={50} splitChars={[]} value={chosen} onChange={(names) => set({ classes: names.length === 0 ? null : JSON.stringify(names) })} />
         {text("where", "Only takes, as SQL", 260, "actor = 'al'")}
         {kind === "annotations" && !handed && (
           <>

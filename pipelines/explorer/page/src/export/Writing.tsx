@@ -1,6 +1,6 @@
 // The folder, the job that writes into it, and what it has written.
 
-import { Button, Code, Group, Loader, Text, TextInput, Title } from "@mantine/core";
+import { Button, Code, Group, Text, TextInput, Title } from "@mantine/core";
 import { useQuery } from "@tanstack/react-query";
 import { useState } from "react";
 
@@ -8,13 +8,15 @@ import { get, post } from "../api/client";
 import { useJobs } from "../api/events";
 import type { Job } from "../api/types";
 import { Fault } from "../app/Fault";
+import { JobProgress, StopButton } from "../runs/JobControls";
 import { bytesText, type Written } from "./types";
 
 interface WritingProps {
   folder: string;
   setFolder: (folder: string) => void;
   body: Record<string, unknown>;
-  planned: boolean;
+  /** The state of the store in the plan that is shown; null while there is none. */
+  planned: string | null;
   last: Job | null;
   readOnly: boolean;
 }
@@ -28,7 +30,7 @@ export function Writing({ folder, setFolder, body, planned, last, readOnly }: Wr
   const active = job?.state === "waiting" || job?.state === "running";
   const write = () => {
     setFault(null);
-    post<Job>("/api/export", body).then(setStarted, setFault);
+    post<Job>("/api/export", { ...body, planned }).then(setStarted, setFault);
   };
   return (
     <section aria-label="Write">
@@ -37,7 +39,7 @@ export function Writing({ folder, setFolder, body, planned, last, readOnly }: Wr
       </Title>
       <Group gap={8} align="end" my={4}>
         <TextInput size="xs" w={380} maw="100%" label="Folder on the machine of the server" placeholder="/home/me/clips" value={folder} onChange={(event) => setFolder(event.currentTarget.value)} />
-        <Button size="compact-sm" disabled={readOnly || !planned || active || folder.trim() === ""} title={readOnly ? "This explorer was started with --read-only" : undefined} onClick={write}>
+        <Button size="compact-sm" disabled={readOnly || planned === null || active || folder.trim() === ""} title={readOnly ? "This explorer was started with --read-only" : undefined} onClick={write}>
           Write
         </Button>
       </Group>
@@ -48,16 +50,12 @@ export function Writing({ folder, setFolder, body, planned, last, readOnly }: Wr
       {job !== null && job !== undefined && (
         <div role="status">
           <Group gap={6} my={4}>
-            {active && <Loader size="xs" aria-label="Writing" />}
             <Text size="sm">
               {job.state === "waiting" ? "Waits for the job before it." : job.state === "running" ? job.message || "Writing …" : job.state === "done" ? "Written." : job.state === "stopped" ? "Stopped; write again to go on." : "Failed."}
             </Text>
-            {active && !readOnly && (
-              <Button size="compact-xs" variant="default" onClick={() => void post(`/api/jobs/${job.id}/stop`, {}).catch(setFault)}>
-                Stop
-              </Button>
-            )}
+            {!readOnly && <StopButton job={job} onFault={setFault} />}
           </Group>
+          <JobProgress job={job} />
           {job.state === "failed" && <Code block>{job.problem}</Code>}
           {job.state === "done" && <Outcome id={job.id} />}
         </div>

@@ -8,7 +8,7 @@ import { useSearch } from "wouter";
 export type Values = Record<string, string>;
 
 export const KEYS = [
-  "what", "name", "where", "class", "pipeline", "confidence", "form", "joints", "split", "shares", "seed", "margin",
+  "what", "name", "where", "classes", "pipeline", "confidence", "form", "joints", "split", "shares", "seed", "margin",
   "context", "shortest", "mirror", "balance", "perclass", "distinct", "rate", "inplace", "folder", "hits", "filters",
 ] as const;
 
@@ -43,18 +43,23 @@ function json(text: string | undefined): unknown[] {
   }
 }
 
-/** Return the body of the request. */
+/** Return the classes of the address. */
+export function classesOf(values: Values): string[] {
+  return json(values.classes).filter((one): one is string => typeof one === "string");
+}
+
+/** Return the body of the request: what is cut out, how, and the folder. */
 export function bodyOf(values: Values): Record<string, unknown> {
   const kind = values.what || "takes";
-  return {
+  const what = {
     kind,
     name: ["hits", "ranges", "sql"].includes(kind) ? values.name || null : null,
-    hits: json(values.hits),
-    filters: json(values.filters),
     where: values.where || null,
-    classes: (values.class ?? "").split(",").map((one) => one.trim()).filter((one) => one !== ""),
+    classes: classesOf(values),
     pipeline: kind === "annotations" ? values.pipeline || null : null,
-    min_confidence: number(values.confidence),
+    min_confidence: kind === "annotations" ? number(values.confidence) : null,
+  };
+  const how = {
     form: values.form || "csv",
     joints: values.joints === "1",
     split: values.split || null,
@@ -69,6 +74,6 @@ export function bodyOf(values: Values): Record<string, unknown> {
     distinct: metres(values.distinct),
     rate_hz: number(values.rate),
     in_place: values.inplace === "1",
-    folder: values.folder || null,
   };
+  return { what, how, hits: json(values.hits), filters: json(values.filters), folder: values.folder || null };
 }

@@ -26,6 +26,9 @@ export interface Plan extends Same {
   rows: PlanRow[];
   remarks: string[];
   earlier: boolean;
+  /** The state of the store; what is written is refused once it has changed. */
+  state: string;
+  version: number;
 }
 
 export interface Written extends Same {

@@ -6,6 +6,7 @@ import { useState } from "react";
 
 import { post } from "../api/client";
 import type { Same } from "../api/types";
+import { useParameter } from "../app/address";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
 
@@ -70,12 +71,13 @@ function Export({ folder, setFolder }: FolderProps) {
   const [what, setWhat] = useState("annotations");
   const [format, setFormat] = useState("eaf");
   const [force, setForce] = useState(false);
+  const [where, setWhere] = useParameter("only");
   const [done, setDone] = useState<Written>();
   const [fault, setFault] = useState<unknown>(null);
   useSame(done);
   const write = () => {
     setFault(null);
-    post<Written>("/api/labels/export", { what, folder, format, force }).then(setDone, setFault);
+    post<Written>("/api/labels/export", { what, folder, format, force, where }).then(setDone, setFault);
   };
   return (
     <section aria-label="Export">
@@ -84,6 +86,7 @@ function Export({ folder, setFolder }: FolderProps) {
         <SegmentedControl size="xs" aria-label="What is written" value={what} onChange={setWhat} data={[{ value: "annotations", label: "Annotations" }, { value: "labels", label: "Labels of people" }]} />
         <NativeSelect size="xs" label="Format" data={FORMATS} value={format} onChange={(event) => setFormat(event.currentTarget.value)} />
         <TextInput size="xs" w={360} label="Folder on the machine of the server" placeholder="/home/me/labels" value={folder} onChange={(event) => setFolder(event.currentTarget.value)} />
+        <TextInput size="xs" w={240} label="Only takes, as SQL" placeholder="all: actor = 'ann'" value={where ?? ""} onChange={(event) => setWhere(event.currentTarget.value)} />
         <Checkbox size="xs" label="Overwrite" checked={force} onChange={(event) => setForce(event.currentTarget.checked)} />
         <Button size="compact-sm" disabled={folder.trim() === ""} onClick={write}>
           Write

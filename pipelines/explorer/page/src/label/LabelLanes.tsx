@@ -7,7 +7,7 @@ import { colours, onTheme } from "../motion/colours";
 import { drawAxis } from "../take/draw";
 import { frameAt, type View, xOf } from "../take/axis";
 import type { Session } from "../take/session";
-import { type Annotation, decisionOn, type LabelRow } from "./edits";
+import { type Annotation, type LabelRow, verdictOn } from "./edits";
 
 export type Chosen = { kind: "label"; id: string } | { kind: "annotation"; key: string } | null;
 
@@ -45,7 +45,7 @@ export function makeLanes(labels: readonly LabelRow[], annotations: readonly Ann
     items,
   }));
   lanes.push({ id: "new", name: "+ new label", kind: "new", class: null, items: [] });
-  const decided = annotations.map((one) => annotationItem(one, decisionOn(one, labels)));
+  const decided = annotations.map((one) => annotationItem(one, verdictOn(one, labels)));
   packed(decided).forEach((items, i) =>
     lanes.push({ id: `annotations/${i}`, name: i === 0 ? "Annotations" : "", kind: "annotations", class: null, items }),
   );
@@ -137,7 +137,7 @@ export function LabelLanes(props: LabelLanesProps) {
           </div>
         ))}
       </div>
-      <div ref={area} className="label-area" role="group" aria-label="Labels and annotations of the take; ? lists the keys">
+      <div ref={area} className="label-area" role="group" aria-label="Labels and annotations of the take; ? lists the keys" onDragStart={(event) => event.preventDefault()}>
         <canvas ref={axis} className="label-axis" aria-hidden="true" />
         {lanes.map((lane) => (
           <div key={lane.id} className={`label-lane label-lane-${lane.kind}`} data-lane={lane.id} {...handlers(lane)}>

@@ -1,6 +1,6 @@
 // Learn again from the labels: what it would use, the run in the background, what it changed, and the way back.
 
-import { Alert, Anchor, Button, Code, Group, NumberInput, Progress, SegmentedControl, Select, Switch, Table, Text, TextInput, Title } from "@mantine/core";
+import { Alert, Anchor, Button, Code, Group, NumberInput, SegmentedControl, Select, Switch, Table, Text, TextInput, Title } from "@mantine/core";
 import { useLocalStorage } from "@mantine/hooks";
 import { useQuery } from "@tanstack/react-query";
 import { useEffect, useState } from "react";
@@ -12,6 +12,7 @@ import { useStore } from "../api/queries";
 import type { Job, Same } from "../api/types";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
+import { isActive, JobProgress, StopButton } from "../runs/JobControls";
 import { type LabelFacts, useLabelFacts } from "./load";
 
 interface LearnFacts extends Same {
@@ -46,8 +47,6 @@ interface Settings {
 
 const OURS = ["Learn again", "Undo what was learned"];
 
-const active = (job: Job | undefined) => job?.state === "waiting" || job?.state === "running";
-
 /** Return the last job of learning again, with its progress as it comes. */
 function useLearningJob(): Job | undefined {
   const events = useJobs();
@@ -65,7 +64,7 @@ export function LearnBySelf() {
   const job = useLearningJob();
   const decisions = facts?.decisions;
   useEffect(() => {
-    if (every === 0 || decisions === undefined || active(job) || decisions - since < every) return;
+    if (every === 0 || decisions === undefined || isActive(job) || decisions - since < every) return;
     setSince(decisions);
     post("/api/learn", {}).catch(() => undefined); // another tab was first, or the page shows why not
   }, [every, decisions, since, job, setSince]);
@@ -93,10 +92,10 @@ export function Learn({ readOnly }: { readOnly: boolean }) {
     <>
       <Title order={2}>Learn from the labels</Title>
       {facts !== undefined && <Since facts={facts} />}
-      {learn.data !== undefined && !readOnly && <Begin key={learn.data.based_on} learn={learn.data} busy={active(job)} labels={facts?.labels ?? 0} />}
+      {learn.data !== undefined && !readOnly && <Begin key={learn.data.based_on} learn={learn.data} busy={isActive(job)} labels={facts?.labels ?? 0} />}
       {!readOnly && <BySelf decisions={facts?.decisions ?? 0} />}
       {job !== undefined && <Running job={job} readOnly={readOnly} />}
-      {learn.data?.last != null && !active(job) && <Outcome key={learn.data.last.after} last={learn.data.last} readOnly={readOnly} />}
+      {learn.data?.last != null && !isActive(job) && <Outcome key={learn.data.last.after} last={learn.data.last} readOnly={readOnly} />}
     </>
   );
 }
@@ -196,7 +195,7 @@ function BySelf({ decisions }: { decisions: number }) {
 function Running({ job, readOnly }: { job: Job; readOnly: boolean }) {
   const [log, setLog] = useState<string | null>(null);
   const [fault, setFault] = useState<unknown>(null);
-  const running = active(job);
+  const running = isActive(job);
   useEffect(() => setLog(null), [job.id, job.state]);
   const show = () => get<{ text: string }>(`/api/jobs/${job.id}/log`).then((found) => setLog(found.text), setFault);
   return (
@@ -205,7 +204,7 @@ function Running({ job, readOnly }: { job: Job; readOnly: boolean }) {
         {job.title}: {job.state}
         {running && job.message !== "" && ` · ${job.message}`}
       </Text>
-      {running && <Progress value={job.total > 0 ? (100 * job.done) / job.total : 100} animated my={4} aria-label={`${job.done} of ${job.total} stages`} />}
+      <JobProgress job={job} />
       {job.problem !== null && (
         <Alert color="red" variant="light" title="It failed">
           <Text size="sm" style={{ whiteSpace: "pre-wrap", overflowWrap: "anywhere" }}>{job.problem}</Text>
@@ -213,11 +212,7 @@ function Running({ job, readOnly }: { job: Job; readOnly: boolean }) {
       )}
       {fault !== null && <Fault fault={fault} />}
       <Group gap={6} my={4}>
-        {running && !readOnly && (
-          <Button size="compact-xs" variant="default" onClick={() => post(`/api/jobs/${job.id}/stop`, {}).catch(setFault)}>
-            Stop
-          </Button>
-        )}
+        {!readOnly && <StopButton job={job} onFault={setFault} />}
         <Button size="compact-xs" variant="default" onClick={() => (log === null ? void show() : setLog(null))}>
           {log === null ? "Show the log" : "Hide the log"}
         </Button>

@@ -12,7 +12,7 @@ import { useShortcuts } from "../app/shortcuts";
 import { SmallFigure } from "../motion/SmallFigure";
 import { decide, step, useDecisions } from "./decisions";
 import { type Change, newId } from "./edits";
-import { askQueue, type QueueBlock, type QueueFilter, type QueueRow, useClassNames } from "./load";
+import { askQueue, type QueueBlock, type QueueFilter, type QueueRow, useClassNames, useLabelFacts } from "./load";
 
 const NO_NAMES: string[] = [];
 
@@ -22,6 +22,7 @@ type Answer = { accept: boolean; id: string };
 
 export function Queue({ annotator }: { annotator: string }) {
   const store = useStore().data;
+  const labels = useLabelFacts().data?.labels ?? 0;
   const [classes, setClasses] = useJsonParameter<string[]>("classes", NO_NAMES);
   const [take, setTake] = useParameter("takes");
   const [where, setWhere] = useParameter("where");
@@ -64,8 +65,18 @@ export function Queue({ annotator }: { annotator: string }) {
       {queue.fault === null && block === undefined && <Loader size="sm" aria-label="The queue is being read" />}
       {block?.stage === null && (
         <Alert color="blue" variant="light" title="Nothing was annotated yet">
-          Open a take under <Anchor component={Link} href="/take" size="sm">Take</Anchor>, select where it shows a class, and choose
-          Label this. After a few labels, go on under <Anchor component={Link} href="/label?view=learn" size="sm">Learn</Anchor>.
+          {labels > 0 ? (
+            <>
+              {labels.toLocaleString("en")} labels of people are there: go on under{" "}
+              <Anchor component={Link} href="/label?view=learn" size="sm">Learn</Anchor>, and what is found with them is asked about here.
+            </>
+          ) : (
+            <>
+              Open a take under <Anchor component={Link} href="/take" size="sm">Take</Anchor>, select where it shows a class, and choose
+              Label this; or search by it, and accept hits. After a few labels, go on under{" "}
+              <Anchor component={Link} href="/label?view=learn" size="sm">Learn</Anchor>.
+            </>
+          )}
         </Alert>
       )}
       {block !== undefined && block.stage !== null && (

@@ -24,7 +24,7 @@ import { Session } from "../take/session";
 import type { TakeDocument } from "../take/types";
 import { ClassInput } from "./ClassInput";
 import { decide, step, useDecisions } from "./decisions";
-import { type Annotation, type Change, currentLabels, decisionOn, type Edits, type LabelRow, newId, withChanges } from "./edits";
+import { type Annotation, type Change, currentLabels, decisionOn, type Edits, type LabelRow, newId, verdictOn, withChanges } from "./edits";
 import { type Chosen, type Item, isChosen, LabelLanes, type Lane, makeLanes } from "./LabelLanes";
 import { useClassNames, useTakeLabels } from "./load";
 import { SegmentPanel } from "./SegmentPanel";
@@ -77,6 +77,7 @@ function OpenLabels({ document, store, annotator }: OpenProps) {
     () => lanes.flatMap((lane) => lane.items).find((one) => isChosen(one, chosen)) ?? null,
     [lanes, chosen],
   );
+  useFirstChoice(lanes, labels.isSuccess, choose);
   const input = useRef<HTMLInputElement>(null);
   const edits = useEdits({ name, annotator, session, current, stage: labels.data?.stage ?? null, choose, store });
   const colourOf = useColours(lanes);
@@ -141,12 +142,24 @@ function OpenLabels({ document, store, annotator }: OpenProps) {
   );
 }
 
+/** Choose the label or annotation with the interval of the address: it is what the person came for. */
+function useFirstChoice(lanes: readonly Lane[], ready: boolean, choose: (chosen: Chosen) => void): void {
+  const done = useRef(false);
+  useEffect(() => {
+    if (done.current || !ready) return;
+    done.current = true;
+    const parameters = new URLSearchParams(window.location.search);
+    const [from, to] = [Number(parameters.get("from") ?? "x"), Number(parameters.get("to") ?? "x")];
+    choose(toChosen(lanes.flatMap((lane) => lane.items).find((one) => one.start === from && one.stop === to) ?? null));
+  }, [lanes, ready, choose]);
+}
+
 const toChosen = (item: Item | null): Chosen =>
   item === null ? null : item.kind === "label" ? { kind: "label", id: item.key } : { kind: "annotation", key: item.key };
 
 function Header(props: { document: TakeDocument; annotations: readonly Annotation[]; labels: readonly LabelRow[]; stage: string | null }) {
   const { document, annotations, labels, stage } = props;
-  const open = annotations.filter((one) => decisionOn(one, labels) === undefined).length;
+  const open = annotations.filter((one) => verdictOn(one, labels) === undefined).length;
   return (
     <Group gap={8}>
       <Title order={1}>{document.name}</Title>

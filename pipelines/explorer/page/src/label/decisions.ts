@@ -5,6 +5,8 @@ import { useSyncExternalStore } from "react";
 
 import { ApiError, post } from "../api/client";
 import { queries } from "../api/queries";
+import type { Same } from "../api/types";
+import { showSame } from "../app/same";
 import { type Change, type LabelRow, madeBy, newId, replacedBy } from "./edits";
 
 export interface Decision {
@@ -40,7 +42,7 @@ export interface Step {
   back: string[];
 }
 
-interface Answer {
+interface Answer extends Same {
   made: string[];
   restored: Record<string, string>;
   rows: LabelRow[];
@@ -180,6 +182,7 @@ async function sendOne(decision: Decision): Promise<boolean> {
     const answer = await post<Answer>("/api/labels/decide", { take, annotator, changes });
     tries = 0;
     queries.setQueriesData<TakeRows>({ queryKey: ["labels", "of-take", take] }, (old) => old && withRows(old, answer.rows));
+    if (answer.command !== undefined) showSame(answer);
     set({ pending: state.pending.slice(1), trouble: "", saved: state.saved + 1, ...stepsAfter(decision, answer) });
     return true;
   } catch (fault) {

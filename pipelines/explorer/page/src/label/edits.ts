@@ -81,6 +81,18 @@ export function decisionOn(annotation: Annotation, labels: readonly LabelRow[]):
   );
 }
 
+/** Return the label that decides on an annotation as the queue of the server counts it (`doubtful.with_verdicts`): the
+ * one with its edges; or a corrected one that overlaps it; or one of the class that shares half of the frames of both. */
+export function verdictOn(annotation: Annotation, labels: readonly LabelRow[]): LabelRow | undefined {
+  const decides = (one: LabelRow) => {
+    if (one.limb !== null || (one.class !== annotation.class && one.class !== annotation.subclass)) return false;
+    const common = Math.min(one.stop, annotation.stop) - Math.max(one.start, annotation.start);
+    const whole = Math.max(one.stop, annotation.stop) - Math.min(one.start, annotation.start);
+    return common > 0 && (one.origin === "corrected" || (one.verdict === "positive" && 2 * common >= whole));
+  };
+  return decisionOn(annotation, labels) ?? labels.find(decides);
+}
+
 /** Return all rows after some changes; a change whose label is not known leaves them as they are. */
 export function withChanges(rows: readonly LabelRow[], changes: readonly Change[], annotator: string): LabelRow[] {
   const found = [...rows];

@@ -1,18 +1,17 @@
 // Jobs of this start of the server, with their progress and log as they come.
 
-import { Alert, Button, Group, Progress, Text } from "@mantine/core";
+import { Alert, Button, Group, Text } from "@mantine/core";
 import { useQuery } from "@tanstack/react-query";
 import { useState } from "react";
 
-import { get, post } from "../api/client";
+import { get } from "../api/client";
 import { useJobs } from "../api/events";
 import type { Job } from "../api/types";
 import { Fault } from "../app/Fault";
+import { isActive, JobProgress, StopButton } from "./JobControls";
 
 const SHOWN = 5;
 const LOG_MS = 1500;
-
-const active = (job: Job) => job.state === "waiting" || job.state === "running";
 
 /** Return a text that changes whenever a job begins or ends. */
 export function useJobStamp(): string {
@@ -39,7 +38,7 @@ export function Jobs({ readOnly }: { readOnly: boolean }) {
 function OneJob({ job, readOnly }: { job: Job; readOnly: boolean }) {
   const [open, setOpen] = useState(false);
   const [fault, setFault] = useState<unknown>(null);
-  const running = active(job);
+  const running = isActive(job);
   const log = useQuery({
     queryKey: ["job log", job.id, job.state],
     queryFn: ({ signal }) => get<{ text: string; file: string }>(`/api/jobs/${job.id}/log`, signal),
@@ -55,16 +54,12 @@ function OneJob({ job, readOnly }: { job: Job; readOnly: boolean }) {
           {running && job.total > 0 && ` · ${job.done} of ${job.total} stages`}
           {running && job.message !== "" && ` · ${job.message}`}
         </Text>
-        {running && !readOnly && (
-          <Button size="compact-xs" variant="default" onClick={() => post(`/api/jobs/${job.id}/stop`, {}).catch(setFault)}>
-            Stop
-          </Button>
-        )}
+        {!readOnly && <StopButton job={job} onFault={setFault} />}
         <Button size="compact-xs" variant="default" aria-expanded={open} onClick={() => setOpen(!open)}>
           {open ? "Hide the log" : "Show the log"}
         </Button>
       </Group>
-      {running && job.total > 0 && <Progress value={(100 * job.done) / job.total} animated my={4} aria-label={`${job.done} of ${job.total} stages`} />}
+      <JobProgress job={job} />
       {job.problem !== null && (
         <Alert color="red" variant="light" title="It failed">
           <Text size="sm" style={{ whiteSpace: "pre-wrap", overflowWrap: "anywhere" }}>{job.problem}</Text>

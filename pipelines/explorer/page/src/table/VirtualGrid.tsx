@@ -93,6 +93,7 @@ export function VirtualGrid<Row>(props: Props<Row>) {
       tabIndex={0}
       onKeyDown={onKey}
       onClick={onClick}
+      onMouseDown={(event) => event.detail > 1 && event.preventDefault()} // a double click opens, and selects no text
       onDoubleClick={(event) => open(placeOf(event.target)[0])}
     >
       <div role="rowgroup" className="grid-head" style={{ minWidth: width }}>

@@ -88,7 +88,9 @@ export function usePointer(
       session.select([run.start, run.stop]);
     }
   };
-  return { onPointerMove, onPointerLeave, onPointerDown, onPointerUp, onPointerCancel, onDoubleClick };
+  // where text is selected around the lanes, the browser would drag that text instead
+  const onDragStart = (event: React.DragEvent) => event.preventDefault();
+  return { onPointerMove, onPointerLeave, onPointerDown, onPointerUp, onPointerCancel, onDoubleClick, onDragStart };
 }
 
 /** Two fingers: what lies under them stays under them, so that the view zooms and pans. */
