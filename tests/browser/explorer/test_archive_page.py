@@ -77,6 +77,27 @@ def test_the_table_is_a_grid_for_keys_and_screen_readers(open_page: Open) -> Non
     expect(page).to_have_url(re.compile("/take/x_bo_waltz_1"))
 
 
+def test_the_table_has_its_takes_below_the_headings_of_their_groups(open_page: Open) -> None:
+    page = open_page("/?group=class&sort=name-")
+    grid = page.get_by_role("grid", name="Takes")
+    headings = page.get_by_role("rowheader")
+    expect(headings.first).to_contain_text("jig · 2 takes, ")
+    expect(grid).to_have_attribute("aria-rowcount", "13")
+    assert [re.sub(" · .*", "", one) for one in names(page)] == [
+        *("jig", "x_bo_jig_1", "x_al_jig_1", "reel", "x_bo_reel_1", "x_al_reel_1"),
+        *("waltz", "x_bo_waltz_1", "x_al_waltz_1", "none", "x_bo_long_1", "x_al_long_1"),
+    ]
+    grid.focus()
+    page.keyboard.press("Control+End")
+    page.keyboard.press("ArrowUp")
+    page.keyboard.press("ArrowUp")
+    page.keyboard.press("Enter")
+    expect(page.locator(".amount")).to_contain_text("2 takes")
+    expect(page.get_by_role("button", name="Remove the filter class: none")).to_be_visible()
+    page.get_by_role("tab", name="Wall").click()
+    expect(page.get_by_role("combobox", name="Grouped by")).to_have_value("class")
+
+
 def test_what_is_to_be_looked_at_has_tabs_of_its_own(open_page: Open) -> None:
     page = open_page()
     page.get_by_role("tab", name="Duplicates").click()

@@ -7,6 +7,8 @@ import { useStore } from "../api/queries";
 import { useParameter } from "../app/address";
 import { useSame } from "../app/same";
 import { FilterBar } from "./FilterBar";
+import { GroupBy } from "./GroupBy";
+import { sortsOf, useGroupColumn } from "./groups";
 import { useTakes } from "./questions";
 import { useColumns, useSelection, useSort } from "./selection";
 import { ColumnMenu, TakesView } from "./TakesView";
@@ -56,7 +58,8 @@ function Takes({ state }: { state: ReturnType<typeof useSelection> }) {
   const store = useStore();
   const [sort] = useSort();
   const [columns] = useColumns(store.data);
-  const sorts = useMemo(() => (sort === null ? [] : [sort]), [sort]);
+  const [by, setBy] = useGroupColumn(null);
+  const sorts = useMemo(() => sortsOf(by, sort), [by, sort]);
   const takes = useTakes(state.selection, sorts, columns);
   const wrong = takes.error !== null && state.where !== null;
   useSame(takes.head);
@@ -75,10 +78,11 @@ function Takes({ state }: { state: ReturnType<typeof useSelection> }) {
           )}
         </span>
         <span className="spring" />
+        <GroupBy by={by} onChange={setBy} />
         <ColumnMenu />
       </div>
       <div className="archive-view">
-        <TakesView state={state} takes={takes} columns={columns} />
+        <TakesView state={state} takes={takes} columns={columns} by={by} />
       </div>
     </>
   );

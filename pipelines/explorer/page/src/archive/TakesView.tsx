@@ -3,44 +3,73 @@ import { useMemo } from "react";
 import { useLocation } from "wouter";
 
 import { useStore } from "../api/queries";
-import type { Column } from "../api/types";
+import type { Column, Selection } from "../api/types";
 import { takeAddress } from "../app/address";
 import { Fault } from "../app/Fault";
+import type { RowSource } from "../table/blocks";
+import { Grouped } from "../table/grouped";
 import type { Cell, GridColumn } from "../table/lines";
 import { VirtualGrid } from "../table/VirtualGrid";
-import { type TakeRow, useFlags, type useTakes } from "./questions";
+import { filterOf, groupsOf } from "./groups";
+import { type TakeRow, useFlags, useGroups, type useTakes } from "./questions";
 import { allColumns, useColumns, type useSelection, useSort } from "./selection";
-import { shown } from "./text";
+import { counted, hours, named, shown } from "./text";
 import { TotalsPanel } from "./TotalsPanel";
+import type { WallGroup } from "./wall";
 
 interface Props {
   state: ReturnType<typeof useSelection>;
   takes: ReturnType<typeof useTakes>;
   columns: string[];
+  /** The column that takes are grouped by, if they are. */
+  by: string | null;
 }
 
 /** The table of takes, and their totals beside it. */
-export function TakesView({ state, takes, columns }: Props) {
+export function TakesView({ state, takes, columns, by }: Props) {
   const store = useStore();
   const [sort, toggleSort] = useSort();
   const [, navigate] = useLocation();
   const flags = useFlags().data?.flags;
   const known = useMemo(() => allColumns(store.data), [store.data]);
   const shownColumns = useMemo(() => gridColumns(columns, known, flags), [columns, known, flags]);
+  const groups = useGroupsOf(state.selection, takes.head, by);
+  const rows = useMemo(() => inGroups(takes.rows, groups), [takes.rows, groups]);
+  const onHeading = (index: number) => {
+    const filter = rows instanceof Grouped ? filterOf(by, groups?.[rows.groupAt(index)]) : null;
+    if (filter !== null) state.put(filter.column, filter);
+  };
   if (takes.error !== null && state.where === null) return <Fault fault={takes.error} />;
   return (
     <div className="takes">
       <VirtualGrid<TakeRow>
         label="Takes"
         columns={shownColumns}
-        rows={takes.rows}
+        rows={rows}
         sort={sort === null ? null : { column: sort.column, descending: sort.descending === true }}
         onSort={toggleSort}
         onOpen={(row) => navigate(takeAddress(row.name))}
+        onHeading={onHeading}
       />
       <TotalsPanel state={state} wrong={takes.error !== null} />
     </div>
   );
+}
+
+function useGroupsOf(selection: Selection, head: ReturnType<typeof useTakes>["head"], by: string | null) {
+  const found = useGroups(selection, by).data;
+  return useMemo(() => (by === null ? undefined : groupsOf(found, head, by)), [found, head, by]);
+}
+
+/** Return rows below the headings of their groups; without, while the groups are those of other filters. */
+function inGroups(rows: RowSource<TakeRow>, groups: readonly WallGroup[] | undefined): RowSource<TakeRow> {
+  if (groups === undefined || groups.reduce((sum, one) => sum + one.takes, 0) !== rows.count) return rows;
+  return new Grouped(rows, groups.map((one) => ({ rows: one.takes, heading: headingOf(one) })));
+}
+
+function headingOf({ value, takes, hours: time }: WallGroup): Cell {
+  const name = value === undefined ? "all further groups" : named(value);
+  return { text: `${name} · ${counted(takes, "take")}, ${hours(time)}`, note: "Enter, or a double click, shows these takes alone" };
 }
 
 /** The button that chooses the columns of the table. */

@@ -7,24 +7,21 @@ import { useParameter } from "../app/address";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
 import { useArrivals } from "../table/blocks";
+import { GroupBy } from "./GroupBy";
+import { filterOf, groupsOf, sortsOf, useGroupColumn } from "./groups";
 import { useGroups, useTakes } from "./questions";
-import { filterColumns, useSelection, useSort } from "./selection";
+import { useSelection, useSort } from "./selection";
 import { counted, hours } from "./text";
 import { isWallSize, WALL_SIZES, WallGrid } from "./WallGrid";
-import type { WallGroup } from "./wall";
-
-const NOTHING = "-";
 
 /** The takes of a selection as small moving figures, in groups. */
 export function WallView({ selection }: { selection: Selection }) {
   const facts = useStore().data;
   const state = useSelection();
-  const [asked, setAsked] = useParameter("group");
+  const [by, setBy] = useGroupColumn("class");
   const [sized, setSized] = useParameter("size");
   const [still, setStill] = useParameter("still");
   const [sort] = useSort();
-  const columns = filterColumns(facts).map((one) => one.name);
-  const by = asked === NOTHING ? null : asked !== null && columns.includes(asked) ? asked : "class";
   const sorts = useMemo<Sort[]>(() => sortsOf(by, sort), [by, sort]);
   const shown = useMemo(() => ["name", "frames", "seconds"], []);
   const takes = useTakes(selection, sorts, shown);
@@ -34,9 +31,8 @@ export function WallView({ selection }: { selection: Selection }) {
   const groups = useMemo(() => groupsOf(found.data, takes.head, by), [found.data, takes.head, by]);
   const keep = useCallback(
     (place: number) => {
-      const value = groups?.[place]?.value;
-      if (by !== null && (value === null || ["string", "number", "boolean"].includes(typeof value)))
-        state.put(by, { column: by, values: [value as string | number | boolean | null] });
+      const filter = filterOf(by, groups?.[place]);
+      if (filter !== null) state.put(filter.column, filter);
     },
     [groups, by, state],
   );
@@ -65,19 +61,7 @@ export function WallView({ selection }: { selection: Selection }) {
           onChange={(value) => setSized(value === "medium" ? null : value)}
           allowDeselect={false}
         />
-        <span className="wall-by">
-          <span id="wall-by">Grouped by</span>
-          <Select
-            size="xs"
-            w={150}
-            aria-labelledby="wall-by"
-            data={[{ value: NOTHING, label: "nothing" }, ...columns]}
-            value={by ?? NOTHING}
-            onChange={(value) => setAsked(value === "class" ? null : value, true)}
-            allowDeselect={false}
-            searchable
-          />
-        </span>
+        <GroupBy by={by} onChange={setBy} />
       </div>
       {groups === undefined ? (
         <Loader size="sm" aria-label="Loading" />
@@ -98,26 +82,4 @@ export function WallView({ selection }: { selection: Selection }) {
       )}
     </div>
   );
-}
-
-function sortsOf(by: string | null, sort: Sort | null): Sort[] {
-  const first = by === null ? [] : [{ column: by, descending: false }];
-  return sort === null || sort.column === by ? first : [...first, sort];
-}
-
-/** Return the groups in the order of the takes; a last one holds the takes of groups that the answer does not list. */
-function groupsOf(
-  found: ReturnType<typeof useGroups>["data"],
-  head: { total: number; hours: number } | undefined,
-  by: string | null,
-): WallGroup[] | undefined {
-  if (by === null) {
-    if (head === undefined) return undefined;
-    return head.total === 0 ? [] : [{ value: undefined, takes: head.total, hours: head.hours }];
-  }
-  if (found === undefined) return undefined;
-  const groups = found.groups.map((one): WallGroup => ({ value: one.values[0], takes: one.takes, hours: one.hours }));
-  const sum = (what: "takes" | "hours") => groups.reduce((total, one) => total + one[what], 0);
-  const rest = { value: undefined, takes: found.takes - sum("takes"), hours: Math.max(0, found.hours - sum("hours")) };
-  return rest.takes > 0 ? [...groups, rest] : groups;
 }

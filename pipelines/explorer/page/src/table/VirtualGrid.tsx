@@ -22,16 +22,18 @@ interface Props<Row> {
   sort?: GridSort | null;
   onSort?: (column: string) => void;
   onOpen?: (row: Row, index: number) => void;
+  /** Called for a heading of `rows` as `onOpen` is for a row. */
+  onHeading?: (index: number) => void;
 }
 
 const HEADER = -1;
 
 export function VirtualGrid<Row>(props: Props<Row>) {
-  const { label, columns, rows, sort, onSort, onOpen } = props;
+  const { label, columns, rows, sort, onSort, onOpen, onHeading } = props;
   const id = useId();
   const [active, setActive] = useState<readonly [number, number]>([HEADER, 0]);
   const [at, column] = [Math.min(active[0], rows.count - 1), Math.min(active[1], columns.length - 1)];
-  const { scroller, body } = useLines(columns, rows, `${id}-active`, at, column);
+  const { scroller, body, stuck } = useLines(columns, rows, `${id}-active`, at, column);
   const laid = useMemo(() => template(columns), [columns]);
   const width = useMemo(() => columns.reduce((sum, one) => sum + one.width, 0), [columns]);
 
@@ -52,11 +54,13 @@ export function VirtualGrid<Row>(props: Props<Row>) {
   const open = (index: number) => {
     const data = index >= 0 ? rows.row(index) : undefined;
     if (data !== undefined) onOpen?.(data, index);
+    else if (index >= 0 && rows.heading?.(index) !== undefined) onHeading?.(index);
   };
   const move = (index: number, place: number) => {
     const next = Math.max(HEADER, Math.min(rows.count - 1, index));
     setActive([next, Math.max(0, Math.min(columns.length - 1, place))]);
-    if (next >= 0 && scroller.current !== null) bringIntoSight(scroller.current, next);
+    if (next >= 0 && scroller.current !== null)
+      bringIntoSight(scroller.current, next, rows.heading !== undefined && rows.heading(next) === undefined);
   };
   const onKey = (event: KeyboardEvent) => {
     const page = Math.max(1, Math.floor((scroller.current?.clientHeight ?? 0) / ROW) - 2);
@@ -114,6 +118,7 @@ export function VirtualGrid<Row>(props: Props<Row>) {
             </div>
           ))}
         </div>
+        <div ref={stuck} className="grid-stuck" aria-hidden hidden />
       </div>
       <div ref={body} role="rowgroup" className="grid-rows" style={{ height: (rows.count + 1) * ROW, minWidth: width }} />
     </div>
@@ -130,11 +135,12 @@ function useLines<Row>(
 ) {
   const scroller = useRef<HTMLDivElement>(null);
   const body = useRef<HTMLDivElement>(null);
+  const stuck = useRef<HTMLDivElement>(null);
   const lines = useRef<Lines<Row>>(null);
   useLayoutEffect(() => {
-    const [outer, inner] = [scroller.current, body.current];
-    if (outer === null || inner === null) return;
-    const made = new Lines(inner, outer, columns, rows, activeId);
+    const [outer, inner, top] = [scroller.current, body.current, stuck.current];
+    if (outer === null || inner === null || top === null) return;
+    const made = new Lines(inner, outer, top, columns, rows, activeId);
     lines.current = made;
     made.height = outer.clientHeight;
     made.draw();
@@ -153,13 +159,13 @@ function useLines<Row>(
     };
   }, [columns, rows, activeId]);
   useEffect(() => lines.current?.setActive(at, column), [columns, rows, activeId, at, column]);
-  return { scroller, body };
+  return { scroller, body, stuck };
 }
 
-/** Scroll as little as needed for a whole row to be in sight, below the titles. */
-function bringIntoSight(scroller: HTMLElement, index: number): void {
-  const top = index * ROW;
-  const low = top + 2 * ROW - scroller.clientHeight + 2;
+/** Scroll as little as needed for a whole row to be in sight, below the titles and the heading that stays there. */
+function bringIntoSight(scroller: HTMLElement, index: number, headed: boolean): void {
+  const top = Math.max(0, index - (headed ? 1 : 0)) * ROW;
+  const low = index * ROW + 2 * ROW - scroller.clientHeight + 2;
   if (scroller.scrollTop > top) scroller.scrollTop = top;
   else if (scroller.scrollTop < low) scroller.scrollTop = low;
 }

@@ -4,11 +4,17 @@
 import { type QueryClient, QueriesObserver, type QueryKey } from "@tanstack/react-query";
 import { useSyncExternalStore } from "react";
 
+import type { Cell } from "./lines";
+
 /** What a table shows. */
 export interface RowSource<Row> {
   readonly count: number;
   /** Return a row, or undefined while it is being loaded. */
   row(index: number): Row | undefined;
+  /** Return the heading that a row is, undefined where it is none. */
+  heading?(index: number): Cell | undefined;
+  /** Return the heading of the group that a row belongs to. */
+  headingAbove?(index: number): Cell | undefined;
   /** Take note of the rows in sight: first, and the one after the last. */
   look?(first: number, stop: number): void;
   /** Call a function when rows have arrived or changed; returns a function that ends that. */

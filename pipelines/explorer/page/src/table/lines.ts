@@ -62,6 +62,7 @@ interface Line {
   readonly cells: HTMLDivElement[];
   index: number;
   data: unknown;
+  heading: boolean;
 }
 
 const NOWHERE = -1;
@@ -80,6 +81,8 @@ export class Lines<Row> {
   constructor(
     private readonly body: HTMLElement,
     private readonly scroller: HTMLElement,
+    /** Shows the heading of the first row in sight. */
+    private readonly stuck: HTMLElement,
     private readonly columns: readonly GridColumn<Row>[],
     private readonly source: RowSource<Row>,
     private readonly activeId: string,
@@ -98,9 +101,21 @@ export class Lines<Row> {
     this.first = first;
     this.stop = stop;
     source.look?.(first, stop);
+    this.stick(top);
     this.provide(Math.ceil(this.height / ROW) + 2 * BEYOND + 1);
     for (let index = first; index < stop; index++) this.place(this.lineOf(index), index);
   };
+
+  /** Keep the heading of the first row in sight at the top, unless it stands there itself. */
+  private stick(top: number): void {
+    const { source } = this;
+    const index = Math.min(source.count - 1, Math.floor(top / ROW));
+    const isThere = index < 0 || (top <= index * ROW && source.heading?.(index) !== undefined);
+    const content = isThere ? undefined : source.headingAbove?.(index);
+    const text = typeof content === "object" ? content.text : (content ?? "");
+    if (this.stuck.textContent !== text) this.stuck.textContent = text;
+    this.stuck.hidden = text === "";
+  }
 
   /** Mark a cell as the active one; row −1 for none. */
   setActive(index: number, place: number): void {
@@ -142,11 +157,12 @@ export class Lines<Row> {
       element.append(cell);
       return cell;
     });
-    return { element, cells, index: NOWHERE, data: NOTHING };
+    return { element, cells, index: NOWHERE, data: NOTHING, heading: false };
   }
 
   private place(line: Line, index: number): void {
-    const data = this.source.row(index);
+    const heading = this.source.heading?.(index);
+    const data = heading ?? this.source.row(index);
     if (line.index === index && line.data === data) return;
     const { element } = line;
     if (line.index !== index) {
@@ -159,9 +175,23 @@ export class Lines<Row> {
     }
     element.classList.toggle("loading", data === undefined);
     line.data = data;
+    this.turn(line, heading !== undefined);
     this.columns.forEach((column, place) => {
-      this.write(line.cells[place] as HTMLElement, column, data === undefined ? "…" : column.cell(data, index));
+      const cell = line.cells[place] as HTMLElement;
+      if (heading !== undefined) this.write(cell, column, place === 0 ? heading : "");
+      else this.write(cell, column, data === undefined ? "…" : column.cell(data as Row, index));
     });
+  }
+
+  /** Make a row a heading, whose first cell spans all, or a row of data again. */
+  private turn(line: Line, heading: boolean): void {
+    if (line.heading === heading) return;
+    line.heading = heading;
+    line.element.classList.toggle("grid-heading", heading);
+    const [first] = line.cells;
+    first?.setAttribute("role", heading ? "rowheader" : "gridcell");
+    if (heading) first?.setAttribute("aria-colspan", String(line.cells.length));
+    else first?.removeAttribute("aria-colspan");
   }
 
   private write(cell: HTMLElement, column: GridColumn<Row>, content: Cell): void {
