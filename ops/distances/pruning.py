@@ -178,7 +178,7 @@ def fine_bound(
     kept = ranges
     if coarse is not None:
         pieces = pieces_below(coarse, threshold, ranges, lead_in)
-        kept = pieces[:, 1:]
+        kept = np.ascontiguousarray(pieces[:, 1:])
         # Long ones first: the lanes end together.
         pieces = pieces[np.argsort(pieces[:, 0] - pieces[:, 2], kind="stable")]
     elif frames:

@@ -21,6 +21,7 @@ from starlette.routing import BaseRoute, Match, Route, Router
 from kinedex.ops.errors import KinedexError, Remedy
 from kinedex.pipelines.explorer.access import Access, Rules, TooLongError, too_long
 from kinedex.pipelines.explorer.answers import fault_answer
+from kinedex.pipelines.explorer.preparation import prepare
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -114,6 +115,7 @@ class LaterRoutes(BaseRoute):
         self._subjects = subjects
         self._lock = Lock()
         self._router: Router | None = None
+        self._soon = False
 
     def load(self) -> Router:
         """Import the subjects, and return the router of their routes; any thread may call it."""
@@ -132,18 +134,16 @@ class LaterRoutes(BaseRoute):
         router: Router = await to_thread.run_sync(self.load)
         await router(scope, receive, send)
 
-    def load_soon(self) -> None:
-        """Import the subjects in a thread once the page has had time to show something, and warm up their kernels."""
-        if self._router is None:
+    def load_soon(self, archive: Archive) -> None:
+        """Import the subjects in a thread once the page has had time to show something, and prepare first questions."""
+        if not self._soon:
+            self._soon = True
             loop = asyncio.get_running_loop()
-            loop.call_later(PAUSE_SECONDS, lambda: Thread(target=self._prepare, daemon=True).start())
+            loop.call_later(PAUSE_SECONDS, lambda: Thread(target=self._prepare, args=[archive], daemon=True).start())
 
-    def _prepare(self) -> None:
+    def _prepare(self, archive: Archive) -> None:
         self.load()
-        for subject in self._subjects:
-            module = import_module(f"kinedex.pipelines.explorer.{subject}")
-            if hasattr(module, "warm_up"):
-                module.warm_up()
+        prepare(archive)
 
 
 def require_page(built: Path = BUILT) -> None:
@@ -177,6 +177,6 @@ async def _page(request: Request) -> Response:
     """Answer with the page, whose script shows what the address names."""
     built: Path = request.app.state.built
     text = (built / "index.html").read_text(encoding="utf-8")
-    request.app.state.later.load_soon()
+    request.app.state.later.load_soon(request.app.state.archive)
     nonce = html.escape(request.scope["state"]["nonce"])
     return HTMLResponse(text.replace("__NONCE__", nonce), headers={"cache-control": "no-store"})

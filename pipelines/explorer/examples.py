@@ -28,7 +28,6 @@ from kinedex.ops.distances.curve_path import curve_paths
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.ranking.ranking import rank_together
-from kinedex.ops.search.bit_slices import slice_words, unsliced_words
 from kinedex.ops.templates.derived_templates import WILDCARD, restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate, quantise
 from kinedex.ops.words import ALL_KNOWN, TakeWords, bits
@@ -254,14 +253,12 @@ def save_labels(archive: Archive, asked: LabelsQuestion, _request: Request) -> d
 
 
 def warm_up() -> None:
-    """Load the kernels of a search by ranking a few words, so that the first search does not wait for them."""
+    """Load the kernels of a search by ranking a few words in this thread."""
     words = np.arange(400, dtype=np.uint64) % 7
     example = QuantisedTemplate(np.full(70, 7, np.uint64), words[:70])
     few = TakeWords(np.zeros(1, np.int64), np.array([0, len(words)], np.int64), words)
     rank_together([example, example], few, np.array([TAU, TAU]), 2)
     rank_together([example, example], few, np.array([TAU, TAU]), None)
-    sliced = slice_words(words, few.offsets, 3)
-    unsliced_words(sliced, np.zeros(1, np.int64), np.zeros(1, np.int64), np.empty(len(words), np.uint64))
 
 
 routes = [

@@ -18,7 +18,6 @@ from kinedex.pipelines.explorer.access import Rules, address, is_loopback, new_t
 from kinedex.pipelines.explorer.application import make_application, require_page
 from kinedex.pipelines.explorer.archive import Archive
 from kinedex.pipelines.explorer.jobs import end_jobs
-from kinedex.pipelines.explorer.preparation import start_preparation
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -143,11 +142,9 @@ def serve(store: Path, host: str, port: int | None, *, read_only: bool, browser:
         )
         if browser:
             _open(shown)
-        preparation = start_preparation(archive)
         try:
             Server(config, archive).run([listening])
         finally:
-            preparation.cancel()
             end_jobs(archive)
 
 
