@@ -26,6 +26,8 @@ PAGE_INDEX := pipelines/explorer/built/index.html
 
 .PHONY: page check-page explore setup demo demo-tracking demo-depth demo-inertial test lint types compile-tests check-kernels fuzz attack bench bench-explorer docs links wheel sbom audit lock clean help
 .DEFAULT_GOAL := help
+# Else what a step that failed has half written would count as made.
+.DELETE_ON_ERROR:
 
 help:
 	@echo "make demo                  set up .venv, make a synthetic archive, run the main job, print where the report is"

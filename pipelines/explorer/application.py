@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import html
 from collections.abc import Sequence
-from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
 from threading import Lock, Thread
@@ -167,7 +166,6 @@ async def _asset(request: Request) -> Response:
     return FileResponse(built / "assets" / name, headers={"cache-control": "private, max-age=31536000, immutable"})
 
 
-@lru_cache
 def _assets(built: Path) -> frozenset[str]:
     """Return the names of the files of the page: nothing else is served, whatever an address names."""
     return frozenset(path.name for path in (built / "assets").iterdir())
