@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
 from types import ModuleType
 
-from kinedex.ops.errors import KinedexError
+from kinedex.ops.packages import MissingPackageError, extra_package
 
-
-class MissingPackageError(KinedexError):
-    """A package that sensors need is not installed."""
+__all__ = ["MissingPackageError", "imu_package"]
 
 
 def imu_package(name: str, purpose: str) -> ModuleType:
@@ -27,10 +24,4 @@ def imu_package(name: str, purpose: str) -> ModuleType:
     MissingPackageError
         It is not installed.
     """
-    try:
-        return importlib.import_module(name)
-    except ModuleNotFoundError as fault:
-        raise MissingPackageError(
-            f"{purpose} the package {name.partition('.')[0]}, which is not installed: "
-            "install it with `pip install 'kinedex[imu]'`"
-        ) from fault
+    return extra_package(name, name.partition(".")[0], purpose, "imu")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from kinedex.ops.errors import ParameterError
 from kinedex.pipelines.api.take import Take
@@ -72,6 +72,58 @@ class TakeSearch(TakeCollection):
         for remark in search_remarks(self.stored, queries, where):
             warnings.warn(remark, stacklevel=2)
         return data_frame(search_store(self.stored, queries, where)).drop(_BESIDE_HITS)
+
+    def map(self, unit: Literal["takes", "windows"] = "takes") -> pl.DataFrame:
+        """Lay out the takes in two dimensions by their words, so that takes of similar motion are close together.
+
+        It needs ``pip install 'kinedex[map]'``, and takes seconds to a minute. Of more than 5,000 points a random
+        choice is laid out, and the others are put beside the most similar of these.
+
+        Parameters
+        ----------
+        unit : {"takes", "windows"}, optional
+            A point is a take, or a window of some four seconds of one.
+
+        Returns
+        -------
+        polars.DataFrame
+            One row per point, in the order of takes: take_id, take, start, stop (frames), x, y (between −1 and 1),
+            cluster (0 is the largest, null for none), and traits: the features that set the cluster apart.
+
+        Raises
+        ------
+        KinedexError
+            scikit-learn is not installed.
+
+        Examples
+        --------
+        >>> places = store.map()
+        >>> places.height == len(store)
+        True
+        """
+        import polars as pl
+
+        from kinedex.pipelines.maps.archive_map import archive_map, trait_words
+
+        if unit not in ("takes", "windows"):
+            raise ParameterError("unit", "'takes' or 'windows'", unit)
+        found = archive_map(self.stored, unit)
+        names = {take_id: name for name, take_id in self.stored.take_ids.items()}
+        descriptions = [feature.description for feature in self.feature_set.features]
+        texts = [trait_words(one.traits, descriptions) for one in found.clusters]
+        clusters = [None if number < 0 else number for number in found.numbers.tolist()]
+        return pl.DataFrame(
+            {
+                "take_id": found.take_ids,
+                "take": [names[take_id] for take_id in found.take_ids.tolist()],
+                "start": found.starts,
+                "stop": found.stops,
+                "x": found.places[:, 0],
+                "y": found.places[:, 1],
+                "cluster": pl.Series(clusters, dtype=pl.Int64),
+                "traits": pl.Series([None if one is None else texts[one] for one in clusters], dtype=pl.String),
+            }
+        )
 
     def templates(self, *, stage: str | None = None) -> pl.DataFrame:
         """Return the list of the templates that pipelines have learned.

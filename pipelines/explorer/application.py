@@ -46,6 +46,7 @@ SUBJECTS = (
     "lanes",
     "learned_queries",
     "learning",
+    "maps",
     "motion",
     "quality",
     "reports",

@@ -7,6 +7,7 @@ from playwright.sync_api import Page, expect
 
 from kinedex.pipelines.explorer.application import BUILT
 from tests.browser.explorer.conftest import Open
+from tests.browser.explorer.test_map import MAP_MS
 
 AXE = BUILT.parent / "page" / "node_modules" / "axe-core" / "axe.min.js"
 
@@ -14,6 +15,8 @@ PAGES = [
     "/",
     "/?view=quality",
     "/?view=wall",
+    "/?view=map",
+    "/?view=map&table=1",
     "/take/x_al_long_1",
     "/ask",
     "/label",
@@ -54,6 +57,8 @@ def test_pages_keep_the_rules(open_page: Open, scheme: str) -> None:
     for path in PAGES:
         page.goto(origin + path)
         expect(page.locator("main .page, main .take")).not_to_have_count(0)
+        if "view=map" in path:  # a process computes it first
+            expect(page.locator(".map-about")).to_be_visible(timeout=MAP_MS)
         page.wait_for_timeout(800)
         faults += [f"{path}: {fault}" for fault in violations(page)]
     assert not faults, "\n".join(faults)

@@ -11,6 +11,7 @@ import pytest
 from starlette.testclient import TestClient
 
 import kinedex
+from kinedex.pipelines.explorer import selections
 from kinedex.pipelines.explorer.selections import Filter, Selection, condition_of
 from kinedex.storage.store.store import open_store
 from tests.pipelines.explorer.conftest import Connect
@@ -51,6 +52,8 @@ FILTERS: list[tuple[dict[str, Any], str]] = [
     ({"column": "frames", "min": 20, "max": 25}, "frames BETWEEN 20 AND 25"),
     ({"column": "name", "contains": "KICK"}, "name LIKE '%kick%'"),
     ({"column": "folder", "values": ["al"]}, "source LIKE 'al/%'"),
+    ({"column": "take_id", "chosen": "UEA"}, "take_id IN (1, 3, 9)"),
+    ({"column": "take_id", "chosen": ""}, "false"),
 ]
 
 
@@ -60,6 +63,18 @@ def test_a_filter_finds_what_sql_finds(client: TestClient, store: Path, one: dic
     assert names(client, filters=[one]) == expected
     assert names(client, where=where) == expected
     assert names(client, where=f"{where} -- a remark") == expected
+
+
+def test_a_choice_of_many_takes_is_looked_up_in_bits(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    listed = names(client, filters=[{"column": "take_id", "chosen": "UEA"}])
+    monkeypatch.setattr(selections, "FEW_IDS", 0)
+    looked_up = ask(client, "/api/takes", filters=[{"column": "take_id", "chosen": "UEA"}])
+    assert looked_up["names"] == listed
+    assert len(listed) == 3
+    assert "get_bit" in looked_up["command"]
+    fault = client.post("/api/takes", json={"filters": [{"column": "take_id", "chosen": "<b>"}]})
+    assert fault.status_code == 422
+    assert "chosen must be the bits of ids in base64url" in fault.json()["error"]["message"]
 
 
 def test_filters_and_sql_hold_together_in_the_order_asked_for(client: TestClient) -> None:

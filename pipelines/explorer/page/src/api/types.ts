@@ -42,6 +42,8 @@ export interface Filter {
   min?: number;
   max?: number;
   contains?: string;
+  /** Ids as bits in base64url: a choice of takes on the map. */
+  chosen?: string;
 }
 
 export interface Sort {

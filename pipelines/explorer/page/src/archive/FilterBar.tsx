@@ -118,6 +118,7 @@ function Chip({ filter, column, state }: ChipProps) {
           </button>
         </Popover.Target>
         <Popover.Dropdown>
+          {filter.chosen !== undefined && "These takes were chosen on the map; to change the choice, choose others there."}
           {column !== undefined && (
             <FilterEditor
               column={column}

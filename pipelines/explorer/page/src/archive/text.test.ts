@@ -8,6 +8,7 @@ test("a chip states its filter", () => {
   expect(filterText({ column: "seconds", min: 1.5 })).toBe("seconds: at least 1.5");
   expect(filterText({ column: "seconds", min: 1, max: 2 })).toBe("seconds: 1 to 2");
   expect(filterText({ column: "name", contains: "<b>" })).toBe("name: contains “<b>”");
+  expect(filterText({ column: "take_id", chosen: "UA" })).toBe("chosen on the map: 2 takes");
 });
 
 test("durations and values are short", () => {

@@ -1,6 +1,7 @@
 // Values as text.
 
 import type { Filter, Value } from "../api/types";
+import { unpackedIds } from "./map";
 
 const whole = new Intl.NumberFormat("en", { maximumFractionDigits: 0 });
 const three = new Intl.NumberFormat("en", { maximumSignificantDigits: 4 });
@@ -35,6 +36,7 @@ const SOME = 3;
 
 /** A filter as its chip shows it. */
 export function filterText(filter: Filter): string {
+  if (filter.chosen !== undefined) return `chosen on the map: ${counted(unpackedIds(filter.chosen).length, "take")}`;
   const parts: string[] = [];
   if (filter.values !== undefined) {
     const more = filter.values.length - SOME;

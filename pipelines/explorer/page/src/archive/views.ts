@@ -20,6 +20,12 @@ export const VIEWS: readonly ArchiveView[] = [
     view: lazy(async () => ({ default: (await import("./WallView")).WallView })),
   },
   {
+    key: "map",
+    title: "Map",
+    filtered: true,
+    view: lazy(async () => ({ default: (await import("./MapView")).MapView })),
+  },
+  {
     key: "quality",
     title: "Quality",
     filtered: false,

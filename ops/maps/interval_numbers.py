@@ -1,0 +1,130 @@
+"""Numbers that describe an interval of words: how often each feature holds, and how often it changes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.words import ALL_KNOWN, I64, NO_WORD, U64
+
+F64 = npt.NDArray[np.float64]
+
+_FRAMES = 200_000
+"""Frames that are unpacked at a time."""
+
+
+def interval_numbers(words: U64, bounds: I64, features: int, known: U64 | None = None) -> F64:
+    """Return for each interval of words the share of frames of each feature, and the root of its changes a frame.
+
+    Parameters
+    ----------
+    words : uint64 array (N,)
+        Words laid end to end; `NO_WORD` where a frame is invalid.
+    bounds : int64 array (P + 1,)
+        Ascending: interval p has the words bounds[p] to bounds[p + 1] − 1.
+    features : int
+        The number of features f.
+    known : uint64 array (P,), optional
+        The mask of the known features of each interval; None: all are known.
+
+    Returns
+    -------
+    float64 array (P, 2 f)
+        Columns 0 to f − 1 are shares of the valid frames; columns f to 2 f − 1 are square roots of the changes (from
+        off to on, or back) for each pair of neighbouring valid frames. NaN where a feature is unknown, or an interval
+        has no valid frame.
+
+    Raises
+    ------
+    ParameterError
+        If the bounds do not ascend from 0 to N.
+
+    Examples
+    --------
+    A feature that is on in one of two frames has changed once in one pair of frames.
+
+    >>> interval_numbers(np.array([0, 1], np.uint64), np.array([0, 2]), 1).tolist()
+    [[0.5, 1.0]]
+    """
+    if len(bounds) == 0 or bounds[0] != 0 or bounds[-1] != len(words) or (np.diff(bounds) < 0).any():
+        raise ParameterError("bounds", f"ascending from 0 to {len(words)}", bounds[:10].tolist())
+    numbers = np.full((len(bounds) - 1, 2 * features), np.nan)
+    for first, last in _blocks(bounds):
+        own = bounds[first : last + 1] - bounds[first]
+        _fill(numbers[first:last], words[bounds[first] : bounds[last]], own, features)
+    if known is not None and not (known == ALL_KNOWN).all():
+        shifts = np.arange(features, dtype=np.uint64)
+        unknown = (known[:, None] >> shifts) & np.uint64(1) == 0
+        numbers[np.concatenate([unknown, unknown], axis=1)] = np.nan
+    return numbers
+
+
+def _blocks(bounds: I64) -> Iterator[tuple[int, int]]:
+    """Yield ranges of intervals with some `_FRAMES` words each; a longer interval is alone."""
+    first = 0
+    while first < len(bounds) - 1:
+        last = int(np.searchsorted(bounds, bounds[first] + _FRAMES, side="right")) - 1
+        last = max(first + 1, last)
+        yield first, last
+        first = last
+
+
+def _fill(numbers: F64, words: U64, bounds: I64, features: int) -> None:
+    """Compute the numbers of intervals whose words lie end to end."""
+    valid = words != NO_WORD
+    on = _unpacked(np.where(valid, words, np.uint64(0)), features)
+    frames = _sums(valid[:, None], bounds)
+    pair = np.zeros(len(words), bool)  # a frame and the one before it, both valid and of the same interval
+    pair[1:] = valid[1:] & valid[:-1]
+    starts = bounds[:-1]
+    pair[starts[starts < len(words)]] = False
+    changed = np.zeros(on.shape, bool)
+    changed[1:] = (on[1:] != on[:-1]) & pair[1:, None]
+    pairs = _sums(pair[:, None], bounds)
+    with np.errstate(invalid="ignore"):
+        numbers[:, :features] = _sums(on, bounds) / frames
+        numbers[:, features:] = np.where(frames > 0, np.sqrt(_sums(changed, bounds) / np.maximum(pairs, 1)), np.nan)
+
+
+def _unpacked(words: U64, features: int) -> npt.NDArray[np.uint8]:
+    """Unpack words as `ops.words.bits` does, byte by byte."""
+    few = -(-features // 8)
+    octets = words.astype("<u8").view(np.uint8).reshape(-1, 8)[:, :few]
+    return np.unpackbits(octets, axis=1, bitorder="little", count=features)
+
+
+def _sums(values: npt.NDArray[np.uint8] | npt.NDArray[np.bool_], bounds: I64) -> F64:
+    """Return the sums of the rows of each interval; those of an empty one are 0."""
+    found = np.zeros((len(bounds) - 1, values.shape[1]))
+    full = np.flatnonzero(np.diff(bounds) > 0)
+    if len(full):
+        found[full] = np.add.reduceat(values, bounds[full], axis=0, dtype=np.int64)
+    return found
+
+
+def standardised(numbers: F64) -> F64:
+    """Return columns with mean 0 and standard deviation 1; what is unknown, and columns that do not vary, are 0.
+
+    Parameters
+    ----------
+    numbers : float64 array (P, n)
+        Numbers, NaN where unknown.
+
+    Returns
+    -------
+    float64 array (P, n)
+
+    Examples
+    --------
+    >>> standardised(np.array([[1.0, 5.0], [3.0, 5.0], [np.nan, 5.0]])).tolist()
+    [[-1.0, 0.0], [1.0, 0.0], [0.0, 0.0]]
+    """
+    there = ~np.isnan(numbers)
+    count = np.maximum(there.sum(axis=0), 1)
+    filled = np.where(there, numbers, 0.0)
+    deviation = np.where(there, filled - filled.sum(axis=0) / count, 0.0)
+    spread = np.sqrt((deviation**2).sum(axis=0) / count)
+    return deviation / np.where(spread > 1e-9, spread, np.inf)

@@ -1,0 +1,39 @@
+"""Packages of optional extras: they are imported when something needs them, with an error that says what to install."""
+
+from __future__ import annotations
+
+import importlib
+from types import ModuleType
+
+from kinedex.ops.errors import KinedexError
+
+
+class MissingPackageError(KinedexError):
+    """A package of an optional extra is not installed."""
+
+
+def extra_package(name: str, package: str, purpose: str, extra: str) -> ModuleType:
+    """Import a module of a package that belongs to an optional extra.
+
+    Parameters
+    ----------
+    name : str
+        The module, such as scipy.signal.
+    package : str
+        The package as people install it, such as scipy.
+    purpose : str
+        A plural or clause that needs it, which begins the message: "a map of an archive needs".
+    extra : str
+        The extra of kinedex that installs it.
+
+    Raises
+    ------
+    MissingPackageError
+        It is not installed.
+    """
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as fault:
+        raise MissingPackageError(
+            f"{purpose} the package {package}, which is not installed: install it with `pip install 'kinedex[{extra}]'`"
+        ) from fault
