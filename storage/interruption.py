@@ -1,4 +1,4 @@
-"""Statements that Ctrl-C and a time limit end, also where DuckDB does not stop."""
+"""Statements that Ctrl-C, a time limit and their withdrawal end, also where DuckDB does not stop."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Generic, TypeVar
 import duckdb
 
 from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.ops.withdrawal import WithdrawnError, check_withdrawn
 
 T = TypeVar("T")
 
@@ -26,7 +27,7 @@ class TimeLimitError(KinedexError):
 
 
 def run_bounded(connection: duckdb.DuckDBPyConnection, work: Callable[[], T], timeout: float | None = None) -> T:
-    """Run statements on a connection so that Ctrl-C and a time limit end them.
+    """Run statements on a connection so that Ctrl-C, a time limit and their withdrawal end them.
 
     DuckDB alone would notice Ctrl-C only at the end. It stops a statement between two batches of rows: one call of a
     function over long texts or lists goes on. After `GRACE` seconds, or at a second Ctrl-C, such a statement is
@@ -46,6 +47,8 @@ def run_bounded(connection: duckdb.DuckDBPyConnection, work: Callable[[], T], ti
     ------
     TimeLimitError
         They did not end in time.
+    WithdrawnError
+        Nobody waits for the result any more.
     KeyboardInterrupt
         Ctrl-C ended them.
     """
@@ -60,6 +63,9 @@ def run_bounded(connection: duckdb.DuckDBPyConnection, work: Callable[[], T], ti
         if run.wait(timeout):
             return run.result()
         run.stop(connection)
+    except WithdrawnError:
+        run.stop(connection)
+        raise
     except KeyboardInterrupt:
         # a second Ctrl-C ends this wait
         with suppress(KeyboardInterrupt):
@@ -98,6 +104,7 @@ class _Run(Generic[T]):
         while not self.done.wait(0.5 if end is None else max(0.0, min(0.5, end - time.monotonic()))):
             if end is not None and time.monotonic() >= end:
                 return False
+            check_withdrawn()
         return True
 
     def stop(self, connection: duckdb.DuckDBPyConnection) -> None:

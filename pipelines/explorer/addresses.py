@@ -1,14 +1,17 @@
 """Addresses of the server: functions of a subject become routes that read and check what they are asked.
 
 A function gets the archive and runs in a thread, so that it may wait for SQL, files and kernels. It returns a mapping,
-which is sent as JSON, or a response of its own.
+which is sent as JSON, or a response of its own. Where the page has gone meanwhile, or asks something else, a function
+that only reads ends early (`ops.withdrawal`).
 
     routes = [get("/api/store", describe), post("/api/takes", find_takes, TakesQuestion)]
 """
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Mapping
+from threading import Event
 from typing import Any, TypeVar
 
 from anyio import to_thread
@@ -17,6 +20,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
+from kinedex.ops.withdrawal import withdrawn_when
 from kinedex.pipelines.explorer.answers import Json, NotFoundError
 from kinedex.pipelines.explorer.archive import Archive, ReadOnlyError
 
@@ -44,7 +48,7 @@ def get(path: str, function: Callable[[Archive, Request], Result]) -> Route:
     """
 
     async def endpoint(request: Request) -> Response:
-        return _response(await to_thread.run_sync(function, request.app.state.archive, request))
+        return _response(await _unless_gone(request, function, request.app.state.archive, request))
 
     return Route(path, endpoint, methods=["GET"])
 
@@ -73,11 +77,31 @@ def post(
                 "this explorer was started with --read-only and writes nothing; start `kinedex explore` without it"
             )
         body = asked.model_validate_json(await request.body())
-        return _response(await to_thread.run_sync(function, archive, body, request))
+        if writes:  # a decision that was sent is kept
+            return _response(await to_thread.run_sync(function, archive, body, request))
+        return _response(await _unless_gone(request, function, archive, body, request))
 
     route = Route(path, endpoint, methods=["POST"])
     route.writes = writes  # type: ignore[attr-defined]
     return route
+
+
+async def _unless_gone(request: Request, function: Callable[..., Result], *values: object) -> Result:
+    """Call a function in a thread, and let its work be withdrawn once the connection of the request is closed."""
+    gone = Event()
+    watch = asyncio.create_task(_watch(request, gone))
+    try:
+        with withdrawn_when(gone.is_set):
+            return await to_thread.run_sync(function, *values)
+    finally:
+        watch.cancel()
+
+
+async def _watch(request: Request, gone: Event) -> None:
+    """Wait for the end of a connection, after the request was read."""
+    while (await request.receive())["type"] != "http.disconnect":
+        pass
+    gone.set()
 
 
 def _response(result: Result) -> Response:

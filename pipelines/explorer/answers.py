@@ -13,6 +13,7 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 
 from kinedex.ops.errors import ConflictError, KinedexError, ParameterError, Remedy
+from kinedex.ops.withdrawal import WithdrawnError
 from kinedex.pipelines.console.json_text import json_value
 from kinedex.pipelines.explorer.archive import ReadOnlyError
 from kinedex.storage.interruption import TimeLimitError
@@ -83,6 +84,8 @@ _STATUS: dict[type[KinedexError], int] = {
 
 async def fault_answer(_request: Request, fault: Exception) -> Response:
     """Answer a request that failed; the log alone has tracebacks."""
+    if isinstance(fault, ClientDisconnect | WithdrawnError):
+        return Response(status_code=499)  # nobody waits for it
     if isinstance(fault, KinedexError):
         status = next(_STATUS[kind] for kind in type(fault).__mro__ if kind in _STATUS)
         return error_answer(status, type(fault).__name__, str(fault), fault.remedy)
@@ -90,8 +93,6 @@ async def fault_answer(_request: Request, fault: Exception) -> Response:
         return error_answer(422, "ParameterError", _wrong_fields(fault))
     if isinstance(fault, HTTPException):
         return error_answer(fault.status_code, "HTTPError", fault.detail)
-    if isinstance(fault, ClientDisconnect):
-        return Response(status_code=499)  # nobody waits for it
     if isinstance(fault, MemoryError):
         return error_answer(500, "MemoryError", "the server has no memory left; ask for less, or close other programs")
     if isinstance(fault, OSError):

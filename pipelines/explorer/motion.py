@@ -34,6 +34,7 @@ from starlette.responses import Response, StreamingResponse
 
 from kinedex.ops.body.facing_direction import Placement, facing_yaw, start_at_origin
 from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.ops.withdrawal import check_withdrawn
 from kinedex.pipelines.explorer.addresses import Question, get, post, take_of
 from kinedex.storage.snapshot.frames import read_intervals
 from kinedex.storage.snapshot.parts import joint_positions
@@ -298,6 +299,7 @@ def figures(cache: PositionCache, store: Store, items: Sequence[Interval], frame
             raise ParameterError(f"interval {place + 1}", expected, (one.start, one.stop))
     found: list[bytes] = [b""] * len(items)
     for place, positions in cache.intervals(store, items):
+        check_withdrawn()
         one = items[place]
         step = -(-(one.stop - one.start) // frames)
         turned = facing_viewer(positions[::step], store.feature_set.joints)
