@@ -95,13 +95,11 @@ class Study:
         ]
         classes = load_classes(OWN, set(groups))
 
-        def make(templates: Sequence[SubclassTemplate], words: Sequence[U64]) -> Annotator:
-            chosen = annotation_method(method)
-            return make_annotator(
-                self.feature_set, templates, classes, DELTA, TAU, method=chosen, clips=lambda: list(words)
-            )
+        def make(templates: Sequence[SubclassTemplate], some: Sequence[TrainingClips], *_: object) -> Annotator:
+            chosen, words = annotation_method(method), [words for one in some for words in one.words]
+            return make_annotator(self.feature_set, templates, classes, DELTA, TAU, method=chosen, clips=lambda: words)
 
-        made = make(self.learn(clips), [one.words for one in trial.clips])
+        made = make(self.learn(clips), clips)
         if not calibrated:
             return made
         actors: dict[str, str | None] = {names[id(clip)]: clip.group for clip in trial.clips}

@@ -174,7 +174,7 @@ def with_confidence(
         "best",
         Target([len(one.words) for one in pool], [one.actor for one in pool]),
         lambda some: learned(store, some, executor),
-        lambda templates, _: annotator(store, templates, person, "best"),
+        lambda templates, *_: annotator(store, templates, person, "best"),
         executor,
     )
     return replace(made, confidence=found.confidence)

@@ -23,6 +23,7 @@ from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.batches import annotate_words
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.executors import Executor
+from kinedex.pipelines.templates.examples import Rejected
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
 
 F64 = npt.NDArray[np.float64]
@@ -41,8 +42,8 @@ MOST_LAID = 16
 LEAST_SEGMENTS = 20
 """A method without a prior of its own has no confidence unless so many segments are known."""
 
-Make = Callable[[Sequence[SubclassTemplate], Sequence[U64]], Annotator]
-"""A function that makes an annotator of templates and the words of their clips."""
+Make = Callable[[Sequence[SubclassTemplate], Sequence[TrainingClips], Sequence[Rejected]], Annotator]
+"""A function that makes an annotator of templates, the clips that they were made of, and rejected intervals."""
 
 Learn = Callable[[Sequence[TrainingClips]], list[SubclassTemplate]]
 """A function that learns templates of clips."""
@@ -141,6 +142,7 @@ def calibrate_confidence(
     learn: Learn,
     make: Make,
     executor: Executor,
+    rejected: Sequence[Rejected] = (),
 ) -> CalibratedConfidence:
     """Learn how confident labels are from examples that are left out.
 
@@ -162,11 +164,13 @@ def calibrate_confidence(
         Makes an annotator of templates and clips.
     executor : Executor
         The workers.
+    rejected : sequence of Rejected, optional
+        Intervals that people have rejected, left out like examples; every label that one of them gets is wrong.
     """
     some, every = [_thinned(one) for one in clips], classes.of_subclass()
     of_subclass = {one.subclass: every[one.subclass] for one in some if one.subclass in every}
     prior = PRIORS.get(method, UNKNOWN)
-    names = {one for each in some for one in each.of_takes}
+    names = {one for each in some for one in each.of_takes} | {one.take for one in rejected}
     people = {name: actors.get(name) for name in names}
     several = len(set(people.values())) > 1 and not target.seen(people.values())
     groups = _parts({name: (people[name] or "") if several else name for name in names})
@@ -178,8 +182,9 @@ def calibrate_confidence(
         shown = {of_subclass[one.subclass] for one in rest if one.subclass in of_subclass}
         theirs = [part for one in some if of_subclass.get(one.subclass) in shown and (part := one.only(names)).names]
         if theirs:
-            annotator = make(learn(rest), [words for one in rest for words in one.words])
-            takes = tuple(_laid_out(theirs, of_subclass, count))
+            annotator = make(learn(rest), rest, [one for one in rejected if one.take not in names])
+            refused = [(one.known, "", one.words) for one in rejected if one.take in names]
+            takes = tuple(_laid_out(theirs, of_subclass, count, refused))
             parts.append(Part(annotator, prior.evidence, takes, frozenset(of_subclass.values())))
     return _learned(method, list(executor.map(annotate_part, parts)), len(classes.names))
 
@@ -258,9 +263,14 @@ def _parts(group_of: Mapping[str, str]) -> dict[str, int]:
     return found
 
 
-def _laid_out(clips: Sequence[TrainingClips], of_subclass: Mapping[str, str], count: int) -> Iterator[KnownTake]:
+def _laid_out(
+    clips: Sequence[TrainingClips],
+    of_subclass: Mapping[str, str],
+    count: int,
+    refused: Sequence[tuple[int, str, U64]] = (),
+) -> Iterator[KnownTake]:
     """Lay clips that know the same features end to end in a drawn order, so many for a take."""
-    every = [(one.known, of_subclass[one.subclass], words) for one in clips for words in one.words]
+    every = [*((one.known, of_subclass[one.subclass], words) for one in clips for words in one.words), *refused]
     drawn = [every[place] for place in np.random.default_rng(0).permutation(len(every)).tolist()]
     for mask, group in groupby(sorted(drawn, key=lambda one: one[0]), key=lambda one: one[0]):
         alike = list(group)

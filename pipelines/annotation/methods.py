@@ -176,7 +176,7 @@ class BestMethod:
     def prepare(cls, templates: ClassTemplates, clips: Callable[[], Sequence[U64]]) -> BestMethod:
         """Make the method; the usual postures of clips are its background."""
         usual = background(clips(), templates.learned[0].values.shape[1])
-        learned = tuple(_with_usual_values(one, usual) for one in templates.learned)
+        learned = tuple(with_usual_values(one, usual) for one in templates.learned)
         return cls(learned, templates.quantised, templates.class_index, usual, Decoding())
 
     def restricted(self, known: int, templates: Sequence[QuantisedTemplate], chosen: I64) -> BestMethod:
@@ -249,7 +249,7 @@ def annotation_method(name: str) -> type[AnnotationMethod]:
     return found
 
 
-def _with_usual_values(template: Template, usual: F64) -> Template:
+def with_usual_values(template: Template, usual: F64) -> Template:
     """Return a template whose unknown features have their usual values, so that they are no evidence."""
     unknown = template.unknown
     if not unknown.any():

@@ -107,4 +107,9 @@ class AnnotationParameters(MethodParameters):
     classes: Annotated[str, NamesFile("classes")] = Field(
         OWN, description="'own': every subclass is a class; or a class file, by its shipped name or its path"
     )
+    each_example: bool = Field(
+        False,
+        description="method best: every example is a template of its own, every interval that people have rejected is "
+        "one that labels nothing, and the usual postures are those of all takes; for archives with few labels",
+    )
     store_curves: bool = Field(True, description="keep the distance curves, which the report draws")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache
 
 import polars as pl
 
@@ -14,6 +15,7 @@ from kinedex.ops.words import U64
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.confidence_calibration import CalibratedConfidence, Target, calibrate_confidence
 from kinedex.pipelines.annotation.parameters import CALIBRATED, AnnotationParameters, MethodParameters, least_frames
+from kinedex.pipelines.annotation.single_examples import usual_postures, with_single_examples
 from kinedex.pipelines.annotation.threshold_calibration import Calibration, calibrate
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.keyframes.learning import every_query
@@ -29,6 +31,9 @@ from kinedex.pipelines.templates.learning import (
 from kinedex.pipelines.templates.recipes import feature_weights
 from kinedex.pipelines.templates.training import TemplateParameters, completed
 from kinedex.storage.store.store import Store
+
+Single = Callable[[Annotator, Sequence[TrainingClips], Sequence[Rejected]], Annotator]
+"""A function that makes every example of an annotator a template of its own, and rejected intervals rivals of all."""
 
 
 def takes_to_annotate(store: Store, where: str) -> pl.DataFrame:
@@ -193,6 +198,8 @@ def calibrated_confidence(
     executor: Executor,
     queries: Sequence[KeyframeQuery] = (),
     learned: Sequence[KeyframeQuery] = (),
+    single: Single | None = None,
+    rejected: Sequence[Rejected] = (),
 ) -> CalibratedConfidence:
     """Learn how confident the labels of an annotation are, from examples that are left out.
 
@@ -212,10 +219,22 @@ def calibrated_confidence(
         Rows of the takes to annotate, of which lengths and actors matter.
     calibration, executor, queries, learned
         See `prepare_annotator`; thresholds and queries are those of all examples.
+    single : callable, optional
+        Makes every example of an annotator a template of its own (`single_examples`).
+    rejected : sequence of Rejected, optional
+        What people have rejected, where `single` is given.
     """
 
-    def make(some: Sequence[SubclassTemplate], words: Sequence[U64]) -> Annotator:
-        return prepare_annotator(store, params, some, classes, lambda: words, calibration, queries, learned)
+    def make(some: Sequence[SubclassTemplate], rest: Sequence[TrainingClips], refused: Sequence[Rejected]) -> Annotator:
+        words = [words for one in rest for words in one.words][: None if single is None else 1]
+        made = prepare_annotator(store, params, some, classes, lambda: words, calibration, queries, learned)
+        return made if single is None else single(made, rest, refused)
+
+    learn = _learning(store, params, templates, executor)
+
+    def learn_alone(some: Sequence[TrainingClips]) -> list[SubclassTemplate]:
+        # the templates only name the classes then, and bring their numbers of columns, those of the first clips
+        return learn([one.first() for one in some])
 
     return calibrate_confidence(
         clips,
@@ -223,10 +242,23 @@ def calibrated_confidence(
         classes,
         params.method,
         Target(takes["frames"].to_list(), takes["actor"].to_list()),
-        _learning(store, params, templates, executor),
+        learn if single is None else learn_alone,
         make,
         executor,
+        rejected,
     )
+
+
+def single_examples_of(store: Store, params: MethodParameters, templates: TemplateParameters) -> Single:
+    """Return a function that makes every example of an annotator a template of its own; it reads all words once."""
+    features = len(store.feature_set.features)
+    usual = cache(lambda: usual_postures(store.words(None).best_known, features))
+    weights = feature_weights(templates.weights, store.feature_set)
+
+    def single(made: Annotator, clips: Sequence[TrainingClips], rejected: Sequence[Rejected]) -> Annotator:
+        return with_single_examples(made, clips, rejected, usual(), params.delta, weights)
+
+    return single
 
 
 def annotated_classes(store: Store, params: AnnotationParameters, stage: str) -> Classes:

@@ -108,6 +108,8 @@ def learning_stages(store: Store, asked: LearnQuestion) -> Row:
         templates["examples"] = [*([CLIPS] if "clips" in asked.examples else []), LABELS, *others]
     chosen = {"method": asked.method, "where": (asked.where or "").strip() or None}
     annotate |= {key: value for key, value in chosen.items() if value is not None}
+    # few labels are no picture of an archive: each of them counts, rejected ones too
+    annotate["each_example"] = CLIPS not in templates["examples"] and annotate.get("method") == "best"
     return {"learn_templates": {"params": templates}, **stages, "annotate": {"params": annotate}}
 
 

@@ -29,6 +29,7 @@ from kinedex.pipelines.annotation.preparation import (
     own_thresholds,
     prepare_annotator,
     queries_of,
+    single_examples_of,
     takes_to_annotate,
     template_words,
 )
@@ -128,6 +129,8 @@ def _prepared(
     """Return the annotator, and the thresholds and the confidence that were calibrated for it."""
     made_with = context.params_of("templates", TemplateParameters)
     examples = cache(lambda: training_material(store, made_with).clips)
+    single = single_examples_of(store, params, made_with) if params.each_example else None
+    rejected = rejected_examples(store, made_with, of_any=True) if params.each_example else []
     calibration = calibrated_thresholds(
         store,
         params,
@@ -139,9 +142,12 @@ def _prepared(
     )
     clips = partial(template_words, store, templates)
     annotator = prepare_annotator(store, params, templates, classes, clips, calibration, queries, learned)
+    if single is not None:
+        annotator = single(annotator, examples(), rejected)
     confidence = calibrated_confidence(
-        store, params, made_with, classes, examples(), takes, calibration, context.executor, queries, learned
-    )
+        store, params, made_with, classes, examples(), takes, calibration, context.executor, queries, learned,
+        single, rejected,
+    )  # fmt: skip
     return replace(annotator, confidence=confidence.confidence), calibration, confidence
 
 

@@ -259,10 +259,11 @@ class Rejected:
     known: int = int(ALL_KNOWN)
 
 
-def rejected_examples(store: Store, params: ExampleParameters) -> list[Rejected]:
+def rejected_examples(store: Store, params: ExampleParameters, *, of_any: bool = False) -> list[Rejected]:
     """Return the rejected intervals among the examples that parameters choose; none if labels are not among them.
 
     One that overlaps a positive label of its class is excluded: it was cut badly, and shows the class all the same.
+    With `of_any` so is one that overlaps a positive label of any class: it is an example of that one.
     """
     if LABELS not in params.examples:
         return []
@@ -270,12 +271,14 @@ def rejected_examples(store: Store, params: ExampleParameters) -> list[Rejected]
     shown = defaultdict(list)
     for one in labelled:
         if one.positive:
-            shown[one.take, one.label].append(one)
+            shown[one.take, "" if of_any else one.label].append(one)
     refused = [
         one
         for one in labelled
         if not one.positive
-        and not any(one.start < other.stop and other.start < one.stop for other in shown[one.take, one.label])
+        and not any(
+            one.start < other.stop and other.start < one.stop for other in shown[one.take, "" if of_any else one.label]
+        )
     ]
     words = example_words(store, refused)
     valid = ((one, own[own != NO_WORD]) for one, own in words.items())

@@ -98,6 +98,10 @@ class TrainingClips:
         """Return the clips of some takes."""
         return self._of([index for index, take in enumerate(self.of_takes) if take in names])
 
+    def first(self) -> TrainingClips:
+        """Return the first clip alone."""
+        return self._of([0])
+
     def _of(self, chosen: Sequence[int]) -> TrainingClips:
         return TrainingClips(
             self.subclass,

@@ -8,7 +8,6 @@ import numpy as np
 
 from kinedex.catalog.classes import OWN, load_classes
 from kinedex.catalog.features import load_feature_set
-from kinedex.ops.words import U64
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.confidence_calibration import (
     FOLDS,
@@ -46,9 +45,9 @@ def calibrated(some: Sequence[TrainingClips], method: str = "best", actor: str |
     def learn(few: Sequence[TrainingClips]) -> list[SubclassTemplate]:
         return [one for task in learn_templates(few, ["soft"], 40, executor) for one in task]
 
-    def make(templates: Sequence[SubclassTemplate], words: Sequence[U64]) -> Annotator:
-        chosen = annotation_method(method)
-        return make_annotator(BODY, templates, classes, 0.05, 0.13, method=chosen, clips=lambda: list(words))
+    def make(templates: Sequence[SubclassTemplate], rest: Sequence[TrainingClips], *_: object) -> Annotator:
+        chosen, words = annotation_method(method), [words for one in rest for words in one.words]
+        return make_annotator(BODY, templates, classes, 0.05, 0.13, method=chosen, clips=lambda: words)
 
     actors = {name: actor or name.split("_")[0] for one in some for name in one.names}
     return calibrate_confidence(some, actors, classes, method, Target([30, 30], ["new", None]), learn, make, executor)

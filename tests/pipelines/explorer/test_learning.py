@@ -15,7 +15,7 @@ from starlette.testclient import TestClient
 import kinedex
 from kinedex.pipelines.explorer.archive import Archive
 from kinedex.pipelines.explorer.jobs import Job, Jobs
-from kinedex.pipelines.explorer.learning import classes_with
+from kinedex.pipelines.explorer.learning import LearnQuestion, classes_with, learning_stages
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.store import open_store
 from tests.pipelines.explorer.conftest import Connect
@@ -54,6 +54,10 @@ def test_few_labels_alone_annotate_an_archive_and_it_can_be_undone(connect: Conn
     client = connect(archive)
     facts = client.get("/api/learn").json()
     assert (facts["based_on"], facts["examples"], facts["method"], facts["last"]) == (None, "labels", "best", None)
+    stages = learning_stages(open_store(archive), LearnQuestion())
+    assert stages["annotate"]["params"]["each_example"]
+    thesis = learning_stages(open_store(archive), LearnQuestion(method="thesis"))
+    assert not thesis["annotate"]["params"]["each_example"]
     started = client.post("/api/learn", json={})
     assert started.status_code == 200, started.text
     assert client.post("/api/learn", json={}).status_code == 409

@@ -1,0 +1,155 @@
+"""The method `best` with every example as a template of its own, for archives in which people have labelled little.
+
+A few examples of one class are no picture of an archive. Their average is vague where they differ; the usual postures
+of their frames are those of the class itself, from which it cannot stand out; and what people have rejected is like the
+class in all that the average holds. So every example is a template, every interval that was rejected is a template that
+labels nothing, and the background is that of all takes (`studies.explorer_decisions` chose so).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.annotation.background import background
+from kinedex.ops.annotation.decoding import Decoding
+from kinedex.ops.annotation.segments import Segment
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.templates.derived_templates import restricted_template
+from kinedex.ops.templates.templates import QuantisedTemplate, Template, quantise
+from kinedex.ops.words import U64, TakeWords
+from kinedex.pipelines.annotation.annotators import Annotator
+from kinedex.pipelines.annotation.methods import BestMethod, ClassTemplates, whole_takes, with_usual_values
+from kinedex.pipelines.templates.examples import Rejected
+from kinedex.pipelines.templates.learning import TrainingClips, learned_of
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+NOTHING = -1
+"""The place of the template of a rejected interval, which labels nothing."""
+
+
+MOST_FRAMES = 20_000
+"""The background is learned from so many frames at most: it is a few postures, which more do not change."""
+
+
+@dataclass(frozen=True)
+class SingleExamples:
+    """Label all frames of a take together, with every example as a template; segments are of their class's template.
+
+    Attributes
+    ----------
+    row : BestMethod
+        The method, with a template for each of E examples.
+    places : int64 array (E,)
+        The template of the annotator that each example stands for; `NOTHING` for a rejected interval.
+    """
+
+    name: ClassVar[str] = "best"
+    label: ClassVar[str] = "examples in a row"
+    uses_thresholds: ClassVar[bool] = False
+
+    row: BestMethod
+    places: I64
+
+    @classmethod
+    def prepare(cls, templates: ClassTemplates, clips: Callable[[], Sequence[U64]]) -> SingleExamples:
+        """Make the method where no example is known: every template is one."""
+        return cls(BestMethod.prepare(templates, clips), np.arange(len(templates.learned)))
+
+    def restricted(self, known: int, templates: Sequence[QuantisedTemplate], chosen: I64) -> SingleExamples:
+        """Return the method for takes that know some features only; see `ThesisMethod.restricted`."""
+        new = {int(place): index for index, place in enumerate(chosen.tolist())} | {NOTHING: NOTHING}
+        kept = {
+            example: own
+            for example, place in enumerate(self.places.tolist())
+            if place in new and (own := restricted_template(self.row.quantised[example], known)) is not None
+        }
+        places = np.array([new[int(self.places[example])] for example in kept], np.int64)
+        return SingleExamples(self.row.restricted(known, list(kept.values()), np.array(list(kept), np.int64)), places)
+
+    def annotate(self, words: TakeWords, ranges: Sequence[I64]) -> list[list[Segment]]:
+        """Label takes; see `AnnotationMethod.annotate`."""
+        if not (self.places != NOTHING).any():
+            return [[] for _ in range(len(words))]
+        whole = whole_takes(words)
+        within = [whole if place == NOTHING else ranges[place] for place in self.places.tolist()]
+        return [
+            [
+                replace(one, subclass=int(self.places[one.subclass]))
+                for one in segments
+                if self.places[one.subclass] != NOTHING
+            ]
+            for segments in self.row.annotate(words, within)
+        ]
+
+
+def usual_postures(words: U64, features: int) -> F64:
+    """Return the usual postures of an archive, learned from at most `MOST_FRAMES` of its words, spread evenly."""
+    return background([words[:: -(-len(words) // MOST_FRAMES) or 1]], features)
+
+
+def with_single_examples(
+    annotator: Annotator,
+    clips: Sequence[TrainingClips],
+    rejected: Sequence[Rejected],
+    usual: F64,
+    delta: float,
+    feature_weights: F64 | None = None,
+) -> Annotator:
+    """Return an annotator that labels with every example instead of with the templates that were made of them.
+
+    Parameters
+    ----------
+    annotator : Annotator
+        An annotator of the method `best`. Its templates without examples, such as those of files, stay as they are.
+    clips : sequence of TrainingClips
+        The examples of each subclass.
+    rejected : sequence of Rejected
+        Intervals that show no class; each explains frames that are like it, which then have no label.
+    usual : float64 array (K, f)
+        The usual postures of all kinds of motion, see `usual_postures`.
+    delta : float
+        Values of a template within delta of 0 or 1 are fixed; costs are computed with these.
+    feature_weights : float64 array (f,), optional
+        The weights of features in costs.
+
+    Raises
+    ------
+    KinedexError
+        The annotator has another method.
+    """
+    if not isinstance(annotator.method, BestMethod):
+        raise KinedexError(
+            f"`each_example` is for `method: best`, and the method is '{annotator.method.name}': change one of them"
+        )
+    features = len(annotator.feature_set.features)
+    by_subclass = {one.subclass: one for one in clips}
+    found: list[tuple[int, Template]] = []
+
+    def add(place: int, label: str, words: U64, known: int) -> None:
+        alone = TrainingClips(label, ("",), (words,), known=known)
+        found.append((place, learned_of(alone, "soft", features, feature_weights).template))
+
+    for place, subclass in enumerate(annotator.subclasses):
+        if subclass in by_subclass:
+            for words in by_subclass[subclass].words:
+                add(place, subclass, words, by_subclass[subclass].known)
+        else:
+            found.append((place, annotator.method.templates[place]))
+    for one in rejected:
+        add(NOTHING, one.label, one.words, one.known)
+    places = np.array([place for place, _ in found], np.int64)
+    row = BestMethod(
+        tuple(with_usual_values(template, usual) for _, template in found),
+        tuple(quantise(template, delta) for _, template in found),
+        np.where(places == NOTHING, len(annotator.classes), annotator.class_index[places]),
+        usual,
+        Decoding(),
+    )
+    return replace(annotator, method=SingleExamples(row, places))
