@@ -235,8 +235,8 @@ def main() -> None:
         if any((one in SYNTHETIC) == own for one in given.classes)
     ]
     print(
-        "| class | strategy | decisions, decided half | waiting | reached | decisions, held-out half | waiting | reached "
-        "| F (takes) | F (frames) | F (segments) | s a decision | corrections |"
+        "| class | strategy | decisions, decided half | waiting | reached | decisions, held-out half | waiting "
+        "| reached | F (takes) | F (frames) | F (segments) | s a decision | corrections |"
     )
     print("|---|---|" + "--:|" * 11)
     for archive in archives:

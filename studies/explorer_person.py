@@ -36,6 +36,12 @@ Row = dict[str, Any]
 TOP, MOST_TOP, TAU = 60, 500, 0.1
 """The page shows so many hits at first, and so many at most, below this cost."""
 
+STEP, MOST_TAU = 0.05, 0.3
+"""The person raises τ by so much where the list ends, up to this."""
+
+THINKING = 5.0
+"""A person takes so many seconds at least from one learning to the next, in which the explorer gets ready for it."""
+
 SIDED = ("left", "right")
 """Classes with one of these in their name have a side: the person asks for them without mirror images."""
 
@@ -94,13 +100,12 @@ def synthetic() -> Archive:
     """Return the synthetic archive: clips of a folder each, and long takes with ground truth."""
     source = synthetic_files()
     store = _ingested(source, BUILD / "explorer-synthetic", PEOPLE)
-    known = load_classes("synthetic", set()).of_subclass()
     classes: dict[str, dict[str, list[Range]]] = defaultdict(lambda: defaultdict(list))
     frames = take_frames(store)
-    folders = dict(store.takes().select("name", "source").iter_rows())
-    for name, file in folders.items():
-        label = _kind(known.get(Path(file).parent.name, ""))
-        if label:
+    folders = {name: Path(file).parent.name for name, file in store.takes().select("name", "source").iter_rows()}
+    known = load_classes("synthetic", set(folders.values())).of_subclass()
+    for name, folder in folders.items():
+        if label := _kind(known.get(folder, "")):
             classes[label][name].append((0, frames[name]))
     for one in placed_files(store, [read_labels(source / "takes" / "ground_truth.csv")]).segments:
         classes[_kind(one.label)][one.take].append((int(one.start), int(one.stop)))
@@ -128,6 +133,7 @@ class Explorer:
     def __init__(self, address: str, token: str) -> None:
         self._address, self._token = address, token
         self.waited = 0.0
+        self._learned = 0.0
 
     def ask(self, path: str, body: Row | None = None, *, waits: bool = True) -> Row:
         """Return the answer to a request, as the page sends it."""
@@ -142,7 +148,9 @@ class Explorer:
 
     def learn(self) -> None:
         """Learn again and annotate, and wait for the end."""
+        time.sleep(max(0.0, self._learned + THINKING - time.monotonic()))
         begin = time.perf_counter()
+        self.ask("/api/learn", waits=False)
         id = self.ask("/api/learn", {}, waits=False)["id"]
         while True:
             (job,) = (one for one in self.ask("/api/jobs", waits=False)["jobs"] if one["id"] == id)
@@ -152,6 +160,7 @@ class Explorer:
         if job["state"] != "done":
             raise SystemExit(f"learning again failed: {job['problem']}")
         self.waited += time.perf_counter() - begin
+        self._learned = time.monotonic()
 
 
 @contextmanager
@@ -210,9 +219,9 @@ class Person:
         """Return rows that are not those that were decided on."""
         return [row for row in rows if not any(alike(row, one) for one in (*self.accepted, *self.rejected))]
 
-    def hits(self, top: int, *, decided: bool = True, waits: bool = True) -> Row:
+    def hits(self, top: int, tau: float = TAU, *, decided: bool = True, waits: bool = True) -> Row:
         """Ask by the examples."""
-        body = {"positives": self.positives, "negatives": self.negatives, "tau": TAU, "top": top}
+        body = {"positives": self.positives, "negatives": self.negatives, "tau": tau, "top": top}
         body |= {"mirror": not any(side in self.label for side in SIDED), "where": self.archive.where(decided=decided)}
         return self.opened.ask("/api/ask/examples", body, waits=waits)
 
@@ -222,14 +231,14 @@ class Person:
         self.positives, self.negatives = [*apart, *self.accepted], list(self.rejected)
 
     def next_hits(self) -> list[Row]:
-        """Return the next hits of the list, the best first; more are shown where all of them are decided."""
-        top = TOP
+        """Return the next hits of the list, the best first; where all are decided, more are asked for, or costlier."""
+        top, tau = TOP, TAU
         while True:
-            found = self.hits(top)
+            found = self.hits(top, tau)
             rows = self.undecided(found["hits"])
-            if len(rows) >= self.each or not found["more"] or top >= MOST_TOP:
+            if len(rows) >= self.each or (found["more"] and top >= MOST_TOP) or tau >= MOST_TAU:
                 return rows[: self.each]
-            top = min(MOST_TOP, 2 * top)
+            top, tau = (min(MOST_TOP, 2 * top), tau) if found["more"] else (top, min(MOST_TAU, tau + STEP))
 
     def save(self) -> None:
         """Save what was accepted and rejected as labels."""

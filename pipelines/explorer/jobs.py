@@ -24,12 +24,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import IO, TYPE_CHECKING, Any, Literal
 from weakref import WeakKeyDictionary
 
 from kinedex.pipelines.explorer.addresses import Question, get, post
 from kinedex.pipelines.explorer.answers import NotFoundError
 from kinedex.pipelines.explorer.same import command_line
+from kinedex.pipelines.explorer.spare_process import SpareProcess
 from kinedex.storage.snapshot.manifest_files import versions
 
 if TYPE_CHECKING:
@@ -69,6 +70,8 @@ class Job:
     check : callable, optional
         Called before the job begins; a KinedexError is the reason why it does not, for instance since the store is not
         any more what was planned while it waited.
+    learns : bool
+        True if the process that `Jobs.prepare` has started serves it, where there is one.
     """
 
     title: str
@@ -76,6 +79,7 @@ class Job:
     steps: int = 0
     then: Callable[[Job], None] | None = None
     check: Callable[[], None] | None = None
+    learns: bool = False
     id: str = field(default_factory=lambda: uuid.uuid4().hex[:12])
     state: State = "waiting"
     done: int = 0
@@ -108,6 +112,7 @@ class Jobs:
         self._lock = threading.Condition()
         self._jobs: list[Job] = []
         self._process: subprocess.Popen[bytes] | None = None
+        self._spare: SpareProcess | None = None
         self._ended = False
         self._thread: threading.Thread | None = None
 
@@ -121,6 +126,23 @@ class Jobs:
             self._lock.notify_all()
         self._publish(job)
         return job
+
+    def prepare(self) -> None:
+        """Start a process that imports what learning needs, so that the next job that learns begins at once."""
+        with self._lock:
+            if not self._ended and (self._spare is None or not self._spare.waits):
+                self._spare = SpareProcess(**_GROUP)
+
+    def _begin(self, job: Job, out: IO[bytes], words: Sequence[str]) -> subprocess.Popen[bytes]:
+        """Start the process of a job, or give the job to the one that waits for it; the lock is held."""
+        spare = self._spare
+        if job.learns and spare is not None and spare.waits:
+            self._spare = None
+            given = spare.run(words, self.log_file(job))
+            if given is not None:
+                return given
+        command = [sys.executable, "-m", "kinedex", *words]
+        return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=out, stderr=out, **_GROUP)
 
     def every(self) -> list[Job]:
         """Return all jobs, oldest first."""
@@ -161,6 +183,9 @@ class Jobs:
                 job.stopping = job.stopping or job.state == "running"
             self._interrupt()
             self._lock.notify_all()
+            spare, self._spare = self._spare, None
+        if spare is not None:
+            spare.end()
         if self._thread is not None:
             self._thread.join(END_SECONDS)
         with self._lock:
@@ -203,13 +228,13 @@ class Jobs:
             log.parent.mkdir(exist_ok=True)
             lines = log.with_suffix(".jsonl")
             with log.open("wb") as out:
-                words = [sys.executable, "-m", "kinedex", *job.words, "--log-file", str(lines)]
+                words = [*job.words, "--log-file", str(lines)]
                 out.write(f"$ {command_line('kinedex', *job.words)}\n".encode())
                 out.flush()
                 with self._lock:
                     if job.stopping:
                         raise InterruptedError("stopped before it began")
-                    self._process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=out, stderr=out, **_GROUP)
+                    self._process = self._begin(job, out, words)
                 code = self._follow(job, self._process, lines)
             lines.unlink(missing_ok=True)
             problem = _problem(log)

@@ -2,7 +2,7 @@
 
 `GET /api/learn` answers with `learning_facts`, `POST /api/learn {examples?, method?, where?}` starts a job,
 `GET /api/learn/changes` lists what the last one changed, and `POST /api/learn/undo` starts a job that brings the
-annotations before it back.
+annotations before it back. Once the page has asked for the facts, a process is kept ready (`spare_process`).
 
 What is learned belongs to a pipeline of its own, `learn-again`, with the settings of the current annotation and the
 labels of people as further examples. So the results that were there stay beside it, and an earlier result of its own
@@ -66,6 +66,8 @@ def learning_facts(archive: Archive, _request: Request) -> Row:
         `where`; and `last`, None or the versions `before` and `after` the last run, with `undone`.
     """
     store = archive.store()
+    if not archive.read_only:
+        jobs_of(archive).prepare()
     stages = learning_stages(store, LearnQuestion())
     examples = stages["learn_templates"]["params"]["examples"]
     return {
@@ -171,9 +173,10 @@ def learn(archive: Archive, asked: LearnQuestion, _request: Request) -> Row:
         record = {**before, "after": after, "undone": False, "job": job.id}
         if after != before["before"]:
             _write(_record_file(archive), json.dumps(record))
+        jobs_of(archive).prepare()  # who has learned once learns again
 
     words = run_words(archive, _file(archive))
-    return jobs_of(archive).add(Job(TITLE, words, len(stages), then=note)).shown()
+    return jobs_of(archive).add(Job(TITLE, words, len(stages), note, learns=True)).shown()
 
 
 TITLE = "Learn again"

@@ -138,3 +138,28 @@ def test_a_class_file_gets_the_classes_that_people_have_labelled() -> None:
         "squat": {"description": "down", "subclasses": ["squat1Reps", "squat"]},
         "walk [slow]": {"description": "labelled by people", "subclasses": ["walk [[]slow]"]},
     }
+
+
+def test_a_process_that_waits_runs_the_next_job_that_learns(archive: Path) -> None:
+    jobs = Jobs(Archive(archive))
+    jobs.prepare()
+    spare = jobs._spare
+    assert spare is not None
+    jobs.prepare()
+    assert jobs._spare is spare  # one is enough
+    other = jobs.add(Job("takes", ("takes", "list", str(archive))))
+    first = jobs.add(Job("learn", ("takes", "list", str(archive)), learns=True))
+    second = jobs.add(Job("learn", ("takes", "lust", str(archive)), learns=True))
+    deadline = time.monotonic() + SECONDS
+    while second.finished is None and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not spare.waits  # it has run the first one
+    assert (other.state, first.state, second.state) == ("done", "done", "failed")
+    shown, known = (jobs.log_file(one).read_text().splitlines() for one in (first, other))
+    assert shown == known
+    assert "ann_take" in "\n".join(known)
+    assert "unexpected extra argument" in str(second.problem)
+    jobs.prepare()
+    jobs.end()
+    jobs.prepare()
+    assert jobs._spare is None  # the server has ended
