@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, expect
 
 from benchmarks.explorer_browser import (
     anonymous_mib,
@@ -28,10 +28,6 @@ from kinedex.pipelines.explorer.application import BUILT
 from tests.browser.explorer.conftest import WAIT_MS
 
 ROWS = "SELECT range AS number, 'row ' || range AS text, range % 7 AS rest FROM range(100000)"
-
-
-def rows_of(page: Page) -> list[int]:
-    return [int(text) for text in page.locator(".grid-body .grid-cell:first-child").all_text_contents()]
 
 
 def test_a_table_of_100000_rows_scrolls_and_is_read_in_the_order_of_its_rows(browser: Browser, explorer: str) -> None:
@@ -58,13 +54,14 @@ def test_a_table_of_100000_rows_scrolls_and_is_read_in_the_order_of_its_rows(bro
             page.keyboard.press(key)
         page.wait_for_function(
             """() => {
-              const rows = [...document.querySelectorAll('.grid-body')].map((one) => Number(one.dataset.row));
-              return rows.length > 20 && rows.length < 80 && rows.every((row, i) => i === 0 || row === rows[i - 1] + 1);
+              const lines = [...document.querySelectorAll('.grid-body')];
+              const rows = lines.map((one) => Number(one.dataset.row));
+              const inOrder = rows.every((row, i) => i === 0 || row === rows[i - 1] + 1);
+              const texts = lines.every((one, i) => one.firstElementChild.textContent === String(rows[i]));
+              return inOrder && texts && rows.length > 20 && rows.length < 80 && rows[0] < 99950;
             }""",
             timeout=WAIT_MS,
         )
-        shown = rows_of(page)
-        assert shown == list(range(shown[0], shown[0] + len(shown)))
 
 
 def test_takes_open_and_are_scrubbed_and_questions_are_timed(browser: Browser, store: Path) -> None:

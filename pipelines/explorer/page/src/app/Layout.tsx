@@ -6,9 +6,12 @@ import { Link, Route, Switch, useLocation } from "wouter";
 import { useConnected, useEvents, useJobs } from "../api/events";
 import { useStore } from "../api/queries";
 import { Fault, FaultBoundary } from "./Fault";
-import { PAGES } from "./pages";
+import { loadPages, PAGES } from "./pages";
 import { SameBar } from "./SameBar";
 import { keyNames, useShortcuts, useShownShortcuts } from "./shortcuts";
+
+/** Other pages are loaded once the first has had so long to show what it holds. */
+const IDLE_MS = 2000;
 
 /** The frame of every page: header, navigation, content, and the bar with the command that does the same. */
 export function Layout() {
@@ -20,6 +23,10 @@ export function Layout() {
     document.title = page === undefined ? "kinedex" : `${page.title} · kinedex`;
   }, [page]);
   useDoubleClickOnce(location);
+  useEffect(() => {
+    const timer = setTimeout(() => void loadPages(), IDLE_MS);
+    return () => clearTimeout(timer);
+  }, []);
   useShortcuts("Everywhere", [
     { keys: "?", what: "List the keys", run: open },
     ...PAGES.map((one) => ({ keys: `g ${one.key}`, what: `Go to ${one.title}`, run: () => navigate(one.path) })),

@@ -1,6 +1,10 @@
-// The pages of the explorer, in the order of the navigation. Each is a chunk of its own, loaded when it is first shown.
+// The pages of the explorer, in the order of the navigation. The first is part of the page itself, so that its takes are
+// asked for at once; each of the others is a chunk of its own, loaded when it is first shown, or while nothing else is to
+// be done.
 
-import { type ComponentType, lazy, type LazyExoticComponent } from "react";
+import { type ComponentType, lazy } from "react";
+
+import ArchivePage from "../archive/ArchivePage";
 
 export interface Page {
   title: string;
@@ -10,15 +14,35 @@ export interface Page {
   pattern: string;
   /** Key after `g` that goes to it. */
   key: string;
-  view: LazyExoticComponent<ComponentType>;
+  view: ComponentType;
+}
+
+type Load = () => Promise<{ default: ComponentType }>;
+
+const loads: Load[] = [];
+
+function later(load: Load): ComponentType {
+  loads.push(load);
+  return lazy(load);
 }
 
 export const PAGES: readonly Page[] = [
-  { title: "Archive", path: "/", pattern: "/", key: "a", view: lazy(() => import("../archive/ArchivePage")) },
-  { title: "Take", path: "/take", pattern: "/take/:name?", key: "t", view: lazy(() => import("../take/TakePage")) },
-  { title: "Ask", path: "/ask", pattern: "/ask/*?", key: "s", view: lazy(() => import("../ask/AskPage")) },
-  { title: "Label", path: "/label", pattern: "/label/*?", key: "l", view: lazy(() => import("../label/LabelPage")) },
-  { title: "Templates", path: "/templates", pattern: "/templates/*?", key: "p", view: lazy(() => import("../templates/TemplatesPage")) },
-  { title: "Runs", path: "/runs", pattern: "/runs/*?", key: "r", view: lazy(() => import("../runs/RunsPage")) },
-  { title: "Export", path: "/export", pattern: "/export/*?", key: "e", view: lazy(() => import("../export/ExportPage")) },
+  { title: "Archive", path: "/", pattern: "/", key: "a", view: ArchivePage },
+  { title: "Take", path: "/take", pattern: "/take/:name?", key: "t", view: later(() => import("../take/TakePage")) },
+  { title: "Ask", path: "/ask", pattern: "/ask/*?", key: "s", view: later(() => import("../ask/AskPage")) },
+  { title: "Label", path: "/label", pattern: "/label/*?", key: "l", view: later(() => import("../label/LabelPage")) },
+  { title: "Templates", path: "/templates", pattern: "/templates/*?", key: "p", view: later(() => import("../templates/TemplatesPage")) },
+  { title: "Runs", path: "/runs", pattern: "/runs/*?", key: "r", view: later(() => import("../runs/RunsPage")) },
+  { title: "Export", path: "/export", pattern: "/export/*?", key: "e", view: later(() => import("../export/ExportPage")) },
 ];
+
+/** Load the chunks of all pages, each in a moment in which nothing else is to be done. */
+export async function loadPages(): Promise<void> {
+  for (const load of loads) {
+    await new Promise<void>((done) => {
+      if ("requestIdleCallback" in window) requestIdleCallback(() => done());
+      else setTimeout(done, 200);
+    });
+    await load().catch(() => {}); // a page that cannot be loaded says so when it is shown
+  }
+}

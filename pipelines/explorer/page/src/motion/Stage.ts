@@ -47,6 +47,14 @@ const BALL_RADIUS = 0.032;
 
 const NOBODY = makeBody([], []);
 
+/** The materials of all figures. They are never disposed of: their programs, which take long to compile, go with the last. */
+class Materials {
+  readonly bone = new MeshLambertMaterial();
+  readonly dark = new MeshBasicMaterial();
+  readonly trail = new LineBasicMaterial({ vertexColors: true });
+  readonly floor = new LineBasicMaterial();
+}
+
 /** The pieces of one actor. */
 class Figure {
   readonly group = new Group();
@@ -55,8 +63,6 @@ class Figure {
   private readonly balls: InstancedMesh;
   private readonly shadow: InstancedMesh;
   private readonly shade = new Group();
-  private readonly material: MeshLambertMaterial;
-  private readonly dark: MeshBasicMaterial;
   private readonly trail: LineSegments;
   private readonly trailPlaces: Float32Array;
   private readonly trailJoints: number[];
@@ -66,17 +72,16 @@ class Figure {
   constructor(
     readonly actor: Actor,
     private readonly body: Body,
+    materials: Materials,
   ) {
     this.poses = new ActorPoses(actor, body);
     const joints = body.joints.length;
     this.pose = new Float32Array(3 * joints);
     this.scratch = new Float32Array(3 * joints);
-    this.material = new MeshLambertMaterial();
-    this.dark = new MeshBasicMaterial();
     const cylinder = new CylinderGeometry(BONE_RADIUS, BONE_RADIUS * 1.15, 1, 8, 1, true);
-    this.bones = new InstancedMesh(cylinder, this.material, body.bones.length);
-    this.balls = new InstancedMesh(new SphereGeometry(1, 12, 8), this.material, joints + 1);
-    this.shadow = new InstancedMesh(cylinder, this.dark, body.bones.length);
+    this.bones = new InstancedMesh(cylinder, materials.bone, body.bones.length);
+    this.balls = new InstancedMesh(new SphereGeometry(1, 12, 8), materials.bone, joints + 1);
+    this.shadow = new InstancedMesh(cylinder, materials.dark, body.bones.length);
     for (const mesh of [this.bones, this.balls, this.shadow]) {
       mesh.frustumCulled = false;
       mesh.instanceMatrix.setUsage(DynamicDrawUsage);
@@ -90,7 +95,7 @@ class Figure {
     const line = new BufferGeometry();
     line.setAttribute("position", new BufferAttribute(this.trailPlaces, 3).setUsage(DynamicDrawUsage));
     line.setAttribute("color", new BufferAttribute(new Float32Array(this.trailPlaces.length), 3));
-    this.trail = new LineSegments(line, new LineBasicMaterial({ vertexColors: true }));
+    this.trail = new LineSegments(line, materials.trail);
     this.trail.frustumCulled = false;
     this.group.add(this.bones, this.balls, this.shade, this.trail);
   }
@@ -105,7 +110,6 @@ class Figure {
     bones.forEach(([, joint], i) => this.bones.setColorAt(i, tone(sides[joint] ?? "middle")));
     for (let j = 0; j <= joints.length; j++) this.balls.setColorAt(j, tone(sides[j] ?? "middle"));
     for (const mesh of [this.bones, this.balls]) if (mesh.instanceColor !== null) mesh.instanceColor.needsUpdate = true;
-    this.dark.color = new Color(theme.line).lerp(new Color(theme.dark ? "#000000" : "#8a93a0"), 0.45);
     const colour = this.trail.geometry.getAttribute("color") as BufferAttribute;
     this.trailJoints.forEach((joint, i) => {
       const { r, g, b } = tone(sides[joint] ?? "middle").lerp(ground, 0.35);
@@ -161,9 +165,6 @@ class Figure {
       mesh.dispose();
     }
     this.trail.geometry.dispose();
-    (this.trail.material as LineBasicMaterial).dispose();
-    this.material.dispose();
-    this.dark.dispose();
   }
 }
 
@@ -178,8 +179,9 @@ class Stage implements Staging {
   private readonly camera = new PerspectiveCamera(FIELD_OF_VIEW, 1, 0.05, 200);
   private readonly controls: OrbitControls;
   private readonly target = new Vector3(0, EYE_M, 0);
+  private readonly materials = new Materials();
   private figures: Figure[] = [];
-  private grid: LineSegments | null = null;
+  private readonly grid = new LineSegments(floorLines(), this.materials.floor);
   private floor = 0;
   private aimed = false;
   readonly flat = false;
@@ -193,7 +195,7 @@ class Stage implements Staging {
     this.renderer.setPixelRatio(Math.min(2, window.devicePixelRatio || 1));
     const sun = new DirectionalLight(0xffffff, 1.6);
     sun.position.set(1, 3, 2);
-    this.scene.add(new HemisphereLight(0xffffff, 0x8a8f98, 1.9), sun);
+    this.scene.add(new HemisphereLight(0xffffff, 0x8a8f98, 1.9), sun, this.grid);
     this.camera.position.set(0, 1.5, 4.6);
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.enableDamping = false;
@@ -213,10 +215,12 @@ class Stage implements Staging {
       this.scene.remove(figure.group);
       figure.dispose();
     }
-    this.figures = actors.map((actor) => new Figure(actor, body));
-    for (const figure of this.figures) this.scene.add(figure.group);
+    this.figures = actors.map((actor) => new Figure(actor, body, this.materials));
+    for (const figure of this.figures) {
+      this.scene.add(figure.group);
+      figure.paint(colours());
+    }
     this.aimed = false;
-    this.paint();
   }
 
   setFloor(height: number): void {
@@ -226,12 +230,8 @@ class Stage implements Staging {
   private paint(): void {
     const theme = colours();
     this.scene.background = new Color(theme.surface);
-    if (this.grid !== null) {
-      this.scene.remove(this.grid);
-      this.grid.geometry.dispose();
-    }
-    this.grid = makeFloor(theme);
-    this.scene.add(this.grid);
+    this.materials.floor.color = new Color(theme.line);
+    this.materials.dark.color = new Color(theme.line).lerp(new Color(theme.dark ? "#000000" : "#8a93a0"), 0.45);
     for (const figure of this.figures) figure.paint(theme);
   }
 
@@ -264,7 +264,7 @@ class Stage implements Staging {
       this.aimed = true;
       this.turnTo(alone ? facing(body, figure.pose) + ASIDE : 0.35, x, z);
     } else if (this.follow) this.shift(x - this.target.x, z - this.target.z);
-    if (this.grid !== null) this.grid.position.set(Math.round(this.target.x), 0, Math.round(this.target.z));
+    this.grid.position.set(Math.round(this.target.x), 0, Math.round(this.target.z));
   }
 
   private turnTo(yaw: number, x: number, z: number): void {
@@ -302,13 +302,13 @@ class Stage implements Staging {
 }
 
 /** Return squares of one metre. Each side is a line: some renderers drop long lines that begin behind the camera. */
-function makeFloor(theme: Colours): LineSegments {
+function floorLines(): BufferGeometry {
   const places: number[] = [];
   for (let k = -SQUARES; k <= SQUARES; k++)
     for (let part = -SQUARES; part < SQUARES; part++) places.push(k, 0, part, k, 0, part + 1, part, 0, k, part + 1, 0, k);
   const geometry = new BufferGeometry();
   geometry.setAttribute("position", new BufferAttribute(new Float32Array(places), 3));
-  return new LineSegments(geometry, new LineBasicMaterial({ color: new Color(theme.line) }));
+  return geometry;
 }
 
 let idle: Staging | null = null;

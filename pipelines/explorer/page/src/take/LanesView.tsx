@@ -139,7 +139,7 @@ function usePainter(props: LanesProps, rows: readonly Row[], width: number, heig
     const end = session.paint((changes) => {
       if (words !== null && words.ready < words.frames) {
         words.prepare();
-        session.changed("content");
+        session.changed("view"); // the lanes alone are to be drawn anew
       }
       if (changes.view || changes.content) {
         drawAll();

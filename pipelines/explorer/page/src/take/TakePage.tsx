@@ -56,8 +56,8 @@ function OpenTake({ document, store }: { document: TakeDocument; store: StoreFac
   const body = useMemo(() => makeBody(store.joints, store.parents), [store]);
   const { motion, fault: motionFault } = useMotion(id, version, session);
   const { words, fault: wordsFault } = useWords(id, version, store.features.length);
-  const lanes = useLanes(id, version);
-  const templates = useTemplates(id, version);
+  const lanes = useLanes(id, version, session);
+  const templates = useTemplates(id, version, session);
   const [closed, toggle] = useClosed();
   const [names, setNames] = useTemplateNames(templates.data);
   const { curves, faults } = useCurves(id, version, names, templates.data, lanes.data?.limbs ?? NO_LIMBS);

@@ -63,11 +63,16 @@ export function useMotions(ids: readonly number[], session: Session): { motions:
 
 /** Add the poses of a take to a motion as they arrive. */
 async function load(id: number, motion: Motion, session: Session, signal: AbortSignal): Promise<void> {
-  await readBlocks(await getStream(path(id, "/motion"), signal), (block) => {
-    if (signal.aborted) return;
-    motion.add(block);
-    session.changed("content");
-  });
+  try {
+    await readBlocks(await getStream(path(id, "/motion"), signal), (block) => {
+      if (signal.aborted) return;
+      motion.add(block);
+      session.changed("content");
+      session.begin();
+    });
+  } finally {
+    session.begin();
+  }
 }
 
 export function useWords(id: number, version: number, features: number) {
@@ -82,17 +87,19 @@ export function useWords(id: number, version: number, features: number) {
   return { words, fault: bytes.error };
 }
 
-export function useLanes(id: number, version: number) {
+// Lanes and templates wait for the first poses: they take the server longer, and would keep it from sending those.
+
+export function useLanes(id: number, version: number, session: Session) {
   return useQuery({
     queryKey: ["labels", "lanes", id, version],
-    queryFn: ({ signal }) => get<TakeLanes>(path(id, "/lanes"), signal),
+    queryFn: ({ signal }) => session.begun.then(() => get<TakeLanes>(path(id, "/lanes"), signal)),
   });
 }
 
-export function useTemplates(id: number, version: number) {
+export function useTemplates(id: number, version: number, session: Session) {
   return useQuery({
     queryKey: ["version", "templates", id, version],
-    queryFn: ({ signal }) => get<TakeTemplates>(path(id, "/templates"), signal),
+    queryFn: ({ signal }) => session.begun.then(() => get<TakeTemplates>(path(id, "/templates"), signal)),
   });
 }
 

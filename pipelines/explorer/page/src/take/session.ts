@@ -34,6 +34,9 @@ export class Session {
   /** Selection that is being drawn. */
   brushed: readonly [number, number] | null = null;
   view: View;
+  /** Fulfilled once the first poses are there, or will not come: what is less urgent is asked for then. */
+  readonly begun: Promise<void>;
+  begin: () => void = () => {};
   shown: Shown = { playing: false, speed: 1, loop: true, follow: true, trails: false, selection: null };
 
   private readonly painters = new Set<Painter>();
@@ -50,6 +53,9 @@ export class Session {
     readonly rateHz: number,
   ) {
     this.view = { from: 0, to: Math.max(1, frames) };
+    this.begun = new Promise((done) => {
+      this.begin = done;
+    });
   }
 
   /** The frame whose pose is shown. */
