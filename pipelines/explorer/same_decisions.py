@@ -28,7 +28,12 @@ def same_decisions(archive: Archive, rows: Iterable[Row], known: Mapping[str, Ro
     known : mapping of str to mapping
         Rows by their ids: those that `rows` replace.
     """
-    lines = [_line(archive, row, known.get(row.get("replaces") or "")) for row in rows]
+    lines = []
+    gone: set[str] = set()  # of the two parts of a label, the first takes its place, and the second is a new one
+    for row in rows:
+        before = row.get("replaces") or ""
+        lines.append(_line(archive, row, None if before in gone else known.get(before)))
+        gone.add(before)
     if not lines:
         return {}
     return {

@@ -16,6 +16,7 @@ from playwright.sync_api import Browser, Page, expect
 
 import kinedex
 from kinedex.pipelines.explorer.application import BUILT
+from tests.pipelines.archives import write_archive
 
 TAKE = "x_al_long_1"
 
@@ -152,11 +153,43 @@ def test_the_queue_is_answered_by_keys(page: Page, explorer: Explorer) -> None:
 
 def test_decisions_wait_for_a_server_that_was_killed(page: Page, explorer: Explorer) -> None:
     open_take(page, explorer)
+    drag(page, "new", 0.6, 0.7)
+    saved(page)
     explorer.kill()
+    ((*_, verdict, origin),) = labels(explorer, "class = 'hop'")
+    assert (verdict, origin) == ("positive", "drawn")
     drag(page, "new", 0.8, 0.9)
     expect(page.get_by_test_id("saved")).to_contain_text("Not saved: 1 decision is kept")
-    expect(page.locator(".label-label").filter(has_text="hop")).to_have_count(1)
+    expect(page.locator(".label-label").filter(has_text="hop")).to_have_count(2)
     explorer.start()
     page.context.new_page().goto(explorer.address)  # the new server has a new token
     saved(page)
-    assert len(labels(explorer, "class = 'hop'")) == 1
+    assert len(labels(explorer, "class = 'hop'")) == 2
+
+
+def test_two_tabs_label_one_take_while_an_ingest_runs(page: Page, explorer: Explorer, tmp_path: Path) -> None:
+    write_archive(tmp_path / "more", {"takes/x_cy_more_1.amc": 60}, first_seed=9)
+    ingest = [sys.executable, "-m", "kinedex", "ingest", str(explorer.store), str(tmp_path / "more")]
+    open_take(page, explorer)
+    other = page.context.new_page()
+    open_take(other, explorer)
+    running = subprocess.Popen([*ingest, "--executor", "serial"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    page.bring_to_front()
+    page.get_by_role("combobox", name="Class of new labels").fill("turn")
+    drag(page, "new", 0.1, 0.2)
+    saved(page)
+    other.bring_to_front()
+    turn = other.locator('[data-lane="labels/turn"] .label-label')
+    expect(turn).to_have_count(1)
+    turn.click()
+    other.keyboard.press("n")
+    expect(turn).to_have_class(re.compile("label-negative"))
+    saved(other)
+    page.bring_to_front()
+    page.keyboard.press("Control+z")  # what it would undo is not any more what this tab has made
+    expect(page.get_by_role("alert")).to_contain_text("changed again meanwhile")
+    shown, _ = running.communicate(timeout=120)
+    assert running.returncode == 0, shown
+    expect(page.locator(".shell-header")).to_contain_text("9 takes")
+    assert [row[3] for row in labels(explorer, "class = 'turn'")] == ["negative"]
+    assert "x_cy_more_1" in kinedex.open_store(explorer.store).takes()["name"].to_list()

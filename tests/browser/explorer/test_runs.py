@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import expect
 
-from tests.browser.explorer.conftest import Open
+from kinedex.storage.store.store import open_store
+from kinedex.storage.store.writer import StoreWriter
+from tests.browser.explorer.conftest import WAIT_MS, Open
 
 
 @pytest.mark.parametrize("width", [1400, 390])
@@ -50,3 +56,35 @@ def test_a_plan_has_reasons_and_a_wrong_setting_its_error_in_place(open_page: Op
     expect(job.get_by_label("Log")).to_contain_text("kinedex run")
     page.get_by_role("tab", name="Methods compared").click()
     expect(page.get_by_role("region", name="Methods compared")).to_contain_text("F (segments)")
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="processes are found in /proc")
+def test_a_run_is_stopped_and_one_that_does_not_hear_is_ended_by_force(open_page: Open, store: Path) -> None:
+    page = open_page("/runs?view=start")
+    page.get_by_role("button", name="dances").click()
+    page.get_by_label("source", exact=True).fill(str(store.parent / "archive"))
+    page.get_by_label("Parameters of stages").fill("annotate.tau=0.11")
+    with StoreWriter.open(store, open_store(store).feature_set):  # the run waits for this writer
+        for force in (False, True):
+            page.get_by_role("button", name="Run", exact=True).click()
+            job = page.get_by_test_id("run-job").first
+            expect(job).to_contain_text("Run dances: running")
+            if force:
+                os.kill(process_of(store), signal.SIGSTOP)
+            job.get_by_role("button", name="Stop", exact=True).click()
+            if force:
+                job.get_by_role("button", name="Stop by force").click()
+            expect(job).to_contain_text("Run dances: stopped")
+            expect(job.get_by_role("button", name="Stop")).to_have_count(0)
+
+
+def process_of(store: Path) -> int:
+    """Return the id of the process of a job on a store, as soon as it is there."""
+    for _ in range(WAIT_MS // 50):
+        for place in Path("/proc").glob("[0-9]*"):
+            with suppress(OSError):
+                words = (place / "cmdline").read_bytes().decode().split("\0")
+                if {"run", "--log-file", str(store)} <= {*words}:
+                    return int(place.name)
+        time.sleep(0.05)
+    raise AssertionError("no job runs")

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import re
+import shlex
+import shutil
 import uuid
 from pathlib import Path
 from typing import Any
 
+import polars as pl
 import pytest
+from typer.testing import CliRunner
 
 import kinedex
+from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.learn_templates import LearnTemplates
 from kinedex.storage.index.builder import build_index
@@ -121,6 +127,59 @@ def test_every_edit_can_be_undone_and_done_again(page: Page) -> None:
                     step[0][:] = [names.get(one, one) for one in step[0]]
                 others.append((answer["made"], made))
     assert len({tuple(state) for state in seen}) == len(seen)
+
+
+def test_the_commands_of_decisions_make_the_same_labels(page: Page, connect: Connect, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    shutil.copytree(page.store, other)
+    python = tmp_path / "by python"
+    shutil.copytree(page.store, python)
+    columns = ["take", "class", "start", "stop", "limb", "verdict", "annotator", "note"]
+
+    def content(store: Path) -> pl.DataFrame:
+        return kinedex.open_store(store).labels.table().sort(columns)
+
+    def decide(*changes: Json) -> list[str]:
+        before = {row["id"]: row for row in content(page.store).to_dicts()}
+        answer = page.decide(*changes)
+        for line in answer["command"].splitlines():
+            words = [word.replace(str(page.store), str(other)) for word in shlex.split(line)[1:]]
+            done = CliRunner().invoke(app, [twin(word, before, other) for word in words])
+            assert done.exit_code == 0, (line, done.output)
+        lines = answer["python"].replace(str(page.store), str(python))
+        exec(re.sub(r"'([0-9a-f]{12})'", lambda found: repr(twin(found[1], before, python)), lines))
+        for store in (other, python):
+            assert content(store).select(columns).rows() == content(page.store).select(columns).rows(), answer[
+                "command"
+            ]
+        made: list[str] = answer["made"]
+        return made
+
+    def twin(word: str, before: dict[str, Json], store: Path) -> str:
+        """Return the id in another store of the label with the same content."""
+        row = next((row for id, row in before.items() if id.startswith(word)), None) if len(word) == 12 else None
+        if row is None:
+            return word
+        rows = content(store).to_dicts()
+        return str(next(one["id"] for one in rows if all(one[key] == row[key] for key in columns)))
+
+    (walk,) = decide(draw("walk, slowly", 2, 20))
+    decide({**draw("it's a kick", 30, 40), "verdict": "negative", "note": "a -- hop"})
+    (limb,) = decide({**draw("error", 1, 9), "limb": "lshank"})
+    (moved,) = decide({"do": "change", "id": new(), "label": walk, "start": 4, "class": "run"})
+    parts = decide({"do": "split", "ids": [new(), new()], "label": moved, "at": 10})
+    decide({"do": "restore", "ids": [new() for _ in range(3)], "made": parts, "back": [moved]})
+    (whole,) = (row["id"] for row in page.labels() if row["class"] == "run")
+    parts = decide({"do": "split", "ids": [new(), new()], "label": whole, "at": 12})
+    *_, joined = decide({"do": "join", "ids": [new(), new()], "labels": parts})
+    decide({"do": "change", "id": new(), "label": joined, "verdict": "negative"})
+    gone = decide({"do": "withdraw", "id": new(), "label": limb})
+    decide({"do": "restore", "ids": [new(), new()], "made": gone, "back": [limb]})
+    queue = page.post("/api/labels/queue", {"takes": [TAKE]})
+    row, other_row = ({key: one[key] for key in ("class", "subclass", "start", "stop")} for one in queue["rows"][:2])
+    (accepted,) = decide({"do": "accept", "id": new(), "stage": queue["stage"], **row})
+    decide({"do": "reject", "id": new(), "stage": queue["stage"], **row, "seen": accepted})
+    decide({"do": "reject", "id": new(), "stage": queue["stage"], **other_row}, draw("two at once", 3, 4))
 
 
 def test_a_request_that_is_sent_twice_is_recorded_once(page: Page) -> None:
