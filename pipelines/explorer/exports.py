@@ -24,9 +24,10 @@ from kinedex.ops.errors import ConflictError, KinedexError
 from kinedex.pipelines.engine.context import ProgressBar
 from kinedex.pipelines.explorer.addresses import Question, get, post
 from kinedex.pipelines.explorer.answers import NotFoundError
+from kinedex.pipelines.explorer.hits import take_condition
 from kinedex.pipelines.explorer.jobs import Job, jobs_of
 from kinedex.pipelines.explorer.same import command_line, python_lines
-from kinedex.pipelines.explorer.selections import SQL_SECONDS, Filter, Selection, condition_of
+from kinedex.pipelines.explorer.selections import SQL_SECONDS, Filter, Selection
 from kinedex.pipelines.export.folder import DATA_SET, METADATA, Written, require_own, written_by
 from kinedex.pipelines.export.forms import FORMS
 from kinedex.pipelines.export.metadata import Facts, data_set_text, metadata_rows, metadata_text, split_facts
@@ -114,7 +115,7 @@ def request_of(store: Store, asked: ExportQuestion) -> What:
     if kind in NAMES and not str(name or "").strip():
         raise KinedexError(NAMES[kind])
     chosen = Selection(where=asked.what.where, filters=asked.filters)
-    where = condition_of(chosen, store.take_rows.column_names).removeprefix(" WHERE ") or None
+    where = take_condition(store, chosen)
     given = Path(str(name)).expanduser() if kind == "ranges" else name if kind in NAMES else None
     return replace(asked.what, kind=kind, name=given, where=where, pipeline=asked.what.pipeline or None)
 

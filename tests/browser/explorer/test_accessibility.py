@@ -12,13 +12,13 @@ from tests.browser.explorer.test_map import MAP_MS
 AXE = BUILT.parent / "page" / "node_modules" / "axe-core" / "axe.min.js"
 
 PAGES = [
-    "/",
+    "/?group=class",
     "/?view=quality",
     "/?view=wall",
     "/?view=map",
     "/?view=map&table=1",
     "/take/x_al_long_1",
-    "/ask",
+    "/ask?take=x_al_jig_1&from=0&to=20&tau=0.5",
     "/label",
     "/label?take=x_al_long_1",
     "/label?view=learn",

@@ -3,7 +3,7 @@
 import { Text } from "@mantine/core";
 import { useDebouncedValue, useLocalStorage } from "@mantine/hooks";
 import { keepPreviousData, useQuery } from "@tanstack/react-query";
-import { useMemo, useSyncExternalStore } from "react";
+import { useEffect, useMemo, useState, useSyncExternalStore } from "react";
 import { Link } from "wouter";
 
 import { post } from "../api/client";
@@ -15,12 +15,19 @@ import type { Session } from "./session";
 
 const SHOWN = 8;
 const WAIT_MS = 150;
+/** A page that opens with a selection shows the take first. */
+const OPEN_MS = 1000;
 
 export function AlikePanel({ session, id, name }: { session: Session; id: number; name: string }) {
   const { selection } = useSyncExternalStore(session.subscribe, () => session.shown);
   const [closed, setClosed] = useLocalStorage({ key: "kinedex-alike-closed", defaultValue: false, getInitialValueInEffect: false });
   const [settled] = useDebouncedValue(selection, WAIT_MS);
-  if (selection === null || settled === null) return null;
+  const [opened, setOpened] = useState(false);
+  useEffect(() => {
+    const timer = setTimeout(() => setOpened(true), OPEN_MS);
+    return () => clearTimeout(timer);
+  }, []);
+  if (selection === null || settled === null || !opened) return null;
   const [from, to] = settled;
   return (
     <details className="panel" open={!closed} onToggle={(event) => setClosed(!event.currentTarget.open)}>

@@ -104,7 +104,6 @@ function OpenTake({ document, store }: { document: TakeDocument; store: StoreFac
         />
         <aside className="take-side" aria-label="About the selection, the pose and the take">
           <SelectionPanel session={session} name={name} />
-          <AlikePanel session={session} id={id} name={name} />
           {picked !== null && (
             <HitPanel
               session={session}
@@ -117,6 +116,7 @@ function OpenTake({ document, store }: { document: TakeDocument; store: StoreFac
               onClose={() => pick(null)}
             />
           )}
+          <AlikePanel session={session} id={id} name={name} />
           {beside.panel}
           {persons.panel}
           <PosePanel session={session} words={words} features={store.features} unknown={unknown} name={name} />
