@@ -110,6 +110,8 @@ def at_random(person: Person, random: np.random.Generator) -> Iterator[None]:
             person.decisions += 1
             truth = person.archive.classes[person.label].get(name, ())
             for start, stop in truth:
+                if person.is_drawn(name, start, stop):
+                    continue
                 person.corrections += (start, stop) != (0, frames[name])
                 person.draw(name, start, stop)
             if not truth:
@@ -153,21 +155,23 @@ def judged(found: Mapping[str, Sequence[Range]], truth: Ranges) -> tuple[float, 
 
 
 def examples(archive: Archive, label: str, count: int) -> list[Row]:
-    """Draw examples of a class, each from another take of the half that is decided on."""
+    """Draw examples of a class, each from another take of the half that is decided on.
+
+    An interval longer than twice the usual one is none, since it repeats the motion: a person selects it once.
+    """
     store = open_store(archive.path)
-    names = store.takes(archive.where(decided=True)).sort("name")["name"].to_list()
-    shown = [name for name in names if archive.classes[label].get(name)]
-    order = np.random.default_rng(1).permutation(len(shown)).tolist()[:count]
-    return [
-        {"take": shown[place], "start": start, "stop": stop, "mirrored": False}
-        for place in order
-        for start, stop in archive.classes[label][shown[place]][:1]
-    ]
+    names = set(store.takes(archive.where(decided=True))["name"])
+    shown = [(name, *own) for name, ranges in sorted(archive.classes[label].items()) if name in names for own in ranges]
+    usual = median(stop - start for _, start, stop in shown)
+    single = {name: (start, stop) for name, start, stop in reversed(shown) if stop - start <= 2 * usual}
+    order = np.random.default_rng(1).permutation(len(single)).tolist()[:count]
+    drawn = [sorted(single.items())[place] for place in order]
+    return [{"take": name, "start": start, "stop": stop, "mirrored": False} for name, (start, stop) in drawn]
 
 
 def run(archive: Archive, label: str, strategy: str, example: Row, given: argparse.Namespace, seed: int) -> list[Point]:
     """Let a person look for a class on a copy of the store."""
-    copy = BUILD / "explorer-copy"
+    copy = BUILD / f"{archive.path.name}-copy"
     shutil.rmtree(copy, ignore_errors=True)
     shutil.copytree(archive.path, copy)
     own = Archive(archive.name, copy, archive.classes, archive.decided, archive.by_take)
@@ -188,7 +192,7 @@ def reached(points: Sequence[Point], side: str, by_take: bool) -> Point | None:
     return next((one for one in points if getattr(one, side)[0 if by_take else 1] >= ENOUGH), None)
 
 
-def report(archive: Archive, label: str, strategy: str, runs: Sequence[Sequence[Point]], most: int) -> str:
+def report(archive: Archive, label: str, strategy: str, runs: Sequence[Sequence[Point]]) -> str:
     """Return a row of the table about all runs of one class and strategy."""
     cells = [label, strategy]
     for side in ("decided", "held_out"):
@@ -196,8 +200,8 @@ def report(archive: Archive, label: str, strategy: str, runs: Sequence[Sequence[
         decisions = [math.inf if one is None else one.decisions for one in found]
         waited = [math.inf if one is None else one.waited for one in found]
         cells += [
-            _median(decisions, most, ""),
-            _median(waited, math.inf, " s"),
+            _median(decisions, ""),
+            _median(waited, " s"),
             f"{sum(map(bool, found))} of {len(found)}",
         ]
     last = [points[-1] for points in runs]
@@ -209,7 +213,7 @@ def report(archive: Archive, label: str, strategy: str, runs: Sequence[Sequence[
     return f"| {' | '.join(cells)} |"
 
 
-def _median(values: Sequence[float], most: float, unit: str) -> str:
+def _median(values: Sequence[float], unit: str) -> str:
     """Return the median and the greatest of some values, of which those that are not reached are infinite."""
 
     def shown(value: float) -> str:
@@ -244,7 +248,7 @@ def main() -> None:
             drawn = examples(archive, label, given.examples)
             for strategy in given.strategies:
                 runs = [run(archive, label, strategy, one, given, seed) for seed, one in enumerate(drawn)]
-                print(report(archive, label, strategy, runs, given.most), flush=True)
+                print(report(archive, label, strategy, runs), flush=True)
                 if given.curves:
                     curves(archive, runs)
 

@@ -257,6 +257,10 @@ class Person:
         (self.accepted if shows else self.rejected).append(row)
         self.edit(take, {"do": "draw", "class": self.label, "start": start, "stop": stop, "verdict": verdict})
 
+    def is_drawn(self, take: str, start: int, stop: int) -> bool:
+        """Return whether an interval is a label already, as the first example is."""
+        return any((one["take"], one["start"], one["stop"]) == (take, start, stop) for one in self.accepted)
+
     def found(self, *, decided: bool) -> dict[str, list[Range]]:
         """Return what the class is found in, in one half of the takes."""
         store = open_store(self.archive.path, at="newest")

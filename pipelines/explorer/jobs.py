@@ -349,7 +349,7 @@ class NoQuestion(Question):
 
 
 class StopQuestion(Question):
-    """How a job is stopped: as Ctrl-C does, or by force."""
+    """The request to stop a job: as Ctrl-C does, or by force."""
 
     force: bool = False
 
