@@ -41,7 +41,7 @@ def test_f_is_counted_by_takes_frames_and_segments() -> None:
 
 def test_names_are_halved_whatever_their_order() -> None:
     names = {f"style {number}" for number in range(9)}
-    assert half(names) == half(set(list(names)[::-1]))
+    assert half(names) == half({f"style {number}" for number in reversed(range(9))})
     assert len(half(names)) == 5
 
 
