@@ -140,9 +140,10 @@ class ThesisMethod:
 
     def annotate(self, words: TakeWords, ranges: Sequence[I64]) -> list[list[Segment]]:
         """Label takes; see `AnnotationMethod.annotate`."""
-        return annotate(self._matches(words, ranges), self.class_index, words.offsets, self.thresholds)
+        return annotate(self.matches(words, ranges), self.class_index, words.offsets, self.thresholds)
 
-    def _matches(self, words: TakeWords, ranges: Sequence[I64]) -> Matches:
+    def matches(self, words: TakeWords, ranges: Sequence[I64]) -> Matches:
+        """Return the minima of the distance curve of each template below its threshold, with their paths."""
         # A frame beside a minimum below τ is no lower, whatever it costs, so minima are exact without whole curves.
         taus = self.thresholds[self.class_index]
         coded = encode(words.words)

@@ -1,13 +1,15 @@
 """The effect of editing a template on takes that it was not learned from.
 
-`POST /api/templates/effect` {stage, kind, template, weights?: {feature: factor}, first?, stop?, tau?, truth?, compete?}
-→ {class, with: [name], method, truth: {source, stage, takes, seconds, segments, among_examples, sources}, tau,
-   pipeline_tau, best: {learned, edited}, rows: [row], wrong, missed, remarks, missing, seconds, command, python,
-   pipeline}. `first` and `stop` are the columns that are kept. A row is {template: "learned" or "edited", threshold:
- "pipeline", "used" or "best", tau, p1, r1, f1, p2, r2, f2 and the counts}; `best` has the τ that divides the training
- clips best, with its F, for each of the two templates. `wrong` and `missed` are segments of the last template at the τ
- that is used: {total, segments: [hit]}. `missing` is a sentence where no take is held out, and there are no rows then.
- `pipeline` is the command that runs the pipeline again with the edited template.
+`POST /api/templates/effect` {stage, kind, template, weights?: {feature: factor}, first?, stop?, tau?, truth?, compete?,
+ everything?}
+→ {class, with: [name], method, truth: {source, stage, takes, seconds, segments, all_takes, all_seconds, among_examples,
+   sources}, tau, pipeline_tau, best: {learned, edited}, rows: [row], wrong, missed, remarks, missing, seconds, command,
+   python, pipeline}. `first` and `stop` are the columns that are kept. A row is {template: "learned" or "edited",
+ threshold: "pipeline", "used" or "best", tau, p1, r1, f1, p2, r2, f2 and the counts}; `best` has the τ that divides
+ the training clips best, with its F, for each of the two templates. `wrong` and `missed` are segments of the last
+ template at the τ that is used: {total, segments: [hit]}. `missing` is a sentence where no take is held out, and there
+ are no rows then. Without `everything` more than an hour of takes is judged by some of them, drawn at random; `truth`
+ has the numbers of both. `pipeline` is the command that runs the pipeline again with the edited template.
 
 The class is annotated as `method: thesis` does it (τ, minima of distance curves, segments that grow), by its own
 templates alone, or with `compete` by the templates of all classes, of which the nearest has a frame. Keyframe queries
@@ -19,7 +21,7 @@ from __future__ import annotations
 import time
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
@@ -35,10 +37,12 @@ from kinedex.ops.templates.templates import Learned, Template
 from kinedex.ops.words import TakeWords, bits
 from kinedex.pipelines.annotation.annotators import make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
+from kinedex.pipelines.annotation.methods import ThesisMethod
 from kinedex.pipelines.annotation.parameters import least_frames
 from kinedex.pipelines.evaluation.annotation_scores import scores
 from kinedex.pipelines.explorer.addresses import post
 from kinedex.pipelines.explorer.held_out_truth import HeldOut, held_out_takes
+from kinedex.pipelines.explorer.remembered_matches import MatchMemory, RememberingThesisMethod
 from kinedex.pipelines.explorer.template_edits import Edit, EditQuestion, edited_template, is_edited, same_edit
 from kinedex.pipelines.explorer.template_use import TemplateUse, template_use
 from kinedex.pipelines.explorer.templates import named
@@ -89,6 +93,8 @@ class Prepared:
         The threshold that divides the training clips best by the learned template, and its F.
     counts : dict of (float, bool) to Counts
         The counts of the learned template for some thresholds, with and without the other classes.
+    memory : MatchMemory
+        The matches of templates in the words, those of other classes among them.
     """
 
     use: TemplateUse
@@ -102,6 +108,8 @@ class Prepared:
     other_costs: F64
     best: tuple[float, float] | None = None
     counts: dict[tuple[float, bool], Counts] = field(default_factory=dict)
+
+    memory: MatchMemory = field(default_factory=MatchMemory)
 
     @property
     def tau(self) -> float:
@@ -119,7 +127,8 @@ class PreparedTemplates:
     def prepared(self, archive: Archive, store: Store, asked: EditQuestion) -> Prepared:
         """Return what is needed to judge edits of a template."""
         labels = archive.state()["labels"]
-        key = (str(archive.path), store.manifest.version, labels, asked.stage, asked.kind, asked.template, asked.truth)
+        which = (asked.stage, asked.kind, asked.template, asked.truth, asked.everything)
+        key = (str(archive.path), store.manifest.version, labels, *which)
         with self._lock:
             if key not in self._held:
                 self._held[key] = _prepare(store, asked)
@@ -138,7 +147,7 @@ def _prepare(store: Store, asked: EditQuestion) -> Prepared:
     label = use.class_of(one.subclass)
     every = use.class_templates(label)
     others = tuple(other for other in every if other.subclass != one.subclass)
-    held_out = held_out_takes(store, use, label, every, asked.truth)
+    held_out = held_out_takes(store, use, label, every, asked.truth, everything=asked.everything)
     by_template = [(each, stored_clips(store, each)) for each in use.templates]
     clips = [clip for _, own in by_template for clip in own]
     mine = [use.class_of(each.subclass) == label for each, own in by_template for _ in own]
@@ -202,6 +211,10 @@ def annotate_class(
         {name: use.tau(name) for name in classes.names} | {label: tau},
         min_frames=least_frames(use.params.min_seconds, store.rate_hz),
     )
+    method = annotator.method
+    assert isinstance(method, ThesisMethod)
+    kept = RememberingThesisMethod(method.templates, method.class_index, method.thresholds, prepared.memory)
+    annotator = replace(annotator, method=kept)
     place = annotator.classes.index(label)
     return [
         tuple(segment for segment in each.segments if segment.class_index == place)
@@ -234,6 +247,8 @@ def show_effect(archive: Archive, asked: EditQuestion, _request: Request) -> Row
             "takes": len(held_out.takes),
             "seconds": sum(store.take_frames[take] for take in held_out.takes) / store.rate_hz,
             "segments": sum(map(len, held_out.takes.values())),
+            "all_takes": len(held_out.every),
+            "all_seconds": sum(store.take_frames[take] for take in held_out.every) / store.rate_hz,
             "among_examples": held_out.among_examples,
             "sources": list(held_out.sources),
         },

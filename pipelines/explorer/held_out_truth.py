@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.explorer.template_use import TemplateUse
 from kinedex.pipelines.templates.examples import interval_of
@@ -16,6 +18,9 @@ from kinedex.storage.store.store import Store
 Source = Literal["evaluation", "labels"]
 
 SOURCES: tuple[Source, ...] = ("evaluation", "labels")
+
+MOST_SECONDS = 3600.0
+"""Takes of so many seconds in all are judged by at once; more are judged by where somebody asks for all of them."""
 
 Segments = dict[str, list[tuple[int, int]]]
 """The frames [start, stop) of the segments of one class, by the name of the take; none in a take without it."""
@@ -33,6 +38,8 @@ class HeldOut:
         The kinds of ground truth that the store has.
     takes : dict of int to list of (int, int)
         The segments of the class in each take that is held out.
+    every : tuple of int
+        The ids of all takes that are held out; `takes` are some of them where all would take long.
     among_examples : int
         Takes with ground truth that the class has examples of, and that are not judged by.
     missing : str
@@ -44,13 +51,20 @@ class HeldOut:
     source: Source | None
     sources: tuple[Source, ...]
     takes: dict[int, list[tuple[int, int]]]
+    every: tuple[int, ...]
     among_examples: int
     missing: str = ""
     remarks: tuple[str, ...] = ()
 
 
 def held_out_takes(
-    store: Store, use: TemplateUse, label: str, templates: Sequence[SubclassTemplate], asked: Source | None = None
+    store: Store,
+    use: TemplateUse,
+    label: str,
+    templates: Sequence[SubclassTemplate],
+    asked: Source | None = None,
+    *,
+    everything: bool = False,
 ) -> HeldOut:
     """Return the takes with ground truth that no example of a class is of.
 
@@ -66,30 +80,48 @@ def held_out_takes(
         The templates of the class.
     asked : {"evaluation", "labels"}, optional
         The ground truth; unless given that of an evaluation where there is one, else labels.
+    everything : bool, optional
+        True for all takes; otherwise, of takes that are longer than `MOST_SECONDS` together, some drawn at random.
     """
-    every: dict[Source, tuple[Segments, list[str]]] = {}
+    found: dict[Source, tuple[Segments, list[str]]] = {}
     if use.evaluate is not None:
-        every["evaluation"] = evaluated_segments(store, use.evaluate, label), []
+        found["evaluation"] = evaluated_segments(store, use.evaluate, label), []
     labelled = labelled_segments(store, use, label)
     if labelled[0]:
-        every["labels"] = labelled
-    sources = tuple(source for source in SOURCES if source in every)
-    source = asked if asked in every else next(iter(sources), None)
+        found["labels"] = labelled
+    sources = tuple(source for source in SOURCES if source in found)
+    source = asked if asked in found else next(iter(sources), None)
     if source is None:
-        return HeldOut(None, (), {}, 0, _no_truth(use))
-    known, remarks = every[source]
+        return HeldOut(None, (), {}, (), 0, _no_truth(use))
+    known, remarks = found[source]
     examples = {interval_of(clip, store.take_ids)[0] for one in templates for clip in one.clips}
+    unknown = [one.subclass for one in templates if not one.clips]
+    if unknown:
+        remarks = [
+            *remarks,
+            f"which takes these templates were made from is not known, as they are of files: {few(unknown)}",
+        ]
     gone = sorted(set(known) - set(store.take_ids))
     if gone:
         remarks = [*remarks, f"takes with ground truth that the store has no more: {few(gone)}"]
-    takes = {
+    judged = {
         store.take_ids[take]: own for take, own in known.items() if take in store.take_ids and take not in examples
     }
+    every = sorted(judged)
+    takes = {take: judged[take] for take in (every if everything else drawn_takes(store, every))}
     among = sum(take in examples for take in known)
     missing = "" if takes else _all_examples(label, among)
     if takes and not any(takes.values()):
-        remarks = [*remarks, f"no held-out take has a segment of {label}: recall is not defined, and F is no guide"]
-    return HeldOut(source, sources, takes, among, missing, tuple(remarks))
+        remarks = [*remarks, f"none of these takes has a segment of {label}: recall is not defined, and F is no guide"]
+    return HeldOut(source, sources, takes, tuple(every), among, missing, tuple(remarks))
+
+
+def drawn_takes(store: Store, takes: Sequence[int]) -> list[int]:
+    """Return takes of `MOST_SECONDS` in all, one at least, in a drawn order that is the same each time."""
+    order = np.random.default_rng(0).permutation(len(takes)).tolist()
+    lengths = np.cumsum([store.take_frames[takes[place]] / store.rate_hz for place in order])
+    count = max(1, int(np.searchsorted(lengths, MOST_SECONDS, side="right")))
+    return [takes[place] for place in order[:count]]
 
 
 def _no_truth(use: TemplateUse) -> str:
@@ -123,7 +155,8 @@ def labelled_segments(store: Store, use: TemplateUse, label: str) -> tuple[Segme
     """Return the positive labels of a class in every take that has a label, and remarks on them."""
     found: Segments = {}
     beyond = []
-    for row in store.labels().to_pylist():
+    columns = ["take", "class", "start", "stop", "verdict", "limb"]
+    for row in store.labels().select(columns).to_pylist():
         if is_of_limbs(row):
             continue
         own = found.setdefault(row["take"], [])

@@ -49,6 +49,7 @@ class EditQuestion(Question):
     tau: Annotated[float | None, Field(gt=0, le=1)] = None
     truth: Literal["evaluation", "labels"] | None = None
     compete: bool = False
+    everything: bool = False
 
 
 @dataclass(frozen=True)
@@ -114,16 +115,16 @@ def _pipeline_command(archive: Archive, use: TemplateUse, label: str, file: str 
     manifest = archive.store().manifest
     pipeline, _, stage = use.stage.partition("/")
     record = manifest.pipelines.get(pipeline)
-    settings = {} if record is None else record.settings
-    words = ["kinedex", "run", pipeline if record is None else _shipped_name(record.path), "--store", str(archive.path)]
-    words += [word for name, value in settings.items() for word in ("--set", f"{name}={_value(value)}")]
+    settings: dict[str, object] = {} if record is None else dict(record.settings)
     if file is not None:
         given = manifest.stages[use.stage].summary.get("params") or {}
-        files = [one for one in given.get("template_files") or [] if one != file]
-        words += ["--set", f"{stage}.template_files={_value([*files, file])}"]
+        others = [one for one in given.get("template_files") or [] if Path(one).name != file]
+        settings[f"{stage}.template_files"] = [*others, file]
     if use.annotate is not None and use.params.annotation_method.uses_thresholds:
-        own = {**use.params.tau_by_class, label: round(tau, 6)}
-        words += ["--set", f"{use.annotate.partition('/')[2]}.tau_by_class={_value(own)}"]
+        name = use.annotate.partition("/")[2]
+        settings[f"{name}.tau_by_class"] = {**use.params.tau_by_class, label: round(tau, 6)}
+    words = ["kinedex", "run", pipeline if record is None else _shipped_name(record.path), "--store", str(archive.path)]
+    words += [word for name, value in settings.items() for word in ("--set", f"{name}={_value(value)}")]
     return command_line(*words)
 
 

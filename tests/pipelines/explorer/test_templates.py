@@ -20,6 +20,7 @@ from kinedex.ops.templates.derived_templates import adjusted
 from kinedex.ops.templates.templates import Template
 from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.runner import run_pipeline
+from kinedex.pipelines.explorer import held_out_truth
 from kinedex.pipelines.explorer.keyframes import model_of, read_text
 from kinedex.pipelines.explorer.learned_queries import frames_of_poses
 from kinedex.storage.store.store import open_store
@@ -177,6 +178,19 @@ def test_an_edit_has_the_effect_that_the_stages_then_have(
     assert answer["wrong"]["total"] == len(wrong)
 
 
+def test_many_takes_are_judged_by_some_unless_all_are_asked_for(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = client.post("/api/templates/effect", json=KICK).json()
+    monkeypatch.setattr(held_out_truth, "MOST_SECONDS", 0.1)
+    asked = {**KICK, "truth": "evaluation"}
+    some = client.post("/api/templates/effect", json=asked).json()
+    assert (some["truth"]["takes"], some["truth"]["all_takes"]) == (1, 2)
+    every = client.post("/api/templates/effect", json={**asked, "everything": True}).json()
+    assert every["truth"] == whole["truth"]
+    assert every["rows"] == whole["rows"] != some["rows"]
+
+
 def test_the_best_threshold_is_that_of_all_thresholds(client: TestClient) -> None:
     """No threshold between two costs of the training clips gives a higher F."""
     edit = {"weights": {"rhand_fast": 0}, "first": 3}
@@ -242,7 +256,7 @@ def test_labels_are_a_ground_truth_where_nothing_was_evaluated(connect: Connect,
     effect = client.post("/api/templates/effect", json=KICK).json()
     assert effect["truth"] == {
         "source": "labels", "stage": None, "takes": 1, "seconds": pytest.approx(60 / 30, abs=1), "segments": 1,
-        "among_examples": 1, "sources": ["labels"],
+        "all_takes": 1, "all_seconds": pytest.approx(60 / 30, abs=1), "among_examples": 1, "sources": ["labels"],
     }  # fmt: skip
     assert effect["rows"][0]["r1"] == 1
     assert effect["rows"][0]["tau"] == 0.13

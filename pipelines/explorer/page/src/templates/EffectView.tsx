@@ -27,12 +27,13 @@ export interface EffectViewProps {
   onTau: (tau: number | null) => void;
   onTruth: (source: string | null) => void;
   onCompete: (compete: boolean) => void;
+  onEverything: (everything: boolean) => void;
   onReset: () => void;
 }
 
 /** The threshold, what becomes of the edits, and the table before and after. */
 export function EffectView(props: EffectViewProps) {
-  const { facts, edits, edited, body, answer, fault, old, compete, onTau, onTruth, onCompete, onReset } = props;
+  const { facts, edits, edited, body, answer, fault, old, compete, onTau, onTruth, onCompete, onEverything, onReset } = props;
   const tau = edits.tau ?? facts.tau;
   const best = answer?.best.edited ?? null;
   const save = async () => {
@@ -102,10 +103,12 @@ export function EffectView(props: EffectViewProps) {
           Computing…
         </Text>
       )}
-      {fault === null && answer !== undefined && <Before answer={answer} old={old} edited={edited} />}
+      {fault === null && answer !== undefined && <Before answer={answer} old={old} edited={edited} onEverything={onEverything} />}
     </>
   );
 }
+
+const HOUR = 3600;
 
 const MEASURES = [
   ["f1", "F (frames)"],
@@ -116,8 +119,16 @@ const MEASURES = [
   ["r2", "R"],
 ] as const;
 
-function Before({ answer, old, edited }: { answer: Effect; old: boolean; edited: boolean }) {
+interface BeforeProps {
+  answer: Effect;
+  old: boolean;
+  edited: boolean;
+  onEverything: (everything: boolean) => void;
+}
+
+function Before({ answer, old, edited, onEverything }: BeforeProps) {
   const { truth } = answer;
+  const some = truth.takes < truth.all_takes;
   if (answer.missing !== "")
     return (
       <Text size="sm" role="status">
@@ -128,13 +139,24 @@ function Before({ answer, old, edited }: { answer: Effect; old: boolean; edited:
   return (
     <>
       <Text size="sm" role="status">
-        {truth.takes} held-out {truth.takes === 1 ? "take" : "takes"} ({(truth.seconds / 60).toFixed(1)} minutes) with {truth.segments}{" "}
+        {some ? `${truth.takes} of ${truth.all_takes} held-out takes, drawn at random` : `${truth.takes} held-out ${truth.takes === 1 ? "take" : "takes"}`} (
+        {(truth.seconds / 60).toFixed(1)} {some && `of ${(truth.all_seconds / 60).toFixed(0)} `}minutes) with {truth.segments}{" "}
         {truth.segments === 1 ? "segment" : "segments"} of {answer.class}, by {truth.source === "labels" ? "labels of people" : `the ground truth of ${truth.stage ?? ""}`}
         {truth.among_examples > 0 && `; ${truth.among_examples} more are among its examples`}
         <span className="muted">
           {" "}
-          · {(1000 * answer.seconds).toFixed(0)} ms{old ? " · computing…" : ""}
+          · {(1000 * answer.seconds).toFixed(0)} ms{old ? " · computing…" : ""}{" "}
         </span>
+        {some && (
+          <button type="button" className="templates-plain" onClick={() => onEverything(true)}>
+            judge by all of them, which takes longer
+          </button>
+        )}
+        {truth.all_seconds > HOUR && !some && (
+          <button type="button" className="templates-plain" onClick={() => onEverything(false)}>
+            judge by an hour of them
+          </button>
+        )}
       </Text>
       <div className="effect-table" tabIndex={0} role="region" aria-label="Before and after" data-old={old}>
         <Table verticalSpacing={3} maw={860}>

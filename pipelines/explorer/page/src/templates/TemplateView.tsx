@@ -56,6 +56,7 @@ function Opened({ store, facts, list, onClose }: OpenedProps) {
   const [among, setAmong] = useParameter("among");
   const [place, setPlace] = useState<Place | null>(null);
   const [shownClip, setShownClip] = useParameter("clip");
+  const [judge, setJudge] = useParameter("judge");
   const compete = among !== "class";
   const body = JSON.stringify({
     stage: facts.stage,
@@ -65,6 +66,7 @@ function Opened({ store, facts, list, onClose }: OpenedProps) {
     first: edits.first,
     stop: edits.stop,
     compete,
+    everything: judge === "all",
     ...(edits.tau === null ? {} : { tau: edits.tau }),
     ...(truth === "labels" || truth === "evaluation" ? { truth } : {}),
   });
@@ -122,6 +124,7 @@ function Opened({ store, facts, list, onClose }: OpenedProps) {
           onTau={setTau}
           onTruth={setTruth}
           onCompete={(next) => setAmong(next ? null : "class")}
+          onEverything={(next) => setJudge(next ? "all" : null)}
           onReset={reset}
         />
         <div className="template-parts">

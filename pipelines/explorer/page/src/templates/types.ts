@@ -107,6 +107,8 @@ export interface Effect extends Same {
     takes: number;
     seconds: number;
     segments: number;
+    all_takes: number;
+    all_seconds: number;
     among_examples: number;
     sources: string[];
   };
