@@ -214,7 +214,7 @@ class Jobs:
                 if self._ended:
                     return
                 job = next(job for job in self._jobs if job.state == "waiting")
-                job.state, job.begun = "running", _now()
+                job.state, job.begun, job.message = "running", _now(), "starting"
             self._run(job)
             self._publish(job)
 

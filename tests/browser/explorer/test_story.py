@@ -38,6 +38,17 @@ PATTERN = r"dataset-\d_(?P<class>[^_]+)_(?P<actor>[^_]+)_(?P<clip>\d+)\."
 NEW = "waving, by one example"
 """The class of the labels; a comma in its name is one everywhere."""
 
+COUNT = """
+for (const name of ['pointerdown', 'keydown']) {
+  const count = () => localStorage.setItem(`test-${name}`, 1 + Number(localStorage.getItem(`test-${name}`)));
+  addEventListener(name, count, true);
+}
+"""
+"""Counts what a person does."""
+
+FIELDS = 6
+"""What a person writes or chooses besides: the class, the folder, and settings of the export."""
+
 DIFFERENT = ["id", "created", "replaces", "current", "take_id"]
 """Columns of labels that differ between two stores, or follow from such; `replaces` is compared by rows."""
 
@@ -240,6 +251,7 @@ def test_the_story_by_clicks_and_keys_is_the_story_by_commands(
     page = context.new_page()
     page.set_default_timeout(WAIT_MS)
     faults: list[object] = []
+    context.add_init_script(COUNT)
     page.on("pageerror", lambda fault: faults.append(fault))
     story = Story(page, archive)
     with story.step("open the archive"):
@@ -251,6 +263,9 @@ def test_the_story_by_clicks_and_keys_is_the_story_by_commands(
     story.learn()
     story.correct()
     story.export(tmp_path / "by clicks")
+    clicks, keys = (
+        page.evaluate(f"Number(localStorage.getItem('test-{name}'))") for name in ("pointerdown", "keydown")
+    )
     context.close()
     assert faults == []
 
@@ -268,7 +283,7 @@ def test_the_story_by_clicks_and_keys_is_the_story_by_commands(
     assert again.annotations(archive.store) == again.annotations(other)
     again.same_files(tmp_path / "by clicks", tmp_path / "by commands")
     story.seconds["the same by commands"] = time.perf_counter() - begin
-    print()
+    print(f"\n{clicks} clicks and drags, {keys} keys, and {FIELDS} fields to fill")
     for name, seconds in story.seconds.items():
         print(f"{seconds:7.1f} s  {name}")
 

@@ -30,7 +30,7 @@ if (root !== null) {
         getStyleNonce={styleNonce}
       >
         <QueryClientProvider client={queries}>
-          <Notifications position="bottom-right" />
+          <Notifications position="bottom-right" className="notices" />
           <Layout />
         </QueryClientProvider>
       </MantineProvider>
