@@ -141,11 +141,18 @@ def decide(store: Store, annotations: pl.DataFrame, *, accept: bool, source: str
     accept : bool
         True accepts, False rejects.
     source : str, optional
-        The stage of the annotations.
+        The stage of the annotations; that which their columns `pipeline` and `stage` name unless given.
     **more : str, optional
         `annotator` and `note`.
     """
-    return record(store, [decision_row(one, accept, source, more) for one in annotations.iter_rows(named=True)])
+    rows = annotations.iter_rows(named=True)
+    return record(store, [decision_row(one, accept, source or _stage_of(one), more) for one in rows])
+
+
+def _stage_of(annotation: Mapping[str, Any]) -> str:
+    """Return the stage of a row of the view `annotations`; empty where the row does not name it."""
+    pipeline, stage = annotation.get("pipeline"), annotation.get("stage")
+    return f"{pipeline}/{stage}" if pipeline and stage else ""
 
 
 def decision_row(one: Mapping[str, Any], accept: bool, source: str, more: Mapping[str, str | None]) -> Row:

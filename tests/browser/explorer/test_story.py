@@ -47,7 +47,7 @@ for (const name of ['pointerdown', 'keydown']) {
 """Counts what a person does."""
 
 FIELDS = 6
-"""What a person writes or chooses besides: the class, the folder, and settings of the export."""
+"""Fields that a person fills or chooses in: the class twice, and the settings of the export."""
 
 DIFFERENT = ["id", "created", "replaces", "current", "take_id"]
 """Columns of labels that differ between two stores, or follow from such; `replaces` is compared by rows."""

@@ -134,7 +134,7 @@ def test_the_commands_of_decisions_make_the_same_labels(page: Page, connect: Con
     shutil.copytree(page.store, other)
     python = tmp_path / "by python"
     shutil.copytree(page.store, python)
-    columns = ["take", "class", "start", "stop", "limb", "verdict", "annotator", "note"]
+    columns = ["take", "class", "start", "stop", "limb", "verdict", "annotator", "note", "source"]
 
     def content(store: Path) -> pl.DataFrame:
         return kinedex.open_store(store).labels.table().sort(columns)
@@ -269,6 +269,8 @@ def test_files_are_shown_before_they_are_taken_in(page: Page, tmp_path: Path) ->
     (file,) = folder.iterdir()
     asked: Json = {"paths": [str(folder)], "corrects": "labels"}
     assert page.post("/api/labels/read", asked)["total"] == 0
+    nothing = {"what": "labels", "folder": str(tmp_path / "none"), "where": f"name <> '{TAKE}'"}
+    assert "no take has a label" in page.post("/api/labels/export", nothing, status=400)["error"]["message"]
     file.write_text(file.read_text().replace(">walk<", ">run<"))
     shown = page.post("/api/labels/read", asked)
     assert [(row["class"], row["before"]["class"]) for row in shown["rows"]] == [("run", "walk")]
