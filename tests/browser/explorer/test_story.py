@@ -315,11 +315,10 @@ class Again:
         hits = found["hits"]
         rate = kinedex.open_store(self.other).rate_hz
         listed = [
-            f"{place}: {hit['take']} at {hit['start'] / rate:.1f} s, cost {hit['cost']:.3f}"
-            + (", mirrored" if hit["mirrored"] else "")
+            f"{place}: {hit['cost']:.3f} {'mirror ' * hit['mirrored']}{hit['take']}, at {hit['start'] / rate:.1f} s"
             for place, hit in enumerate(hits, 1)
         ]
-        assert listed == [one.removesuffix(", the example") for one in shown]
+        assert listed == [one.replace(" example, at ", ", at ") for one in shown]
 
     def export(self, line: str, before: Path, folder: Path) -> None:
         """Run the command in a process of its own, whose command line dataset.json records."""

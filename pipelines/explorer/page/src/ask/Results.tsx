@@ -167,35 +167,36 @@ interface CellProps {
 
 const Cell = memo(function Cell(props: CellProps) {
   const { hit, place, rateHz, verdict, earlier, known = [], example, chosen, first, onChoose, onPoint } = props;
-  const at = (hit.start / rateHz).toFixed(1);
-  const state = verdict === "yes" ? ", accepted" : verdict === "no" ? ", rejected" : "";
-  const cost = hit.cost === null ? "" : `, cost ${hit.cost.toFixed(3)}`;
-  const labelled = known.map((one) => `${one.verdict === "negative" ? "not " : ""}${one.class}`).join(", ");
-  const said = [earlier ? "decided with other ends" : "", labelled === "" ? "" : `labelled ${labelled}`, example ? "the example" : ""];
-  const more = said.filter((one) => one !== "").map((one) => `, ${one}`).join("");
+  const number = hit.cost === null ? `${place + 1}` : hit.cost.toFixed(3);
+  const marks = [
+    hit.mirrored ? "mirror" : "",
+    verdict === undefined ? "" : markText({ verdict }),
+    known.map(knownText).join(", "),
+  ];
+  // what a screen reader says holds what is shown, in this order
+  const shown = [number, ...marks, hit.take, example ? "example" : ""].filter((one) => one !== "").join(" ");
+  const at = `at ${(hit.start / rateHz).toFixed(1)} s${earlier ? ", decided with other ends" : ""}`;
   return (
     <div
       className="hit"
       role="option"
       aria-selected={chosen}
-      aria-label={`${place + 1}: ${hit.take} at ${at} s${cost}${hit.mirrored ? ", mirrored" : ""}${state}${more}`}
+      aria-label={`${place + 1}: ${shown}, ${at}`}
       tabIndex={first ? 0 : -1}
       data-verdict={verdict}
       data-earlier={earlier}
       onClick={() => onChoose(place)}
       onFocus={() => onChoose(place)}
       onPointerEnter={(event) => event.pointerType === "mouse" && onPoint?.(hit, event.currentTarget)}
-      title={onPoint === undefined ? `${hit.take}, frames ${hit.start} to ${hit.stop}${more}` : undefined}
+      title={onPoint === undefined ? `${hit.take}, frames ${hit.start} to ${hit.stop}` : undefined}
     >
       <SmallFigure item={hit} width={104} height={112} />
-      {example && <span className="hit-example">example</span>}
       <span className="hit-facts">
-        <span className="hit-cost">{hit.cost === null ? `${place + 1}` : hit.cost.toFixed(3)}</span>
-        {hit.mirrored && <span className="muted">mirror</span>}
+        <span className="hit-cost">{number}</span> {hit.mirrored && <span className="muted">mirror</span>}{" "}
         {verdict !== undefined && <b className={`hit-${verdict}`}>{markText({ verdict })}</b>}
-      </span>
-      {known.length > 0 && <span className="hit-known">{known.map(knownText).join(", ")}</span>}
-      <span className="hit-name muted">{hit.take}</span>
+      </span>{" "}
+      {known.length > 0 && <span className="hit-known">{known.map(knownText).join(", ")}</span>}{" "}
+      <span className="hit-name muted">{hit.take}</span> {example && <span className="hit-example">example</span>}
     </div>
   );
 });
