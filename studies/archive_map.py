@@ -1,0 +1,98 @@
+"""`python -m studies.archive_map STORE [STORE ...]`: how well the map of an archive and its clusters show the classes.
+
+Takes without a class are left out. Of each store the table has the share of the ten nearest other takes that have the
+same class, by the 80 numbers of each take and on the map; how far neighbours on the map are neighbours by the numbers
+(trustworthiness); and for ways of clustering the adjusted Rand index against the classes, the number of clusters, and
+the share of takes in none. Clusters by the map need no number of them; for the others it is given.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from sklearn.cluster import HDBSCAN, AgglomerativeClustering, KMeans
+from sklearn.manifold import trustworthiness
+from sklearn.metrics import adjusted_rand_score
+from sklearn.neighbors import NearestNeighbors
+from threadpoolctl import threadpool_limits
+
+from kinedex.ops.maps.clusters import LEAST, map_clusters
+from kinedex.ops.maps.interval_numbers import F64, interval_numbers, standardised
+from kinedex.ops.maps.layout import map_layout
+from kinedex.pipelines.evaluation.markdown import grid
+from kinedex.pipelines.search.bit_slices import stored_words
+from kinedex.storage.store.store import Store, open_store
+
+NEIGHBOURS = 10
+COUNTS = (10, 20, 30)
+SIZES = (160, 80, 40)
+
+
+def labelled(store: Store) -> tuple[F64, list[str]]:
+    """Return the standardised numbers of the takes that have a class, and their classes."""
+    rows = store.take_rows.sort_by("take_id").select(["take_id", "class"]).to_pylist()
+    chosen = [row for row in rows if row["class"] is not None]
+    words = stored_words(store, [row["take_id"] for row in chosen])
+    numbers = interval_numbers(words.words, words.offsets, len(store.feature_set.features), words.known)
+    return standardised(numbers), [row["class"] for row in chosen]
+
+
+def same_class(places: F64, classes: Sequence[str]) -> float:
+    """Return the share of the nearest other points that have the same class."""
+    count = min(NEIGHBOURS, len(places) - 1)
+    near = NearestNeighbors(n_neighbors=count).fit(places).kneighbors(return_distance=False)
+    names = np.array(classes)
+    return float((names[near] == names[:, None]).mean())
+
+
+def clusterings(numbers: F64, places: F64) -> Iterator[tuple[str, Sequence[int]]]:
+    """Yield ways of clustering with the cluster of each take, −1 for none."""
+    for share in SIZES:
+        for method in ("eom", "leaf"):
+            made = HDBSCAN(
+                min_cluster_size=max(LEAST, len(places) // share), cluster_selection_method=method, copy=True
+            )
+            yield f"HDBSCAN on the map, 1 in {share}, {method}", made.fit_predict(places)
+    yield "HDBSCAN of the numbers", HDBSCAN(min_cluster_size=LEAST, copy=True).fit_predict(numbers)
+    for count in COUNTS:
+        yield f"k-means on the map, {count}", KMeans(count, n_init=4, random_state=0).fit_predict(places)
+        yield f"Ward on the map, {count}", AgglomerativeClustering(count).fit_predict(places)
+        yield f"Ward of the numbers, {count}", AgglomerativeClustering(count).fit_predict(numbers)
+
+
+def tables(path: Path) -> str:
+    """Return the tables of a store as Markdown."""
+    numbers, classes = labelled(open_store(path))
+    begun = time.process_time()
+    layout = map_layout(numbers)
+    places, seconds = layout.places.astype(np.float64), time.process_time() - begun
+    facts = [
+        f"{path.name}: {len(classes)} takes of {len(set(classes))} classes, laid out in {seconds:.0f} s of one core",
+        f"same class among the ten nearest: {same_class(numbers, classes):.2f} by the numbers, "
+        f"{same_class(places, classes):.2f} on the map; trustworthiness {trustworthiness(numbers, places):.3f}",
+        "",
+    ]
+    found = [("as shown", map_clusters(layout)), *clusterings(numbers, places)]
+    rows = []
+    for name, clusters in found:
+        own = np.asarray(clusters)
+        index = adjusted_rand_score(classes, own)
+        rows.append([name, f"{index:.2f}", str(len(set(own[own >= 0].tolist()))), f"{(own < 0).mean():.2f}"])
+    return "\n".join([*facts, *grid(["clusters", "adjusted Rand index", "clusters found", "in none"], rows), ""])
+
+
+def main() -> None:
+    """Print the tables of each store."""
+    parser = argparse.ArgumentParser(prog="python -m studies.archive_map", description=__doc__)
+    parser.add_argument("stores", type=Path, nargs="+")
+    with threadpool_limits(1):
+        for store in parser.parse_args().stores:
+            print(tables(store), flush=True)
+
+
+if __name__ == "__main__":
+    main()
