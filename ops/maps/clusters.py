@@ -16,7 +16,7 @@ from kinedex.ops.maps.layout import F32, PURPOSE, Layout
 from kinedex.ops.packages import extra_package
 from kinedex.ops.words import I64
 
-SHARE, LEAST = 80, 8
+SHARE, LEAST = 160, 8
 """A cluster has at least one in `SHARE` of the points, and at least `LEAST` (`python -m studies.archive_map`)."""
 
 NO_CLUSTER = -1

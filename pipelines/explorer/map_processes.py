@@ -30,7 +30,7 @@ KEPT = 4
 
 LOOK_SECONDS = 0.2
 
-NICE = 10
+NICE = 5
 """The priority of a process: what a person does meanwhile comes first."""
 
 Key = tuple[str, Unit]

@@ -177,7 +177,7 @@ export function MapCanvas(props: Props) {
       const last = drawn.lasso[drawn.lasso.length - 1] ?? held.from;
       if (held.tool === "box") drawn.lasso = [[a, b], [c, b], [c, d], [a, d]];
       else if (Math.hypot(c - last[0], d - last[1]) >= STEP_PX) drawn.lasso = [...(drawn.lasso.length > 0 ? drawn.lasso : [held.from]), place];
-      drawn.draw();
+      drawn.draw(false);
     }
   };
   /** Zoom by the distance of two fingers, around the one that rests. */
@@ -191,7 +191,7 @@ export function MapCanvas(props: Props) {
   const point = (drawn: MapPicture, found: number, place: Point) => {
     if (drawn.pointed !== found) {
       drawn.pointed = found;
-      drawn.draw();
+      drawn.draw(false);
     }
     onPointed(found, place);
   };
@@ -211,7 +211,7 @@ export function MapCanvas(props: Props) {
       else onOpen(found);
     }
     drawn.lasso = [];
-    drawn.draw();
+    drawn.draw(false);
   };
   return (
     <div

@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 
-import { type ArchiveMap, inside, legendOf, nearest, neighbour, NO_FIT, NO_VALUE, packedIds, takesOf, unpackedIds } from "./map";
+import { type ArchiveMap, clusterName, inside, legendOf, nearest, neighbour, NO_FIT, NO_VALUE, packedIds, takesOf, unpackedIds } from "./map";
 
 const cluster = { points: 2, takes: 2, hours: 1, title: "kick", words: "", traits: [], classes: [], typical: [0], outline: [] };
 const map: ArchiveMap = {
@@ -46,6 +46,8 @@ test("points have colours by value, by cluster or by ranges of numbers", () => {
   const legend = legendOf(map, values, "column");
   expect([legend.labels, legend.counts, [...legend.codes]]).toEqual([["kick", "walk"], [1, 1], [0, 1, NO_VALUE, NO_FIT]]);
   expect([...legendOf(map, values, "cluster").codes]).toEqual([0, 0, NO_VALUE, NO_FIT]);
+  const unnamed = { ...(map.clusters[0] as ArchiveMap["clusters"][number]), title: "no class", traits: [{ feature: "root fast", share: 0, rest: 0.5 }] };
+  expect(clusterName(unnamed, 2)).toBe("3: no class, not root fast");
   const numbers = legendOf(map, { column: "seconds", takes: 3, numbers: [1, 2, 10, null], fits: [1, 1, 1, 0] }, "column");
   expect(numbers.labels).toEqual(["1 to below 2", "2 to below 10", "10 to 10"]);
   expect([...numbers.codes]).toEqual([0, 1, 2, NO_FIT]);

@@ -80,8 +80,15 @@ function counted(labels: string[], codes: Int16Array): Legend {
   return { labels, counts, codes };
 }
 
+/** The name of a cluster: its class, and where it has none the feature that sets it apart most. */
 export function clusterName(one: MapCluster, number: number): string {
-  return `${number + 1}: ${one.title}`;
+  const feature = ownFeature(one);
+  return `${number + 1}: ${one.title}${feature === null ? "" : `, ${feature}`}`;
+}
+
+/** Return the feature that sets a cluster without a class apart most, in words; null for one with a class. */
+export function ownFeature({ title, traits: [first] }: MapCluster): string | null {
+  return title !== "no class" || first === undefined ? null : `${first.share > first.rest ? "" : "not "}${first.feature}`;
 }
 
 function valueCodes({ values = [], codes = [] }: MapTakes): [string[], number[]] {

@@ -4,7 +4,7 @@
 import { BufferAttribute, BufferGeometry, Camera, Color, Points, Scene, ShaderMaterial, Vector2, WebGLRenderer } from "three";
 
 import { type Colours, colours, onTheme } from "../motion/colours";
-import { type ArchiveMap, type Legend, NO_FIT, type Point } from "./map";
+import { type ArchiveMap, type Legend, NO_FIT, ownFeature, type Point } from "./map";
 import { SHAPES } from "./MapSign";
 
 /** What of the map is in sight: its middle, and how many times larger it is than the whole. */
@@ -77,6 +77,7 @@ export class MapPicture {
   private legend: Legend | null = null;
   private chosen: ReadonlySet<number> = new Set();
   private asked = 0;
+  private stale = true;
   private width = 1;
   private height = 1;
   /** How far points are from the middle, at most. */
@@ -194,7 +195,9 @@ export class MapPicture {
     this.geometry.setIndex(new BufferAttribute(order, 1));
   }
 
-  draw(): void {
+  /** Draw with the next picture: all, or only what lies above the points, which cost far more. */
+  draw(points = true): void {
+    this.stale ||= points;
     if (this.asked === 0) this.asked = requestAnimationFrame(() => this.drawNow());
   }
 
@@ -206,7 +209,8 @@ export class MapPicture {
     material.uniforms.middle?.value.set(look.x, look.y);
     material.uniforms.scale?.value.set((2 * this.scale) / this.width, (2 * this.scale) / this.height);
     if (material.uniforms.size !== undefined) material.uniforms.size.value = size * this.renderer.getPixelRatio();
-    if (map !== null) this.renderer.render(this.scene, this.camera);
+    if (map !== null && this.stale) this.renderer.render(this.scene, this.camera);
+    this.stale = false;
     this.drawAbove(colours(), size);
   }
 
@@ -249,11 +253,12 @@ export class MapPicture {
     for (const [number, one] of map.clusters.slice(0, MOST_NAMES).entries()) {
       const ys = one.outline.map((corner) => corner[1]);
       const xs = one.outline.map((corner) => corner[0]);
-      const [x, top] = this.toScreen([(Math.min(...xs) + Math.max(...xs)) / 2, Math.max(...ys)]);
-      const text = shortName(number, one.title, one.words);
+      const [middle, top] = this.toScreen([(Math.min(...xs) + Math.max(...xs)) / 2, Math.max(...ys)]);
+      const text = `${number + 1} ${ownFeature(one) ?? one.title}`;
       const half = pen.measureText(text).width / 2 + 3;
       const y = top - 9;
-      if (x + half < 0 || x - half > this.width || y < 8 || y > this.height) continue;
+      if (middle + half < 0 || middle - half > this.width || y < 8 || y > this.height) continue;
+      const x = Math.min(Math.max(middle, half), Math.max(half, this.width - half)); // whole, also at the edge
       if (taken.some(([l, r, t, b]) => x + half > l && x - half < r && y + 8 > t && y - 8 < b)) continue;
       taken.push([x - half, x + half, y - 8, y + 8]);
       pen.globalAlpha = 0.8;
@@ -270,10 +275,4 @@ export class MapPicture {
     for (const [x, y] of corners) this.pen.lineTo(x, y);
     this.pen.closePath();
   }
-}
-
-/** The name of a cluster on the map: its class, or the first feature that sets it apart where it has none. */
-function shortName(number: number, title: string, words: string): string {
-  const first = words.split(", ")[0] ?? "";
-  return `${number + 1} ${title === "no class" && first !== "" ? first : title}`;
 }
