@@ -20,6 +20,7 @@ from kinedex.pipelines.labels.selection import Selection, least_confident_first,
 from kinedex.pipelines.report.data import Segment
 from kinedex.pipelines.report.nearest_examples import nearest_examples
 from kinedex.pipelines.templates.learning import read_templates
+from kinedex.storage.duck import quote
 from kinedex.storage.store.store import Store, data_frame
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def queue(archive: Archive, asked: QueueQuestion, _request: Request) -> Row:
     with archive.kernels:
         nearest = _nearest(store, stage, rows)
     keys = ("take", "class", "subclass", "start", "stop", "cost", "confidence", "verdict", "label")
-    ordered = "SELECT * FROM annotations" + (f" WHERE {where}" if where else "") + " ORDER BY confidence, take, start"
+    ordered = f"SELECT * FROM annotations{_clause(asked, where)} ORDER BY confidence, take, start"
     return {
         "stage": stage,
         "total": found.height,
@@ -79,6 +80,15 @@ def queue(archive: Archive, asked: QueueQuestion, _request: Request) -> Row:
         "command": command_line("kinedex", "sql", archive.path, ordered),
         "python": python_lines(archive.path, f"store.sql({ordered!r})"),
     }
+
+
+def _clause(asked: QueueQuestion, where: str | None) -> str:
+    """Return what is asked for as a clause of SQL that begins with a space; empty where it is everything."""
+    takes, classes = (", ".join(map(quote, names)) for names in (asked.takes, asked.classes))
+    parts = [f"({where}\n)" if "--" in where else f"({where})"] if where else []
+    parts += [f"take IN ({takes})"] if takes else []
+    parts += [f'("class" IN ({classes}) OR subclass IN ({classes}))'] if classes else []
+    return f" WHERE {' AND '.join(parts)}" if parts else ""
 
 
 def with_verdicts(store: Store, annotations: pl.DataFrame) -> pl.DataFrame:

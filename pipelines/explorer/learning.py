@@ -63,20 +63,22 @@ def learning_facts(archive: Archive, _request: Request) -> Row:
     -------
     dict
         `based_on`, the stage whose settings are taken (None where nothing was annotated); `examples`, `method` and
-        `where`; and `last`, None or the versions `before` and `after` the last run, with `undone`.
+        `where`; `last`, None or the versions `before` and `after` the last run, with `undone`; and `command`, once
+        there is a file of the pipeline.
     """
     store = archive.store()
     if not archive.read_only:
         jobs_of(archive).prepare()
     stages = learning_stages(store, LearnQuestion())
     examples = stages["learn_templates"]["params"]["examples"]
+    file = _file(archive)
     return {
         "based_on": stage_of(store, None),
         "examples": "clips and labels" if CLIPS in examples else "labels",
         "method": stages["annotate"]["params"].get("method", "thesis"),
         "where": stages["annotate"]["params"].get("where", ""),
         "last": _last(archive),
-        "command": command_line("kinedex", *run_words(archive, _file(archive))),
+        **({"command": command_line("kinedex", *run_words(archive, file))} if file.is_file() else {}),
     }
 
 

@@ -237,6 +237,12 @@ def test_annotations_are_accepted_and_rejected_from_the_queue(page: Page) -> Non
     page.decide(decision("reject", first, made[0]))
     again = page.post("/api/labels/queue", {"takes": [TAKE], "decided": True, "classes": [first["class"]]})
     assert {row["verdict"] for row in again["rows"] if row["label"]} >= {"negative"}
+    asked = {"takes": [TAKE], "classes": [first["class"]], "where": "start >= 0 -- all", "decided": True}
+    shown = page.post("/api/labels/queue", asked)
+    query = shlex.split(shown["command"])[-1]
+    keys = ("take", "class", "start", "stop")
+    rows = kinedex.open_store(page.store).sql(query).to_pylist()
+    assert [[row[key] for key in keys] for row in rows] == [[row[key] for key in keys] for row in shown["rows"]]
 
 
 def test_the_facts_count_labels_and_decisions_since_the_templates(page: Page) -> None:
