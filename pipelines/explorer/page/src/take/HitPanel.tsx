@@ -2,6 +2,7 @@
 
 import { Button, Group, Text } from "@mantine/core";
 import { type PointerEvent, useEffect, useRef } from "react";
+import { Link } from "wouter";
 
 import { Fault } from "../app/Fault";
 import type { Feature } from "../api/types";
@@ -89,6 +90,9 @@ export function HitPanel({ session, name, hit, image, fault, features, onBeside,
             Beside its nearest clip
           </Button>
         )}
+        <Button size="compact-sm" variant="default" component={Link} href={`/templates?${new URLSearchParams({ template: name }).toString()}`}>
+          Open the template
+        </Button>
         <Button size="compact-sm" variant="subtle" onClick={onClose}>
           Close
         </Button>
