@@ -13,7 +13,8 @@ from tests.browser.explorer.conftest import Open
 
 
 def test_a_template_is_edited_by_keys_and_saved(open_page: Open, store: Path, tmp_path: Path) -> None:
-    page = open_page("/")
+    page = open_page("/runs")
+    expect(page.get_by_role("heading", name="Runs", exact=True)).to_be_visible()
     page.keyboard.press("g")
     page.keyboard.press("p")
     expect(page.get_by_role("navigation", name="Templates").get_by_role("link")).to_have_count(3)
