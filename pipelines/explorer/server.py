@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 PORT = 8734
 """The port unless another is asked for; if it is in use, a free one is taken."""
 
+HEAD_BYTES = 64 * 1024
+"""The longest address with its headers: one that names a choice of takes is long."""
+
 GRACE_SECONDS = 2
 """Requests that run when the server stops may take so long."""
 
@@ -138,6 +141,7 @@ def serve(store: Path, host: str, port: int | None, *, read_only: bool, browser:
             access_log=False,
             server_header=False,
             proxy_headers=False,
+            h11_max_incomplete_event_size=HEAD_BYTES,
             timeout_graceful_shutdown=GRACE_SECONDS,
         )
         if browser:

@@ -12,6 +12,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -106,6 +107,16 @@ def test_a_server_answers_several_at_once(running: Running) -> None:
 def test_the_token_is_asked_for_over_a_socket_too(running: Running) -> None:
     assert running.ask("/api/store")[0] == 200
     assert Running(running.process, running.host, running.port, "wrong").ask("/api/store")[0] == 401
+
+
+def test_a_long_address_may_come_in_pieces(running: Running) -> None:
+    head = f"GET /?chosen={'A' * 56_000} HTTP/1.1\r\nHost: {running.host}:{running.port}\r\n"
+    head += f"Authorization: Bearer {running.token}\r\nConnection: close\r\n\r\n"
+    with socket.create_connection((running.host, running.port), SECONDS) as opened:
+        for first in range(0, len(head), 4000):
+            opened.sendall(head[first : first + 4000].encode())
+            time.sleep(0.005)  # so that the server sees the head grow
+        assert opened.recv(100).startswith(b"HTTP/1.1 200")
 
 
 def events_of(running: Running) -> tuple[http.client.HTTPConnection, http.client.HTTPResponse]:
