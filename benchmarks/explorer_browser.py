@@ -46,7 +46,7 @@ CATEGORIES = ("devtools.timeline", "disabled-by-default-devtools.timeline")
 """The categories of the trace: the fewest that have tasks and frames, as each event costs time itself."""
 
 PROBES = """
-const probes = window.probes = { answers: [], rows: null, click: null, motion: null };
+const probes = window.probes = { answers: [], rows: null, click: null, motion: null, open: 0 };
 // the moment at which the main thread has finished the frame that is being made
 const afterFrame = (done) => {
   const channel = new MessageChannel();
@@ -75,7 +75,8 @@ WebGL2RenderingContext.prototype.drawElementsInstanced = function (...values) {
 const fetchPlain = window.fetch;
 window.fetch = async (address, options) => {
   const answer = { path: String(address), start: performance.now(), parsed: null, shown: null };
-  const response = await fetchPlain(address, options);
+  probes.open++;
+  const response = await fetchPlain(address, options).finally(() => { probes.open--; });
   const json = response.json.bind(response);
   response.json = async () => {
     const value = await json();
@@ -222,6 +223,13 @@ def _noted(page: Page, expression: str) -> float:
     return float(noted.json_value())
 
 
+def _wait_for_answers(page: Page) -> None:
+    """Wait until no request is open, such as for the figures of hits: a person looks before asking again."""
+    page.wait_for_function("() => probes.open === 0", polling=50)
+    page.wait_for_timeout(100)
+    page.wait_for_function("() => probes.open === 0", polling=50)
+
+
 def calibrate_page(page: Page) -> float:
     """Return the seconds in which this browser sorts a million numbers: the best of five."""
     return float(
@@ -339,6 +347,7 @@ def open_take(page: Page, row: int) -> float:
     """Click on a take in the table, and return the seconds until its first pose is drawn; go back to the table."""
     link = page.locator(".grid-body a").nth(row)
     link.wait_for()
+    _wait_for_answers(page)
     link.click()
     taken = (_noted(page, "probes.motion") - float(page.evaluate("probes.click"))) / 1000
     page.locator(".lanes-area").wait_for()
@@ -397,6 +406,7 @@ class RoundTrip:
 
 def asked(page: Page, path: str, ask: Callable[[], object]) -> RoundTrip:
     """Return the last round trip to a path of the server that an action causes."""
+    _wait_for_answers(page)
     page.evaluate("() => { probes.answers.length = 0; }")
     ask()
     answer = f"probes.answers.findLast((one) => one.path === '{path}')"

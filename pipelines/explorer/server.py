@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import os
 import socket
@@ -27,6 +28,9 @@ PORT = 8734
 
 HEAD_BYTES = 64 * 1024
 """The longest address with its headers: one that names a choice of takes is long."""
+
+HEAPS, M_ARENA_MAX = 2, -8
+"""Heaps of the C library that all threads share, and the number of that setting in glibc's malloc.h."""
 
 GRACE_SECONDS = 2
 """Requests that run when the server stops may take so long."""
@@ -123,6 +127,7 @@ def serve(store: Path, host: str, port: int | None, *, read_only: bool, browser:
         Ctrl-C ended it.
     """
     require_page()
+    share_heaps()
     archive = Archive(store, read_only=read_only)
     with open_socket(host, port) as listening:
         rules = Rules.for_host(new_token(), host, listening.getsockname()[1])
@@ -150,6 +155,18 @@ def serve(store: Path, host: str, port: int | None, *, read_only: bool, browser:
             Server(config, archive).run([listening])
         finally:
             end_jobs(archive)
+
+
+def share_heaps() -> None:
+    """Let the threads of this process share two heaps, where the C library is glibc.
+
+    It would give each thread a heap of its own, and each keeps what is freed in pieces: over 100 hours the memory of
+    a server grew by some 8 MiB with each search.
+    """
+    if sys.platform == "linux":
+        setting = getattr(ctypes.CDLL(None), "mallopt", None)
+        if setting is not None:
+            setting(M_ARENA_MAX, HEAPS)
 
 
 def _open(shown: str) -> None:

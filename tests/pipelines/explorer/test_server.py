@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.client
 import json
 import os
+import platform
 import re
 import shutil
 import signal
@@ -188,3 +189,30 @@ def test_other_machines_are_let_in_with_a_warning_alone(capsys: pytest.CaptureFi
 def test_a_checkout_without_the_page_names_the_command_that_builds_it(tmp_path: Path) -> None:
     with pytest.raises(KinedexError, match="make page"):
         require_page(tmp_path)
+
+
+HEAPS = """
+import ctypes, re, sys, threading
+from kinedex.pipelines.explorer import server
+server.share_heaps()
+begun, held = threading.Barrier(9), []
+def allocate():
+    held.append([bytearray(1000) for _ in range(100)])
+    begun.wait(60)
+threads = [threading.Thread(target=allocate) for _ in range(8)]
+for one in threads: one.start()
+begun.wait(60)
+for one in threads: one.join()
+libc = ctypes.CDLL(None)
+libc.fopen.restype = ctypes.c_void_p
+file = ctypes.c_void_p(libc.fopen(sys.argv[1].encode(), b"w"))
+libc.malloc_info(0, file)
+libc.fclose(file)
+"""
+"""Eight threads at once after `share_heaps`; the state of malloc goes to a file."""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="heaps of threads are those of glibc")
+def test_threads_share_heaps(tmp_path: Path) -> None:
+    subprocess.run([sys.executable, "-c", HEAPS, str(tmp_path / "heaps.xml")], check=True, timeout=SECONDS)
+    assert (tmp_path / "heaps.xml").read_text().count("<heap nr=") <= server.HEAPS
