@@ -6,7 +6,7 @@ import threading
 import time
 from pathlib import Path
 
-from kinedex.ops.errors import KinedexError
+from kinedex.ops.errors import KinedexError, StoreError
 from kinedex.pipelines.explorer.events import Events
 from kinedex.storage.snapshot.label_journal import FOLDER as JOURNAL
 from kinedex.storage.snapshot.manifest_files import versions
@@ -67,7 +67,7 @@ class Archive:
         Raises
         ------
         StoreError
-            A newer version is damaged or cannot be read.
+            A newer version is damaged or cannot be read, or the folder is gone.
         """
         if time.monotonic() - self._looked >= LOOK_SECONDS and self._looking.acquire(blocking=False):
             try:
@@ -113,10 +113,20 @@ class Archive:
             self.events.publish("labels", {})
 
     def _newest_files(self) -> tuple[int, str]:
-        """Return the newest version and the newest index, whose changes make it worth to open the store again."""
+        """Return the newest version and the newest index, whose changes make it worth to open the store again.
+
+        Raises
+        ------
+        StoreError
+            The folder is gone, or is no store any more.
+        """
         index = self.path / "index"
         names = [entry.name for entry in index.iterdir()] if index.is_dir() else []
-        return versions(self.path)[-1], max((name for name in names if name.startswith("gen-")), default="")
+        found = versions(self.path)
+        if not found:
+            gone = "has no manifest any more" if self.path.exists() else "does not exist any more"
+            raise StoreError(f"the store {self.path} {gone}; put it back there, or stop this explorer and open another")
+        return found[-1], max((name for name in names if name.startswith("gen-")), default="")
 
     def _journal_files(self) -> tuple[tuple[str, int, int], ...]:
         """Return name, size and time of the files of the labels' journal."""

@@ -84,7 +84,11 @@ class Events:
             running = list(self._running.values())
         try:
             yield b"retry: 1000\n\n"
-            yield _encoded("state", await to_thread.run_sync(look))
+            state: Mapping[str, object] | None = None
+            with suppress(KinedexError, OSError):  # the next question of a page reports it
+                state = await to_thread.run_sync(look)
+            if state is not None:
+                yield _encoded("state", state)
             for chunk in running:
                 yield chunk
             async for chunk in self._messages(queue, look):

@@ -52,6 +52,20 @@ def test_between_two_looks_the_folder_is_left_alone(copy: Path, monkeypatch: pyt
     assert archive.store() is before
 
 
+def test_a_store_that_is_gone_is_an_error_until_it_is_back(copy: Path) -> None:
+    archive = Archive(copy)
+    before = archive.store()
+    away = copy.rename(copy.with_name("away"))
+    with pytest.raises(StoreError, match="does not exist any more"):
+        archive.state()
+    copy.mkdir()
+    with pytest.raises(StoreError, match="has no manifest any more"):
+        archive.store()
+    copy.rmdir()
+    away.rename(copy)
+    assert archive.store() is before
+
+
 def test_a_version_that_cannot_be_read_is_an_error_until_it_is_repaired(copy: Path) -> None:
     archive = Archive(copy)
     write(copy, "new_one")

@@ -2,13 +2,19 @@
 
 import { useEffect, useSyncExternalStore } from "react";
 
+import { ApiError, get } from "./client";
 import { queries } from "./queries";
 import type { Job } from "./types";
 
 const jobs = new Map<string, Job>();
 const listeners = new Set<() => void>();
 let shown: Job[] = [];
-let connected = true;
+/** Why no messages come; empty while they do. */
+let trouble = "";
+
+const AWAY = "no connection to the server";
+const ANEW = "the server was started anew: open the address that it printed";
+const REOPEN_MS = 3000;
 
 function changed(): void {
   shown = [...jobs.values()];
@@ -28,11 +34,27 @@ function compare(next: { version: number; labels: string }): void {
   if (state !== null && state.labels !== next.labels) void queries.invalidateQueries({ queryKey: ["labels"] });
   state = next;
   jobs.clear(); // those that still run follow
-  connected = true;
   changed();
 }
 
-function open(): EventSource {
+/** Report why no messages come; once they come again, ask again for what has failed meanwhile. */
+function tell(next: string): void {
+  if (next === trouble) return;
+  trouble = next;
+  if (next === "") void queries.invalidateQueries({ predicate: (query) => query.state.status === "error" });
+  changed();
+}
+
+/** Tell a server that is away from one that does not know this page any more. */
+function ask(): void {
+  get("/api/store").then(
+    () => tell(AWAY),
+    (fault: unknown) => tell(fault instanceof ApiError && fault.status === 401 ? ANEW : AWAY),
+  );
+}
+
+/** Open the stream; `ended` is called where the answer was none, and the browser does not try again by itself. */
+function open(ended: () => void): EventSource {
   const source = new EventSource("/api/events");
   const on = <T>(kind: string, take: (message: T) => void) =>
     source.addEventListener(kind, (event) => take(JSON.parse((event as MessageEvent<string>).data) as T));
@@ -46,9 +68,10 @@ function open(): EventSource {
     jobs.set(job.id, job);
     changed();
   });
+  source.onopen = () => tell("");
   source.onerror = () => {
-    connected = false;
-    changed();
+    if (source.readyState === EventSource.CLOSED) ended();
+    else tell(AWAY);
   };
   return source;
 }
@@ -59,8 +82,15 @@ function open(): EventSource {
 export function useEvents(): void {
   useEffect(() => {
     let source: EventSource | null = null;
+    let timer = 0;
+    const ended = () => {
+      source = null;
+      ask();
+      timer = window.setTimeout(turn, REOPEN_MS);
+    };
     const turn = () => {
-      if (document.visibilityState === "visible") source ??= open();
+      window.clearTimeout(timer);
+      if (document.visibilityState === "visible") source ??= open(ended);
       else {
         source?.close();
         source = null;
@@ -70,6 +100,7 @@ export function useEvents(): void {
     document.addEventListener("visibilitychange", turn);
     return () => {
       document.removeEventListener("visibilitychange", turn);
+      window.clearTimeout(timer);
       source?.close();
     };
   }, []);
@@ -79,6 +110,7 @@ export function useJobs(): Job[] {
   return useSyncExternalStore(subscribe, () => shown);
 }
 
-export function useConnected(): boolean {
-  return useSyncExternalStore(subscribe, () => connected);
+/** Return why no messages come from the server; empty while they do. */
+export function useTrouble(): string {
+  return useSyncExternalStore(subscribe, () => trouble);
 }

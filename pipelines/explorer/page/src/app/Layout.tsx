@@ -1,10 +1,12 @@
-import { ActionIcon, Badge, Loader, Modal, Table, Text, useComputedColorScheme, useMantineColorScheme } from "@mantine/core";
+import { ActionIcon, Anchor, Badge, Loader, Modal, Table, Text, Title, useComputedColorScheme, useMantineColorScheme } from "@mantine/core";
 import { useDisclosure } from "@mantine/hooks";
 import { Suspense, useEffect } from "react";
 import { Link, Route, Switch, useLocation } from "wouter";
 
-import { useConnected, useEvents, useJobs } from "../api/events";
+import { useEvents, useJobs, useTrouble } from "../api/events";
 import { useStore } from "../api/queries";
+import { counted, hours } from "../archive/text";
+import { takeName, useParameter } from "./address";
 import { Fault, FaultBoundary } from "./Fault";
 import { loadPages, PAGES } from "./pages";
 import { SameBar } from "./SameBar";
@@ -19,9 +21,10 @@ export function Layout() {
   const [location, navigate] = useLocation();
   const [help, { open, close }] = useDisclosure(false);
   const page = PAGES.find((one) => isShown(one.path, location));
+  const take = useShownTake();
   useEffect(() => {
-    document.title = page === undefined ? "kinedex" : `${page.title} · kinedex`;
-  }, [page]);
+    document.title = [take, page?.title, "kinedex"].filter((part) => part != null).join(" · ");
+  }, [page, take]);
   useDoubleClickOnce(location);
   useEffect(() => {
     const timer = setTimeout(() => void loadPages(), IDLE_MS);
@@ -59,6 +62,12 @@ export function Layout() {
   );
 }
 
+/** The take that the address names, on Take in its path, on Ask and Label as a parameter. */
+function useShownTake(): string | null {
+  const [named] = useParameter("take");
+  return takeName(window.location.pathname) ?? named;
+}
+
 const DOUBLE_MS = 700;
 
 /** Let the second press of a double click on a link do nothing on the page that it leads to, where it selects all text. */
@@ -89,7 +98,12 @@ function Content() {
           <Route key={one.path} path={one.pattern} component={one.view} />
         ))}
         <Route>
-          <Text p="md">No page has this address.</Text>
+          <div className="page">
+            <Title order={1}>No page has this address</Title>
+            <Text>
+              <Anchor component={Link} href="/">All takes</Anchor> are under Archive.
+            </Text>
+          </div>
         </Route>
       </Switch>
     </Suspense>
@@ -103,7 +117,7 @@ function isShown(path: string, location: string): boolean {
 function Header({ onHelp }: { onHelp: () => void }) {
   const store = useStore();
   const jobs = useJobs().filter((job) => job.state === "running");
-  const connected = useConnected();
+  const trouble = useTrouble();
   const facts = store.data;
   return (
     <header className="shell-header">
@@ -112,14 +126,18 @@ function Header({ onHelp }: { onHelp: () => void }) {
         <Text size="sm" truncate title={facts.path}>
           {facts.name}{" "}
           <span className="muted">
-            version {facts.version} · {facts.takes.toLocaleString("en")} takes · {facts.hours.toFixed(2)} h
+            version {facts.version} · {counted(facts.takes, "take")} · {hours(facts.hours)}
           </span>
         </Text>
       )}
       {facts?.read_only === true && <Badge variant="outline">read only</Badge>}
       <div style={{ flex: 1 }} />
       <div role="status" aria-live="polite">
-        {!connected && <Badge color="red">no connection to the server</Badge>}
+        {trouble !== "" && (
+          <Badge color="red" tt="none" title={trouble}>
+            {trouble}
+          </Badge>
+        )}
         {jobs.map((job) => (
           <Badge key={job.id} variant="light">
             {job.title} {job.share === null ? "" : `${Math.floor(100 * job.share)} %`}

@@ -37,7 +37,9 @@ export function useParameters(): (values: Record<string, string | null>, push?: 
   );
 }
 
-/** Return the value of a parameter that holds JSON, and a function that sets it; what is no JSON counts as absent. */
+/** Return the value of a parameter that holds JSON, and a function that sets it.
+ *
+ * What is no JSON counts as absent, and so does what is no list where a list belongs. */
 export function useJsonParameter<T>(name: string, absent: T): [T, (value: T | null, push?: boolean) => void] {
   const [text, set] = useParameter(name);
   const value = useMemo(() => parsed(text, absent), [text, absent]);
@@ -51,7 +53,8 @@ export function useJsonParameter<T>(name: string, absent: T): [T, (value: T | nu
 function parsed<T>(text: string | null, absent: T): T {
   if (text === null) return absent;
   try {
-    return JSON.parse(text) as T;
+    const value = JSON.parse(text) as T;
+    return Array.isArray(absent) && !Array.isArray(value) ? absent : value;
   } catch {
     return absent;
   }

@@ -2,13 +2,13 @@
 
 import { Alert, Badge, Button, Group, Text } from "@mantine/core";
 
-import { useConnected } from "../api/events";
+import { useTrouble } from "../api/events";
 import { dismiss, retryNow, useDecisions } from "./decisions";
 import type { Change } from "./edits";
 
 export function SavedState() {
   const { pending, trouble, saved } = useDecisions();
-  const connected = useConnected();
+  const connected = useTrouble() === "";
   if (pending.length === 0)
     return (
       <Badge role="status" variant="default" tt="none" data-testid="saved">
