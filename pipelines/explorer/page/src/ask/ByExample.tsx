@@ -12,6 +12,7 @@ import { takeAddress, useJsonParameter, useParameter, useParameters } from "../a
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
 import { useSelection } from "../archive/selection";
+import { counted, hours } from "../archive/text";
 import { SmallFigure } from "../motion/SmallFigure";
 import type { Explain } from "./Details";
 import { Results } from "./Results";
@@ -89,8 +90,8 @@ export function ByExample({ store }: { store: StoreFacts }) {
         {found !== undefined && (
           <>
             <Text size="sm" role="status" aria-live="polite">
-              {found.more ? `the ${found.total} best hits` : `${found.total} hits`} below {found.tau} in{" "}
-              {found.hours.toFixed(1)} h <span className="muted">· {(1000 * found.seconds).toFixed(0)} ms</span>
+              {found.more ? `the ${found.total} best hits` : counted(found.total, "hit")} below {found.tau} in{" "}
+              {hours(found.hours)} <span className="muted">· {(1000 * found.seconds).toFixed(0)} ms</span>
               {old && <span className="muted"> · searching…</span>}
             </Text>
             <SaveBar hits={found.hits} examples={question.positives} onRefine={refine} />
@@ -134,7 +135,7 @@ function useQuestion(): ExamplesQuestion | null {
   const [mirror] = useParameter("mirror");
   const { filters, where } = useSelection();
   return useMemo(() => {
-    const start = Number(from);
+    const start = Math.max(0, Number(from));
     const stop = Number(to);
     const own = take !== null && to !== null && Number.isInteger(start) && Number.isInteger(stop) && stop > start;
     const positives = [...(own ? [{ take, start, stop, mirrored: false }] : []), ...unpacked(more)];
@@ -301,7 +302,7 @@ function Remarks({ found }: { found: ExamplesAnswer }) {
   return (
     <>
       <Text size="xs" className="muted" mt="xs">
-        {found.template.columns} columns{found.template.clips.length > 1 && ` of ${found.template.clips.length} examples`}
+        {counted(found.template.columns, "column")}{found.template.clips.length > 1 && ` of ${found.template.clips.length} examples`}
       </Text>
       {weights.length > 0 && (
         <details>

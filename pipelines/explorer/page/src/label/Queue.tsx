@@ -1,7 +1,7 @@
 // The queue of doubtful annotations: one at a time, in a loop beside its nearest example, answered by a key.
 
 import { Alert, Anchor, Button, Group, Loader, MultiSelect, NativeSelect, Text, TextInput, Title } from "@mantine/core";
-import { useEffect, useMemo, useState } from "react";
+import { useEffect, useMemo, useRef, useState } from "react";
 import { Link } from "wouter";
 
 import { useStore } from "../api/queries";
@@ -222,7 +222,13 @@ function useQueue(filter: QueueFilter, version: number | undefined, annotator: s
   const [given, setAnswers] = useState<ReadonlyMap<string, Answer>>(new Map());
   const [fault, setFault] = useState<unknown>(null);
   const [round, setRound] = useState(0);
-  const { pending, undo } = useDecisions();
+  const { pending, undo, refused } = useDecisions();
+  const refusals = useRef(refused.length);
+  useEffect(() => {
+    if (pending.length > 0) return;
+    if (refused.length > refusals.current) setRound((one) => one + 1); // others have decided what this list shows as undecided
+    refusals.current = refused.length;
+  }, [pending.length, refused.length]);
   const answers = useMemo(() => {
     const standing = new Set(undo.flatMap((one) => one.made)); // without those that were undone or refused
     return new Map([...given].filter(([, one]) => standing.has(one.id)));

@@ -8,6 +8,7 @@ import type { TakesBlock } from "../api/types";
 import { takeAddress, useParameter } from "../app/address";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
+import { counted } from "../archive/text";
 import { clock } from "./axis";
 
 const MOST = 100;
@@ -45,7 +46,7 @@ export function ChooseTake() {
       {takes.data !== undefined && (
         <>
           <Text size="sm" className="muted" my={6} aria-live="polite">
-            {takes.data.total.toLocaleString("en")} takes
+            {counted(takes.data.total, "take")}
             {takes.data.total > MOST ? `, the first ${MOST} are listed; the Archive lists all` : ""}
           </Text>
           <Table verticalSpacing={3} maw={760} highlightOnHover>

@@ -5,6 +5,7 @@ import { type MouseEvent, type ReactNode, useEffect, useRef, useSyncExternalStor
 import { Link, useLocation } from "wouter";
 
 import type { Feature, Value } from "../api/types";
+import { counted } from "../archive/text";
 import { clock } from "./axis";
 import type { Session } from "./session";
 import type { Suspect, TakeDocument } from "./types";
@@ -35,7 +36,7 @@ export function SelectionPanel({ session, name }: { session: Session; name: stri
   return (
     <Panel title="Selection">
       <Text size="sm" aria-live="polite">
-        {seconds(from)} to {seconds(to)}, {to - from} frames ({seconds(to - from)})
+        {seconds(from)} to {seconds(to)}, {counted(to - from, "frame")} ({seconds(to - from)})
       </Text>
       <Group gap={6} mt={6}>
         <Button size="compact-sm" component={Link} href={`/ask?${question}`}>
@@ -155,7 +156,7 @@ export function FactsPanel({ document, suspect }: { document: TakeDocument; susp
       <dl className="facts">
         <dt>length</dt>
         <dd>
-          {clock(document.seconds, 2)}, {document.frames} frames at {document.rate_hz} Hz
+          {clock(document.seconds, 2)}, {counted(document.frames, "frame")} at {document.rate_hz} Hz
         </dd>
         {rows.map(([name, value]) => (
           <div key={name} style={{ display: "contents" }}>
