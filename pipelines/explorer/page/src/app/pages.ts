@@ -2,7 +2,7 @@
 // asked for at once; each of the others is a chunk of its own, loaded when it is first shown, or while nothing else is to
 // be done.
 
-import { type ComponentType, lazy } from "react";
+import { type ComponentType, createElement, lazy, useState } from "react";
 
 import ArchivePage from "../archive/ArchivePage";
 
@@ -21,9 +21,21 @@ type Load = () => Promise<{ default: ComponentType }>;
 
 const loads: Load[] = [];
 
+/** Return the page of a chunk. Once that has been loaded the page is there at once: React would show a loader first, and
+ * would let it stay for 300 ms. */
 function later(load: Load): ComponentType {
-  loads.push(load);
-  return lazy(load);
+  let loaded: ComponentType | null = null;
+  const loading: Load = async () => {
+    const made = await load();
+    loaded = made.default;
+    return made;
+  };
+  loads.push(loading);
+  const awaited = lazy(loading);
+  return () => {
+    const [view] = useState(() => loaded ?? awaited);
+    return createElement(view);
+  };
 }
 
 export const PAGES: readonly Page[] = [
