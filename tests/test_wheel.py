@@ -70,7 +70,9 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
         execute([*pip, "wheel", str(source), "--no-deps", "--no-build-isolation", "-w", str(folder)], folder)
     wheels = sorted(folder.glob("*.whl"))
     target = folder / "installed"
-    execute([*pip, "install", "--no-deps", "--no-index", "--target", str(target), *map(str, wheels)], folder)
+    execute(
+        [*pip, "install", "--no-compile", "--no-deps", "--no-index", "--target", str(target), *map(str, wheels)], folder
+    )
     return Installed(target, sdist, wheels[0])
 
 
