@@ -29,7 +29,7 @@ export default function LabelPage() {
     setName(value);
     setAnnotatorName(value);
   };
-  const shown = view ?? "queue";
+  const shown = view === "learn" || view === "files" ? view : "queue";
   return (
     <div className="page label-page">
       <div className="label-bar">

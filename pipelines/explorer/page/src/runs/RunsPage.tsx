@@ -18,7 +18,7 @@ export default function RunsPage() {
     <div className="page runs-page">
       <Title order={1}>Runs</Title>
       <Jobs readOnly={readOnly} />
-      <Tabs value={view ?? "history"} onChange={(value) => setView(value === "history" ? null : value, true)} keepMounted={false}>
+      <Tabs value={view === "start" || view === "methods" ? view : "history"} onChange={(value) => setView(value === "history" ? null : value, true)} keepMounted={false}>
         <Tabs.List mb={8}>
           <Tabs.Tab value="history">History</Tabs.Tab>
           <Tabs.Tab value="start">Pipelines</Tabs.Tab>
