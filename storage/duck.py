@@ -71,7 +71,7 @@ def allow_only(connection: Connection, places: Iterable[Path]) -> None:
 
 def rows(connection: Connection, text: str, parameters: Parameters = None) -> pa.Table:
     """Run a query of the program's own and return its rows; `storage.sql.queries` runs the queries of users."""
-    return connection.sql(text, params=parameters).to_arrow_table()
+    return run_bounded(connection, lambda: connection.sql(text, params=parameters).to_arrow_table())
 
 
 def quote(text: str) -> str:
