@@ -28,6 +28,7 @@ WITHOUT = {
     "ReadOnlyError": "an explorer was started with --read-only; the message names the option",
     "NotFoundError": "an address of the explorer names a take that is not there",
     "ConflictError": "what a page shows is not what is there any more; the message tells what to read again",
+    "WithdrawnError": "nobody reads it: who asked has gone",
     "WorkerDied": "a task needs more memory than there is; the message names the option",
 }
 """Classes whose errors have no remedy of their own: the message itself is the way out."""
