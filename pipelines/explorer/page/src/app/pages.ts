@@ -48,9 +48,10 @@ export const PAGES: readonly Page[] = [
   { title: "Export", path: "/export", pattern: "/export/*?", key: "e", view: later(() => import("../export/ExportPage")) },
 ];
 
-/** Load the chunks of all pages, each in a moment in which nothing else is to be done. */
+/** Load the chunks of all pages, and make what draws takes, each in a moment in which nothing else is to be done. */
 export async function loadPages(): Promise<void> {
-  for (const load of loads) {
+  const stage = async () => (await import("../motion/Stage")).prepareStage();
+  for (const load of [...loads, stage]) {
     await new Promise<void>((done) => {
       if ("requestIdleCallback" in window) requestIdleCallback(() => done());
       else setTimeout(done, 200);

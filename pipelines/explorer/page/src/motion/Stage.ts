@@ -41,6 +41,7 @@ import { type Body, facing, makeBody } from "./body";
 import { writeFigure } from "./bones";
 import { type Colours, colours, onTheme } from "./colours";
 import { FlatStage } from "./FlatStage";
+import { Motion } from "./motion";
 
 const BONE_RADIUS = 0.024;
 const BALL_RADIUS = 0.032;
@@ -312,6 +313,7 @@ function floorLines(): BufferGeometry {
 }
 
 let idle: Staging | null = null;
+let made = false;
 
 /** Return a stage that nobody uses, or a new one: to set up WebGL takes longer than to open a take. */
 export function borrowStage(): Staging {
@@ -322,9 +324,27 @@ export function borrowStage(): Staging {
 
 /** Return a stage by WebGL, or one that draws lines where the browser has none. */
 function newStage(): Staging {
+  made = true;
   const canvas = document.createElement("canvas");
   const context = canvas.getContext("webgl2", { antialias: true, powerPreference: "low-power" });
   return context === null ? new FlatStage() : new Stage(canvas, context);
+}
+
+/** Draw something on a stage before there is a take, in a moment in which nothing else is to be done: the first take then
+ * need not wait until WebGL is there and has compiled its programs. */
+export function prepareStage(): void {
+  if (made) return;
+  const stage = newStage();
+  const body = makeBody(TRAIL_JOINTS, [-1, 0, 0, 0]);
+  const motion = new Motion();
+  const numbers = Int16Array.of(0, 0, 0, 0, 1, 0, 1, 0, 0, 1, 1, 0);
+  motion.add({ first: 0, step: 1, frames: 1, joints: 4, rateHz: 30, unit: 1, origin: [0, 0, 0], numbers });
+  stage.setActors([{ motion }], body);
+  stage.trails = true;
+  stage.resize(300, 200);
+  stage.draw([0], body);
+  stage.trails = false;
+  returnStage(stage);
 }
 
 /** Give a stage back; its canvas leaves the page. */
