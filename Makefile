@@ -13,8 +13,8 @@ FUZZ_SEED    ?= 0
 # The time of every file in wheel and sdist, so that two builds have the same bytes.
 EPOCH        := 1580601600
 ATTACK  ?=
-# Two processes more than there are cores: tests that wait for a page, or for other processes, leave a core free.
-WORKERS ?= $(shell $(PYTHON) -c 'import os; print(len(os.sched_getaffinity(0)) + 2 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) + 2)')
+# One process more than there are cores: tests of processes that wait for each other leave a core free.
+WORKERS ?= $(shell $(PYTHON) -c 'import os; print(len(os.sched_getaffinity(0)) + 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) + 1)')
 NIGHTLY ?=
 # The tests that `make check-kernels` runs with bounds checks.
 BOUNDED ?= not slow

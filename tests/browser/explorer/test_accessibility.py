@@ -49,6 +49,7 @@ def needs_axe() -> None:
         pytest.skip("axe-core is not installed (make page)")
 
 
+@pytest.mark.slow
 def test_pages_keep_the_rules(open_page: Open) -> None:
     page = open_page()
     origin = page.url.rstrip("/")

@@ -15,6 +15,8 @@ import kinedex
 from tests.browser.explorer.conftest import WAIT_MS, Open
 from tests.pipelines.labelled import POSES, write_store
 
+pytestmark = pytest.mark.slow
+
 MAP_MS = 4 * WAIT_MS
 """A process of low priority loads its libraries and computes the map."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from playwright.sync_api import Browser, expect
 
 from benchmarks.explorer_browser import (
@@ -26,6 +27,8 @@ from benchmarks.explorer_browser import (
 from benchmarks.explorer_browser import explorer as served
 from kinedex.pipelines.explorer.application import BUILT
 from tests.browser.explorer.conftest import WAIT_MS
+
+pytestmark = pytest.mark.slow
 
 ROWS = "SELECT range AS number, 'row ' || range AS text, range % 7 AS rest FROM range(100000)"
 
