@@ -54,7 +54,7 @@ def main() -> None:
     """Prepare, wait for a command, and run it."""
     with suppress(Exception):  # what is wrong is wrong for the command, too, which reports it
         prepare()
-    limit = Timer(IDLE_SECONDS, os._exit, [0])
+    limit = Timer(IDLE_SECONDS, os._exit, [1])  # no success, should a command come in the same moment
     limit.daemon = True
     limit.start()
     line = sys.stdin.readline()

@@ -1,6 +1,6 @@
 // Learn again from the labels: what it would use, the run in the background, what it changed, and the way back.
 
-import { Alert, Anchor, Button, Code, Group, NumberInput, SegmentedControl, Select, Switch, Table, Text, TextInput, Title } from "@mantine/core";
+import { Anchor, Button, Code, Group, NumberInput, SegmentedControl, Select, Switch, Table, Text, TextInput, Title } from "@mantine/core";
 import { useLocalStorage } from "@mantine/hooks";
 import { useQuery } from "@tanstack/react-query";
 import { useEffect, useState } from "react";
@@ -12,7 +12,7 @@ import { useStore } from "../api/queries";
 import type { Job, Same } from "../api/types";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
-import { isActive, JobProgress, StopButton } from "../runs/JobControls";
+import { isActive, JobProblem, JobProgress, StopButton } from "../runs/JobControls";
 import { type LabelFacts, useLabelFacts } from "./load";
 
 interface LearnFacts extends Same {
@@ -205,11 +205,7 @@ function Running({ job, readOnly }: { job: Job; readOnly: boolean }) {
         {running && job.message !== "" && ` · ${job.message}`}
       </Text>
       <JobProgress job={job} />
-      {job.problem !== null && (
-        <Alert color="red" variant="light" title="It failed">
-          <Text size="sm" style={{ whiteSpace: "pre-wrap", overflowWrap: "anywhere" }}>{job.problem}</Text>
-        </Alert>
-      )}
+      <JobProblem job={job} />
       {fault !== null && <Fault fault={fault} />}
       <Group gap={6} my={4}>
         {!readOnly && <StopButton job={job} onFault={setFault} />}

@@ -1,6 +1,6 @@
 // How far a job is, and the button that stops it: as Ctrl-C does at first, and by force where it goes on nevertheless.
 
-import { Button, Progress, Text } from "@mantine/core";
+import { Alert, Button, Progress, Text } from "@mantine/core";
 
 import { post } from "../api/client";
 import type { Job } from "../api/types";
@@ -19,6 +19,16 @@ export function JobProgress({ job }: { job: Job }) {
       <Progress value={percent ?? 100} animated aria-label={name} />
       {percent !== null && <Text size="xs">{percent} %</Text>}
     </div>
+  );
+}
+
+/** Why a job failed, where it did. */
+export function JobProblem({ job }: { job: Job }) {
+  if (job.problem === null) return null;
+  return (
+    <Alert color="red" variant="light" title="It failed">
+      <Text size="sm" style={{ whiteSpace: "pre-wrap", overflowWrap: "anywhere" }}>{job.problem}</Text>
+    </Alert>
   );
 }
 

@@ -1,6 +1,6 @@
 // Jobs of this start of the server, with their progress and log as they come.
 
-import { Alert, Button, Group, Text } from "@mantine/core";
+import { Button, Group, Text } from "@mantine/core";
 import { useQuery } from "@tanstack/react-query";
 import { useState } from "react";
 
@@ -8,7 +8,7 @@ import { get } from "../api/client";
 import { useJobs } from "../api/events";
 import type { Job } from "../api/types";
 import { Fault } from "../app/Fault";
-import { isActive, JobProgress, StopButton } from "./JobControls";
+import { isActive, JobProblem, JobProgress, StopButton } from "./JobControls";
 
 const SHOWN = 5;
 const LOG_MS = 1500;
@@ -60,11 +60,7 @@ function OneJob({ job, readOnly }: { job: Job; readOnly: boolean }) {
         </Button>
       </Group>
       <JobProgress job={job} />
-      {job.problem !== null && (
-        <Alert color="red" variant="light" title="It failed">
-          <Text size="sm" style={{ whiteSpace: "pre-wrap", overflowWrap: "anywhere" }}>{job.problem}</Text>
-        </Alert>
-      )}
+      <JobProblem job={job} />
       {fault !== null && <Fault fault={fault} />}
       {open && log.isError && <Fault fault={log.error} />}
       {open && log.data !== undefined && <pre className="runs-log" tabIndex={0} aria-label="Log">{log.data.text}</pre>}

@@ -4,7 +4,8 @@
 import { type QueryClient, QueriesObserver, type QueryKey } from "@tanstack/react-query";
 import { useSyncExternalStore } from "react";
 
-import type { Cell } from "./lines";
+/** The content of a cell: a text, or a text that leads somewhere or has a remark for the pointer. */
+export type Cell = string | { text: string; href?: string; note?: string };
 
 /** What a table shows. */
 export interface RowSource<Row> {

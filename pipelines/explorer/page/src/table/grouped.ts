@@ -1,7 +1,6 @@
 // Rows in groups, each below a heading: a heading is a row of the table that has no data of its own.
 
-import type { RowSource } from "./blocks";
-import type { Cell } from "./lines";
+import type { Cell, RowSource } from "./blocks";
 
 export interface RowGroup {
   rows: number;

@@ -4,10 +4,7 @@
 //  - a row is put into place by `top`: a transform is a layer's worth of bookkeeping for each;
 //  - a cell clips its text only where it may be too long: every clip is a step of its own in paint and layers.
 
-import type { RowSource } from "./blocks";
-
-/** The content of a cell: a text, or a text that leads somewhere or has a remark for the pointer. */
-export type Cell = string | { text: string; href?: string; note?: string };
+import type { Cell, RowSource } from "./blocks";
 
 export interface GridColumn<Row> {
   key: string;
