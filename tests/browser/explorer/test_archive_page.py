@@ -73,6 +73,7 @@ def test_the_table_is_a_grid_for_keys_and_screen_readers(open_page: Open) -> Non
     page.keyboard.press("Control+End")
     active = str(grid.get_attribute("aria-activedescendant"))
     expect(page.locator(f"[id='{active}']").locator("..")).to_have_attribute("aria-rowindex", "9")
+    expect(page.locator("[aria-rowindex='9']")).to_contain_text("x_bo_waltz_1")  # rows come anew in the other order
     page.keyboard.press("Enter")
     expect(page).to_have_url(re.compile("/take/x_bo_waltz_1"))
 
