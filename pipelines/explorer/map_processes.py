@@ -50,6 +50,9 @@ class MapRun:
         The reason for which there is none.
     waiting : int
         The number of those who wait for it.
+    reader : threading.Thread
+        The thread that takes the reports. It alone waits for the process: of two threads that wait for one process,
+        the system tells only one how it ended, and the other may believe for a moment that it still runs.
     """
 
     def __init__(self, store: Store, unit: Unit) -> None:
@@ -64,7 +67,8 @@ class MapRun:
         self._process = context.Process(target=_compute, args=arguments, name="kinedex-map", daemon=True)
         self._process.start()
         theirs.close()
-        threading.Thread(target=self._read, name="map", daemon=True).start()
+        self.reader = threading.Thread(target=self._read, name="map", daemon=True)
+        self.reader.start()
 
     @property
     def done(self) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import importlib.util
 import json
+import signal
 import time
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
@@ -102,10 +103,11 @@ def test_a_computation_ends_when_the_last_who_waits_has_gone(store: Path, monkey
         (run,) = maps._running.values()
         assert run.waiting == 2
         await first.aclose()
-        assert run._process.is_alive()
+        assert run.reader.is_alive()
         await second.aclose()
-        run._process.join(60)
-        assert not run._process.is_alive()
+        run.reader.join(60)
+        assert not run.reader.is_alive()
+        assert run._process.exitcode == -signal.SIGTERM
         assert maps._running == {}
 
     asyncio.run(follow())
