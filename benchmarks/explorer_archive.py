@@ -1,4 +1,4 @@
-"""The archive of the explorer's benchmarks: 100 hours in 2,400 takes, words and labels included, made once in build/.
+"""The archives of the explorer's benchmarks, made once in build/: 100 hours in 2,400 takes, words and labels included.
 
 To synthesise so much from nothing takes hours. Here the takes of the small synthetic archive (`benchmarks.archive`) are
 cut at the boundaries of their labels, and pieces of these are put together anew. Each piece is changed first: mirrored
@@ -7,6 +7,8 @@ deviations of about a centimetre in every joint. The features are then computed 
 computes them; no word is copied. So the frames differ from each other as those of people do who repeat an exercise,
 while the kinds of motion are the few of the small archive: counts of hits are higher than in an archive of 100 hours
 of anything.
+
+Another archive has 100,000 takes, for tables: each is half a second of a clip of the small archive, as it is there.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ import pyarrow as pa
 
 from benchmarks.archive import BUILD, archive
 from benchmarks.archive import store as small_store
+from kinedex.catalog.features import FeatureSet
 from kinedex.ops.body import features
 from kinedex.ops.body.mirrored_motion import mirrored_places, mirrored_quaternions
 from kinedex.pipelines.engine.executors import cores, make_executor
@@ -42,6 +45,13 @@ HOURS, TAKES, CLIPS = 100.0, 2400, 600
 RATE_HZ = 30.0
 ACTORS = 40
 TAKES_A_TASK = 60
+
+MANY_TAKES, MANY_ACTORS = 100_000, 200
+MANY_FRAMES = (12, 24)
+"""The shortest and the longest take of the archive of many takes, in frames."""
+
+MANY_IN_A_PART = 5_000
+
 FADE = 15
 """Frames in which the pose at the beginning of a piece is reached from the end of the one before."""
 
@@ -121,6 +131,48 @@ def _make(path: Path, source: Store, hours: float, takes: int, clips: int) -> No
         writer.commit()
 
 
+def many_takes() -> Store:
+    """Return the store of 100,000 takes with its index; make it where it is missing."""
+    path = BUILD / f"explorer-{MANY_TAKES}-takes"
+    if not (path / "manifest").is_dir() or not open_store(path, at="newest").take_rows.num_rows:
+        _cut_many(path, small_store())
+    opened = open_store(path, at="newest")
+    build_index(opened)
+    return opened
+
+
+def _cut_many(path: Path, source: Store) -> None:
+    feature_set, rng = source.feature_set, np.random.default_rng(2026)
+    clips = [piece for piece in pieces_of(source.path) if piece.label is not None]
+    names = [f"EXP_actor{number % MANY_ACTORS:03d}_take_{number:06d}" for number in range(MANY_TAKES)]
+    with StoreWriter.open(path, feature_set, RATE_HZ) as writer:
+        ids = sorted(writer.assign_take_ids(names).items(), key=lambda one: one[1])
+        for first in range(0, MANY_TAKES, MANY_IN_A_PART):
+            rows = []
+            with FramesWriter(path, feature_set, RATE_HZ) as frames:
+                for name, take_id in ids[first : first + MANY_IN_A_PART]:
+                    clip = clips[int(rng.integers(len(clips)))]
+                    count = min(len(clip.positions), int(rng.integers(MANY_FRAMES[0], MANY_FRAMES[1] + 1)))
+                    start = int(rng.integers(len(clip.positions) - count + 1))
+                    actor = name.split("_")[1]
+                    positions = clip.positions[start : start + count], clip.orientation[start : start + count]
+                    rows.append(_add(frames, feature_set, take_id, name, actor, clip.label, *positions))
+                part = frames.close()
+            writer.add_takes(pa.Table.from_pylist(rows, schema=takes_schema()), part)
+        writer.commit()
+
+
+def _add(
+    writer: FramesWriter, feature_set: FeatureSet, take_id: int, name: str, actor: str, label: str | None,
+    places: F64, turns: F64,
+) -> dict[str, Any]:  # fmt: skip
+    """Write the frames of a take, and return its row."""
+    positions, orientation = np.ascontiguousarray(places.transpose(1, 2, 0)), np.ascontiguousarray(turns.T)
+    words = features.words(positions, orientation, RATE_HZ, feature_set.rules)
+    writer.add(take_id, positions, orientation, words)
+    return _row(take_id, name, len(words), actor, label, hashlib.sha256(words.tobytes()).hexdigest())
+
+
 def _name(number: int, clips: int) -> str:
     """Return the name of a take: clips come first, as in the small archive."""
     actor = f"actor{number % ACTORS:02d}"
@@ -142,13 +194,9 @@ def _write(path: Path, source: Path, ids: dict[str, int], clips: int, seconds: f
                 chosen = _drawn(pieces, rng)
             about = 0.7 + 0.6 * float(rng.random())
             take = perform(chosen, feature_set.joints, int(seconds * RATE_HZ * about), number % ACTORS, rng)
-            positions = np.ascontiguousarray(take.positions.transpose(1, 2, 0))
-            orientation = np.ascontiguousarray(take.orientation.T)
-            words = features.words(positions, orientation, RATE_HZ, feature_set.rules)
-            writer.add(ids[name], positions, orientation, words)
-            sums = hashlib.sha256(words.tobytes()).hexdigest()
-            label = take.label if number < clips else None
-            rows.append(_row(ids[name], name, len(words), f"actor{number % ACTORS:02d}", label, sums))
+            label, actor = take.label if number < clips else None, f"actor{number % ACTORS:02d}"
+            motion = take.positions, take.orientation
+            rows.append(_add(writer, feature_set, ids[name], name, actor, label, *motion))
             if number >= clips:
                 labels += [_truth(ids[name], name, *one) for one in take.labels]
         part = writer.close()

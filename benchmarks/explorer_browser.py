@@ -46,13 +46,13 @@ CATEGORIES = ("devtools.timeline", "disabled-by-default-devtools.timeline")
 """The categories of the trace: the fewest that have tasks and frames, as each event costs time itself."""
 
 PROBES = """
-const probes = window.probes = { answers: [], rows: null, click: null, motion: null, open: 0 };
 // the moment at which the main thread has finished the frame that is being made
 const afterFrame = (done) => {
   const channel = new MessageChannel();
   channel.port1.onmessage = () => done(performance.now());
   requestAnimationFrame(() => channel.port2.postMessage(0));
 };
+const probes = window.probes = { answers: [], rows: null, click: null, motion: null, open: 0, afterFrame };
 const rowsAreThere = () => (document.querySelector('.grid-body .grid-cell')?.textContent ?? '…') !== '…';
 const watch = new MutationObserver(() => {
   if (!rowsAreThere()) return;
@@ -301,6 +301,29 @@ def open_rows(page: Page, base: str, statement: str) -> None:
     """Show the rows of a statement as a table on the page Ask."""
     page.goto(f"{base}/ask?way=sql&sql={quote(statement)}")
     page.locator(".answer .grid-body").nth(10).wait_for()
+
+
+def group_rows(page: Page, base: str, column: str) -> float:
+    """Open the table of takes, group it by a column, and return the seconds from the click to rows below headings."""
+    page.goto(f"{base}/")
+    page.locator(".grid-body a").first.wait_for()
+    page.wait_for_timeout(SETTLED_MS)
+    page.get_by_role("combobox", name="Grouped by").click()
+    option = page.get_by_role("option", name=column, exact=True)
+    option.wait_for()
+    page.evaluate(
+        """() => {
+          probes.grouped = 0;
+          const look = () => {
+            const there = ['.grid-heading', '.grid-body:not(.grid-heading):not(.loading)'];
+            if (there.some((one) => document.querySelector(one) === null)) requestAnimationFrame(look);
+            else probes.afterFrame((now) => { probes.grouped = now; });
+          };
+          requestAnimationFrame(look);
+        }"""
+    )
+    option.click()
+    return (_noted(page, "probes.grouped") - float(page.evaluate("probes.click"))) / 1000
 
 
 def scroll(page: Page, jumps: int = 60, pixels: int = 9000) -> None:

@@ -1,7 +1,8 @@
 """`make bench-explorer`: time the page of the explorer in a real browser, beside the same work by SQL and Python.
 
-Two archives: 100 hours in 2,400 takes (`benchmarks.explorer_archive`), and some 3,000 short takes: the motion files of
-a folder under five names where one is given (`make bench-explorer DATA=dir`), or as many clips made like the 100 hours.
+Three archives: 100 hours in 2,400 takes (`benchmarks.explorer_archive`); some 3,000 short takes: the motion files of a
+folder under five names where one is given (`make bench-explorer DATA=dir`), or as many clips made like the 100 hours;
+and 100,000 takes of half a second, for the table of takes in groups.
 Each figure stands beside what is asked for. Work on the main thread is its own time in every frame, read from a trace
 (`benchmarks.explorer_browser` lists what counts); the time on the clock and the frames per second are printed only, as
 there is no GPU and other programs run. Times of the page are those of `performance.now()`; seconds of the server begin
@@ -25,7 +26,7 @@ import numpy as np
 from playwright.sync_api import Browser, Page
 
 from benchmarks.archive import BUILD
-from benchmarks.explorer_archive import hundred_hours
+from benchmarks.explorer_archive import hundred_hours, many_takes
 from benchmarks.explorer_browser import (
     SETTLED_MS,
     Explorer,
@@ -38,6 +39,7 @@ from benchmarks.explorer_browser import (
     find_chromium,
     first_rows,
     go,
+    group_rows,
     loaded_files,
     new_page,
     open_rows,
@@ -58,7 +60,7 @@ from kinedex.pipelines.ranking.store_ranking import rank_store
 from kinedex.pipelines.templates.stored_templates import template_from_clip
 from kinedex.storage.store.store import Store, open_store
 
-READY_S, PAINT_S, OPEN_S, EXAMPLE_S, KEYFRAMES_S = 1.0, 2.0, 0.2, 0.5, 0.15
+READY_S, PAINT_S, OPEN_S, EXAMPLE_S, KEYFRAMES_S, GROUPED_S = 1.0, 2.0, 0.2, 0.5, 0.15, 0.5
 FRAME_MS, SERVER_MIB, PAGE_MB = 8.0, 500.0, 2.0
 """The limits that are asked for."""
 
@@ -100,7 +102,7 @@ def figures(data: Path | None = None) -> list[Figure]:
     if browser_path is None or not (BUILT / "index.html").is_file():
         reason = "no Chromium on this machine" if browser_path is None else "the page has not been built (make page)"
         return [Figure("the page of the explorer", 0.0, "", None, reason)]
-    whole, short = hundred_hours(), short_takes(data)
+    whole, short, many = hundred_hours(), short_takes(data), many_takes()
     long = hundred_hours(hours=1.5, takes=3, clips=0)
     found: list[Figure] = []
     with chromium(browser_path) as browser:
@@ -111,6 +113,8 @@ def figures(data: Path | None = None) -> list[Figure]:
         with explorer(short.path) as server, new_page(browser) as page:
             found += _table(page, server, f"a table of {short.take_rows.num_rows:,} takes")
             found += _takes_opened(browser, page, server, short, "short takes", "")
+        with explorer(many.path) as server, new_page(browser) as page:
+            found += _grouped(page, server, many)
         with explorer(long.path) as server, new_page(browser) as page:
             found += _scrubbed(page, server, long)
         with explorer(whole.path) as server, new_page(browser) as page:
@@ -173,6 +177,27 @@ def _table(page: Page, server: Explorer, what: str) -> Iterator[Figure]:
     page.wait_for_timeout(SETTLED_MS)
     scroll(page, jumps=10, pixels=1000)
     yield from _frames(f"{what} scrolls", recorded(page, lambda: scroll(page)))
+
+
+def _grouped(page: Page, server: Explorer, store: Store) -> Iterator[Figure]:
+    """Group the table of takes by a column, and scroll it, beside the same order and groups by SQL."""
+    first_rows(page, server.address)
+    for column in ("class", "actor", "folder"):
+        what = f"{store.take_rows.num_rows:,} takes in groups by {column}"
+        opened = group_rows(page, server.base, column)
+        page.wait_for_timeout(SETTLED_MS)
+        scroll(page, jumps=10, pixels=1000)
+        yield from _frames(f"a table of {what} scrolls", recorded(page, lambda: scroll(page)))
+        yield _limit(f"{what}: from the click to rows below headings", opened, GROUPED_S, "ms")
+        key = "parse_dirpath(source, 'forward_slash')" if column == "folder" else f'"{column}"'
+        by_sql = seconds(partial(_group_by_sql, store, key), 2)
+        yield Figure("the same", 1.0, "tables", opened, "order and groups by DuckDB", by_sql)
+
+
+def _group_by_sql(store: Store, key: str) -> None:
+    with store.connect() as connection:
+        connection.sql(f"SELECT {key}, count(*), sum(seconds) FROM takes GROUP BY 1 ORDER BY 1").to_arrow_table()
+        connection.sql(f"SELECT take_id FROM takes ORDER BY {key}, name").to_arrow_table()
 
 
 def _rows(page: Page, server: Explorer, store: Store) -> Iterator[Figure]:

@@ -29,7 +29,7 @@ SQL_SECONDS = 20.0
 FOLDER = "folder"
 """A column that takes do not have: the folder of the source file, below the folder of the archive."""
 
-_FOLDER = "coalesce(nullif(regexp_extract(source, '^(.*)/', 1), ''), '.')"
+_FOLDER = "coalesce(nullif(parse_dirpath(source, 'forward_slash'), ''), '.')"
 
 _PLAIN = frozenset({"groups", "order", "group", "table", "set", "limit", "offset", "all", "end", "case", "class"})
 """Words of SQL that a column may have as its name; these are quoted."""

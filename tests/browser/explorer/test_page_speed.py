@@ -14,6 +14,7 @@ from benchmarks.explorer_browser import (
     calibrate_page,
     first_rows,
     go,
+    group_rows,
     loaded_files,
     new_page,
     open_rows,
@@ -71,6 +72,9 @@ def test_takes_open_and_are_scrubbed_and_questions_are_timed(browser: Browser, s
     with served(store) as server, new_page(browser) as page:
         assert first_rows(page, server.address) > 0
         assert server.ready_seconds > 0
+        assert group_rows(page, server.base, "class") > 0
+        expect(page.locator(".grid-heading").first).to_contain_text("jig · 2 takes")
+        page.goto(server.base)
         assert anonymous_mib(server.process) > 10
         assert open_take(page, 0) > 0
         show_take(page, server.base, "x_al_long_1")

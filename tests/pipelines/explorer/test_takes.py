@@ -158,6 +158,26 @@ def test_groups_have_the_order_of_the_takes(client: TestClient, column: str) -> 
     assert [row for one in groups for row in [one["values"]] * one["takes"]] == takes
 
 
+def test_the_folder_is_what_stands_before_the_last_slash(tmp_path: Path, connect: Connect) -> None:
+    sources = [
+        "a.bvh",
+        "x/a.bvh",
+        "x/y/a.bvh",
+        "x/y.z/.bvh",
+        "x//a.bvh",
+        "x\\y\\a.bvh",
+        "a line\nbreak/a.bvh",
+        "ü'\"/a.bvh",
+    ]
+    takes = [{**long_take(f"t{i}", "al", "rest"), "source": source} for i, source in enumerate(sources)]
+    client = connect(write_store(tmp_path / "store", takes))
+    folders = [source.rpartition("/")[0] or "." for source in sources]
+    assert [row for (row,) in ask(client, "/api/takes", columns=["folder"])["rows"]] == folders
+    for one in set(folders):
+        expected = [f"t{i}" for i, folder in enumerate(folders) if folder == one]
+        assert names(client, filters=[{"column": "folder", "values": [one]}]) == expected
+
+
 def test_nan_and_no_value_are_one_group(tmp_path: Path, connect: Connect) -> None:
     rates = {"a": 60.0, "b": math.nan, "c": None, "d": 30.0, "e": math.nan}
     takes = [{**long_take(name, "al", "rest"), "source_rate_hz": rate} for name, rate in rates.items()]
