@@ -77,7 +77,7 @@ def open_page(browser: Browser, explorer: str) -> Iterator[Open]:
         page.set_default_timeout(WAIT_MS)
         page.on("pageerror", lambda fault: faults.append(str(fault)))
         page.on("console", lambda message: faults.append(message.text) if is_fault(message) else None)
-        page.goto(explorer)
+        context.request.get(explorer)  # the cookie of the explorer, without a page that is loaded and left again
         page.goto(explorer.split("/?")[0] + path)
         return page
 

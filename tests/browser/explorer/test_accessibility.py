@@ -31,10 +31,36 @@ PAGES = [
     "/export",
 ]
 
+COUNT = """
+window.openRequests = 0;
+const ask = window.fetch;
+window.fetch = (...words) => {
+  if (String(words[0].url ?? words[0]).includes('/api/events')) return ask(...words);
+  window.openRequests += 1;
+  return ask(...words).finally(() => { window.openRequests -= 1; });
+};
+"""
+"""Counts the requests of a page that have no answer yet; the stream of events never ends."""
+
+REST = """() => {
+  const moves = (one) => one.playState === 'running' && isFinite(one.effect.getComputedTiming().endTime);
+  const now = performance.now();
+  if (window.openRequests > 0 || document.getAnimations().some(moves)) window.busy = now;
+  return now - window.busy > 150;
+}"""
+"""True once a page has asked for nothing and nothing in it has moved for a while: contrast is that of what is seen."""
+
+
+def rest(page: Page) -> None:
+    """Wait until a page has come to rest after what was done to it."""
+    page.evaluate("window.busy = performance.now()")
+    page.wait_for_function(REST, polling=40)
+
 
 def violations(page: Page) -> list[str]:
     """Return the rules that a page breaks, each with the element and what to do."""
-    page.evaluate(AXE.read_text(encoding="utf-8") + ";0")
+    if page.evaluate("typeof axe") == "undefined":
+        page.evaluate(AXE.read_text(encoding="utf-8") + ";0")
     found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")
     return [
         f"{rule['id']}: {node['target']}: {node['failureSummary']}"
@@ -52,6 +78,7 @@ def needs_axe() -> None:
 @pytest.mark.slow
 def test_pages_keep_the_rules(open_page: Open) -> None:
     page = open_page()
+    page.context.add_init_script(COUNT)
     origin = page.url.rstrip("/")
     faults = []
     for path in PAGES:
@@ -59,12 +86,12 @@ def test_pages_keep_the_rules(open_page: Open) -> None:
         expect(page.locator("main .page, main .take")).not_to_have_count(0)
         if "view=map" in path:  # a process computes it first
             expect(page.locator(".map-about")).to_be_visible(timeout=MAP_MS)
-        page.wait_for_timeout(800)
+        rest(page)
         faults += [f"{path}, light: {fault}" for fault in violations(page)]
         # the page follows the system at once: it need not be loaded again
         page.emulate_media(color_scheme="dark")
         expect(page.locator("html")).to_have_attribute("data-mantine-color-scheme", "dark")
-        page.wait_for_timeout(500)  # colours fade from one to the other
+        rest(page)  # colours fade from one to the other
         faults += [f"{path}, dark: {fault}" for fault in violations(page)]
         page.emulate_media(color_scheme="light")
     assert not faults, "\n".join(faults)
@@ -78,16 +105,16 @@ def test_filters_columns_and_keys_keep_the_rules(open_page: Open) -> None:
     page.keyboard.press("ArrowDown")
     page.keyboard.press("Enter")
     expect(page.get_by_role("checkbox").first).to_be_visible()
-    page.wait_for_timeout(300)  # the opening of what floats is animated, and contrast is measured in it
+    rest(page)  # the opening of what floats is animated
     faults = violations(page)
     page.keyboard.press("Escape")
     page.get_by_role("button", name="Columns").click()
     expect(page.get_by_role("checkbox", name="seconds")).to_be_visible()
-    page.wait_for_timeout(300)
+    rest(page)
     faults += violations(page)
     page.keyboard.press("Escape")
     page.keyboard.press("?")
     expect(page.get_by_role("dialog", name="Keys")).to_be_visible()
-    page.wait_for_timeout(300)
+    rest(page)
     faults += violations(page)
     assert not faults, "\n".join(faults)

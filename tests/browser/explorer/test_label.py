@@ -66,7 +66,7 @@ def page(browser: Browser, explorer: Explorer) -> Iterator[Page]:
     page.set_default_timeout(20_000)
     page.faults = []  # type: ignore[attr-defined]
     page.on("pageerror", lambda fault: page.faults.append(fault))  # type: ignore[attr-defined]
-    page.goto(explorer.address)
+    context.request.get(explorer.address)  # its cookie
     yield page
     assert page.faults == []  # type: ignore[attr-defined]
     context.close()
