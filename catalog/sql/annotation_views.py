@@ -62,6 +62,18 @@ preselected    DOUBLE    share of the frames that keyframe queries left to be se
         stages="annotate",
     ),
     result_view(
+        "example_ranges",
+        "Frames in which each example could label anything, with `each_example`; a later run compares new ones only.",
+        f"""{TAKE}
+fingerprint    VARCHAR    a hash of the take's words and of the program
+examples    UBIGINT[]    a hash of each example
+counts    INTEGER[]    the number of ranges of each
+starts    INTEGER[]    their first frames, example after example
+stops    INTEGER[]    the frames after their last""",
+        "SELECT take, len(examples) AS examples, len(starts) AS ranges FROM example_ranges ORDER BY ranges DESC, take",
+        stages="annotate",
+    ),
+    result_view(
         "annotations",
         "The segments that the annotation found: class, range, cost.",
         f"""{TAKE}

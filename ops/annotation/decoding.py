@@ -33,6 +33,9 @@ from kinedex.ops.words import U64
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
+BLOCK_FRAMES = 32
+"""Templates that are promising somewhere begin and end together, at multiples of so many frames."""
+
 STANDING_OUT = 0.05
 """Value per frame, in nats per feature, that makes a segment stand out from the background by 1 − 1 / e."""
 
@@ -113,7 +116,8 @@ def _offsets(words: U64, usual: F64, decoding: Decoding) -> F64:
     return -log_likelihoods(words, usual, decoding.smoothing) / usual.shape[1]
 
 
-def _frames(words: U64, usual: F64, decoding: Decoding) -> Frames:
+def frames_of(words: U64, usual: F64, decoding: Decoding) -> Frames:
+    """Return the frames of a take, as kernels need them."""
     vocabulary, codes = np.unique(words, return_inverse=True)
     return Frames(np.ascontiguousarray(words), _offsets(vocabulary, usual, decoding)[codes])
 
@@ -146,6 +150,7 @@ def explain(
     decoding: Decoding,
     ranges: Sequence[I64] | None = None,
     columns: Columns | None = None,
+    promising: I64 | None = None,
 ) -> list[Explained]:
     """Find the explanation of a take that has the greatest value.
 
@@ -166,6 +171,8 @@ def explain(
         For each template the half-open ranges that it may explain, ascending and disjoint; None: all frames.
     columns : Columns, optional
         `lay_columns` of the same, where it is known.
+    promising : int64 array (R, 3), optional
+        `ops.annotation.promising_ranges` of the same, where they are known: the same explanation is found sooner.
 
     Returns
     -------
@@ -180,9 +187,11 @@ def explain(
     """
     if not templates or not len(words):
         return []
-    frames = _frames(words, usual, decoding)
+    frames = frames_of(words, usual, decoding)
     columns = columns or lay_columns(templates, usual, decoding)
     allowed, changes = _allowed(ranges, len(templates), len(words))
+    if promising is not None:
+        allowed, changes = _allowed_and_promising(allowed, changes, promising)
     value, winner = forwards(frames, columns, decoding.costs, allowed, changes)
     found = backwards(frames, columns, decoding.costs, allowed, value, winner)
     return [
@@ -199,12 +208,13 @@ def margins(
     words: U64,
     decoding: Decoding,
     columns: Columns | None = None,
+    promising: I64 | None = None,
 ) -> F64:
     """Return how far segments stand out from the other classes and from the background.
 
     Parameters
     ----------
-    found, templates, classes, usual, words, decoding, columns
+    found, templates, classes, usual, words, decoding, columns, promising
         As in `exclusive_shares`.
 
     Returns
@@ -213,7 +223,7 @@ def margins(
         From 0 to 1: `exclusive_shares` times 1 − exp(−v / `STANDING_OUT`), v being the value of a segment per frame.
     """
     a_frame = np.array([one.value / (one.stop - one.start) for one in found])
-    alone = exclusive_shares(found, templates, classes, usual, words, decoding, columns)
+    alone = exclusive_shares(found, templates, classes, usual, words, decoding, columns, promising)
     return alone * -np.expm1(-a_frame / STANDING_OUT)
 
 
@@ -225,6 +235,7 @@ def exclusive_shares(
     words: U64,
     decoding: Decoding,
     columns: Columns | None = None,
+    promising: I64 | None = None,
 ) -> F64:
     """Return the share of each segment's value that its class alone can give.
 
@@ -240,6 +251,7 @@ def exclusive_shares(
     words : uint64 array (L,)
     decoding : Decoding
     columns : Columns, optional
+    promising : int64 array (R, 3), optional
         See `explain`.
 
     Returns
@@ -251,12 +263,40 @@ def exclusive_shares(
     """
     if not found:
         return np.empty(0)
-    frames = _frames(words, usual, decoding)
+    frames = frames_of(words, usual, decoding)
     columns = columns or lay_columns(templates, usual, decoding)
     starts, stops = (np.array([getattr(one, name) for one in found], np.int64) for name in ("start", "stop"))
-    labels = np.asarray(classes, np.int64)[[one.template for one in found]]
-    others = rival_values(frames, columns, decoding.costs, np.asarray(classes, np.int64), starts, stops, labels)
+    of_template = np.asarray(classes, np.int64)
+    labels = of_template[[one.template for one in found]]
+    rivals = of_template != labels[:, None]
+    if promising is not None:
+        rivals &= _overlap(promising, starts, stops, len(templates))
+    others = rival_values(frames, columns, decoding.costs, rivals, starts, stops)
     return np.clip(1.0 - others / np.array([one.value for one in found]), 0.0, 1.0)
+
+
+def _overlap(promising: I64, starts: I64, stops: I64, templates: int) -> Bool:
+    """Return which templates have a promising range in each segment, bool (S, T)."""
+    found = np.zeros((len(starts), templates), bool)
+    for own, start, stop in zip(found, starts.tolist(), stops.tolist(), strict=True):
+        own[promising[(promising[:, 1] < stop) & (promising[:, 2] > start), 0]] = True
+    return found
+
+
+def _allowed_and_promising(allowed: Bool, changes: I64, promising: I64) -> tuple[Bool, I64]:
+    """Return what `_allowed` returns, of the frames in which templates are promising, too.
+
+    Frames are taken in blocks: to begin and to end a template costs more than some frames of it.
+    """
+    blocks = np.zeros((len(allowed), -(-int(changes[-1]) // BLOCK_FRAMES) + 1), np.int64)
+    np.add.at(blocks, (promising[:, 0], promising[:, 1] // BLOCK_FRAMES), 1)
+    np.add.at(blocks, (promising[:, 0], (promising[:, 2] - 1) // BLOCK_FRAMES + 1), -1)
+    within = np.cumsum(blocks[:, :-1], axis=1) > 0
+    both = np.repeat(within, BLOCK_FRAMES, axis=1)[:, : int(changes[-1])]
+    if allowed.shape[1]:
+        both &= allowed
+    edges = BLOCK_FRAMES * (1 + np.flatnonzero((within[:, 1:] != within[:, :-1]).any(axis=0)))
+    return both, np.union1d(changes, edges)
 
 
 def _allowed(ranges: Sequence[I64] | None, templates: int, frames: int) -> tuple[Bool, I64]:

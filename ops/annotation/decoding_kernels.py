@@ -108,20 +108,18 @@ def forwards(frames: Frames, columns: Columns, costs: Costs, allowed: Bool, chan
 
 
 @nb.njit(cache=True, nogil=True)
-def rival_values(
-    frames: Frames, columns: Columns, costs: Costs, classes: I64, starts: I64, stops: I64, labels: I64
-) -> F64:
-    """Return, for each segment, the greatest value that templates of other classes than its label reach (kernel).
+def rival_values(frames: Frames, columns: Columns, costs: Costs, rivals: Bool, starts: I64, stops: I64) -> F64:
+    """Return, for each segment, the greatest value that its rivals reach (kernel).
 
     Parameters
     ----------
     frames : Frames
     columns : Columns
     costs : Costs
-    classes : int64 array (T,)
-        The classes of the templates.
-    starts, stops, labels : int64 array (S,)
-        The half-open range and the class of each segment.
+    rivals : bool array (S, T)
+        The templates that are compared with each segment.
+    starts, stops : int64 array (S,)
+        The half-open range of each segment.
     """
     result = np.zeros(len(starts))
     value, winner = np.zeros(len(frames.words) + 1), np.zeros(len(frames.words) + 1, np.int64)
@@ -130,7 +128,7 @@ def rival_values(
         start, stop = starts[index], stops[index]
         value[start] = 0.0
         scores[:] = -np.inf
-        advance(frames, start, stop, columns, costs, classes != labels[index], scores, rows, value, winner)
+        advance(frames, start, stop, columns, costs, rivals[index], scores, rows, value, winner)
         result[index] = value[stop]
     return result
 

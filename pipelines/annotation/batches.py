@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import islice
 
 import numpy as np
@@ -17,6 +17,8 @@ from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.methods import whole_takes
+from kinedex.pipelines.annotation.promising import PromisingRanges, promising_of, words_print
+from kinedex.pipelines.annotation.single_examples import SingleExamples
 from kinedex.pipelines.engine.executors import Executor, batches_of
 from kinedex.pipelines.search.preselection import preselect, preselect_stored, ranges_around
 from kinedex.storage.store.store import Store
@@ -47,6 +49,8 @@ class TakeAnnotation:
         False for the templates that are not applied, as the take lacks too many of their features; None: all are.
     confidences : tuple of float, optional
         The probability that each segment has the right label; None where the annotator has no confidence.
+    promising : PromisingRanges, optional
+        The frames in which each example could label anything, where examples are templates and all features are known.
     """
 
     take_id: int
@@ -55,6 +59,7 @@ class TakeAnnotation:
     curves: F32 | None
     applied: npt.NDArray[np.bool_] | None = None
     confidences: tuple[float, ...] | None = None
+    promising: PromisingRanges | None = None
 
 
 @dataclass(frozen=True)
@@ -65,10 +70,18 @@ class Batch:
     annotator: Annotator
     take_ids: tuple[int, ...]
     store_curves: bool
+    code: str = ""
+    earlier: Mapping[int, PromisingRanges] = field(default_factory=dict)
 
 
 def annotate_stored(
-    store: Store, annotator: Annotator, takes: pl.DataFrame, executor: Executor, store_curves: bool
+    store: Store,
+    annotator: Annotator,
+    takes: pl.DataFrame,
+    executor: Executor,
+    store_curves: bool,
+    code: str = "",
+    earlier: Mapping[int, PromisingRanges] | None = None,
 ) -> Iterator[list[TakeAnnotation]]:
     """Annotate takes of a store in batches.
 
@@ -84,15 +97,20 @@ def annotate_stored(
         The workers.
     store_curves : bool
         True returns distance curves as well.
+    code : str, optional
+        A hash of the sources that annotate; with it what examples could label is returned for a later run.
+    earlier : mapping of int to PromisingRanges, optional
+        What an earlier run has returned of that, by take_id; it holds for takes whose words have not changed.
 
     Yields
     ------
     list of TakeAnnotation
         The takes of a batch, in the order of take_id.
     """
+    known = earlier or {}
     annotator.margins  # noqa: B018 - computed once, and sent to the workers with the annotator
     batches = [
-        Batch(store, annotator, take_ids, store_curves)
+        Batch(store, annotator, take_ids, store_curves, code, {one: known[one] for one in take_ids if one in known})
         for take_ids in split_takes(takes["take_id"].to_list(), takes["frames"].to_list())
     ]
     yield from executor.map(annotate_batch, batches)
@@ -107,11 +125,24 @@ def split_takes(take_ids: Iterable[int], frames: Iterable[int]) -> list[tuple[in
 def annotate_batch(batch: Batch) -> list[TakeAnnotation]:
     """Read the words of a batch and annotate them, in a worker."""
     words = batch.store.words(batch.take_ids)
-    return annotate_words(batch.annotator, words, batch.store_curves, batch.store)
+    if not batch.code:
+        return annotate_words(batch.annotator, words, batch.store_curves, batch.store)
+    prints = {take: words_print(words.take(place), batch.code) for place, take in enumerate(words.take_ids.tolist())}
+    earlier = {take: one for take, one in batch.earlier.items() if one.fingerprint == prints[take]}
+    return [
+        one
+        if one.promising is None
+        else replace(one, promising=replace(one.promising, fingerprint=prints[one.take_id]))
+        for one in annotate_words(batch.annotator, words, batch.store_curves, batch.store, earlier)
+    ]
 
 
 def annotate_words(
-    annotator: Annotator, words: TakeWords, store_curves: bool = False, store: Store | None = None
+    annotator: Annotator,
+    words: TakeWords,
+    store_curves: bool = False,
+    store: Store | None = None,
+    earlier: Mapping[int, PromisingRanges] | None = None,
 ) -> list[TakeAnnotation]:
     """Annotate takes, with all templates at once.
 
@@ -125,6 +156,8 @@ def annotate_words(
         True returns distance curves as well; segments do not need them.
     store : Store, optional
         The store that the takes are from; keyframes are searched in its index, where it has one.
+    earlier : mapping of int to PromisingRanges, optional
+        What is known of the frames that examples could label, by take_id.
 
     Returns
     -------
@@ -132,13 +165,14 @@ def annotate_words(
         One for each take, in their order. Takes that lack features are annotated with what they know.
     """
     if words.known is None:
-        return _with_confidences(annotator, words, _annotate_alike(annotator, words, store_curves, store))
+        return _with_confidences(annotator, words, _annotate_alike(annotator, words, store_curves, store, earlier))
     found: dict[int, TakeAnnotation] = {}
     for mask in words.masks:
         places, own = words.knowing(mask)
         whole = mask & annotator.feature_set.every_bit == annotator.feature_set.every_bit
         partial, chosen = (annotator, np.arange(len(annotator.templates))) if whole else annotator.restricted(mask)
-        alike = _annotate_alike(partial, own, store_curves, store) if partial is not None else _nothing(own)
+        known = earlier if whole else None
+        alike = _annotate_alike(partial, own, store_curves, store, known) if partial is not None else _nothing(own)
         made = alike if whole else [_of_all_templates(one, annotator, chosen, store_curves) for one in alike]
         found.update(zip(places.tolist(), made, strict=True))
     return _with_confidences(annotator, words, [found[place] for place in range(len(words))])
@@ -196,12 +230,23 @@ def _of_all_templates(one: TakeAnnotation, annotator: Annotator, chosen: I64, st
 
 
 def _annotate_alike(
-    annotator: Annotator, words: TakeWords, store_curves: bool, store: Store | None
+    annotator: Annotator,
+    words: TakeWords,
+    store_curves: bool,
+    store: Store | None,
+    earlier: Mapping[int, PromisingRanges] | None,
 ) -> list[TakeAnnotation]:
     """Annotate takes that know all features of an annotator."""
     ranges = ranges_of(annotator, words, store)
     curves = _curves(annotator, words, ranges) if store_curves else None
-    segments = annotator.method.annotate(words, ranges)
+    method = annotator.method
+    promising: list[PromisingRanges] | None = None
+    if isinstance(method, SingleExamples):
+        places = method.promising(words, [(earlier or {}).get(take) for take in words.take_ids.tolist()])
+        segments = method.annotate(words, ranges, places)
+        promising = [promising_of(method.keys, own) for own in places]
+    else:
+        segments = method.annotate(words, ranges)
     matched = np.array([_frames_within(one, words.offsets) for one in ranges], np.float64)
     found = []
     for index, take_id in enumerate(words.take_ids.tolist()):
@@ -212,6 +257,7 @@ def _annotate_alike(
                 tuple(one for one in segments[index] if one.stop - one.start >= annotator.min_frames),
                 matched[:, index] / max(piece.stop - piece.start, 1),
                 None if curves is None else curves[:, piece].astype(np.float32),
+                promising=None if promising is None else promising[index],
             )
         )
     return found

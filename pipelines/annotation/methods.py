@@ -187,21 +187,33 @@ class BestMethod:
         usual = np.ascontiguousarray(self.usual[:, bits])
         return BestMethod(learned, tuple(templates), self.class_index[chosen], usual, self.decoding, known)
 
-    def annotate(self, words: TakeWords, ranges: Sequence[I64]) -> list[list[Segment]]:
-        """Label takes; the cost of a segment is the least distance within, NaN where no path ends there."""
+    def own_words(self, words: TakeWords) -> U64:
+        """Return the words of takes, of the features of the templates."""
+        return words.words if self.known is None else compacted(words.words, self.known, MOST_FEATURES)
+
+    def annotate(
+        self, words: TakeWords, ranges: Sequence[I64], promising: Sequence[I64] | None = None
+    ) -> list[list[Segment]]:
+        """Label takes; the cost of a segment is the least distance within, NaN where no path ends there.
+
+        `promising` has the `promising_ranges` of each take, where they are known.
+        """
         columns = lay_columns(self.templates, self.usual, self.decoding)
         whole = whole_takes(words)
         within = None
         if not all(own is whole or np.array_equal(own, whole) for own in ranges):
             within = [_ranges_by_take(own, words.offsets) for own in ranges]
         takes, standing_out = [], []
-        laid = words.words if self.known is None else compacted(words.words, self.known, MOST_FEATURES)
+        laid = self.own_words(words)
         for take, (start, stop) in enumerate(pairwise(words.offsets.tolist())):
             own = laid[start:stop]
             allowed = None if within is None else [by_take[take] for by_take in within]
-            found = explain(self.templates, self.usual, own, self.decoding, allowed, columns)
+            known = None if promising is None else promising[take]
+            found = explain(self.templates, self.usual, own, self.decoding, allowed, columns, known)
             standing_out.append(
-                margins(found, self.templates, self.class_index, self.usual, own, self.decoding, columns).tolist()
+                margins(
+                    found, self.templates, self.class_index, self.usual, own, self.decoding, columns, known
+                ).tolist()
             )
             takes.append(found)
         every = [

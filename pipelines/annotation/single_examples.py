@@ -8,8 +8,11 @@ labels nothing, and the background is that of all takes (`studies.explorer_decis
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -17,6 +20,7 @@ import numpy.typing as npt
 
 from kinedex.ops.annotation.background import background
 from kinedex.ops.annotation.decoding import Decoding
+from kinedex.ops.annotation.promising_ranges import Group, lay_groups, promising_ranges
 from kinedex.ops.annotation.segments import Segment
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.derived_templates import restricted_template
@@ -24,6 +28,7 @@ from kinedex.ops.templates.templates import QuantisedTemplate, Template, quantis
 from kinedex.ops.words import U64, TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.methods import BestMethod, ClassTemplates, whole_takes, with_usual_values
+from kinedex.pipelines.annotation.promising import NO_RANGES, PromisingRanges
 from kinedex.pipelines.templates.examples import Rejected
 from kinedex.pipelines.templates.learning import TrainingClips, learned_of
 
@@ -73,8 +78,10 @@ class SingleExamples:
         places = np.array([new[int(self.places[example])] for example in kept], np.int64)
         return SingleExamples(self.row.restricted(known, list(kept.values()), np.array(list(kept), np.int64)), places)
 
-    def annotate(self, words: TakeWords, ranges: Sequence[I64]) -> list[list[Segment]]:
-        """Label takes; see `AnnotationMethod.annotate`."""
+    def annotate(
+        self, words: TakeWords, ranges: Sequence[I64], promising: Sequence[I64] | None = None
+    ) -> list[list[Segment]]:
+        """Label takes; see `AnnotationMethod.annotate`. `promising` is that of the same takes, where it is known."""
         if not (self.places != NOTHING).any():
             return [[] for _ in range(len(words))]
         whole = whole_takes(words)
@@ -85,8 +92,50 @@ class SingleExamples:
                 for one in segments
                 if self.places[one.subclass] != NOTHING
             ]
-            for segments in self.row.annotate(words, within)
+            for segments in self.row.annotate(words, within, promising or self.promising(words))
         ]
+
+    def promising(self, words: TakeWords, earlier: Sequence[PromisingRanges | None] | None = None) -> list[I64]:
+        """Return the ranges of each take in which examples could label anything.
+
+        Parameters
+        ----------
+        words : TakeWords
+            The words of T takes, laid end to end.
+        earlier : sequence of PromisingRanges or None, length T, optional
+            For each take what is known already: only the other examples are compared with it.
+
+        Returns
+        -------
+        list of int64 array (R, 3), length T
+            See `ops.annotation.promising_ranges`.
+        """
+        laid, found = self.row.own_words(words), []
+        groups: dict[bytes, tuple[I64, list[Group]]] = {}
+        for take, (start, stop) in enumerate(pairwise(words.offsets.tolist())):
+            known = None if earlier is None else earlier[take]
+            held, ranges = (NO_RANGES if known is None else known).of(self.keys)
+            if held.tobytes() not in groups:
+                new = np.flatnonzero(~held)
+                templates = [self.row.templates[example] for example in new.tolist()]
+                groups[held.tobytes()] = new, lay_groups(templates, self.row.usual, self.row.decoding)
+            new, own = groups[held.tobytes()]
+            more = promising_ranges(own, self.row.usual, laid[start:stop], self.row.decoding)
+            more[:, 0] = new[more[:, 0]]
+            both = np.concatenate([ranges, more])
+            found.append(both[np.lexsort((both[:, 1], both[:, 0]))])
+        return found
+
+    @cached_property
+    def keys(self) -> U64:
+        """A hash of each example and of all else that its promising ranges depend on besides words, uint64 (E,)."""
+        common = hashlib.sha256(f"{self.row.decoding!r}{self.row.usual.shape}".encode() + self.row.usual.tobytes())
+        found = []
+        for template in self.row.templates:
+            hasher = common.copy()
+            hasher.update(np.ascontiguousarray(template.values).tobytes())
+            found.append(int.from_bytes(hasher.digest()[:8], "little"))
+        return np.array(found, np.uint64)
 
 
 def usual_postures(words: U64, features: int) -> F64:

@@ -70,6 +70,8 @@ class Job:
     check : callable, optional
         Called before the job begins; a KinedexError is the reason why it does not, for instance since the store is not
         any more what was planned while it waited.
+    weights : tuple of float
+        How long its stages take compared with each other, for progress; all alike unless given.
     learns : bool
         True if the process that `Jobs.prepare` has started serves it, where there is one.
     """
@@ -79,6 +81,7 @@ class Job:
     steps: int = 0
     then: Callable[[Job], None] | None = None
     check: Callable[[], None] | None = None
+    weights: tuple[float, ...] = ()
     learns: bool = False
     id: str = field(default_factory=lambda: uuid.uuid4().hex[:12])
     state: State = "waiting"
@@ -95,7 +98,9 @@ class Job:
         """Return the job as pages have it."""
         keys = ("id", "title", "state", "stopping", "done", "message", "begun", "finished", "version", "problem")
         part = self.part or 0.0
-        share = min(1.0, (self.done + part) / self.steps) if self.steps else self.part
+        weights = self.weights or (1.0,) * self.steps
+        done = sum(weights[: self.done]) + part * sum(weights[self.done : self.done + 1])
+        share = done / sum(weights) if weights else self.part
         return {key: getattr(self, key) for key in keys} | {
             "total": self.steps,
             "share": share,

@@ -112,8 +112,11 @@ def learning_stages(store: Store, asked: LearnQuestion) -> Row:
         templates["examples"] = [*([CLIPS] if "clips" in asked.examples else []), LABELS, *others]
     chosen = {"method": asked.method, "where": (asked.where or "").strip() or None}
     annotate |= {key: value for key, value in chosen.items() if value is not None}
+    templates["methods"] = [annotate.get("templates", "soft")]  # of the two kinds, the one that annotates
     # few labels are no picture of an archive: each of them counts, rejected ones too
     annotate["each_example"] = CLIPS not in templates["examples"] and annotate.get("method") == "best"
+    if annotate["each_example"]:
+        annotate["store_curves"] = False  # they are those of averaged templates, which label nothing then
     return {"learn_templates": {"params": templates}, **stages, "annotate": {"params": annotate}}
 
 
@@ -178,10 +181,14 @@ def learn(archive: Archive, asked: LearnQuestion, _request: Request) -> Row:
         jobs_of(archive).prepare()  # who has learned once learns again
 
     words = run_words(archive, _file(archive))
-    return jobs_of(archive).add(Job(TITLE, words, len(stages), note, learns=True)).shown()
+    weights = tuple(_WEIGHTS[name] for name in stages)
+    return jobs_of(archive).add(Job(TITLE, words, len(stages), note, weights=weights, learns=True)).shown()
 
 
 TITLE = "Learn again"
+
+_WEIGHTS = {"learn_templates": 1.0, "learn_keyframes": 5.0, "annotate": 20.0}
+"""About how long the stages take compared with each other, over a large archive."""
 
 
 def _put_classes(archive: Archive, store: Store, stages: Row) -> None:

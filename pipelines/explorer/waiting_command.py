@@ -32,6 +32,7 @@ def prepare() -> None:
     from kinedex.pipelines.annotation.annotators import make_annotator
     from kinedex.pipelines.annotation.batches import annotate_words
     from kinedex.pipelines.annotation.methods import BestMethod
+    from kinedex.pipelines.annotation.single_examples import usual_postures, with_single_examples
     from kinedex.pipelines.engine.executors import make_executor
     from kinedex.pipelines.engine.runner import run_pipeline  # noqa: F401
     from kinedex.pipelines.engine.stage import load_stage
@@ -42,12 +43,14 @@ def prepare() -> None:
     features = load_feature_set()
     words = np.arange(40, dtype=np.uint64) // 3
     clips = [TrainingClips("any", ("one", "other"), (words[:20], words[20:]))]
-    tasks = learn_templates(clips, ["soft", "hard"], len(features.features), make_executor("serial", None))
-    soft = [one for task in tasks for one in task if one.kind == "soft"]
+    tasks = learn_templates(clips, ["soft"], len(features.features), make_executor("serial", None))
+    soft = [one for task in tasks for one in task]
     known = load_classes(OWN, {"any"})
     annotator = make_annotator(features, soft, known, 0.05, 0.13, method=BestMethod, clips=lambda: [words])
     takes = TakeWords(np.zeros(1, np.int64), np.array([0, len(words)], np.int64), words)
     annotate_words(annotator, takes, store_curves=True)
+    usual = usual_postures(words, len(features.features))
+    annotate_words(with_single_examples(annotator, clips, [], usual, 0.05), takes)
 
 
 def main() -> None:

@@ -33,6 +33,7 @@ from kinedex.pipelines.annotation.preparation import (
     takes_to_annotate,
     template_words,
 )
+from kinedex.pipelines.annotation.promising import earlier_ranges, ranges_table
 from kinedex.pipelines.annotation.reuse import earlier_annotations, fingerprints, setting_digest, with_confidence
 from kinedex.pipelines.annotation.tables import annotations_table, curves_table, takes_table
 from kinedex.pipelines.annotation.threshold_calibration import Calibration
@@ -140,7 +141,8 @@ def _prepared(
         context.executor,
         lambda: rejected_examples(store, made_with),
     )
-    clips = partial(template_words, store, templates)
+    # single examples bring the usual postures of all takes, so that those of clips are not needed
+    clips = partial(template_words, store, templates) if single is None else tuple
     annotator = prepare_annotator(store, params, templates, classes, clips, calibration, queries, learned)
     if single is not None:
         annotator = single(annotator, examples(), rejected)
@@ -191,13 +193,19 @@ def _annotate(
     segments = [with_confidence(kept.annotations(context.run), annotator, lengths)]
     searched = dict(kept.searched)
     known = kept.curve_parts()
+    earlier = earlier_ranges(writer.store, context.key()) if context.code and params.each_example else {}
+    promising = {take_id: earlier[take_id] for take_id in kept.searched if take_id in earlier}
+    again = {} if context.anew else earlier
 
     def curves() -> Iterator[pa.Table]:
         yield from kept.curves(known.again, context.run)
         with context.progress("takes", new.height) as progress:
-            for batch in annotate_stored(writer.store, annotator, new, context.executor, params.store_curves):
+            for batch in annotate_stored(
+                writer.store, annotator, new, context.executor, params.store_curves, context.code, again
+            ):
                 segments.append(annotations_table(batch, annotator, names, writer.store.rate_hz, context.run))
                 searched.update((one.take_id, float(one.preselected.mean())) for one in batch)
+                promising.update((one.take_id, one.promising) for one in batch if one.promising is not None)
                 progress.advance(len(batch))
                 yield curves_table(batch, annotator, names, context.run)
 
@@ -206,6 +214,7 @@ def _annotate(
     table = pa.concat_tables(segments)
     table = table.take(pc.sort_indices(table, [("take", "ascending")]))  # stable: within a take they are in order
     put("annotations", table)
+    put("example_ranges", ranges_table(sorted(promising.items()) if context.code else (), names, context.run))
     put("annotated_takes", takes_table(takes, context.run, searched, prints))
     lacking = known_of(writer.store.known, names)
     put("not_applied", not_applied_table(annotator.partly_known(lacking), lacking, names, context.run))

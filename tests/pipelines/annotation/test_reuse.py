@@ -10,8 +10,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+import kinedex
 from kinedex.catalog.classes import Classes, load_classes
+from kinedex.ops.annotation import promising_ranges as grouping
 from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.annotation import single_examples
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.methods import BestMethod
 from kinedex.pipelines.annotation.reuse import setting_digest
@@ -250,3 +253,54 @@ def test_classes_have_thresholds_of_their_own_and_segments_a_least_length(tmp_pa
     assert found(method="best", min_seconds=len(motion("walk")) / 30 + 0.01) == {"kick"}
     with pytest.raises(KinedexError, match="tau_by_class: no class is named 'walks'; did you mean 'walk'"):
         line.run(Annotate, tau_by_class={"walks": 0.1})
+
+
+def test_new_examples_alone_are_compared_with_takes_and_all_is_as_if_annotated_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    compared: list[int] = []
+
+    def lay_groups(templates: list[object], *other: object) -> object:
+        compared.append(len(templates))
+        return grouping.lay_groups(templates, *other)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(single_examples, "lay_groups", lay_groups)
+    learned = {"methods": ["soft"], "examples": ["labels"]}
+    asked = {"method": "best", "where": "true", "each_example": True, "store_curves": False}
+    first = [{"take": "cat_1", "class": "walk", "start": 0, "stop": 20}]
+    first += [{"take": "cat_1", "class": "kick", "start": 20, "stop": 45}]
+    more = [{"take": "cat_0", "class": "kick", "start": 0, "stop": 25}]
+    more += [{"take": "cat_3", "class": "walk", "start": 0, "stop": 5, "verdict": "negative"}]
+
+    def run(line: KnownLine) -> list[int]:
+        line.run(LearnTemplates, **learned)
+        compared.clear()
+        line.run(Annotate, **asked)
+        return compared[-1:]  # the last ones are those of the takes; before them, confidence was calibrated
+
+    line = KnownLine(write_store(tmp_path / "grown", [*OLD, *NEW]))
+    kinedex.open_store(line.store).labels.add(first)
+    assert run(line) == [2]
+    kinedex.open_store(line.store).labels.add(more)
+    assert run(line) == [1]  # the rejected one: the other has the frames of an example that is known
+    whole = KnownLine(write_store(tmp_path / "whole", [*OLD, *NEW]))
+    kinedex.open_store(whole.store).labels.add([*first, *more])
+    assert run(whole) == [4]
+    stores = [open_store(one.store) for one in (line, whole)]
+    for kind in ("annotations", "example_ranges"):
+        grown, once = (results(store, kind) for store in stores)
+        assert grown.num_rows
+        assert grown.equals(once)
+    ranges = results(stores[0], "example_ranges").to_pylist()
+    assert [row["take"] for row in ranges] == ["cat_0", "cat_1", "cat_2", "cat_3"]
+    assert all(len(row["examples"]) == len(row["counts"]) == 4 for row in ranges)
+    # those of takes that are kept stay, and those of takes that are not asked for go
+    assert line.run(Annotate, **asked | {"where": "name != 'cat_3'"})["kept_takes"] == 3
+    assert [row["take"] for row in results(open_store(line.store), "example_ranges").to_pylist()] == [
+        "cat_0", "cat_1", "cat_2",
+    ]  # fmt: skip
+    write_store(line.store, [long_take("cat_2", "cat", "kick", "rest")])  # with it the usual postures change
+    assert run(line) == [4]
+    assert verify(open_store(line.store, at="newest")) == []
+    line.run(Annotate, method="best", where="true")
+    assert open_store(line.store).result("example_ranges").num_rows == 0

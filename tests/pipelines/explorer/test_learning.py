@@ -56,6 +56,7 @@ def test_few_labels_alone_annotate_an_archive_and_it_can_be_undone(connect: Conn
     assert (facts["based_on"], facts["examples"], facts["method"], facts["last"]) == (None, "labels", "best", None)
     stages = learning_stages(open_store(archive), LearnQuestion())
     assert stages["annotate"]["params"]["each_example"]
+    assert stages["learn_templates"]["params"]["methods"] == ["soft"]
     thesis = learning_stages(open_store(archive), LearnQuestion(method="thesis"))
     assert not thesis["annotate"]["params"]["each_example"]
     started = client.post("/api/learn", json={})
@@ -64,7 +65,7 @@ def test_few_labels_alone_annotate_an_archive_and_it_can_be_undone(connect: Conn
     job = wait_for(client, started.json()["id"])
     log = client.get(f"/api/jobs/{job['id']}/log").json()["text"]
     assert job["state"] == "done", log
-    assert (job["done"], job["total"]) == (2, 2)
+    assert (job["done"], job["total"], job["share"]) == (2, 2, 1.0)
     assert "learn_templates" in log
     changes = client.get("/api/learn/changes").json()
     assert changes["takes"] == 3
@@ -80,6 +81,14 @@ def test_few_labels_alone_annotate_an_archive_and_it_can_be_undone(connect: Conn
     assert kinedex.open_store(archive).results("annotations").height == 0
     assert client.get("/api/learn").json()["last"]["undone"]
     assert client.post("/api/learn/undo", json={}).status_code == 400
+
+
+def test_the_share_of_a_job_that_is_done_follows_the_time_that_its_stages_take() -> None:
+    job = Job("learn", (), 2, weights=(1.0, 20.0), done=1, part=0.5)
+    assert job.shown()["share"] == pytest.approx(11 / 21)
+    assert Job("run", (), 2, done=1, part=0.5).shown()["share"] == 0.75
+    assert Job("export", (), part=0.5).shown()["share"] == 0.5
+    assert Job("begin", ()).shown()["share"] is None
 
 
 def test_a_job_that_waits_or_runs_is_stopped(archive: Path) -> None:

@@ -1,0 +1,367 @@
+"""The frames in which a template could label anything: elsewhere an explanation need not compare it.
+
+The value of the explanation of a take's first frames never falls from frame to frame, so a segment is part of one only
+if the value that it adds is above 0 (`ops.annotation.decoding`). What a template can add depends on the template and on
+the words alone, and on no other template: its promising ranges are found once, and hold whatever is learned besides.
+
+Every template is first compared with all frames in single precision, with a slack for rounding. Where it could add
+something, it is compared once more in double precision, with the frame in which each path begins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numba as nb
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.ops.annotation.decoding import Decoding, frames_of, lay_columns
+from kinedex.ops.annotation.decoding_kernels import MAX_STEP, Columns, Costs, Frames
+from kinedex.ops.templates.templates import Template
+from kinedex.ops.words import NO_WORD, U64
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+_GROUP_COLUMNS, _GROUP_TEMPLATES = 4096, 128
+"""So many columns or templates, at most, are compared with a take together: what they need stays in the cache."""
+
+_SLACK, _SLACK_COLUMN = 1e-3, 1e-5
+"""A template may add so much less than nothing, and so much less for each of its columns, in single precision."""
+
+_ANEW = 64
+_ONE = np.uint64(1)
+
+
+@dataclass(frozen=True)
+class Group:
+    """Templates that are compared with a take together.
+
+    Attributes
+    ----------
+    first : int
+        The place of the first of them.
+    columns : Columns
+        Their columns.
+    slopes : float32 array (f, C)
+    intercepts : float32 array (C,)
+        The same in single precision.
+    """
+
+    first: int
+    columns: Columns
+    slopes: F32
+    intercepts: F32
+
+
+def lay_groups(templates: Sequence[Template], usual: F64, decoding: Decoding) -> list[Group]:
+    """Lay templates out as `promising_ranges` needs them; once where there are many takes.
+
+    Parameters
+    ----------
+    templates : sequence of Template
+        T templates.
+    usual : float64 array (K, f)
+        The usual postures, see `ops.annotation.background.background`.
+    decoding : Decoding
+
+    Raises
+    ------
+    ParameterError
+        If the templates have different numbers of features.
+    """
+    edges, columns = [0], 0
+    for place, length in enumerate(map(len, templates)):
+        if place > edges[-1] and (columns + length > _GROUP_COLUMNS or place - edges[-1] >= _GROUP_TEMPLATES):
+            edges.append(place)
+            columns = 0
+        columns += length
+    groups = []
+    for first, stop in pairwise([*edges, len(templates)]) if templates else ():
+        laid = lay_columns(templates[first:stop], usual, decoding)
+        groups.append(Group(first, laid, laid.slopes.astype(np.float32), laid.intercepts.astype(np.float32)))
+    return groups
+
+
+def promising_ranges(groups: Sequence[Group], usual: F64, words: U64, decoding: Decoding) -> I64:
+    """Return the ranges of a take in which templates could be segments of its explanation.
+
+    Parameters
+    ----------
+    groups : sequence of Group
+        The templates, see `lay_groups`.
+    usual : float64 array (K, f)
+    words : uint64 array (L,)
+        The words of the take.
+    decoding : Decoding
+
+    Returns
+    -------
+    int64 array (R, 3)
+        Template, start and stop of each range, by template and start; ranges of a template are disjoint. An explanation
+        whose templates are restricted to them has the same value as one without restrictions. (Of two paths of a
+        template that end together, the one that begins later has no lower value before it: if it is also the greater
+        one, the other is never needed. So the path of the greatest value gives the range.)
+    """
+    found = [np.empty((0, 3), np.int64)]
+    if len(words):
+        frames = frames_of(words, usual, decoding)
+        offsets = frames.offsets.astype(np.float32)
+        for group in groups:
+            laid, costs = group.columns, decoding.costs
+            single = (group.slopes, group.intercepts, laid.firsts, laid.lengths)
+            ends, begins = _scan(frames.words, offsets, *single, costs)
+            ranges = _ranges(frames, laid, costs, ends, begins)
+            ranges[:, 0] += group.first
+            found.append(ranges)
+    return np.concatenate(found)
+
+
+@nb.njit(cache=True, nogil=True)
+def _scan(
+    words: U64, offsets: F32, slopes: F32, intercepts: F32, firsts: I64, lengths: I64, costs: Costs
+) -> tuple[F32, F32]:
+    """Return the most that each template alone adds up to each frame, in its last and in its first column (kernel).
+
+    Parameters
+    ----------
+    words : uint64 array (L,)
+    offsets : float32 array (L,)
+    slopes : float32 array (f, C)
+    intercepts : float32 array (C,)
+    firsts, lengths : int64 array (T,)
+        See `decoding_kernels.Columns` and `decoding_kernels.Frames`.
+    costs : Costs
+
+    Returns
+    -------
+    ends, begins : float32 array (T, L)
+    """
+    count, width = len(words), len(intercepts)
+    ends = np.empty((len(firsts), count), np.float32)
+    begins = np.empty((len(firsts), count), np.float32)
+    scores = np.full((MAX_STEP + 1, width), np.float32(-np.inf))
+    rows = np.full((MAX_STEP, width), np.float32(-np.inf))
+    entry, skip, stay = np.float32(costs.entry), np.float32(costs.skip), np.float32(costs.stay)
+    once = twice = slot = 0
+    changed = _ANEW
+    for frame in range(count):
+        twice, once = once, slot
+        if frame == 0 or words[frame] != words[frame - 1]:
+            slot = 0
+            while slot in (once, twice):
+                slot += 1
+            row = rows[slot]
+            if words[frame] == NO_WORD:
+                row[:] = -np.inf
+            elif changed >= _ANEW or words[frame - 1] == NO_WORD:
+                changed = 0
+                _sum_single(row, words[frame], offsets[frame], slopes, intercepts)
+            else:
+                changed += 1
+                _change_single(
+                    row, rows[once], words[frame - 1], words[frame], offsets[frame] - offsets[frame - 1], slopes
+                )
+        last, second = scores[(frame - 1) % 4], scores[(frame - 2) % 4]
+        here, third = scores[frame % 4], scores[(frame - 3) % 4]
+        _step_single(
+            here[MAX_STEP:],
+            rows[slot, MAX_STEP:],
+            rows[once, MAX_STEP:],
+            rows[twice, MAX_STEP:],
+            last,
+            second,
+            third,
+            skip,
+        )
+        for template in range(len(firsts)):
+            first = firsts[template]
+            end = first + lengths[template] - 1
+            here[first] = max(last[first] - stay, -entry) + rows[slot, first]
+            here[end] = max(here[end], last[end] - stay + rows[slot, end])
+            begins[template, frame], ends[template, frame] = here[first], here[end]
+    return ends, begins
+
+
+@nb.njit(cache=True, nogil=True)
+def _sum_single(row: F32, word: np.uint64, offset: np.float32, slopes: F32, intercepts: F32) -> None:
+    """Fill the log ratios of a word."""
+    for n in range(len(row)):
+        row[n] = intercepts[n] + offset
+    for bit in range(len(slopes)):
+        if (word >> np.uint64(bit)) & _ONE:
+            slope = slopes[bit]
+            for n in range(len(row)):
+                row[n] += slope[n]
+
+
+@nb.njit(cache=True, nogil=True)
+def _change_single(row: F32, before: F32, old: np.uint64, new: np.uint64, difference: np.float32, slopes: F32) -> None:
+    """Fill the log ratios of a word from those of the word before."""
+    for n in range(len(row)):
+        row[n] = before[n] + difference
+    flipped = old ^ new
+    for bit in range(len(slopes)):
+        if (flipped >> np.uint64(bit)) & _ONE:
+            slope = slopes[bit]
+            if (new >> np.uint64(bit)) & _ONE:
+                for n in range(len(row)):
+                    row[n] += slope[n]
+            else:
+                for n in range(len(row)):
+                    row[n] -= slope[n]
+
+
+@nb.njit(cache=True, nogil=True)
+def _step_single(
+    here: F32, now: F32, once: F32, twice: F32, last: F32, second: F32, third: F32, skip: np.float32
+) -> None:
+    """Fill the best value in every column but the first three, from the frames before; see `decoding_kernels`."""
+    for n in range(len(here)):
+        best = last[n + 2]
+        other = last[n + 1] - skip
+        best = other if other > best else best
+        other = last[n] - (skip + skip)
+        best = other if other > best else best
+        other = second[n + 2] + once[n]
+        best = other if other > best else best
+        other = third[n + 2] + (twice[n] + once[n])
+        best = other if other > best else best
+        here[n] = best + now[n]
+
+
+@nb.njit(cache=True, nogil=True)
+def _ranges(frames: Frames, columns: Columns, costs: Costs, ends: F32, begins: F32) -> I64:
+    """Return template, start and stop of the ranges of all templates (kernel)."""
+    found = np.empty((16, 3), np.int64)
+    size = 0
+    for template in range(len(ends)):
+        length = columns.lengths[template]
+        slack = np.float32(_SLACK + _SLACK_COLUMN * length)
+        own, frame, count = ends[template], 0, ends.shape[1]
+        kept = size
+        while frame < count:
+            if own[frame] <= -slack:
+                frame += 1
+                continue
+            # ends that lie close together are one range
+            last = frame
+            place = frame + 1
+            while place < count and place <= last + length:
+                if own[place] > -slack:
+                    last = place
+                place += 1
+            window = _reach(frames, columns, costs, template, frame, own, begins[template], slack)
+            start = _earliest(frames, columns, costs, template, window, frame, last)
+            if start >= 0:
+                if size > kept and found[size - 1, 2] >= start:
+                    found[size - 1, 1] = min(found[size - 1, 1], start)
+                    found[size - 1, 2] = last + 1
+                else:
+                    if size == len(found):
+                        more = np.empty((2 * size, 3), np.int64)
+                        more[:size] = found
+                        found = more
+                    found[size, 0], found[size, 1], found[size, 2] = template, start, last + 1
+                    size += 1
+                while size > kept + 1 and found[size - 1, 1] <= found[size - 2, 2]:
+                    found[size - 2, 1] = min(found[size - 2, 1], found[size - 1, 1])
+                    found[size - 2, 2] = found[size - 1, 2]
+                    size -= 1
+            frame = last + 1
+    return found[:size].copy()
+
+
+@nb.njit(cache=True, nogil=True)
+def _ratio(frames: Frames, columns: Columns, column: int, frame: int) -> float:
+    """Return the log ratio of a column in a frame."""
+    word = frames.words[frame]
+    if word == NO_WORD:
+        return -np.inf
+    total = columns.intercepts[column] + frames.offsets[frame]
+    for bit in range(len(columns.slopes)):
+        if (word >> np.uint64(bit)) & _ONE:
+            total += columns.slopes[bit, column]
+    return total
+
+
+@nb.njit(cache=True, nogil=True)
+def _reach(
+    frames: Frames, columns: Columns, costs: Costs, template: int, end: int, ends: F32, begins: F32, slack: float
+) -> int:
+    """Return a frame before which no path begins that ends in a frame or after it.
+
+    Between the first and the last column a path takes three frames a column at most; it is followed for as long as it
+    may stay in the last one, and then for as long as it may stay in the first one.
+    """
+    column = columns.firsts[template] + columns.lengths[template] - 1
+    frame = end
+    while frame > 0 and ends[frame - 1] - costs.stay + _ratio(frames, columns, column, frame) >= ends[frame] - slack:
+        frame -= 1
+    frame = max(frame - MAX_STEP * columns.lengths[template], 0)
+    while frame > 0 and begins[frame - 1] - costs.stay > -costs.entry - slack:
+        frame -= 1
+    return frame
+
+
+@nb.njit(cache=True, nogil=True)
+def _earliest(
+    frames: Frames, columns: Columns, costs: Costs, template: int, window: int, first_end: int, last_end: int
+) -> int:
+    """Return the first frame of the paths that add something and end in frames from `first_end` to `last_end`, or −1.
+
+    No such path begins before `window`.
+    """
+    first, length = columns.firsts[template], columns.lengths[template]
+    count = last_end + 1 - window
+    scores = np.full((MAX_STEP + 1, length + MAX_STEP), -np.inf)
+    starts = np.full((MAX_STEP + 1, length + MAX_STEP), np.int64(-1))
+    rows = np.full((MAX_STEP, length + MAX_STEP), -np.inf)
+    slopes = columns.slopes[:, first : first + length]
+    intercepts = columns.intercepts[first : first + length]
+    earliest = last_end + 1
+    for place in range(count):
+        frame = window + place
+        word = frames.words[frame]
+        row = rows[place % 3, MAX_STEP:]
+        if word == NO_WORD:
+            row[:] = -np.inf
+        else:
+            for n in range(length):
+                row[n] = intercepts[n] + frames.offsets[frame]
+            for bit in range(len(slopes)):
+                if (word >> np.uint64(bit)) & _ONE:
+                    slope = slopes[bit]
+                    for n in range(length):
+                        row[n] += slope[n]
+        here, begun = scores[place % 4], starts[place % 4]
+        last, last_begun = scores[(place - 1) % 4], starts[(place - 1) % 4]
+        second, second_begun = scores[(place - 2) % 4], starts[(place - 2) % 4]
+        third, third_begun = scores[(place - 3) % 4], starts[(place - 3) % 4]
+        once, twice = rows[(place - 1) % 3], rows[(place - 2) % 3]
+        for n in range(MAX_STEP, length + MAX_STEP):
+            best, start = last[n - 1], last_begun[n - 1]
+            other = last[n - 2] - costs.skip
+            if other > best:
+                best, start = other, last_begun[n - 2]
+            other = last[n - 3] - (costs.skip + costs.skip)
+            if other > best:
+                best, start = other, last_begun[n - 3]
+            other = second[n - 1] + once[n]
+            if other > best:
+                best, start = other, second_begun[n - 1]
+            other = third[n - 1] + (twice[n] + once[n])
+            if other > best:
+                best, start = other, third_begun[n - 1]
+            if n == MAX_STEP:
+                best, start = -costs.entry, frame
+            if (n in (MAX_STEP, length + MAX_STEP - 1)) and last[n] - costs.stay > best:
+                best, start = last[n] - costs.stay, last_begun[n]
+            here[n], begun[n] = best + row[n - MAX_STEP], start
+        if frame >= first_end and here[-1] > 0.0:
+            earliest = min(earliest, begun[-1])
+    return earliest if earliest <= last_end else -1
