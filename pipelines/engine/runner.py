@@ -277,14 +277,15 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> None:
     )
     begin = time.perf_counter()
     try:
-        # The old record goes first: killed in the middle, the stage must not count as done. A store that is not there
-        # has none, and is not made before there is something to go in.
+        # The old record goes first: killed in the middle, the stage must not count as done, unless it has committed
+        # nothing by then. A store that is not there has none, and is not made before there is something to go in.
         if versions(run.store_path):
             with context.writer() as writer:
                 if not run.accept:
                     stage.kind.examine(stage.params, writer.store)
-                writer.forget_stage(context.key())
-                writer.commit()
+                if not stage.kind.commits_once:
+                    writer.forget_stage(context.key())
+                    writer.commit()
             context = replace(context, wait=run.begun().wait)
         with run.terminal.during(stage.name):
             summary = stage.kind.run(context, stage.params)

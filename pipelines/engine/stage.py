@@ -52,11 +52,15 @@ class Stage(ABC, Generic[Parameters]):
         A pydantic model; each field has a description.
     inputs : mapping of str to Input
         The roles that other stages play.
+    commits_once : bool
+        True if all that `run` makes is committed at once, together with `StoreWriter.forget_stage`: until then the
+        stage counts as done, and what it made before is shown.
     """
 
     name: ClassVar[str]
     parameters: type[Parameters]
     inputs: ClassVar[Mapping[str, Input]] = {}
+    commits_once: ClassVar[bool] = False
 
     @abstractmethod
     def run(self, context: StageContext, params: Parameters) -> dict[str, object]:

@@ -255,7 +255,8 @@ def _quoted(text: str) -> str:
 
 def stage_of(store: Store, asked: str | None) -> str | None:
     """Return the stage whose annotations a page asks for; None where no stage is named and none has annotated."""
-    if asked is None and not store.manifest.results.get("annotated_takes"):
+    annotating = {part.stage for part in store.manifest.results.get("annotated_takes", ())}
+    if asked is None and not annotating & store.manifest.stages.keys():  # a run that was killed has no record
         return None
     return annotate_stage(store, asked)
 

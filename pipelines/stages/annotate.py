@@ -59,6 +59,7 @@ class Annotate(Stage[AnnotationParameters]):
         "templates": Input("learn_templates"),
         "keyframes": Input("learn_keyframes", optional=True),
     }
+    commits_once: ClassVar = True
 
     def external_digest(self, params: AnnotationParameters, store: Store | None) -> str:
         """Return a hash of the class file and the query files."""
@@ -87,6 +88,7 @@ class Annotate(Stage[AnnotationParameters]):
             context.say(confidence.remark)
             _report_exclusions(context, classes, annotator, queries, learned)
             done = _annotate(context, writer, annotator, takes, params)
+            writer.forget_stage(context.key())
             writer.commit()
         share = _share_searched(done.searched, takes)
         context.say(

@@ -13,9 +13,12 @@ import yaml
 from starlette.testclient import TestClient
 
 import kinedex
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.explorer.archive import Archive
 from kinedex.pipelines.explorer.jobs import Job, Jobs
 from kinedex.pipelines.explorer.learning import LearnQuestion, classes_with, learning_stages
+from kinedex.pipelines.stages import annotate
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.store import open_store
 from tests.pipelines.explorer.conftest import Connect
@@ -38,6 +41,10 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+def fail(*_: object) -> None:
+    raise KinedexError("the power is gone")
+
+
 def wait_for(client: TestClient, id: str) -> Json:
     """Return a job when it has ended."""
     deadline = time.monotonic() + SECONDS
@@ -50,7 +57,9 @@ def wait_for(client: TestClient, id: str) -> Json:
     raise AssertionError("the job did not end")
 
 
-def test_few_labels_alone_annotate_an_archive_and_it_can_be_undone(connect: Connect, archive: Path) -> None:
+def test_few_labels_alone_annotate_an_archive_and_it_can_be_undone(
+    connect: Connect, archive: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     client = connect(archive)
     facts = client.get("/api/learn").json()
     assert (facts["based_on"], facts["examples"], facts["method"], facts["last"]) == (None, "labels", "best", None)
@@ -74,6 +83,14 @@ def test_few_labels_alone_annotate_an_archive_and_it_can_be_undone(connect: Conn
     assert client.get("/api/labels").json()["learned"]["since"] == 0
     found = kinedex.open_store(archive).results("annotations")
     assert found.filter(found["take"] == "cat_take").height == 2
+    # a run that ends in the middle leaves what was there, and the page shows it
+    kinedex.open_store(archive).labels.add([{"take": "bob_take", "class": "kick", "start": 30, "stop": 55}])
+    monkeypatch.setattr(annotate, "annotate_stored", fail)
+    with pytest.raises(KinedexError, match="the power is gone"):
+        run_pipeline(archive / "jobs" / "learn-again.yaml", archive)
+    assert kinedex.open_store(archive).results("annotations").equals(found)
+    assert client.get("/api/learn").json()["based_on"] == "learn-again/annotate"
+    assert client.post("/api/labels/queue", json={}).json()["total"] == found.height
     client.post("/api/learn/undo", json={})
     undone = client.get("/api/jobs").json()["jobs"][-1]
     assert undone["command"].endswith(f"learn-again --at {changes['last']['before']} --wait 10m")
