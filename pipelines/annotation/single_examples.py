@@ -27,8 +27,8 @@ from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate, Template, quantise
 from kinedex.ops.words import U64, TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator
+from kinedex.pipelines.annotation.example_ranges import NO_RANGES, PromisingRanges
 from kinedex.pipelines.annotation.methods import BestMethod, ClassTemplates, whole_takes, with_usual_values
-from kinedex.pipelines.annotation.promising import NO_RANGES, PromisingRanges
 from kinedex.pipelines.templates.examples import Rejected
 from kinedex.pipelines.templates.learning import TrainingClips, learned_of
 

@@ -19,6 +19,7 @@ from kinedex.catalog.queries.query_files import query_file_paths
 from kinedex.pipelines.annotation.annotators import Annotator, targets_unknown
 from kinedex.pipelines.annotation.batches import annotate_stored
 from kinedex.pipelines.annotation.confidence_calibration import CalibratedConfidence
+from kinedex.pipelines.annotation.example_ranges import earlier_ranges, ranges_table
 from kinedex.pipelines.annotation.methods import METHODS
 from kinedex.pipelines.annotation.parameters import AnnotationParameters
 from kinedex.pipelines.annotation.preparation import (
@@ -33,7 +34,6 @@ from kinedex.pipelines.annotation.preparation import (
     takes_to_annotate,
     template_words,
 )
-from kinedex.pipelines.annotation.promising import earlier_ranges, ranges_table
 from kinedex.pipelines.annotation.reuse import earlier_annotations, fingerprints, setting_digest, with_confidence
 from kinedex.pipelines.annotation.tables import annotations_table, curves_table, takes_table
 from kinedex.pipelines.annotation.threshold_calibration import Calibration
