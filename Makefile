@@ -24,7 +24,7 @@ PAGE_SOURCES := $(addprefix $(PAGE)/,package.json package-lock.json vite.config.
 
 PAGE_INDEX := pipelines/explorer/built/index.html
 
-.PHONY: page check-page explore setup demo demo-tracking demo-depth demo-inertial test lint types compile-tests check-kernels fuzz attack bench bench-explorer docs links wheel sbom audit lock clean help
+.PHONY: page check-page explore setup demo demo-tracking demo-depth demo-inertial test lint types compile-tests check-kernels check-bounds check-plain fuzz attack bench bench-explorer docs links wheel sbom audit lock clean help
 .DEFAULT_GOAL := help
 # Else what a step that failed has half written would count as made.
 .DELETE_ON_ERROR:
@@ -125,10 +125,16 @@ test: lint
 compile-tests: setup
 	@$(BIN)/pytest --collect-only -qq > /dev/null || true
 
-# The compiled kernels with bounds checks, in little-optimised code, as most of the time goes into compilation; and as
-# plain Python, which warns where compiled code does not.
+# Both at a time, as workers that need the same kernel wait for the one that compiles it.
 check-kernels: setup
+	@$(MAKE) --no-print-directory -j 2 check-bounds check-plain
+
+# The compiled kernels with bounds checks, in little-optimised code, as most of the time goes into compilation.
+check-bounds: setup
 	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 NUMBA_CACHE_DIR=build/numba-boundscheck $(BIN)/pytest -n auto --dist worksteal -m "$(BOUNDED)" tests/ops
+
+# The kernels as plain Python, which warns where compiled code does not.
+check-plain: setup
 	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -n auto --dist worksteal -W ignore::RuntimeWarning -m "not slow and not shared and not slow_as_python" tests/ops
 
 # Kernels with bounds checks, so that a read beside an array is found and not just a number.

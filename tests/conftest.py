@@ -5,9 +5,11 @@ from __future__ import annotations
 import gc
 import os
 import sys
+from functools import lru_cache
 from pathlib import Path
 
 import pytest
+import typer.testing
 from hypothesis import settings
 
 from tests.plain_python import PLAIN
@@ -16,6 +18,9 @@ from tests.shared_kernels import compile_in_one_worker
 # The first call of a kernel compiles it, and tests run beside each other: time proves nothing about correctness.
 settings.register_profile("kinedex", deadline=None)
 settings.load_profile("kinedex")
+
+# Typer would make all commands of the program anew, from the hints of their functions, for each that a test runs.
+typer.testing._get_command = lru_cache(typer.testing._get_command)
 
 # Tests start hundreds of processes, which compile every module anew where the environment forbids files of bytecode.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)

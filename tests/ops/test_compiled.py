@@ -57,6 +57,7 @@ def twice(package: Path, **more: str) -> int:
     return int(done.stdout)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("elsewhere", [False, True], ids=["beside the files", "elsewhere"])
 def test_a_kernel_is_compiled_again_when_one_that_it_calls_has_changed(
     package: Path, tmp_path: Path, elsewhere: bool

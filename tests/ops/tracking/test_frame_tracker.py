@@ -74,6 +74,7 @@ def test_places_of_joints_are_followed_through_gaps() -> None:
     np.testing.assert_array_equal(track.positions[3], track.positions[2])
 
 
+@slow_as_python
 def test_silhouettes_alone_are_followed() -> None:
     track = track_frames(BODY, None, None, 30.0, START, silhouettes=Silhouettes(VIEWS, MASKS, CAPSULES))
     assert apart(track).max() < 0.015
@@ -82,6 +83,7 @@ def test_silhouettes_alone_are_followed() -> None:
     assert track.shifts_px.max() < 1.0
 
 
+@slow_as_python
 def test_rays_and_silhouettes_complete_each_other() -> None:
     seen = rays()
     hidden = [CHAIN.joint(name) for name in ("lknee", "lankle", "ltoes")]
@@ -93,6 +95,7 @@ def test_rays_and_silhouettes_complete_each_other() -> None:
     assert apart(both)[-1] < 0.5 * apart(alone)[-1]
 
 
+@slow_as_python
 def test_a_body_out_of_sight_keeps_its_pose_and_is_found_at_the_centroids() -> None:
     away = Poses(motion().places + np.array([1.3, 0.0, 0.6]), motion().turns)
     joints = np.ascontiguousarray(forward(BODY, away)[0].transpose(2, 0, 1))[3:]
