@@ -47,7 +47,8 @@ def serve() -> Iterator[Callable[[Path], str]]:
     yield start
     for process in running:
         process.terminate()
-        process.wait(20)
+    for process in running:
+        process.wait(2 * WAIT_MS / 1000)
 
 
 @pytest.fixture(scope="session")

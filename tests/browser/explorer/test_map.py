@@ -17,8 +17,8 @@ from tests.pipelines.labelled import POSES, write_store
 
 pytestmark = pytest.mark.slow
 
-MAP_MS = 4 * WAIT_MS
-"""A process of low priority loads its libraries and computes the map."""
+MAP_MS = 8 * WAIT_MS
+"""A process of low priority loads its libraries and computes the map, after all that runs beside it."""
 
 EACH = 14
 

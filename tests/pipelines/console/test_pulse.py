@@ -35,11 +35,11 @@ def test_a_long_step_reports_itself_in_the_output_and_the_log(fast: None, caplog
     shown = Shown()
     terminal = Terminal(Console(file=shown, width=200))
     with terminal.during("index"):
-        assert shown.written.wait(10)
+        assert shown.written.wait(60)
         with terminal.progress("reading takes", 2_000) as bar:
             bar.advance(1_200)
             shown.written.clear()
-            assert shown.written.wait(10)
+            assert shown.written.wait(60)
     lines = shown.getvalue().splitlines()
     assert lines[0].startswith("    index: ")
     assert any(line.startswith("    reading takes: 1,200 of 2,000, ") for line in lines)
@@ -56,7 +56,7 @@ def test_nothing_is_printed_when_quiet_or_on_a_terminal(fast: None, caplog: pyte
         logging.getLogger("kinedex.progress").addHandler(handler)
         try:
             with Terminal(Console(file=shown, **options)).during("index"):  # type: ignore[arg-type]
-                assert heard.wait(10), "the log has it"
+                assert heard.wait(60), "the log has it"
         finally:
             logging.getLogger("kinedex.progress").removeHandler(handler)
         assert shown.getvalue() == ""

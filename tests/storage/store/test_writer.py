@@ -138,7 +138,7 @@ def test_a_forked_worker_does_not_keep_the_lock(tmp_path: Path) -> None:
     worker = fork.Process(target=_say_and_sleep, args=(running,))
     worker.start()
     try:
-        assert running.wait(10)
+        assert running.wait(60)
         writer._lock._file.close()  # as the end of the process does it, without unlocking
         StoreWriter.open(tmp_path, BODY).close()
     finally:
