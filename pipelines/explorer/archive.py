@@ -54,6 +54,7 @@ class Archive:
         self.kernels = threading.Lock()
         self._looking = threading.Lock()
         self._store = open_store(path)
+        self._fault: KinedexError | OSError | None = None
         self._looked = time.monotonic()
         self._newest = self._newest_files()
         self._journal = self._journal_files()
@@ -62,7 +63,7 @@ class Archive:
         """Return the newest version that has its index.
 
         What a caller holds stays valid until it lets go of it: the version is leased for as long. While one thread
-        opens a newer version, the others get the one before it.
+        opens a newer version, the others get the one before it, or the fault of the last look.
 
         Raises
         ------
@@ -72,9 +73,13 @@ class Archive:
         if time.monotonic() - self._looked >= LOOK_SECONDS and self._looking.acquire(blocking=False):
             try:
                 self._look()
-                self._looked = time.monotonic()
+                self._looked, self._fault = time.monotonic(), None
+            except (KinedexError, OSError) as fault:
+                self._fault = fault
             finally:
                 self._looking.release()
+        if self._fault is not None:
+            raise self._fault.with_traceback(None)
         return self._store
 
     def state(self, *, look: bool = False) -> dict[str, object]:

@@ -1,9 +1,9 @@
 """Messages of the server to the pages that are open: `GET /api/events`, a stream of server-sent events.
 
-The kinds are `version` (a newer version of the store can be read), `labels` (labels have changed) and `job` (the
-progress of a job, `{id, title, state, done?, total?, message?}`); each carries one JSON object. A stream begins with
-`state` ({version, labels}), by which a page that has not listened for a while knows whether it missed anything, and
-with the jobs that run.
+The kinds are `version` (a newer version of the store can be read), `labels` (labels have changed), `job` (the
+progress of a job, `{id, title, state, done?, total?, message?}`) and `trouble` ({message}: the store cannot be read);
+each carries one JSON object. A stream begins with `state` ({version, labels}), by which a page that has not listened
+for a while knows whether it missed anything, and with the jobs that run. `state` also ends trouble.
 """
 
 from __future__ import annotations
@@ -81,23 +81,18 @@ class Events:
         queue: asyncio.Queue[bytes | None] = asyncio.Queue()
         with self._lock:
             self._listeners[queue] = asyncio.get_running_loop()
-            running = list(self._running.values())
         try:
             yield b"retry: 1000\n\n"
-            state: Mapping[str, object] | None = None
-            with suppress(KinedexError, OSError):  # the next question of a page reports it
-                state = await to_thread.run_sync(look)
-            if state is not None:
-                yield _encoded("state", state)
-            for chunk in running:
+            known = _Known(look)
+            for chunk in await self._news(known):
                 yield chunk
-            async for chunk in self._messages(queue, look):
+            async for chunk in self._messages(queue, known):
                 yield chunk
         finally:
             with self._lock:
                 del self._listeners[queue]
 
-    async def _messages(self, queue: asyncio.Queue[bytes | None], look: Callable[[], object]) -> AsyncIterator[bytes]:
+    async def _messages(self, queue: asyncio.Queue[bytes | None], known: _Known) -> AsyncIterator[bytes]:
         """Yield the messages of a listener until the server stops."""
         looked = spoken = time.monotonic()
         while not self._closed:
@@ -108,12 +103,39 @@ class Events:
                 return
             now = time.monotonic()
             if now - looked >= WAIT_SECONDS:
-                with suppress(KinedexError, OSError):  # the next question of a page reports it
-                    await to_thread.run_sync(look)
+                for news in await self._news(known):
+                    yield news
                 looked = now
             if chunk or now - spoken >= QUIET_SECONDS:
                 spoken = now
                 yield chunk or b": quiet\n\n"
+
+    async def _news(self, known: _Known) -> list[bytes]:
+        """Return what a listener does not know of the store yet; with its state, the jobs that run."""
+        news = await known.news()
+        with self._lock:
+            return [news, *self._running.values()] if news else []
+
+
+class _Known:
+    """What a listener knows of the store: its state, or why it cannot be read; nothing at first."""
+
+    def __init__(self, look: Callable[[], Mapping[str, object]]) -> None:
+        self._look = look
+        self._trouble: str | None = None
+
+    async def news(self) -> bytes:
+        """Look at the store, and return the message where it cannot be read any more, or can be read again."""
+        state: Mapping[str, object] = {}
+        try:
+            state = await to_thread.run_sync(self._look)
+            trouble = ""
+        except (KinedexError, OSError) as fault:
+            trouble = str(fault)
+        if trouble == self._trouble:
+            return b""
+        self._trouble = trouble
+        return _encoded("trouble", {"message": trouble}) if trouble else _encoded("state", state)
 
 
 def _encoded(kind: str, message: Mapping[str, object]) -> bytes:

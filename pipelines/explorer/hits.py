@@ -17,6 +17,7 @@ from pydantic import Field
 
 from kinedex.ops.errors import ParameterError
 from kinedex.pipelines.explorer.addresses import Question, post
+from kinedex.pipelines.explorer.conditions import over_takes_alone
 from kinedex.pipelines.explorer.selections import Selection, columns_with_nan, condition_of
 from kinedex.pipelines.ranking.examples import ChosenInterval
 from kinedex.storage.snapshot.labels import is_of_limbs
@@ -121,7 +122,8 @@ def ranked_hits(ranking: Ranking) -> list[dict[str, Any]]:
 
 
 def take_condition(store: Store, selection: Selection) -> str | None:
-    """Return the condition on takes of a selection as SQL, None for all takes."""
+    """Return the condition on takes of a selection as SQL over their columns alone, None for all takes."""
+    selection = over_takes_alone(store, selection)
     condition = condition_of(selection, store.take_rows.column_names, columns_with_nan(store))
     return condition.removeprefix(" WHERE ") or None
 

@@ -27,6 +27,7 @@ from starlette.routing import Route
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.pipelines.explorer.addresses import post
 from kinedex.pipelines.explorer.answers import Json, fault_answer
+from kinedex.pipelines.explorer.conditions import own_words
 from kinedex.pipelines.explorer.map_processes import maps_of, require_extra
 from kinedex.pipelines.explorer.same import python_lines, same_query
 from kinedex.pipelines.explorer.selections import SQL_SECONDS, Selection, columns_with_nan, condition_of, expression
@@ -127,6 +128,7 @@ class MapTakesQuestion(Selection):
     column: str
 
 
+@own_words
 def map_takes(archive: Archive, asked: MapTakesQuestion, _request: Request) -> dict[str, Any]:
     """Return the values of a column for all takes, by their ids, and which of these fit."""
     store = archive.store()

@@ -13,6 +13,7 @@ from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -118,6 +119,19 @@ def _condition(one: Filter, known: Sequence[str], nan: Collection[str]) -> str:
     if one.chosen is not None:
         parts.append(_chosen(name, one.chosen))
     return " AND ".join(parts) if parts else "true"
+
+
+def packed_ids(ids: npt.NDArray[np.int64]) -> str:
+    """Return ids as a filter's `chosen` has them.
+
+    Examples
+    --------
+    >>> packed_ids(np.array([1, 3, 9]))
+    'UEA'
+    """
+    marks = np.zeros(int(ids.max()) + 1 if len(ids) else 0, bool)
+    marks[ids] = True
+    return base64.urlsafe_b64encode(np.packbits(marks).tobytes()).decode().rstrip("=")
 
 
 FEW_IDS = 100

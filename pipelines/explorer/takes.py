@@ -20,6 +20,7 @@ import pyarrow as pa
 from pydantic import Field
 
 from kinedex.pipelines.explorer.addresses import Question, post
+from kinedex.pipelines.explorer.conditions import own_words
 from kinedex.pipelines.explorer.same import same_query
 from kinedex.pipelines.explorer.selections import (
     SQL_SECONDS,
@@ -119,6 +120,7 @@ def order_of(sort: Sequence[Sort], known: Sequence[str], nan: Collection[str] = 
     return f" ORDER BY {', '.join(parts)}"
 
 
+@own_words
 def find_takes(archive: Archive, asked: TakesQuestion, _request: Request) -> dict[str, Any]:
     """Return a block of takes."""
     store = archive.store()

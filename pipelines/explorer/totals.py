@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field
 
 from kinedex.pipelines.explorer.addresses import post
+from kinedex.pipelines.explorer.conditions import own_words
 from kinedex.pipelines.explorer.same import same_query
 from kinedex.pipelines.explorer.selections import SQL_SECONDS, Selection, columns_with_nan, condition_of, expression
 from kinedex.pipelines.explorer.store import NUMERIC
@@ -48,6 +49,7 @@ class ValuesQuestion(Selection):
     limit: Rows = 200
 
 
+@own_words
 def totals(archive: Archive, asked: TotalsQuestion, _request: Request) -> dict[str, Any]:
     """Return groups of takes with their hours."""
     store = archive.store()
@@ -77,6 +79,7 @@ def totals(archive: Archive, asked: TotalsQuestion, _request: Request) -> dict[s
     }
 
 
+@own_words
 def values(archive: Archive, asked: ValuesQuestion, _request: Request) -> dict[str, Any]:
     """Return the values of a column, and the histogram of numbers."""
     store = archive.store()

@@ -12,6 +12,7 @@ from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.ingestion.described_takes import Descriptions, Loss, losses, rows_below
 from kinedex.pipelines.ingestion.metadata import Joined, load_metadata, unused_lines
 from kinedex.pipelines.ingestion.parameters import IngestParameters
+from kinedex.pipelines.ingestion.pattern_proposal import matched, propose
 from kinedex.storage.formats.motion.sources import Scan, path_groups
 from kinedex.storage.store.store import Store
 
@@ -66,13 +67,25 @@ def unmatched_paths(params: IngestParameters, found: Scan) -> list[str]:
     return [motion.path for motion in found.motions if patterns and path_groups(motion.path, patterns) is None]
 
 
-def unmatched_line(unmatched: Sequence[str], found: Scan, store: Path) -> str:
-    """Return a message about paths that no pattern fits, with the way out."""
+def unmatched_line(params: IngestParameters, unmatched: Sequence[str], found: Scan, store: Path) -> str:
+    """Return a message about paths that no pattern fits, with the way out.
+
+    `kinedex init` is one where it proposes patterns for some of them; otherwise a pattern has to be written.
+    """
     examples = " and ".join(f"'{path}'" for path in dict.fromkeys((unmatched[0], unmatched[-1])))
     verb, whose = ("match", "their takes have") if len(unmatched) > 1 else ("matches", "its take has")
-    root = shlex.quote(found.motions[0].root)
-    return (
+    line = (
         f"{len(unmatched):,} of {counted(len(found.motions), 'path')} {verb} no pattern, such as {examples}: {whose} "
-        f"neither class nor actor. `kinedex init {root} -o my.yaml` proposes patterns, and `kinedex run "
-        f"my.yaml --store {shlex.quote(str(store))}` uses them"
+        "neither class nor actor. "
+    )
+    if matched(propose(motion.path for motion in found.motions), unmatched):
+        root = shlex.quote(found.motions[0].root)
+        return (
+            f"{line}`kinedex init {root} -o my.yaml` proposes patterns, and `kinedex run my.yaml --store "
+            f"{shlex.quote(str(store))}` uses them"
+        )
+    return (
+        f"{line}`kinedex init` has no pattern for {'them' if len(unmatched) > 1 else 'it'}: add one to `patterns` of "
+        "the stage ingest, such as '(?P<class>[^/_]+)_(?P<actor>[^/_]+)', and run again, which reads no file anew; or "
+        "leave it so"
     )

@@ -265,7 +265,7 @@ def _report_changes(context: StageContext, params: IngestParameters, found: Scan
         context.say(f"{takes} whose file has another name now: read again, and dropped as they were")
     unmatched = unmatched_paths(params, found)
     if unmatched:
-        context.say(unmatched_line(unmatched, found, context.store_path))
+        context.say(unmatched_line(params, unmatched, found, context.store_path))
     return len(unmatched)
 
 

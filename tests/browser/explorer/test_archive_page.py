@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
-from playwright.sync_api import Locator, Page, expect
+from playwright.sync_api import Browser, Locator, Page, expect
 
-from tests.browser.explorer.conftest import Open
+from tests.browser.explorer.conftest import WAIT_MS, Open
 
 
 def names(page: Page) -> Locator:
@@ -49,6 +52,10 @@ def test_sql_is_corrected_in_place(open_page: Open) -> None:
     page.keyboard.press("Enter")
     expect(page.get_by_text('"clas" not found')).to_be_visible()
     expect(condition).to_have_attribute("aria-invalid", "true")
+    expect(page.get_by_role("gridcell")).to_have_count(0)
+    condition.fill("seconds > 3 ORDER BY x")
+    page.keyboard.press("Enter")
+    expect(page.get_by_text('at or near "ORDER": character 13, “ORDER BY x”')).to_be_visible()
     condition.fill("class = 'jig' AND seconds > 0.5")
     page.keyboard.press("Enter")
     expect(page.locator(".amount")).to_contain_text("2 takes")
@@ -108,6 +115,65 @@ def test_what_is_to_be_looked_at_has_tabs_of_its_own(open_page: Open) -> None:
     page.get_by_role("link").filter(has_text="height").or_(page.locator(".sheet a")).first.click()
     expect(page.get_by_role("textbox", name="Condition of SQL over takes")).not_to_have_value("")
     expect(page.locator(".amount")).not_to_contain_text(re.compile(r"^0 takes"))
+
+
+def test_what_a_flag_means_is_read_by_keys(open_page: Open) -> None:
+    page = open_page()
+    expect(page.get_by_role("gridcell", name="x_al_jig_1", exact=True)).to_be_visible()
+    note = page.get_by_role("note")
+    expect(note).to_have_count(0)
+    page.get_by_role("grid", name="Takes").focus()
+    page.keyboard.press("End")
+    expect(note).to_contain_text("figures of quality beyond their limits, or warnings of ingest")
+    page.keyboard.press("Control+End")
+    expect(note).to_contain_text("expected")
+    assert note.bounding_box()["y"] > page.locator(".grid-body.active").bounding_box()["y"] + 20  # type: ignore[index]
+    page.keyboard.press("Home")
+    expect(note).to_have_count(0)
+
+
+def test_an_address_that_names_nothing_says_so(open_page: Open) -> None:
+    page = open_page("/runs/nobody%3F")
+    expect(page.get_by_text("Nothing under Runs is named “nobody?”.")).to_be_visible()
+    page.get_by_role("link", name="Open Runs").click()
+    expect(page.get_by_role("heading", name="Runs", exact=True)).to_be_visible()
+    origin = page.url.removesuffix("/runs")
+    page.goto(f"{origin}/templates/nobody")
+    page.get_by_role("link", name="Open Templates").click()
+    expect(page.get_by_role("heading", name="Templates", exact=True)).to_be_visible()
+    page.goto(f"{origin}/runs?view=start&pipeline=nobody")
+    expect(page.get_by_text("No pipeline has the name “nobody”")).to_be_visible()
+    page.goto(f"{origin}/ask?take=x_al_jig_1&from=20&to=10")
+    expect(page.get_by_text("The interval has to end after it begins.")).to_be_visible()
+    expect(page.get_by_role("textbox", name="From (s)")).to_have_value("0.67")
+    page.locator(".chooser").get_by_label("Take").first.fill("nobody")
+    expect(page.get_by_text("No take has this name.")).to_be_visible()
+
+
+def test_a_page_opened_while_the_store_is_gone_recovers_by_itself(
+    browser: Browser, store: Path, serve: Callable[..., str], tmp_path: Path
+) -> None:
+    here, away = tmp_path / "store", tmp_path / "away"
+    shutil.copytree(store, here)
+    address = serve(here, "--read-only")
+    here.rename(away)
+    context = browser.new_context()
+    page = context.new_page()
+    page.set_default_timeout(WAIT_MS)
+    page.goto(address)
+    expect(page.get_by_role("alert").first).to_be_visible()
+    expect(page.get_by_role("status").first).to_contain_text("the store cannot be read")
+    away.rename(here)
+    expect(page.get_by_role("gridcell", name="x_al_jig_1", exact=True)).to_be_visible()
+    expect(page.get_by_text("the store cannot be read")).to_have_count(0)
+    page.goto(address.split("/?")[0] + "/label?take=x_al_long_1")
+    expect(page.get_by_text("drag in a lane: select")).to_be_visible()
+    expect(page.get_by_text("drag in a lane: draw")).to_have_count(0)
+    page.keyboard.press("?")
+    keys = page.get_by_role("dialog", name="Keys")
+    expect(keys).to_contain_text("Choose the next label or annotation")
+    expect(keys).not_to_contain_text("Split")
+    context.close()
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

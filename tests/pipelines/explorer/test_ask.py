@@ -117,6 +117,19 @@ def test_filters_and_the_number_of_hits_limit_a_search(opened: Store, ask: Ask) 
     ask("examples", 422, positives=[])
 
 
+def test_a_condition_over_another_view_chooses_its_takes_for_a_search(path: Path, opened: Store, ask: Ask) -> None:
+    start, stop = kick_of(1)
+    asked = {"positives": [interval(opened, "take_1", start, stop)], "tau": 0.3, "top": 40}
+    plain = ask("examples", **asked, where="take_id IN (1, 3)")
+    found = ask("examples", **asked, where="take_id IN (SELECT take_id FROM vocabulary, takes WHERE take_id IN (1, 3))")
+    assert rows(found["hits"]) == rows(plain["hits"]) != []
+    assert "--where 'take_id IN (1, 3)'" in found["command"]
+    none = ask("examples", 400, **asked, where="take_id IN (SELECT -1 FROM vocabulary)")
+    assert none["error"]["message"] == "no take fits the condition take_id IN (SELECT -1 FROM vocabulary)"
+    wrong = ask("examples", 400, **asked, where="take_id IN (SELECT take_id FROM vocbulary)")
+    assert wrong["error"]["message"] == "no view or macro is named 'vocbulary'; did you mean 'vocabulary'?"
+
+
 def test_several_examples_are_learned_as_a_template_is(path: Path, opened: Store, ask: Ask) -> None:
     clips = [(f"take_{i}", *kick_of(i)) for i in range(3)]
     found = ask("examples", positives=[interval(opened, *clip) for clip in clips], tau=0.3, top=40)

@@ -52,19 +52,21 @@ def test_a_store_that_cannot_be_read_for_a_while_ends_no_stream(good: int, monke
     def look() -> dict[str, object]:
         nonlocal looks
         looks += 1
-        if looks > good:
-            events.publish("labels", {})
+        if good < looks < good + 4:
             raise StoreError("damaged")
         return STATE
 
     events = Events()
+    job = {"id": "1", "title": "learn", "state": "running"}
+    events.publish("job", job)
 
     async def listen() -> None:
         stream = events.listen(look)
-        kinds = [(await message(stream))[0] for _ in range(2 + good)]
-        assert kinds == ["", *["state"] * good, "labels"]
-        assert (await message(stream))[0] == "labels"
+        begun = [("state", STATE), ("job", job)] * good
+        expected = [*begun, ("trouble", {"message": "damaged"}), ("job", job), ("state", STATE), ("job", job)]
+        assert (await message(stream))[0] == ""
+        assert [await message(stream) for _ in expected] == expected
         await stream.aclose()
 
     asyncio.run(listen())
-    assert looks >= 2 + good
+    assert looks >= good + 4

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import base64
 import math
 import shlex
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from starlette.testclient import TestClient
 
 import kinedex
 from kinedex.pipelines.explorer import selections
-from kinedex.pipelines.explorer.selections import Filter, Selection, condition_of
+from kinedex.pipelines.explorer.selections import Filter, Selection, condition_of, packed_ids
 from kinedex.storage.store.store import open_store
 from tests.pipelines.explorer.conftest import Connect
 from tests.pipelines.labelled import long_take, write_store
@@ -129,6 +133,52 @@ def test_what_does_not_fit_is_a_clear_error(client: TestClient, body: dict[str, 
     answer = client.post("/api/takes", json=body)
     assert answer.status_code == 400
     assert message in answer.json()["error"]["message"]
+
+
+LONG = f"name <> '{'x' * 200}' AND\n  sec > > 3 OR name <> '{'y' * 200}'"
+
+FAULTS = [
+    ("seconds > 3 ORDER BY x", 'at or near "ORDER": character 13, “ORDER BY x”'),
+    ("seconds >", "syntax error at the end"),
+    ("seconds > 3)", "syntax error at the end"),
+    ("class = 'kick", "unterminated string literal: character 9, “'kick”"),
+    ("seconds > 'x' AND true", "character 11, “'x' AND true”"),
+    ("class::DOUBLE > 1", "Could not convert string"),
+    (LONG, 'at or near ">": line 2, character 9, “> 3 OR'),
+    ("secnds > 3", 'column "secnds" not found; the nearest are "seconds"'),
+    ("sound(seconds) > 3", "no function or macro is named 'sound'"),
+]
+
+
+@pytest.mark.parametrize(("where", "expected"), FAULTS)
+def test_the_fault_of_a_condition_is_told_in_its_own_words(client: TestClient, where: str, expected: str) -> None:
+    asked = {"where": where, "filters": [{"column": "class", "values": ["kick", "walk"]}]}
+    others: list[tuple[str, dict[str, Any]]] = [
+        ("/api/takes", {"sort": [{"column": "frames"}]}),
+        ("/api/totals", {"by": ["class"]}),
+        ("/api/values", {"column": "actor"}),
+        ("/api/map/takes", {"column": "class"}),
+    ]
+    for path, more in others:
+        answer = client.post(path, json={**asked, **more})
+        message = answer.json()["error"]["message"]
+        assert answer.status_code == 400
+        assert expected in message
+        assert "SELECT" not in message
+        assert "WHERE" not in message
+        assert "views and macros" not in message
+
+
+def test_a_fault_beside_a_sound_condition_is_not_blamed_on_it(client: TestClient) -> None:
+    answer = client.post("/api/takes", json={"where": "seconds > 0", "columns": ["nothing"]})
+    assert "takes have no column 'nothing'" in answer.json()["error"]["message"]
+
+
+@given(st.sets(st.integers(0, 300)))
+def test_ids_are_packed_as_filters_read_them(ids: set[int]) -> None:
+    text = packed_ids(np.array(sorted(ids), np.int64))
+    octets = base64.urlsafe_b64decode(text + "=" * (-len(text) % 4))
+    assert {8 * place + bit for place, octet in enumerate(octets) for bit in range(8) if octet >> (7 - bit) & 1} == ids
 
 
 def test_names_of_columns_and_values_are_quoted() -> None:

@@ -16,6 +16,7 @@ from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
 from kinedex.pipelines.ingestion import file_batches
+from kinedex.pipelines.ingestion.pattern_proposal import propose
 from kinedex.storage.snapshot.manifest_files import read_newest
 from kinedex.storage.store.store import open_store
 from tests.pipelines.archives import write_archive
@@ -98,3 +99,16 @@ def test_the_command_of_the_refusal_works(store: Path, source: Path) -> None:
     assert (command[0], command[-1]) == ("kinedex", "--accept")
     assert runner.invoke(app, command[1:]).exit_code == 0
     assert described(store) == [(None, None, None)] * 3
+
+
+def test_paths_without_a_pattern_lead_to_a_proposal_only_where_there_is_one(tmp_path: Path) -> None:
+    files = [f"x_{actor}_{kind}_{n}.amc" for actor in ("al", "bo", "cy") for kind in ("walk", "run") for n in (1, 2)]
+    source = write_archive(tmp_path / "archive", dict.fromkeys([*files, "free.amc"], 30))
+    _, shown = ingest(tmp_path / "store", source, patterns=["^x_(?P<actor>al)_(?P<class>[^_]+)_"])
+    assert "9 of 13 paths match no pattern" in shown
+    assert f"`kinedex init {source} -o my.yaml` proposes patterns" in shown
+    proposed = [one.pattern for one in propose([*files, "free.amc"])]
+    _, shown = ingest(tmp_path / "store", source, accept=True, patterns=proposed)
+    assert "1 of 13 paths matches no pattern, such as 'free.amc'" in shown
+    assert f"kinedex init {source}" not in shown
+    assert "`kinedex init` has no pattern for it: add one to `patterns` of the stage ingest" in shown

@@ -9,11 +9,12 @@ import type { Job } from "./types";
 const jobs = new Map<string, Job>();
 const listeners = new Set<() => void>();
 let shown: Job[] = [];
-/** Why no messages come; empty while they do. */
+/** Why no messages come, or why the store cannot be read; empty while all is well. */
 let trouble = "";
 
 const AWAY = "no connection to the server";
 const ANEW = "the server was started anew: open the address that it printed";
+const UNREADABLE = "the store cannot be read";
 const REOPEN_MS = 3000;
 
 function changed(): void {
@@ -37,7 +38,7 @@ function compare(next: { version: number; labels: string }): void {
   changed();
 }
 
-/** Report why no messages come; once they come again, ask again for what has failed meanwhile. */
+/** Report what is wrong with the server or the store; once all is well, ask again for what has failed meanwhile. */
 function tell(next: string): void {
   if (next === trouble) return;
   trouble = next;
@@ -58,7 +59,11 @@ function open(ended: () => void): EventSource {
   const source = new EventSource("/api/events");
   const on = <T>(kind: string, take: (message: T) => void) =>
     source.addEventListener(kind, (event) => take(JSON.parse((event as MessageEvent<string>).data) as T));
-  on("state", compare);
+  on<{ version: number; labels: string }>("state", (next) => {
+    tell("");
+    compare(next);
+  });
+  on("trouble", () => tell(UNREADABLE)); // what is asked of the store says why
   on<{ version: number }>("version", ({ version }) => {
     if (state !== null) state = { ...state, version };
     void queries.invalidateQueries({ queryKey: ["version"] });
@@ -68,7 +73,6 @@ function open(ended: () => void): EventSource {
     jobs.set(job.id, job);
     changed();
   });
-  source.onopen = () => tell("");
   source.onerror = () => {
     if (source.readyState === EventSource.CLOSED) ended();
     else tell(AWAY);
@@ -110,7 +114,7 @@ export function useJobs(): Job[] {
   return useSyncExternalStore(subscribe, () => shown);
 }
 
-/** Return why no messages come from the server; empty while they do. */
+/** Return what is wrong with the server or the store; empty while all is well. */
 export function useTrouble(): string {
   return useSyncExternalStore(subscribe, () => trouble);
 }

@@ -97,17 +97,40 @@ function Content() {
         {PAGES.map((one) => (
           <Route key={one.path} path={one.pattern} component={one.view} />
         ))}
-        <Route>
-          <div className="page">
-            <Title order={1}>No page has this address</Title>
-            <Text>
-              <Anchor component={Link} href="/">All takes</Anchor> are under Archive.
-            </Text>
-          </div>
-        </Route>
+        <Route component={NoPage} />
       </Switch>
     </Suspense>
   );
+}
+
+/** What stands where an address leads nowhere: below a page it was meant to name something there. */
+function NoPage() {
+  const [location] = useLocation();
+  const page = PAGES.find((one) => one.path !== "/" && isShown(one.path, location));
+  return (
+    <div className="page">
+      <Title order={1}>No page has this address</Title>
+      <Text>
+        {page === undefined ? (
+          <><Anchor component={Link} href="/">All takes</Anchor> are under Archive.</>
+        ) : (
+          <>
+            Nothing under {page.title} is named “{lastName(location)}”.{" "}
+            <Anchor component={Link} href={page.path}>Open {page.title}</Anchor> to see what there is.
+          </>
+        )}
+      </Text>
+    </div>
+  );
+}
+
+function lastName(location: string): string {
+  const name = location.split("/").filter((part) => part !== "").at(-1) ?? "";
+  try {
+    return decodeURIComponent(name);
+  } catch {
+    return name; // no address that this page has made
+  }
 }
 
 function isShown(path: string, location: string): boolean {

@@ -41,11 +41,11 @@ function later(load: Load): ComponentType {
 export const PAGES: readonly Page[] = [
   { title: "Archive", path: "/", pattern: "/", key: "a", view: ArchivePage },
   { title: "Take", path: "/take", pattern: "/take/:name?", key: "t", view: later(() => import("../take/TakePage")) },
-  { title: "Ask", path: "/ask", pattern: "/ask/*?", key: "s", view: later(() => import("../ask/AskPage")) },
-  { title: "Label", path: "/label", pattern: "/label/*?", key: "l", view: later(() => import("../label/LabelPage")) },
-  { title: "Templates", path: "/templates", pattern: "/templates/*?", key: "p", view: later(() => import("../templates/TemplatesPage")) },
-  { title: "Runs", path: "/runs", pattern: "/runs/*?", key: "r", view: later(() => import("../runs/RunsPage")) },
-  { title: "Export", path: "/export", pattern: "/export/*?", key: "e", view: later(() => import("../export/ExportPage")) },
+  { title: "Ask", path: "/ask", pattern: "/ask", key: "s", view: later(() => import("../ask/AskPage")) },
+  { title: "Label", path: "/label", pattern: "/label", key: "l", view: later(() => import("../label/LabelPage")) },
+  { title: "Templates", path: "/templates", pattern: "/templates", key: "p", view: later(() => import("../templates/TemplatesPage")) },
+  { title: "Runs", path: "/runs", pattern: "/runs", key: "r", view: later(() => import("../runs/RunsPage")) },
+  { title: "Export", path: "/export", pattern: "/export", key: "e", view: later(() => import("../export/ExportPage")) },
 ];
 
 /** Load the chunks of all pages, and make what draws takes, each in a moment in which nothing else is to be done. */

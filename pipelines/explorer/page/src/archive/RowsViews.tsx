@@ -48,10 +48,10 @@ const DUPLICATES: GridColumn<Row>[] = [
 ];
 
 const EXCLUDED: GridColumn<Row>[] = [
-  text("source", "source file", 260),
-  text("error", "error", 120),
-  text("line", "line", 70, true),
+  text("source", "source file", 130),
   text("message", "message", 640),
+  text("line", "line", 70, true),
+  text("error", "error", 120),
 ];
 
 /** Takes that hold the same file or motion as another take. */

@@ -6,7 +6,7 @@ import { useStore } from "../api/queries";
 import type { Column, Selection } from "../api/types";
 import { takeAddress } from "../app/address";
 import { Fault } from "../app/Fault";
-import type { Cell, RowSource } from "../table/blocks";
+import { type Cell, listed, type RowSource } from "../table/blocks";
 import { Grouped } from "../table/grouped";
 import type { GridColumn } from "../table/lines";
 import { VirtualGrid } from "../table/VirtualGrid";
@@ -25,6 +25,9 @@ interface Props {
   by: string | null;
 }
 
+/** The rows where the condition is wrong: others would stay "…" for ever. */
+const NOTHING = listed<TakeRow>([]);
+
 /** The table of takes, and their totals beside it. */
 export function TakesView({ state, takes, columns, by }: Props) {
   const store = useStore();
@@ -34,7 +37,8 @@ export function TakesView({ state, takes, columns, by }: Props) {
   const known = useMemo(() => allColumns(store.data), [store.data]);
   const shownColumns = useMemo(() => gridColumns(columns, known, flags), [columns, known, flags]);
   const groups = useGroupsOf(state.selection, takes.head, by);
-  const rows = useMemo(() => inGroups(takes.rows, groups), [takes.rows, groups]);
+  const wrong = takes.error !== null;
+  const rows = useMemo(() => (wrong ? NOTHING : inGroups(takes.rows, groups)), [wrong, takes.rows, groups]);
   const onHeading = (index: number) => {
     const filter = rows instanceof Grouped ? filterOf(by, groups?.[rows.groupAt(index)]) : null;
     if (filter !== null) state.put(filter.column, filter);
@@ -51,7 +55,7 @@ export function TakesView({ state, takes, columns, by }: Props) {
         onOpen={(row) => navigate(takeAddress(row.name))}
         onHeading={onHeading}
       />
-      <TotalsPanel state={state} wrong={takes.error !== null} />
+      <TotalsPanel state={state} wrong={wrong} />
     </div>
   );
 }
@@ -120,8 +124,10 @@ function gridColumns(
       },
     };
   });
-  return [...made, { key: "flags", title: "flags", width: 70, className: "flag", cell: (row) => flagsOf(row, flags?.[row.id]) }];
+  return [...made, { key: "flags", title: "flags", about: FLAGS, width: 70, className: "flag", cell: (row) => flagsOf(row, flags?.[row.id]) }];
 }
+
+const FLAGS = "▲ and a number: so many figures of quality beyond their limits, or warnings of ingest. They are listed below the table for the cell that is chosen, and under Quality for all takes.";
 
 function flagsOf(row: TakeRow, texts: string[] = []): Cell {
   const all = [...texts, ...row.warnings];

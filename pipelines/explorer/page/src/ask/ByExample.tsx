@@ -163,7 +163,7 @@ function Options({ mirror, tau }: { mirror: boolean; tau: number }) {
     <Group gap={12} mt="xs">
       <NumberInput
         size="xs"
-        w={92}
+        w={120}
         label="τ, largest cost"
         value={tau}
         min={0.01}
@@ -325,16 +325,26 @@ function Remarks({ found }: { found: ExamplesAnswer }) {
   );
 }
 
+/** Return the seconds of a frame of the address; null where it names none. */
+function secondsOf(frame: string | null, rateHz: number): number | null {
+  const value = Number(frame ?? "x");
+  return Number.isFinite(value) && value >= 0 ? Math.round((100 * value) / rateHz) / 100 : null;
+}
+
 /** Choose an example where the address has none. */
 function Chooser({ store }: { store: StoreFacts }) {
   const [wanted] = useParameter("take");
+  const [fromFrame] = useParameter("from");
+  const [toFrame] = useParameter("to");
   const [name, setName] = useState(wanted ?? "");
-  const [from, setFrom] = useState<number | string>(0);
-  const [to, setTo] = useState<number | string>(2);
+  const [from, setFrom] = useState<number | string>(secondsOf(fromFrame, store.rate_hz) ?? 0);
+  const [to, setTo] = useState<number | string>(secondsOf(toFrame, store.rate_hz) ?? 2);
   const set = useParameters();
-  const known = useNamedTakes(name === "" ? [] : [name])?.get(name);
+  const found = useNamedTakes(name === "" ? [] : [name]);
+  const known = found?.get(name);
   const frames = (seconds: number | string) => Math.round(Number(seconds) * store.rate_hz);
   const beyond = known !== undefined && frames(to) > known.frames;
+  const swapped = from !== "" && to !== "" && frames(to) <= frames(from);
   return (
     <form
       className="chooser"
@@ -348,12 +358,22 @@ function Chooser({ store }: { store: StoreFacts }) {
       </Text>
       <Group align="end" gap={8} mt="sm">
         <TakeName width={280} value={name} onChange={setName} />
-        <NumberInput size="xs" w={96} label="From, seconds" value={from} onChange={setFrom} min={0} step={0.1} decimalScale={2} />
-        <NumberInput size="xs" w={96} label="To, seconds" value={to} onChange={setTo} min={0} step={0.1} decimalScale={2} />
+        <NumberInput size="xs" w={96} label="From (s)" value={from} onChange={setFrom} min={0} step={0.1} decimalScale={2} />
+        <NumberInput size="xs" w={96} label="To (s)" value={to} onChange={setTo} min={0} step={0.1} decimalScale={2} />
         <Button size="compact-sm" type="submit" disabled={known === undefined || frames(to) <= frames(from) || beyond}>
           Search
         </Button>
       </Group>
+      {swapped && (
+        <Text size="xs" className="remark" role="alert" mt={6}>
+          The interval has to end after it begins.
+        </Text>
+      )}
+      {name !== "" && found?.size === 0 && (
+        <Text size="xs" className="muted" mt={6}>
+          No take has this name.
+        </Text>
+      )}
       {known !== undefined && (
         <Text size="xs" className="muted" mt={6}>
           {name} lasts {known.seconds.toFixed(2)} s{beyond ? ": the interval ends behind it" : ""}.

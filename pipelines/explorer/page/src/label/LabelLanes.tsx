@@ -35,8 +35,8 @@ export interface Lane {
 
 export const annotationKey = (one: Annotation): string => `${one.class}/${one.subclass ?? ""}/${one.start}/${one.stop}`;
 
-/** Return the lanes of a take: of labels by class, an empty one for new labels, and of annotations. */
-export function makeLanes(labels: readonly LabelRow[], annotations: readonly Annotation[]): Lane[] {
+/** Return the lanes of a take: of labels by class, an empty one for new labels or a selection, and of annotations. */
+export function makeLanes(labels: readonly LabelRow[], annotations: readonly Annotation[], editable: boolean): Lane[] {
   const lanes: Lane[] = [...byClass(labels.map(labelItem))].map(([name, items]) => ({
     id: `labels/${name}`,
     name,
@@ -44,7 +44,7 @@ export function makeLanes(labels: readonly LabelRow[], annotations: readonly Ann
     class: name,
     items,
   }));
-  lanes.push({ id: "new", name: "+ new label", kind: "new", class: null, items: [] });
+  lanes.push({ id: "new", name: editable ? "+ new label" : "", kind: "new", class: null, items: [] });
   const decided = annotations.map((one) => annotationItem(one, verdictOn(one, labels)));
   packed(decided).forEach((items, i) =>
     lanes.push({ id: `annotations/${i}`, name: i === 0 ? "Annotations" : "", kind: "annotations", class: null, items }),

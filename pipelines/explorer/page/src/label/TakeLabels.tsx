@@ -70,7 +70,7 @@ function OpenLabels({ document, store, annotator }: OpenProps) {
   const { labels, rows } = useRows(document, annotator);
   const current = useMemo(() => currentLabels(rows), [rows]);
   const annotations: readonly Annotation[] = labels.data?.annotations ?? NOTHING;
-  const lanes = useMemo(() => makeLanes(current, annotations), [current, annotations]);
+  const lanes = useMemo(() => makeLanes(current, annotations, !store.read_only), [current, annotations, store.read_only]);
   const [label, setLabel] = useParameter("class");
   const [chosen, choose] = useState<Chosen>(null);
   const item = useMemo(
@@ -97,7 +97,7 @@ function OpenLabels({ document, store, annotator }: OpenProps) {
     if (selection !== null) draw(as, ...selection);
   };
   useSame(labels.data);
-  useLabelKeys({ session, item, lanes, edits, choose: onChoose, input, onLabel: () => onLabel(label ?? "") });
+  useLabelKeys({ session, item, lanes, edits, choose: onChoose, input, onLabel: () => onLabel(label ?? ""), readOnly: store.read_only });
   const fault = motionFault ?? labels.error;
   return (
     <>
@@ -124,7 +124,8 @@ function OpenLabels({ document, store, annotator }: OpenProps) {
         <Group gap={10} mb={4}>
           <Title order={2}>Lanes</Title>
           <Text size="xs" className="muted">
-            drag in a lane: draw · drag a label: move, its ends: correct · click: choose · wheel: zoom · Shift and wheel: pan
+            {store.read_only ? "drag in a lane: select" : "drag in a lane: draw · drag a label: move, its ends: correct"} · click: choose · wheel: zoom ·
+            Shift and wheel: pan
           </Text>
         </Group>
         <LabelLanes
@@ -294,9 +295,13 @@ interface KeysProps {
   choose: (item: Item | null) => void;
   input: React.RefObject<HTMLInputElement | null>;
   onLabel: () => void;
+  readOnly: boolean;
 }
 
-function useLabelKeys({ session, item, lanes, edits, choose, input, onLabel }: KeysProps): void {
+/** Keys that change nothing. */
+const LOOKING = new Set(["j", "k", "w"]);
+
+function useLabelKeys({ session, item, lanes, edits, choose, input, onLabel, readOnly }: KeysProps): void {
   const items = useMemo(() => lanes.flatMap((lane) => lane.items).sort((a, b) => a.start - b.start || a.stop - b.stop), [lanes]);
   const starts = useMemo(() => [...new Set(items.map((one) => one.start))], [items]);
   useKeys(session, starts);
@@ -321,7 +326,7 @@ function useLabelKeys({ session, item, lanes, edits, choose, input, onLabel }: K
     input.current?.select();
   };
   const chosenInput = () => (document.querySelector<HTMLInputElement>(".label-side [data-chosen-class] input") ?? input.current)?.select();
-  useShortcuts("Label", [
+  const shortcuts = [
     { keys: "l", what: "Label the selection with the class of new labels", run: onLabel },
     { keys: "x", what: "Write the class of new labels", run: toInput },
     { keys: "k", what: "Choose the next label or annotation", run: () => go(1) },
@@ -337,9 +342,10 @@ function useLabelKeys({ session, item, lanes, edits, choose, input, onLabel }: K
     { keys: "Delete", what: "Take the chosen label back", run: () => label !== undefined && edits.withdraw(label) },
     { keys: "Backspace", what: "Take the chosen label back", run: () => label !== undefined && edits.withdraw(label) },
     { keys: "w", what: "Play the chosen segment in a loop", run: () => item !== null && playItem(session, item) },
-    { keys: "mod+z", what: "Undo (with Shift: redo)", run: (event) => (event.shiftKey ? edits.redo() : edits.undo()) },
+    { keys: "mod+z", what: "Undo (with Shift: redo)", run: (event: KeyboardEvent) => (event.shiftKey ? edits.redo() : edits.undo()) },
     { keys: "mod+y", what: "Redo", run: edits.redo },
-  ]);
+  ];
+  useShortcuts("Label", readOnly ? shortcuts.filter((one) => LOOKING.has(one.keys)) : shortcuts);
 }
 
 export function playItem(session: Session, item: Item): void {

@@ -23,15 +23,16 @@ export function Start({ readOnly }: { readOnly: boolean }) {
   const [chosen, choose] = useParameter("pipeline");
   if (found.isError) return <Fault fault={found.error} retry={() => void found.refetch()} />;
   const pipelines = found.data?.pipelines ?? [];
-  const pipeline = pipelines.find((one) => one.id === chosen) ?? pipelines[0];
-  if (pipeline === undefined) return null;
+  const named = pipelines.find((one) => one.id === chosen);
+  const pipeline = chosen === null ? pipelines[0] : named;
+  if (found.data === undefined) return null;
   return (
     <div className="runs-pipelines">
       <nav aria-label="Pipelines">
         <ul className="runs-list">
           {pipelines.map((one) => (
             <li key={one.id}>
-              <button type="button" aria-current={one.id === pipeline.id} onClick={() => choose(one.id, true)} title={one.path}>
+              <button type="button" aria-current={one.id === pipeline?.id} onClick={() => choose(one.id, true)} title={one.path}>
                 {one.name}
                 {!one.shipped && <span className="muted"> · run in this store</span>}
               </button>
@@ -39,7 +40,11 @@ export function Start({ readOnly }: { readOnly: boolean }) {
           ))}
         </ul>
       </nav>
-      <OnePipeline key={pipeline.id} pipeline={pipeline} readOnly={readOnly} />
+      {pipeline === undefined ? (
+        <Text size="sm">{chosen === null ? "There is no pipeline." : `No pipeline has the name “${chosen}”: choose one beside.`}</Text>
+      ) : (
+        <OnePipeline key={pipeline.id} pipeline={pipeline} readOnly={readOnly} />
+      )}
     </div>
   );
 }

@@ -33,7 +33,7 @@ export function VirtualGrid<Row>(props: Props<Row>) {
   const id = useId();
   const [active, setActive] = useState<readonly [number, number]>([HEADER, 0]);
   const [at, column] = [Math.min(active[0], rows.count - 1), Math.min(active[1], columns.length - 1)];
-  const { scroller, body, stuck } = useLines(columns, rows, `${id}-active`, at, column);
+  const { scroller, body, stuck, note } = useLines(columns, rows, `${id}-active`, at, column);
   const laid = useMemo(() => template(columns), [columns]);
   const width = useMemo(() => columns.reduce((sum, one) => sum + one.width, 0), [columns]);
 
@@ -85,42 +85,54 @@ export function VirtualGrid<Row>(props: Props<Row>) {
       step();
     }
   };
+  const remark = at === HEADER ? (columns[column]?.about ?? "") : note;
+  useLayoutEffect(() => {
+    // the remark takes room below the rows
+    if (remark !== "" && at >= 0 && scroller.current !== null) bringIntoSight(scroller.current, at, false);
+  }, [remark]);
   return (
-    <div
-      ref={scroller}
-      className="grid"
-      role="grid"
-      aria-label={label}
-      aria-rowcount={rows.count + 1}
-      aria-colcount={columns.length}
-      aria-activedescendant={`${id}-active`}
-      tabIndex={0}
-      onKeyDown={onKey}
-      onClick={onClick}
-      onMouseDown={(event) => event.detail > 1 && event.preventDefault()} // a double click opens, and selects no text
-      onDoubleClick={(event) => open(placeOf(event.target)[0])}
-    >
-      <div role="rowgroup" className="grid-head" style={{ minWidth: width }}>
-        <div role="row" data-row={HEADER} aria-rowindex={1} className="grid-row" style={{ gridTemplateColumns: laid }}>
-          {columns.map((one, place) => (
-            <div
-              key={one.key}
-              id={at === HEADER && place === column ? `${id}-active` : undefined}
-              role="columnheader"
-              aria-colindex={place + 1}
-              aria-sort={sorted(one.key, sort)}
-              className={`${cellClass(one)} long${at === HEADER && place === column ? " active" : ""}`}
-              data-sortable={one.sortable}
-              title={one.about}
-            >
-              {one.title}
-              {sort?.column === one.key && <span aria-hidden> {sort.descending ? "▾" : "▴"}</span>}
-            </div>
-          ))}
+    <div className="grid-frame">
+      <div
+        ref={scroller}
+        className="grid"
+        role="grid"
+        aria-label={label}
+        aria-rowcount={rows.count + 1}
+        aria-colcount={columns.length}
+        aria-activedescendant={`${id}-active`}
+        tabIndex={0}
+        onKeyDown={onKey}
+        onClick={onClick}
+        onMouseDown={(event) => event.detail > 1 && event.preventDefault()} // a double click opens, and selects no text
+        onDoubleClick={(event) => open(placeOf(event.target)[0])}
+      >
+        <div role="rowgroup" className="grid-head" style={{ minWidth: width }}>
+          <div role="row" data-row={HEADER} aria-rowindex={1} className="grid-row" style={{ gridTemplateColumns: laid }}>
+            {columns.map((one, place) => (
+              <div
+                key={one.key}
+                id={at === HEADER && place === column ? `${id}-active` : undefined}
+                role="columnheader"
+                aria-colindex={place + 1}
+                aria-sort={sorted(one.key, sort)}
+                className={`${cellClass(one)} long${at === HEADER && place === column ? " active" : ""}`}
+                data-sortable={one.sortable}
+                title={one.about}
+              >
+                {one.title}
+                {sort?.column === one.key && <span aria-hidden> {sort.descending ? "▾" : "▴"}</span>}
+              </div>
+            ))}
+          </div>
+          <div ref={stuck} className="grid-stuck" aria-hidden hidden />
         </div>
-        <div ref={stuck} className="grid-stuck" aria-hidden hidden />
+        <div ref={body} role="rowgroup" className="grid-rows" style={{ height: (rows.count + 1) * ROW, minWidth: width }} />
       </div>
-      <div ref={body} role="rowgroup" className="grid-rows" style={{ height: (rows.count + 1) * ROW, minWidth: width }} />
+      {remark !== "" && (
+        <div className="grid-note" role="note" tabIndex={0} aria-label="The active cell in full">
+          {remark}
+        </div>
+      )}
     </div>
   );
 }
@@ -137,12 +149,15 @@ function useLines<Row>(
   const body = useRef<HTMLDivElement>(null);
   const stuck = useRef<HTMLDivElement>(null);
   const lines = useRef<Lines<Row>>(null);
+  const [note, setNote] = useState("");
   useLayoutEffect(() => {
     const [outer, inner, top] = [scroller.current, body.current, stuck.current];
     if (outer === null || inner === null || top === null) return;
     const made = new Lines(inner, outer, top, columns, rows, activeId);
     lines.current = made;
     made.height = outer.clientHeight;
+    made.onNote = setNote;
+    setNote("");
     made.draw();
     const watch = new ResizeObserver(() => {
       made.height = outer.clientHeight;
@@ -159,7 +174,7 @@ function useLines<Row>(
     };
   }, [columns, rows, activeId]);
   useEffect(() => lines.current?.setActive(at, column), [columns, rows, activeId, at, column]);
-  return { scroller, body, stuck };
+  return { scroller, body, stuck, note };
 }
 
 /** Scroll as little as needed for a whole row to be in sight, below the titles and the heading that stays there. */

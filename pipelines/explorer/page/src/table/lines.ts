@@ -74,6 +74,9 @@ export class Lines<Row> {
   private stop = 0;
   private timer: ReturnType<typeof setTimeout> | undefined;
   height = 0;
+  /** Called with what the pointer would show on the active cell, whenever that is another text. */
+  onNote: (text: string) => void = () => {};
+  private note = "";
 
   constructor(
     private readonly body: HTMLElement,
@@ -122,6 +125,18 @@ export class Lines<Row> {
       const line = one >= this.first && one < this.stop ? this.lineOf(one) : undefined;
       if (line?.index === one) this.mark(line);
     }
+    this.tellNote();
+  }
+
+  /** Report the remark of the active cell, or its text where that is cut off; out of sight it stays as it was. */
+  private tellNote(): void {
+    const [index, place] = this.active;
+    const line = index >= this.first && index < this.stop ? this.lineOf(index) : undefined;
+    if (index >= 0 && line?.index !== index) return;
+    const text = line?.cells[line.heading ? 0 : place]?.title ?? "";
+    if (text === this.note) return;
+    this.note = text;
+    this.onNote(text);
   }
 
   end(): void {
@@ -178,6 +193,7 @@ export class Lines<Row> {
       if (heading !== undefined) this.write(cell, column, place === 0 ? heading : "");
       else this.write(cell, column, data === undefined ? "…" : column.cell(data as Row, index));
     });
+    if (index === this.active[0]) this.tellNote();
   }
 
   /** Make a row a heading, whose first cell spans all, or a row of data again. */
