@@ -118,7 +118,7 @@ class Events:
 
 
 class _Known:
-    """What a listener knows of the store: its state, or why it cannot be read; nothing at first."""
+    """The knowledge of a listener about the store: its state, or why it cannot be read; nothing at first."""
 
     def __init__(self, look: Callable[[], Mapping[str, object]]) -> None:
         self._look = look
