@@ -180,10 +180,10 @@ def advance(
                 if words[frame] == NO_WORD:
                     here[:] = -np.inf
                 elif anew:
-                    _sum(here, words[frame], offsets[frame], columns, first)
+                    sum_ratios(here, words[frame], offsets[frame], columns, first)
                 else:
                     before = rows[once, first:end]
-                    _change(here, before, words, offsets, frame, columns.slopes, first)
+                    change_ratios(here, before, words, offsets, frame, columns.slopes, first)
         if frame < start:
             continue
         here, last = scores[frame % _RING], scores[(frame - 1) % _RING]
@@ -223,7 +223,7 @@ def _spans(columns: Columns, active: Bool) -> list[tuple[int, int]]:
 
 
 @nb.njit(cache=True, nogil=True)
-def _sum(row: F64, word: np.uint64, offset: float, columns: Columns, first: int) -> None:
+def sum_ratios(row: F64, word: np.uint64, offset: float, columns: Columns, first: int) -> None:
     """Fill the log ratios of a word in the columns from the first on."""
     intercepts = columns.intercepts[first : first + len(row)]
     for n in range(len(row)):
@@ -236,7 +236,7 @@ def _sum(row: F64, word: np.uint64, offset: float, columns: Columns, first: int)
 
 
 @nb.njit(cache=True, nogil=True)
-def _change(row: F64, before: F64, words: U64, offsets: F64, frame: int, slopes: F64, first: int) -> None:
+def change_ratios(row: F64, before: F64, words: U64, offsets: F64, frame: int, slopes: F64, first: int) -> None:
     """Fill the log ratios of a frame from those of the frame before."""
     difference = offsets[frame] - offsets[frame - 1]
     for n in range(len(row)):
@@ -323,7 +323,7 @@ def _begin(frames: Frames, columns: Columns, costs: Costs, allowed: Bool, value:
             here, last = scores[place + MAX_STEP], scores[place + MAX_STEP - 1]
             if frames.words[frame] == NO_WORD or (allowed.shape[1] > 0 and not allowed[template, frame]):
                 continue
-            _sum(rows[place], frames.words[frame], frames.offsets[frame], columns, first - MAX_STEP)
+            sum_ratios(rows[place], frames.words[frame], frames.offsets[frame], columns, first - MAX_STEP)
             now = rows[place, MAX_STEP:]
             once, twice = rows[max(place - 1, 0), MAX_STEP:], rows[max(place - 2, 0), MAX_STEP:]
             _step(here[MAX_STEP:], now, once, twice, last, scores[place + 1], scores[place], costs.skip)

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.annotation.decoding import Decoding, frames_of, lay_columns
-from kinedex.ops.annotation.decoding_kernels import MAX_STEP, Columns, Costs, Frames
+from kinedex.ops.annotation.decoding_kernels import MAX_STEP, Columns, Costs, Frames, change_ratios, sum_ratios
 from kinedex.ops.templates.templates import Template
 from kinedex.ops.words import NO_WORD, U64
 
@@ -317,51 +317,72 @@ def _earliest(
     No such path begins before `window`.
     """
     first, length = columns.firsts[template], columns.lengths[template]
-    count = last_end + 1 - window
     scores = np.full((MAX_STEP + 1, length + MAX_STEP), -np.inf)
     starts = np.full((MAX_STEP + 1, length + MAX_STEP), np.int64(-1))
     rows = np.full((MAX_STEP, length + MAX_STEP), -np.inf)
-    slopes = columns.slopes[:, first : first + length]
-    intercepts = columns.intercepts[first : first + length]
     earliest = last_end + 1
-    for place in range(count):
+    changed = _ANEW
+    for place in range(last_end + 1 - window):
         frame = window + place
-        word = frames.words[frame]
-        row = rows[place % 3, MAX_STEP:]
-        if word == NO_WORD:
+        row, before = rows[place % 3, MAX_STEP:], rows[(place - 1) % 3, MAX_STEP:]
+        if frames.words[frame] == NO_WORD:
             row[:] = -np.inf
+            changed = _ANEW
+        elif changed >= _ANEW:
+            sum_ratios(row, frames.words[frame], frames.offsets[frame], columns, first)
+            changed = 0
+        elif frames.words[frame] == frames.words[frame - 1]:
+            row[:] = before
         else:
-            for n in range(length):
-                row[n] = intercepts[n] + frames.offsets[frame]
-            for bit in range(len(slopes)):
-                if (word >> np.uint64(bit)) & _ONE:
-                    slope = slopes[bit]
-                    for n in range(length):
-                        row[n] += slope[n]
+            change_ratios(row, before, frames.words, frames.offsets, frame, columns.slopes, first)
+            changed += 1
         here, begun = scores[place % 4], starts[place % 4]
         last, last_begun = scores[(place - 1) % 4], starts[(place - 1) % 4]
         second, second_begun = scores[(place - 2) % 4], starts[(place - 2) % 4]
         third, third_begun = scores[(place - 3) % 4], starts[(place - 3) % 4]
-        once, twice = rows[(place - 1) % 3], rows[(place - 2) % 3]
-        for n in range(MAX_STEP, length + MAX_STEP):
-            best, start = last[n - 1], last_begun[n - 1]
-            other = last[n - 2] - costs.skip
-            if other > best:
-                best, start = other, last_begun[n - 2]
-            other = last[n - 3] - (costs.skip + costs.skip)
-            if other > best:
-                best, start = other, last_begun[n - 3]
-            other = second[n - 1] + once[n]
-            if other > best:
-                best, start = other, second_begun[n - 1]
-            other = third[n - 1] + (twice[n] + once[n])
-            if other > best:
-                best, start = other, third_begun[n - 1]
-            if n == MAX_STEP:
-                best, start = -costs.entry, frame
-            if (n in (MAX_STEP, length + MAX_STEP - 1)) and last[n] - costs.stay > best:
-                best, start = last[n] - costs.stay, last_begun[n]
-            here[n], begun[n] = best + row[n - MAX_STEP], start
+        once, twice = rows[(place - 1) % 3, MAX_STEP:], rows[(place - 2) % 3, MAX_STEP:]
+        _step_with_starts(
+            here[MAX_STEP:], begun[MAX_STEP:], row, once, twice,
+            last, last_begun, second, second_begun, third, third_begun, costs.skip,
+        )  # fmt: skip
+        here[MAX_STEP], begun[MAX_STEP] = -costs.entry + row[0], frame
+        if last[MAX_STEP] - costs.stay > -costs.entry:
+            here[MAX_STEP], begun[MAX_STEP] = last[MAX_STEP] - costs.stay + row[0], last_begun[MAX_STEP]
+        if last[-1] - costs.stay + row[-1] > here[-1]:
+            here[-1], begun[-1] = last[-1] - costs.stay + row[-1], last_begun[-1]
         if frame >= first_end and here[-1] > 0.0:
             earliest = min(earliest, begun[-1])
     return earliest if earliest <= last_end else -1
+
+
+@nb.njit(cache=True, nogil=True)
+def _step_with_starts(
+    here: F64,
+    begun: I64,
+    now: F64,
+    once: F64,
+    twice: F64,
+    last: F64,
+    last_begun: I64,
+    second: F64,
+    second_begun: I64,
+    third: F64,
+    third_begun: I64,
+    skip: float,
+) -> None:
+    """Fill the best value in every column, and the frame in which its path began; see `decoding_kernels`."""
+    for n in range(len(here)):
+        best, start = last[n + 2], last_begun[n + 2]
+        other = last[n + 1] - skip
+        start = last_begun[n + 1] if other > best else start
+        best = other if other > best else best
+        other = last[n] - (skip + skip)
+        start = last_begun[n] if other > best else start
+        best = other if other > best else best
+        other = second[n + 2] + once[n]
+        start = second_begun[n + 2] if other > best else start
+        best = other if other > best else best
+        other = third[n + 2] + (twice[n] + once[n])
+        start = third_begun[n + 2] if other > best else start
+        best = other if other > best else best
+        here[n], begun[n] = best + now[n], start
