@@ -7,10 +7,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, Page, expect
 
-WAIT_MS = 15_000
+WAIT_MS = 30_000
 """The longest wait for anything in a page."""
+
+expect.set_options(timeout=WAIT_MS)
 
 SIZES = {"desk": (1400, 900), "phone": (390, 844)}
 

@@ -16,6 +16,7 @@ from playwright.sync_api import Browser, Page, expect
 
 import kinedex
 from kinedex.pipelines.explorer.application import BUILT
+from tests.browser.explorer.conftest import WAIT_MS
 from tests.pipelines.archives import write_archive
 
 TAKE = "x_al_long_1"
@@ -63,7 +64,7 @@ def explorer(store: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
 def page(browser: Browser, explorer: Explorer) -> Iterator[Page]:
     context = browser.new_context(viewport={"width": 1400, "height": 1000})
     page = context.new_page()
-    page.set_default_timeout(20_000)
+    page.set_default_timeout(WAIT_MS)
     page.faults = []  # type: ignore[attr-defined]
     page.on("pageerror", lambda fault: page.faults.append(fault))  # type: ignore[attr-defined]
     context.request.get(explorer.address)  # its cookie

@@ -27,7 +27,7 @@ def test_a_report_opens_without_the_origin_of_the_explorer(open_page: Open, widt
     with page.context.expect_page() as opened:
         page.get_by_role("link", name="report.html").click()
     report = opened.value
-    expect(report.locator("h1").first).to_be_visible(timeout=20_000)
+    expect(report.locator("h1").first).to_be_visible()
     assert report.evaluate("window.origin") == "null"
     assert report.evaluate("fetch('/api/store').then(() => 'answered', () => 'refused')") == "refused"
     assert not faults
