@@ -25,9 +25,13 @@ _BLOCK = 1 << 18
 """Bytes that are read at a time to compute checksums; they stay in the cache of a core."""
 
 
+class WriteError(StoreError):
+    """The disk is full, or the operating system refuses to write; what is asked for can work later as it is."""
+
+
 @contextmanager
 def write_errors(path: Path) -> Iterator[None]:
-    """Turn an error of the operating system while a file of the store is written into a StoreError with the way out.
+    """Turn an error of the operating system while a file of the store is written into a WriteError with the way out.
 
     Parameters
     ----------
@@ -44,7 +48,7 @@ def write_errors(path: Path) -> Iterator[None]:
             if fault.errno in _NO_SPACE
             else "mend that"
         )
-        raise StoreError(
+        raise WriteError(
             f"{path}: cannot be written: {reason}; nothing was committed, what was committed before stays; {way_out}, "
             "then run the same command again: it goes on where it was"
         ) from fault

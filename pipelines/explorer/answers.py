@@ -16,6 +16,7 @@ from kinedex.ops.errors import ConflictError, KinedexError, ParameterError, Reme
 from kinedex.ops.withdrawal import WithdrawnError
 from kinedex.pipelines.console.json_text import json_value
 from kinedex.pipelines.explorer.archive import ReadOnlyError
+from kinedex.storage.disk import WriteError
 from kinedex.storage.interruption import TimeLimitError
 
 if TYPE_CHECKING:
@@ -75,6 +76,7 @@ _STATUS: dict[type[KinedexError], int] = {
     NotFoundError: 404,
     ReadOnlyError: 403,
     ConflictError: 409,
+    WriteError: 507,  # pages keep decisions after a status of 500 or more, and send them again
     TimeLimitError: 408,
     ParameterError: 422,
     KinedexError: 400,

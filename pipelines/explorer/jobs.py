@@ -31,6 +31,7 @@ from kinedex.pipelines.explorer.addresses import Question, get, post
 from kinedex.pipelines.explorer.answers import NotFoundError
 from kinedex.pipelines.explorer.same import command_line
 from kinedex.pipelines.explorer.spare_process import SpareProcess
+from kinedex.storage.disk import write_errors
 from kinedex.storage.snapshot.manifest_files import versions
 
 if TYPE_CHECKING:
@@ -230,12 +231,12 @@ class Jobs:
         try:
             if job.check is not None:
                 job.check()
-            log.parent.mkdir(exist_ok=True)
             lines = log.with_suffix(".jsonl")
-            with log.open("wb") as out:
+            with write_errors(log.parent):
+                log.parent.mkdir(exist_ok=True)
+                log.write_bytes(f"$ {command_line('kinedex', *job.words)}\n".encode())
+            with log.open("ab") as out:
                 words = [*job.words, "--log-file", str(lines)]
-                out.write(f"$ {command_line('kinedex', *job.words)}\n".encode())
-                out.flush()
                 with self._lock:
                     if job.stopping:
                         raise InterruptedError("stopped before it began")

@@ -31,7 +31,7 @@ from kinedex.pipelines.explorer.labels import stage_of
 from kinedex.pipelines.explorer.same import command_line
 from kinedex.pipelines.labels.segments import Difference, Segment, differences
 from kinedex.pipelines.templates.examples import CLIPS, LABELS
-from kinedex.storage.disk import whole_file
+from kinedex.storage.disk import whole_file, write_errors
 from kinedex.storage.snapshot.shown_results import current_pipeline
 from kinedex.storage.store.store import Store, open_store
 
@@ -152,9 +152,10 @@ def _last(archive: Archive) -> Row | None:
 
 
 def _write(path: Path, text: str) -> None:
-    path.parent.mkdir(exist_ok=True)
-    with whole_file(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    with write_errors(path.parent):
+        path.parent.mkdir(exist_ok=True)
+        with whole_file(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
 
 
 def learn(archive: Archive, asked: LearnQuestion, _request: Request) -> Row:

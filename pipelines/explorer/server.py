@@ -135,6 +135,8 @@ def serve(store: Path, host: str, port: int | None, *, read_only: bool, browser:
         if not is_loopback(host):
             warn_of_others(host)
         print(f"{store}: open {shown}", flush=True)
+        if not read_only and not os.access(store, os.W_OK):
+            warn_of_no_writing(store)
         print("Ctrl-C stops the server", flush=True)
         config = uvicorn.Config(
             make_application(archive, rules),
@@ -174,6 +176,16 @@ def _open(shown: str) -> None:
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         return
     Thread(target=webbrowser.open, args=[shown], daemon=True).start()
+
+
+def warn_of_no_writing(store: Path) -> None:
+    """Report on standard error that the store cannot be written."""
+    print(
+        f"warning: {store} cannot be written by this user or on this file system: labels, learning, pipelines and "
+        "exports will be refused, and decisions wait in the browser; change that, or start with --read-only",
+        file=sys.stderr,
+        flush=True,
+    )
 
 
 def warn_of_others(host: str) -> None:

@@ -192,3 +192,25 @@ def test_a_server_that_is_read_only_plans_and_writes_nothing(connect: Connect, t
 def test_bad_requests_are_explained(connect: Connect, asked: Json, status: int, problem: str) -> None:
     answer = connect().post("/api/export/plan", json=asked)
     assert (answer.status_code, problem in answer.text) == (status, True), answer.text
+
+
+def test_a_store_that_cannot_be_written_names_the_way_out(connect: Connect, store: Path, tmp_path: Path) -> None:
+    refusing = tmp_path / "store"
+    shutil.copytree(store, refusing, ignore=shutil.ignore_patterns("jobs", "journal"))
+    for name in ("jobs", "labels/journal"):  # where a folder is needed
+        (refusing / name).parent.mkdir(exist_ok=True)
+        (refusing / name).write_text("in the way")
+    client = connect(refusing)
+    draw = {"do": "draw", "id": "0" * 32, "class": "hop", "start": 3, "stop": 9}
+    take = client.post("/api/takes", json={"limit": 1}).json()["names"][0]
+    answer = client.post("/api/labels/decide", json={"take": take, "annotator": "ann", "changes": [draw]})
+    assert answer.status_code == 507  # pages keep a decision then
+    assert "cannot be written" in answer.json()["error"]["message"]
+    job = client.post("/api/export", json={"folder": str(tmp_path / "clips")}).json()["id"]
+    while (found := jobs_of(client.app.app.state.archive).find(job)).finished is None:  # type: ignore[attr-defined]
+        time.sleep(0.05)
+    assert found.state == "failed"
+    assert f"{refusing / 'jobs'}: cannot be written" in str(found.problem)
+    (refusing / "labels" / "journal").unlink()
+    answer = client.post("/api/labels/decide", json={"take": take, "annotator": "ann", "changes": [draw]})
+    assert answer.json()["made"] == ["0" * 32]

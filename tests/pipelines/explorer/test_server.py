@@ -216,3 +216,8 @@ libc.fclose(file)
 def test_threads_share_heaps(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-c", HEAPS, str(tmp_path / "heaps.xml")], check=True, timeout=SECONDS)
     assert (tmp_path / "heaps.xml").read_text().count("<heap nr=") <= server.HEAPS
+
+
+def test_a_store_that_cannot_be_written_is_announced(capsys: pytest.CaptureFixture[str]) -> None:
+    server.warn_of_no_writing(Path("an archive"))
+    assert "warning: an archive cannot be written" in capsys.readouterr().err
