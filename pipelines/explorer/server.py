@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import errno
 import os
+import signal
 import socket
 import sys
 import webbrowser
@@ -129,6 +130,7 @@ def serve(store: Path, host: str, port: int | None, *, read_only: bool, browser:
     require_page()
     share_heaps()
     archive = Archive(store, read_only=read_only)
+    signal.signal(signal.SIGTERM, _exit)
     with open_socket(host, port) as listening:
         rules = Rules.for_host(new_token(), host, listening.getsockname()[1])
         shown = address(rules, host)
@@ -157,6 +159,11 @@ def serve(store: Path, host: str, port: int | None, *, read_only: bool, browser:
             Server(config, archive).run([listening])
         finally:
             end_jobs(archive)
+
+
+def _exit(number: int, _frame: FrameType | None) -> None:
+    """Leave by an exception: uvicorn raises a signal once more when it has ended, and jobs are to end after it."""
+    raise SystemExit(128 + number)
 
 
 def share_heaps() -> None:

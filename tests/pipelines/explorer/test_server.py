@@ -157,6 +157,14 @@ def test_ctrl_c_ends_a_server_quietly_though_a_page_listens(copy: Path, built: P
     assert faults.count("\n") == 1, faults
 
 
+@pytest.mark.skipif(os.name == "nt", reason="Windows sends no such signal")
+def test_a_server_that_is_ended_from_outside_leaves_as_after_ctrl_c(copy: Path, built: Path) -> None:
+    one = start(copy, built, "--read-only")
+    one.process.send_signal(signal.SIGTERM)
+    _, faults = one.process.communicate(timeout=SECONDS)
+    assert (one.process.returncode, faults) == (128 + signal.SIGTERM, "")  # by an exception, so that jobs are ended
+
+
 def test_a_port_in_use_is_named_with_a_way_out() -> None:
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
