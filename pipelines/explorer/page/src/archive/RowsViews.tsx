@@ -11,7 +11,7 @@ import type { GridColumn } from "../table/lines";
 import { VirtualGrid } from "../table/VirtualGrid";
 import { useRows } from "./questions";
 import { takesWhere } from "./selection";
-import { count, counted, shown } from "./text";
+import { count, counted, reasonOf, shown } from "./text";
 import type { RowsOf } from "./types";
 
 type Row = Record<string, Value>;
@@ -49,7 +49,12 @@ const DUPLICATES: GridColumn<Row>[] = [
 
 const EXCLUDED: GridColumn<Row>[] = [
   text("source", "source file", 130),
-  text("message", "message", 640),
+  {
+    key: "message",
+    title: "message",
+    width: 640,
+    cell: (row) => ({ text: reasonOf(shown(row.message), shown(row.source)), note: shown(row.message) }),
+  },
   text("line", "line", 70, true),
   text("error", "error", 120),
 ];

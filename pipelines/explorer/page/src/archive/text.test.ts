@@ -1,6 +1,13 @@
 import { expect, test } from "vitest";
 
-import { filterText, hours, shown } from "./text";
+import { filterText, hours, reasonOf, shown } from "./text";
+
+test("a message stands beside the file and the line that it begins with", () => {
+  expect(reasonOf("/data/a.bvh:3: expected X", "a.bvh")).toBe("expected X");
+  expect(reasonOf("/data/a.bvh: the file is empty", "a.bvh")).toBe("the file is empty");
+  expect(reasonOf("no skeleton", "a.bvh")).toBe("no skeleton");
+  expect(reasonOf("no skeleton", "")).toBe("no skeleton");
+});
 
 test("a chip states its filter", () => {
   expect(filterText({ column: "class", values: ["kick", null] })).toBe("class: kick, none");

@@ -27,6 +27,12 @@ export function shown(value: Value | undefined): string {
   return typeof value === "object" ? JSON.stringify(value) : String(value);
 }
 
+/** A message about a file without the path and the line in front, which have columns of their own. */
+export function reasonOf(message: string, source: string): string {
+  const at = source === "" ? -1 : message.indexOf(source);
+  return at < 0 ? message : message.slice(at + source.length).replace(/^(:\d+)?: /, "");
+}
+
 /** A value of a filter; none is named. */
 export function named(value: Value | undefined): string {
   return value === null || value === undefined ? "none" : value === "" ? "empty text" : shown(value);
