@@ -75,19 +75,22 @@ export function MapCanvas(props: Props) {
   useEffect(() => {
     const drawn = picture.current;
     if (drawn === null) return;
+    const moved = drawn.look !== look;
     drawn.look = look;
     drawn.active = active;
-    drawn.draw();
+    drawn.draw(moved);
   }, [look, active]);
 
   const lookAt = useCallback(
     (next: Look) => {
       const drawn = picture.current;
       if (drawn === null) return;
-      drawn.look = next;
-      drawn.draw();
+      drawn.move(next);
       clearTimeout(resting.current);
-      resting.current = setTimeout(() => onLook(next), LOOK_MS);
+      resting.current = setTimeout(() => {
+        picture.current?.rest();
+        onLook(next);
+      }, LOOK_MS);
     },
     [onLook],
   );

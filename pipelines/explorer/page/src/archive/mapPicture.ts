@@ -1,10 +1,12 @@
 // The picture of the map: points by WebGL, and above them what is drawn by hand: outlines and names of clusters, the
-// lasso, the point under the pointer. It draws when it is told to, at most once a picture. Nothing here is React's.
+// lasso, the point under the pointer. It draws when it is told to, at most once a picture, and fewer of many points while
+// the map moves. Nothing here is React's.
 
-import { BufferAttribute, BufferGeometry, Camera, Color, Points, Scene, ShaderMaterial, Vector2, WebGLRenderer } from "three";
+import { BufferAttribute, BufferGeometry, Camera, Color, DynamicDrawUsage, Points, Scene, ShaderMaterial, Vector2, WebGLRenderer } from "three";
 
 import { type Colours, colours, onTheme } from "../motion/colours";
 import { type ArchiveMap, type Legend, NO_FIT, ownFeature, type Point } from "./map";
+import { PLENTY, pointsInSight } from "./mapDetail";
 import { SHAPES } from "./MapSign";
 
 /** What of the map is in sight: its middle, and how many times larger it is than the whole. */
@@ -76,8 +78,14 @@ export class MapPicture {
   private map: ArchiveMap | null = null;
   private legend: Legend | null = null;
   private chosen: ReadonlySet<number> = new Set();
+  private xs = new Float32Array();
+  private ys = new Float32Array();
+  /** The points in the order in which they are drawn, and the index of those that a picture has. */
+  private order = new Uint32Array();
+  private drawn = new BufferAttribute(this.order, 1);
   private asked = 0;
   private stale = true;
+  private moving = false;
   private width = 1;
   private height = 1;
   /** How far points are from the middle, at most. */
@@ -127,10 +135,11 @@ export class MapPicture {
 
   show(map: ArchiveMap, legend: Legend, chosen: ReadonlySet<number>): void {
     if (map !== this.map) {
+      [this.xs, this.ys] = [Float32Array.from(map.x), Float32Array.from(map.y)];
       const places = new Float32Array(3 * map.x.length);
       for (let i = 0; i < map.x.length; i++) {
-        places[3 * i] = map.x[i] as number;
-        places[3 * i + 1] = map.y[i] as number;
+        places[3 * i] = this.xs[i] as number;
+        places[3 * i + 1] = this.ys[i] as number;
       }
       this.geometry.setAttribute("position", new BufferAttribute(places, 3));
       const farthest = (values: readonly number[]) => values.reduce((most, one) => Math.max(most, Math.abs(one)), 0.05);
@@ -192,7 +201,23 @@ export class MapPicture {
     }
     this.geometry.setAttribute("tint", new BufferAttribute(tints, 3));
     this.geometry.setAttribute("sign", new BufferAttribute(signs, 2));
-    this.geometry.setIndex(new BufferAttribute(order, 1));
+    this.order = order;
+    this.drawn = new BufferAttribute(new Uint32Array(count), 1).setUsage(DynamicDrawUsage);
+    this.geometry.setIndex(this.drawn);
+  }
+
+  /** Show another part of the map, until `rest` with fewer points where many are in sight. */
+  move(look: Look): void {
+    this.look = look;
+    this.moving = true;
+    this.draw();
+  }
+
+  /** Show all points again. */
+  rest(): void {
+    if (!this.moving) return;
+    this.moving = false;
+    this.draw();
   }
 
   /** Draw with the next picture: all, or only what lies above the points, which cost far more. */
@@ -209,9 +234,26 @@ export class MapPicture {
     material.uniforms.middle?.value.set(look.x, look.y);
     material.uniforms.scale?.value.set((2 * this.scale) / this.width, (2 * this.scale) / this.height);
     if (material.uniforms.size !== undefined) material.uniforms.size.value = size * this.renderer.getPixelRatio();
-    if (map !== null && this.stale) this.renderer.render(this.scene, this.camera);
+    if (map !== null && this.stale) {
+      this.choosePoints(size);
+      this.renderer.render(this.scene, this.camera);
+    }
     this.stale = false;
     this.drawAbove(colours(), size);
+  }
+
+  /** Put the points of this picture into the index. */
+  private choosePoints(size: number): void {
+    const { drawn, look, order, scale, xs, ys } = this;
+    const into = drawn.array as Uint32Array;
+    const reach: Point = [(this.width / 2 + size) / scale, (this.height / 2 + size) / scale];
+    const choose = (cell: number | null) => pointsInSight(order, xs, ys, { ...look, reach }, cell, into);
+    let first = choose(null);
+    if (this.moving && into.length - first > PLENTY) first = choose(size / 2 / scale);
+    drawn.clearUpdateRanges();
+    drawn.addUpdateRange(first, into.length - first);
+    drawn.needsUpdate = true;
+    this.geometry.setDrawRange(first, into.length - first);
   }
 
   private drawAbove(theme: Colours, size: number): void {
