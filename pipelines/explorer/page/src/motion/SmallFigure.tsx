@@ -2,6 +2,7 @@
 //
 //     <SmallFigure item={{ take_id, start, stop }} label="walk_01, 2.0 to 4.5 s" />
 //     <SmallFigure item={hit} width={120} height={140} moves={focused} />
+//     <SmallFigure item={clip} at={0.25} label="the pose after a quarter of the clip" />
 //
 // The motion comes by itself: figures that appear together are asked for in one request (POST /api/figures), and kept.
 // All figures share one animation loop, which skips those that are off the screen. Where the person prefers reduced
@@ -21,6 +22,8 @@ export interface SmallFigureProps {
   height?: number;
   /** True: it moves, also against reduced motion; false: it stands; otherwise as the person prefers. */
   moves?: boolean;
+  /** It stands, in the pose at this share of the interval; the motion is loaded once for all of them. */
+  at?: number;
   label?: string;
 }
 
@@ -29,6 +32,7 @@ export const SmallFigure = memo(function SmallFigure({
   width = 96,
   height = 112,
   moves,
+  at,
   label,
 }: SmallFigureProps) {
   const { take_id, start, stop } = item;
@@ -50,7 +54,6 @@ export const SmallFigure = memo(function SmallFigure({
       (block) => {
         if (!current || canvas.current === null) return;
         const drawn = new DrawnFigure(canvas.current, body, block);
-        drawn.draw(0.5, true);
         end = watch(drawn);
         setFigure(drawn);
       },
@@ -62,13 +65,15 @@ export const SmallFigure = memo(function SmallFigure({
       setFigure(null);
     };
   }, [body, take_id, start, stop, version, width, height]);
+  // Before what moves it: a figure at rest shows the pose that was drawn last.
+  useEffect(() => figure?.draw(at ?? 0.5, true), [figure, at]);
   useEffect(() => {
-    if (figure === null) return;
+    if (figure === null || at !== undefined) return;
     const calm = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
     if (!(moves ?? !calm)) return;
     move(figure);
     return () => rest(figure);
-  }, [figure, moves]);
+  }, [figure, moves, at === undefined]);
   const dense = Math.min(2, window.devicePixelRatio || 1);
   return (
     <span className="small-figure" style={{ width, height }}>

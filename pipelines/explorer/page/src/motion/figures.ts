@@ -145,6 +145,11 @@ export class DrawnFigure {
     this.paint(colours());
   }
 
+  /** Draw the pose that is shown once more, such as in another theme. */
+  again(): void {
+    if (this.shownRow >= 0) this.paint(colours());
+  }
+
   private paint(theme: Colours): void {
     const { pen, points, body } = this;
     const { width, height } = this.canvas;
@@ -236,7 +241,7 @@ const seen =
 export function watch(figure: DrawnFigure): () => void {
   placed.set(figure.canvas, figure);
   seen?.observe(figure.canvas);
-  const end = onTheme(() => figure.draw(0.5, true));
+  const end = onTheme(() => figure.again());
   return () => {
     end();
     rest(figure);

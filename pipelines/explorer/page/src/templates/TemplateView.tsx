@@ -13,12 +13,12 @@ import { takeAddress, useParameter } from "../app/address";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
 import { useShortcuts } from "../app/shortcuts";
+import { SmallFigure } from "../motion/SmallFigure";
 import { Clips } from "./Clips";
 import { DifferenceView } from "./DifferenceView";
 import { askAddress, isEdited, MOST_CLIPS, useEdits } from "./edits";
 import { EffectDetails, EffectView } from "./EffectView";
 import { Matrix, type Place } from "./Matrix";
-import { PoseAt } from "./PoseAt";
 import type { Clip, Effect, TemplateFacts, TemplateList } from "./types";
 
 const WAIT_MS = 150;
@@ -169,7 +169,13 @@ function PosePanel({ store, facts, clip, place }: PosePanelProps) {
           The store has none of its clips, so there is no pose to show.
         </Text>
       ) : (
-        <PoseAt clip={clip} frame={frame} width={170} height={200} label={`The pose of ${clip.take} at column ${column + 1}`} />
+        <SmallFigure
+          item={clip}
+          at={(frame - clip.start + 0.5) / (clip.stop - clip.start)}
+          width={170}
+          height={200}
+          label={`The pose of ${clip.take} at column ${column + 1}`}
+        />
       )}
       <Text size="sm" role="status">
         column {column + 1} of {facts.columns}, {(column / store.rate_hz).toFixed(2)} s
