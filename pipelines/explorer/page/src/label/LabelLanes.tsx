@@ -3,6 +3,7 @@
 
 import { type CSSProperties, memo, type PointerEvent, type RefObject, useEffect, useMemo, useRef, useState } from "react";
 
+import { useWidth } from "../app/useWidth";
 import { colours, onTheme } from "../motion/colours";
 import { drawAxis } from "../take/draw";
 import { frameAt, type View, xOf } from "../take/axis";
@@ -194,18 +195,6 @@ const Segment = memo(function Segment(props: {
     </button>
   );
 });
-
-function useWidth(area: RefObject<HTMLDivElement | null>): number {
-  const [width, setWidth] = useState(0);
-  useEffect(() => {
-    const box = area.current;
-    if (box === null) return;
-    const watch = new ResizeObserver(([entry]) => entry !== undefined && setWidth(Math.floor(entry.contentRect.width)));
-    watch.observe(box);
-    return () => watch.disconnect();
-  }, [area]);
-  return width;
-}
 
 function useView(session: Session): View {
   const [view, setView] = useState(session.view);

@@ -1,8 +1,9 @@
 // The lanes of a take: names on the left, and on the right canvases that share one axis of time.
 
-import { useEffect, useMemo, useRef, useState } from "react";
+import { useEffect, useMemo, useRef } from "react";
 
 import type { Feature } from "../api/types";
+import { useWidth } from "../app/useWidth";
 import { colours, onTheme } from "../motion/colours";
 import { clock, xOf } from "./axis";
 import { drawAxis, drawCurve, drawSegments, FeatureImage } from "./draw";
@@ -42,14 +43,7 @@ export function LanesView(props: LanesProps) {
   const strip = useRef<HTMLCanvasElement>(null);
   const marks = useRef<HTMLDivElement>(null);
   const tip = useRef<HTMLDivElement>(null);
-  const [width, setWidth] = useState(0);
-  useEffect(() => {
-    const box = area.current;
-    if (box === null) return;
-    const watch = new ResizeObserver(([entry]) => entry !== undefined && setWidth(Math.floor(entry.contentRect.width)));
-    watch.observe(box);
-    return () => watch.disconnect();
-  }, []);
+  const width = useWidth(area);
   usePainter(props, rows, width, height, { base, axis, strip, marks });
   const pointer = usePointer(props, rows, width, area, tip);
   useWheel(session, width, area);
