@@ -2,6 +2,7 @@
 
 import { Alert, Table, Text } from "@mantine/core";
 
+import { Titles } from "../app/Titles";
 import { bytesText, type Plan } from "./types";
 
 const SHOWN = 500;
@@ -29,13 +30,7 @@ export function PlanTable({ plan }: { plan: Plan }) {
       )}
       <div style={{ maxHeight: 360, overflow: "auto" }} tabIndex={0} role="region" aria-label="Clips of each split and class">
         <Table verticalSpacing={3} stickyHeader maw={760}>
-          <Table.Thead>
-            <Table.Tr>
-              {["Split", "Class", "Clips", "Seconds", "Size"].map((one) => (
-                <Table.Th key={one}>{one}</Table.Th>
-              ))}
-            </Table.Tr>
-          </Table.Thead>
+          <Titles of={["Split", "Class", "Clips", "Seconds", "Size"]} />
           <Table.Tbody>
             {splits.length > 1 &&
               splits.map(([name, one]) => (

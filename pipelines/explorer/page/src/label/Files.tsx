@@ -9,6 +9,7 @@ import type { Same } from "../api/types";
 import { useParameter } from "../app/address";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
+import { Titles } from "../app/Titles";
 
 interface Written extends Same {
   files: string[];
@@ -179,13 +180,7 @@ function Differences({ shown, take, readOnly }: { shown: Shown; take: () => void
       {shown.total > 0 && (
         <div style={{ maxHeight: 360, overflow: "auto" }}>
           <Table verticalSpacing={3} stickyHeader>
-            <Table.Thead>
-              <Table.Tr>
-                {["Take", "Decision", "Class", "Frames", "Before"].map((one) => (
-                  <Table.Th key={one}>{one}</Table.Th>
-                ))}
-              </Table.Tr>
-            </Table.Thead>
+            <Titles of={["Take", "Decision", "Class", "Frames", "Before"]} />
             <Table.Tbody>
               {shown.rows.slice(0, 300).map((one, i) => (
                 <Table.Tr key={i}>

@@ -12,6 +12,7 @@ import { useStore } from "../api/queries";
 import type { Job, Same } from "../api/types";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
+import { Titles } from "../app/Titles";
 import { isActive, JobProblem, JobProgress, StopButton } from "../runs/JobControls";
 import { type LabelFacts, useLabelFacts } from "./load";
 
@@ -252,13 +253,7 @@ function Outcome({ last, readOnly }: { last: NonNullable<LearnFacts["last"]>; re
       {rows.length > 0 && (
         <div style={{ maxHeight: 420, overflow: "auto" }} tabIndex={0} role="region" aria-label="Annotations that differ">
           <Table verticalSpacing={3} stickyHeader maw={900}>
-            <Table.Thead>
-              <Table.Tr>
-                {["Change", "Take", "Class", "Frames", "Before"].map((one) => (
-                  <Table.Th key={one}>{one}</Table.Th>
-                ))}
-              </Table.Tr>
-            </Table.Thead>
+            <Titles of={["Change", "Take", "Class", "Frames", "Before"]} />
             <Table.Tbody>
               {rows.slice(0, SHOWN).map((one, i) => (
                 <Table.Tr key={i}>

@@ -8,6 +8,7 @@ import { useStore } from "../api/queries";
 import type { Same } from "../api/types";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
+import { Titles } from "../app/Titles";
 import { useJobStamp } from "./Jobs";
 import { duration, moment, reportAddress } from "./text";
 import type { Run } from "./types";
@@ -28,13 +29,7 @@ export function History() {
   return (
     <div className="runs-table" tabIndex={0} role="region" aria-label="Runs of pipelines">
       <Table verticalSpacing={4}>
-        <Table.Thead>
-          <Table.Tr>
-            {["Pipeline", "Outcome", "Begun", "Duration", "Version", "Stages", "Settings", "Reports"].map((one) => (
-              <Table.Th key={one}>{one}</Table.Th>
-            ))}
-          </Table.Tr>
-        </Table.Thead>
+        <Titles of={["Pipeline", "Outcome", "Begun", "Duration", "Version", "Stages", "Settings", "Reports"]} />
         <Table.Tbody>
           {runs.map((run) => (
             <OneRun key={run.run} run={run} />

@@ -10,6 +10,7 @@ import type { Same } from "../api/types";
 import { useParameter } from "../app/address";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
+import { Titles } from "../app/Titles";
 import { duration, moment, parametersOf } from "./text";
 import type { Pipeline, Plan, Setting } from "./types";
 
@@ -157,13 +158,7 @@ function PlanTable({ plan }: { plan: Plan }) {
       </Text>
       <div className="runs-table" tabIndex={0} role="region" aria-label="Stages of the plan">
         <Table verticalSpacing={3} maw={900}>
-          <Table.Thead>
-            <Table.Tr>
-              {["Stage", "Inputs", "Runs because", "Last run"].map((one) => (
-                <Table.Th key={one}>{one}</Table.Th>
-              ))}
-            </Table.Tr>
-          </Table.Thead>
+          <Titles of={["Stage", "Inputs", "Runs because", "Last run"]} />
           <Table.Tbody>
             {plan.stages.map((one) => (
               <Table.Tr key={one.stage}>

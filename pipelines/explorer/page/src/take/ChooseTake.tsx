@@ -8,6 +8,7 @@ import type { TakesBlock } from "../api/types";
 import { takeAddress, useParameter } from "../app/address";
 import { Fault } from "../app/Fault";
 import { useSame } from "../app/same";
+import { Titles } from "../app/Titles";
 import { counted } from "../archive/text";
 import { clock } from "./axis";
 
@@ -50,13 +51,7 @@ export function ChooseTake() {
             {takes.data.total > MOST ? `, the first ${MOST} are listed; the Archive lists all` : ""}
           </Text>
           <Table verticalSpacing={3} maw={760} highlightOnHover>
-            <Table.Thead>
-              <Table.Tr>
-                {["Name", "Class", "Actor", "Length"].map((name) => (
-                  <Table.Th key={name}>{name}</Table.Th>
-                ))}
-              </Table.Tr>
-            </Table.Thead>
+            <Titles of={["Name", "Class", "Actor", "Length"]} />
             <Table.Tbody>
               {takes.data.rows.map(([name, label, actor, seconds]) => (
                 <Table.Tr key={String(name)}>

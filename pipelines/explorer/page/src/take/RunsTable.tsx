@@ -4,6 +4,7 @@ import { Button, NativeSelect, Table } from "@mantine/core";
 import { useMemo, useState } from "react";
 
 import type { Feature } from "../api/types";
+import { Titles } from "../app/Titles";
 import { clock } from "./axis";
 import { GROUP_NAMES } from "./rows";
 import type { Session } from "./session";
@@ -61,13 +62,7 @@ function Runs({ session, lanes, features, words }: RunsTableProps) {
       />
       <Table verticalSpacing={2} stickyHeader aria-rowcount={rows.length + 1}>
         <Table.Caption>{rows.length} runs</Table.Caption>
-        <Table.Thead>
-          <Table.Tr>
-            {["Begin", "End", "Frames", "Class", "Confidence", "Cost", ""].map((name) => (
-              <Table.Th key={name}>{name}</Table.Th>
-            ))}
-          </Table.Tr>
-        </Table.Thead>
+        <Titles of={["Begin", "End", "Frames", "Class", "Confidence", "Cost", ""]} />
         <Table.Tbody>
           {rows.slice(0, most).map((one, i) => (
             <Table.Tr key={`${one.start}-${i}`} aria-rowindex={i + 2}>
