@@ -3,7 +3,9 @@
 Takes without a class are left out. Of each store the table has the share of the ten nearest other takes that have the
 same class, by the 80 numbers of each take and on the map; how far neighbours on the map are neighbours by the numbers
 (trustworthiness); and for ways of clustering the adjusted Rand index against the classes, the number of clusters, and
-the share of takes in none. Clusters by the map need no number of them; for the others it is given.
+the share of takes in none. HDBSCAN finds the number of clusters itself. k-means and Ward are given it, or a rule
+chooses the cut of Ward's tree: the greatest mean silhouette, or the greatest modularity of the graph of nearest
+neighbours, where an edge weighs as much as the share of neighbours that its two ends have in common.
 """
 
 from __future__ import annotations
@@ -11,18 +13,22 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.sparse import coo_array, csr_array
 from sklearn.cluster import HDBSCAN, AgglomerativeClustering, KMeans
 from sklearn.manifold import trustworthiness
-from sklearn.metrics import adjusted_rand_score
-from sklearn.neighbors import NearestNeighbors
+from sklearn.metrics import adjusted_rand_score, silhouette_score
+from sklearn.neighbors import NearestNeighbors, kneighbors_graph
 from threadpoolctl import threadpool_limits
 
 from kinedex.ops.maps.clusters import LEAST, map_clusters
 from kinedex.ops.maps.interval_numbers import F64, interval_numbers, standardised
 from kinedex.ops.maps.layout import map_layout
+from kinedex.ops.words import I64
 from kinedex.pipelines.evaluation.markdown import grid
 from kinedex.pipelines.search.bit_slices import stored_words
 from kinedex.storage.store.store import Store, open_store
@@ -30,6 +36,11 @@ from kinedex.storage.store.store import Store, open_store
 NEIGHBOURS = 10
 COUNTS = (10, 20, 30)
 SIZES = (160, 80, 40)
+MOST_CUT = 60
+"""A rule chooses among at most so many clusters."""
+
+GRAPHS = (10, 30)
+"""Neighbours of a take in the graphs whose modularity is a rule."""
 
 
 def labelled(store: Store) -> tuple[F64, list[str]]:
@@ -57,11 +68,40 @@ def clusterings(numbers: F64, places: F64) -> Iterator[tuple[str, Sequence[int]]
                 min_cluster_size=max(LEAST, len(places) // share), cluster_selection_method=method, copy=True
             )
             yield f"HDBSCAN on the map, 1 in {share}, {method}", made.fit_predict(places)
+    made = HDBSCAN(min_cluster_size=max(LEAST, len(places) // SIZES[0]), min_samples=1, copy=True)
+    yield f"HDBSCAN on the map, 1 in {SIZES[0]}, one neighbour", made.fit_predict(places)
     yield "HDBSCAN of the numbers", HDBSCAN(min_cluster_size=LEAST, copy=True).fit_predict(numbers)
     for count in COUNTS:
         yield f"k-means on the map, {count}", KMeans(count, n_init=4, random_state=0).fit_predict(places)
         yield f"Ward on the map, {count}", AgglomerativeClustering(count).fit_predict(places)
         yield f"Ward of the numbers, {count}", AgglomerativeClustering(count).fit_predict(numbers)
+    for what, points in (("on the map", places), ("of the numbers", numbers)):
+        tree = linkage(points, "ward")
+        cuts = [fcluster(tree, count, "maxclust") - 1 for count in range(2, min(MOST_CUT, len(points) // 4) + 1)]
+        yield f"Ward {what}, silhouette", max(cuts, key=partial(silhouette_score, points))
+        for count in GRAPHS:
+            rule = partial(modularity, shared_neighbours(points, count))
+            yield f"Ward {what}, modularity, {count} neighbours", max(cuts, key=rule)
+
+
+def shared_neighbours(points: F64, count: int) -> coo_array:
+    """Return the graph of nearest neighbours, each edge with the share of neighbours that its ends have in common."""
+    near = csr_array(kneighbors_graph(points, min(count, len(points) - 1)))
+    common = coo_array((near @ near.T) * near.maximum(near.T))
+    sizes = near.sum(axis=1)
+    union = sizes[common.coords[0]] + sizes[common.coords[1]] - common.data
+    return coo_array((common.data / union, common.coords), shape=near.shape)
+
+
+def modularity(graph: coo_array, clusters: I64) -> float:
+    """Return how much more of the weight of a graph lies within clusters than if edges were drawn by degree alone.
+
+    M. Newman, M. Girvan: Finding and evaluating community structure in networks (2004).
+    """
+    whole = graph.sum()
+    inside = graph.data[clusters[graph.coords[0]] == clusters[graph.coords[1]]].sum()
+    degrees = np.bincount(clusters, graph.sum(axis=1))
+    return float(inside / whole - ((degrees / whole) ** 2).sum())
 
 
 def tables(path: Path) -> str:
