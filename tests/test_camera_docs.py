@@ -31,7 +31,7 @@ def test_the_file_of_recordings_is_one_and_every_key_is_explained() -> None:
 
 def test_the_calibrations_are_one_camera(tmp_path: Path) -> None:
     found = []
-    for name, text in (("cam_01.yml", example("yaml", 1)), ("calib.toml", example("toml"))):
+    for name, text in (("cam_01.yml", example("text")), ("calib.toml", example("toml"))):
         (tmp_path / name).write_text(text, encoding="utf-8")
         (camera,) = in_metres(read_calibration(tmp_path / name), "m", "z")
         found.append(camera)
@@ -41,11 +41,11 @@ def test_the_calibrations_are_one_camera(tmp_path: Path) -> None:
 
 
 def test_the_table_is_one(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text(example("csv"), encoding="utf-8")
+    (tmp_path / "a.csv").write_text(example("text", 1), encoding="utf-8")
     assert read_keypoint_table(tmp_path / "a.csv")["cam_01"].names == ("left_knee", "right_knee")
 
 
 def test_the_keypoint_set_is_one_and_all_shipped_ones_are_named() -> None:
-    found = parse_keypoint_set(parse_yaml(example("yaml", 2), "own.yaml"), load_kinematic_chain())
+    found = parse_keypoint_set(parse_yaml(example("yaml", 1), "own.yaml"), load_kinematic_chain())
     assert list(found.places) == list(found.order)
     assert all(f"`{name}`" in PAGE for name in config_names("keypoints") if load_keypoint_set(name).by_count)
