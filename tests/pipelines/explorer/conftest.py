@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import asyncio
+from collections.abc import Callable, Coroutine
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 from starlette.testclient import TestClient
@@ -16,6 +19,12 @@ from tests.pipelines.labelled import clip, long_take, write_store
 TOKEN = "the-token"
 PORT = 8734
 HOST = f"http://127.0.0.1:{PORT}"
+
+
+def run(work: Coroutine[Any, Any, object]) -> None:
+    """Run a coroutine in a thread of its own: once a test has opened a browser, an event loop runs in this one."""
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(asyncio.run, work).result()
 
 
 @pytest.fixture(scope="package")

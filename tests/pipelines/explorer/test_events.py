@@ -12,6 +12,7 @@ import pytest
 from kinedex.ops.errors import StoreError
 from kinedex.pipelines.explorer import events as module
 from kinedex.pipelines.explorer.events import Events
+from tests.pipelines.explorer.conftest import run
 
 STATE = {"version": 3, "labels": "a"}
 
@@ -41,7 +42,7 @@ def test_a_listener_gets_the_state_the_jobs_that_run_and_then_the_news() -> None
         events.close()
         assert [one async for one in stream] == []
 
-    asyncio.run(listen())
+    run(listen())
 
 
 @pytest.mark.parametrize("good", [0, 1])
@@ -68,5 +69,5 @@ def test_a_store_that_cannot_be_read_for_a_while_ends_no_stream(good: int, monke
         assert [await message(stream) for _ in expected] == expected
         await stream.aclose()
 
-    asyncio.run(listen())
+    run(listen())
     assert looks >= good + 4

@@ -24,7 +24,7 @@ from kinedex.pipelines.explorer.maps import cluster_title
 from kinedex.pipelines.maps import archive_map as service
 from kinedex.pipelines.maps.archive_map import ArchiveMap, Cluster, archive_map, window_seconds, windows
 from kinedex.storage.store.store import open_store
-from tests.pipelines.explorer.conftest import Connect
+from tests.pipelines.explorer.conftest import Connect, run
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +110,7 @@ def test_a_computation_ends_when_the_last_who_waits_has_gone(store: Path, monkey
         assert run._process.exitcode == -signal.SIGTERM
         assert maps._running == {}
 
-    asyncio.run(follow())
+    run(follow())
 
 
 def _fault(start: Callable[[], MapRun]) -> str:

@@ -15,7 +15,7 @@ from kinedex.pipelines.explorer.access import Rules
 from kinedex.pipelines.explorer.application import make_application
 from kinedex.pipelines.explorer.archive import Archive
 from kinedex.pipelines.ranking.batch_threads import in_threads
-from tests.pipelines.explorer.conftest import PORT, TOKEN
+from tests.pipelines.explorer.conftest import PORT, TOKEN, run
 from tests.pipelines.labelled import long_take, write_store
 
 WAIT_SECONDS = 60.0
@@ -47,7 +47,7 @@ def status_of(path: Path, built: Path, address: str, body: object) -> int:
     async def send(message: Any) -> None:
         sent.append(message)
 
-    asyncio.run(asyncio.wait_for(app(scope, receive, send), WAIT_SECONDS))
+    run(asyncio.wait_for(app(scope, receive, send), WAIT_SECONDS))
     return int(sent[0]["status"])
 
 
