@@ -36,16 +36,40 @@ def best_threshold(own: F64, others: F64) -> tuple[float, float]:
     ParameterError
         If there is no finite distance in `own`, or one below 0.
     """
-    own, others = np.sort(np.asarray(own, np.float64)), np.sort(np.asarray(others, np.float64))
-    finite = np.unique(np.concatenate([own[np.isfinite(own)], others[np.isfinite(others)]]))
-    if not len(own) or not np.isfinite(own[0]) or finite[0] < 0:
-        raise ParameterError("own", "distances from 0, at least one of them finite", own.tolist()[:8])
-    lows, highs = finite, np.append(finite[1:], max(2 * finite[-1], finite[-1] + 1e-6))
+    lows, scores = threshold_scores(own, others)
+    highs = np.append(lows[1:], max(2 * lows[-1], lows[-1] + 1e-6))
     middles = (lows + highs) / 2
-    hits = np.searchsorted(own, lows, side="right")
-    false = np.searchsorted(others, lows, side="right")
-    scores = 2 * hits / (hits + false + len(own))
     best = np.flatnonzero(scores >= scores.max() - 1e-12)
     gaps = (highs - lows)[best]
     place = best[int(np.argmax(gaps >= gaps.max() - 1e-12))]
     return float(middles[place]), float(scores[place])
+
+
+def threshold_scores(own: F64, others: F64) -> tuple[F64, F64]:
+    """Return the F of all thresholds, as a function that changes at the distances of clips.
+
+    Parameters
+    ----------
+    own, others : float64 array
+        As in `best_threshold`.
+
+    Returns
+    -------
+    distances : float64 array (D,)
+        The different distances of all clips, ascending.
+    scores : float64 array (D,)
+        F of a τ above the distance and not above the next one.
+
+    Raises
+    ------
+    ParameterError
+        If there is no finite distance in `own`, or one below 0.
+    """
+    own, others = np.sort(np.asarray(own, np.float64)), np.sort(np.asarray(others, np.float64))
+    finite = np.unique(np.concatenate([own[np.isfinite(own)], others[np.isfinite(others)]]))
+    if not len(own) or not np.isfinite(own[0]) or finite[0] < 0:
+        raise ParameterError("own", "distances from 0, at least one of them finite", own.tolist()[:8])
+    hits = np.searchsorted(own, finite, side="right")
+    false = np.searchsorted(others, finite, side="right")
+    scores: F64 = 2 * hits / (hits + false + len(own))
+    return finite, scores

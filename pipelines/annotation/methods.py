@@ -263,11 +263,10 @@ def annotation_method(name: str) -> type[AnnotationMethod]:
 
 
 def with_usual_values(template: Template, usual: F64) -> Template:
-    """Return a template whose unknown features have their usual values, so that they are no evidence."""
-    unknown = template.unknown
-    if not unknown.any():
+    """Return a template whose unknown features, and those of weight 0, have their usual values: no evidence."""
+    if template.feature_weights is None:
         return template
-    return replace(template, values=np.where(unknown, usual.mean(axis=0), template.values))
+    return replace(template, values=np.where(template.feature_weights == 0, usual.mean(axis=0), template.values))
 
 
 def whole_takes(words: TakeWords) -> I64:

@@ -10,43 +10,81 @@ from threading import Lock
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.ops.annotation.segments import Matches
+from kinedex.ops.annotation.segments import TOLERANCE, Matches
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import U64, TakeWords
 from kinedex.pipelines.annotation.methods import ClassTemplates, ThesisMethod
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
+I32 = npt.NDArray[np.int32]
 
 Found = tuple[I64, I64, F64]
 """Starts, ends and costs, as in `Matches`."""
 
-Key = tuple[bytes, bytes, bytes, float, bytes]
+Key = tuple[object, ...]
 
-MOST_MATCHES = 500
-"""The matches of so many templates are kept, those that were needed last."""
+MOST_BYTES = 200_000_000
+"""The matches that were needed last are kept up to so many bytes: those of 28 templates in 100 hours take 110 MB."""
+
+
+@dataclass(frozen=True)
+class Held:
+    """The matches of a template below a threshold, which are also those below every lower one."""
+
+    tau: float
+    starts: I32
+    ends: I32
+    costs: F64
+
+    @property
+    def nbytes(self) -> int:
+        """The size in bytes."""
+        return self.starts.nbytes + self.ends.nbytes + self.costs.nbytes
+
+    def below(self, tau: float) -> Found:
+        """Return the matches below a threshold that is not above that of these."""
+        starts, ends, costs = self.starts, self.ends, self.costs
+        if tau < self.tau:
+            chosen = costs < tau - TOLERANCE
+            starts, ends, costs = starts[chosen], ends[chosen], costs[chosen]
+        return starts.astype(np.int64), ends.astype(np.int64), costs
 
 
 class MatchMemory:
-    """The matches of templates in the words of some takes, within a bound. Several threads may use it."""
+    """The matches of templates in the words of some takes, within a bound. Several threads may use it.
 
-    def __init__(self) -> None:
-        self._held: OrderedDict[Key, Found] = OrderedDict()
+    Parameters
+    ----------
+    most_bytes : int, optional
+        The bound.
+    """
+
+    def __init__(self, most_bytes: int = MOST_BYTES) -> None:
+        self._most_bytes = most_bytes
+        self._held: OrderedDict[Key, Held] = OrderedDict()
+        self._bytes = 0
         self._lock = Lock()
 
-    def get(self, key: Key) -> Found | None:
-        """Return the matches of a key, None where they are not kept."""
+    def get(self, key: Key, tau: float) -> Found | None:
+        """Return the matches of a key below a threshold, None where they are not kept."""
         with self._lock:
-            if key in self._held:
-                self._held.move_to_end(key)
-            return self._held.get(key)
+            held = self._held.get(key)
+            if held is None or held.tau < tau:
+                return None
+            self._held.move_to_end(key)
+        return held.below(tau)
 
-    def put(self, key: Key, found: Found) -> None:
-        """Keep the matches of a key."""
+    def put(self, key: Key, tau: float, found: Found) -> None:
+        """Keep the matches of a key, in the place of those below a lower threshold."""
+        starts, ends, costs = found
+        held = Held(tau, starts.astype(np.int32), ends.astype(np.int32), costs)
         with self._lock:
-            self._held[key] = found
-            if len(self._held) > MOST_MATCHES:
-                self._held.popitem(last=False)
+            before = self._held.pop(key, None)
+            self._bytes += held.nbytes - (0 if before is None else before.nbytes)
+            self._held[key] = held
+            while self._bytes > self._most_bytes and len(self._held) > 1:
+                self._bytes -= self._held.popitem(last=False)[1].nbytes
 
 
 @dataclass(frozen=True)
@@ -56,10 +94,13 @@ class RememberingThesisMethod(ThesisMethod):
     Attributes
     ----------
     memory : MatchMemory
-        The matches. Takes are told apart by their ids, so it serves one version of a store.
+        The matches.
+    scope : tuple
+        The store and its version: takes are told apart by their ids.
     """
 
     memory: MatchMemory = field(default_factory=MatchMemory, compare=False)
+    scope: tuple[object, ...] = ()
 
     @classmethod
     def prepare(cls, templates: ClassTemplates, clips: Callable[[], Sequence[U64]]) -> RememberingThesisMethod:
@@ -67,11 +108,15 @@ class RememberingThesisMethod(ThesisMethod):
         return cls(templates.quantised, templates.class_index, templates.thresholds)
 
     def matches(self, words: TakeWords, ranges: Sequence[I64]) -> Matches:
-        """Return the minima of the distance curve of each template; see `ThesisMethod.matches`."""
+        """Return the minima of the distance curve of each template in whole takes; see `ThesisMethod.matches`."""
         taus = self.thresholds[self.class_index]
         takes = words.take_ids.tobytes()
-        keys = [key_of(one, float(tau), takes) for one, tau in zip(self.templates, taus, strict=True)]
-        found = {place: own for place, key in enumerate(keys) if (own := self.memory.get(key)) is not None}
+        keys = [(*self.scope, takes, *content_of(one)) for one in self.templates]
+        found = {
+            place: own
+            for place, (key, tau) in enumerate(zip(keys, taus.tolist(), strict=True))
+            if (own := self.memory.get(key, tau)) is not None
+        }
         missing = [place for place in range(len(keys)) if place not in found]
         if missing:
             some = ThesisMethod(
@@ -80,11 +125,11 @@ class RememberingThesisMethod(ThesisMethod):
             parts = some.matches(words, [ranges[place] for place in missing]).parts()
             for place, own in zip(missing, parts, strict=True):
                 found[place] = own
-                self.memory.put(keys[place], own)
+                self.memory.put(keys[place], float(taus[place]), own)
         return Matches.of([found[place] for place in range(len(keys))])
 
 
-def key_of(template: QuantisedTemplate, tau: float, takes: bytes) -> Key:
-    """Return all that the matches of a template in whole takes depend on."""
+def content_of(template: QuantisedTemplate) -> tuple[bytes, bytes, bytes]:
+    """Return all that the matches of a template in whole takes depend on, besides its threshold and the words."""
     weights = b"" if template.feature_weights is None else template.feature_weights.tobytes()
-    return template.mask.tobytes(), template.value.tobytes(), weights, tau, takes
+    return template.mask.tobytes(), template.value.tobytes(), weights

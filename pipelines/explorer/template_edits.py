@@ -80,12 +80,13 @@ class Edit:
 
 
 def edited_template(store: Store, one: SubclassTemplate, asked: EditQuestion) -> SubclassTemplate:
-    """Return a template as it is edited."""
+    """Return a template as it is edited; like one of a file it has no clips."""
     template = one.learned.template
     factors = feature_weights(asked.weights, store.feature_set)
     factors = np.ones(template.values.shape[1]) if factors is None else factors
     stop = len(template) if asked.stop is None else asked.stop
-    return replace(one, learned=replace(one.learned, template=adjusted(template, factors, asked.first, stop)))
+    made = adjusted(template, factors, asked.first, stop)
+    return replace(one, learned=replace(one.learned, template=made), clips=())
 
 
 def is_edited(one: SubclassTemplate, asked: EditQuestion) -> bool:

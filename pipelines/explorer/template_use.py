@@ -37,6 +37,8 @@ class TemplateUse:
         τ of every class, also where it was calibrated.
     annotate, evaluate : str, optional
         The stages that annotate with these templates, and that have compared that with ground truth.
+    keyframes : str, optional
+        The stage that has learned keyframe queries for the annotation.
     remarks : tuple of str
         What could not be read.
     """
@@ -49,7 +51,13 @@ class TemplateUse:
     thresholds: dict[str, float]
     annotate: str | None
     evaluate: str | None
+    keyframes: str | None = None
     remarks: tuple[str, ...] = ()
+
+    @property
+    def uses_thresholds(self) -> bool:
+        """True where the pipeline's annotations depend on τ."""
+        return self.params.annotation_method.uses_thresholds
 
     def template(self, name: str) -> SubclassTemplate:
         """Return the template of a name; a KinedexError where there is none."""
@@ -112,7 +120,17 @@ def template_use(store: Store, stage: str, kind: Kind | None = None) -> Template
     evaluate = None if annotate is None else _reader(store, annotate, "evaluate", "annotations")
     if evaluate is not None and not store.manifest.stages[evaluate].summary.get("evaluated_takes"):
         evaluate = None
-    return TemplateUse(stage, chosen, templates, classes, params, thresholds, annotate, evaluate, (*remarks, *more))
+    keyframes = None if annotate is None else _learned_queries(store, annotate)
+    remarks = [*remarks, *more]
+    return TemplateUse(
+        stage, chosen, templates, classes, params, thresholds, annotate, evaluate, keyframes, tuple(remarks)
+    )
+
+
+def _learned_queries(store: Store, annotate: str) -> str | None:
+    """Return the stage whose learned keyframe queries an annotation has used."""
+    name = (store.manifest.stages[annotate].summary.get("inputs") or {}).get("keyframes")
+    return None if name is None else f"{annotate.partition('/')[0]}/{name}"
 
 
 def _reader(store: Store, stage: str, uses: str, role: str) -> str | None:

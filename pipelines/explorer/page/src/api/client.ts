@@ -1,5 +1,7 @@
 // Requests to the server. Every failure is an ApiError with a message that a person can act on.
 
+import { readLines, type Step } from "./lines";
+
 export interface Remedy {
   text: string;
   command: string[];
@@ -17,9 +19,15 @@ export class ApiError extends Error {
   }
 }
 
+interface Fault {
+  type: string;
+  message: string;
+  remedy: Remedy | null;
+}
+
 async function failure(response: Response): Promise<ApiError> {
   try {
-    const { error } = (await response.json()) as { error: { type: string; message: string; remedy: Remedy | null } };
+    const { error } = (await response.json()) as { error: Fault };
     return new ApiError(response.status, error.type, error.message, error.remedy);
   } catch {
     return new ApiError(response.status, "HTTPError", `the server answered with status ${response.status}`);
@@ -52,6 +60,20 @@ export async function getBytes(path: string, signal?: AbortSignal): Promise<Arra
 
 export async function getStream(path: string, signal?: AbortSignal): Promise<ReadableStream<Uint8Array>> {
   return (await request(path, { signal })).body ?? new ReadableStream();
+}
+
+/** Post a question whose answer takes a while: the server sends lines with the progress first. */
+export async function postLines<T>(path: string, body: unknown, onStep: (step: Step) => void, signal?: AbortSignal): Promise<T> {
+  const options = posted(body, signal);
+  const asked = { ...options, headers: { ...options.headers, accept: "application/x-ndjson" } };
+  const stream = (await request(path, asked)).body ?? new ReadableStream<Uint8Array>();
+  for await (const text of readLines(stream)) {
+    const line = JSON.parse(text) as Step & { answer?: T; error?: Fault; status?: number };
+    if (line.error !== undefined) throw new ApiError(line.status ?? 500, line.error.type, line.error.message, line.error.remedy);
+    if (line.answer !== undefined) return line.answer;
+    onStep({ done: line.done, total: line.total });
+  }
+  throw new ApiError(0, "ConnectionError", "the server stopped before the answer was there");
 }
 
 export async function postBytes(path: string, body: unknown, signal?: AbortSignal): Promise<ArrayBuffer> {

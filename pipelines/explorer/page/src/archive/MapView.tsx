@@ -4,6 +4,7 @@ import { Progress, SegmentedControl, Select, Switch, Text } from "@mantine/core"
 import { useCallback, useEffect, useMemo, useState } from "react";
 import { useLocation } from "wouter";
 
+import type { Step } from "../api/lines";
 import { useStore } from "../api/queries";
 import type { Selection } from "../api/types";
 import { useJsonParameter, useParameter } from "../app/address";
@@ -18,7 +19,7 @@ import { MapTable, pointAddress } from "./MapTable";
 import { type Look, WHOLE } from "./mapPicture";
 import { filterColumns, useSelection } from "./selection";
 import { counted } from "./text";
-import { type Step, useMap, useMapTakes } from "./useMap";
+import { useMap, useMapTakes } from "./useMap";
 
 const CLUSTER = "-cluster";
 const NOTHING: ReadonlySet<number> = new Set();

@@ -4,13 +4,9 @@ import { keepPreviousData, useQuery } from "@tanstack/react-query";
 import { useState } from "react";
 
 import { ApiError, getStream, post } from "../api/client";
+import { readLines, type Step } from "../api/lines";
 import type { Selection } from "../api/types";
 import type { ArchiveMap, MapTakes, Unit } from "./map";
-
-export interface Step {
-  done: number;
-  total: number;
-}
 
 interface Line extends Partial<Step> {
   map?: ArchiveMap;
@@ -33,27 +29,13 @@ export function useMap(unit: Unit) {
 
 /** Read lines of JSON until the one with the map. */
 async function readMap(stream: ReadableStream<Uint8Array>, onStep: (step: Step) => void): Promise<ArchiveMap> {
-  const reader = stream.getReader();
-  const decoder = new TextDecoder();
-  let pieces: string[] = [];
-  for (;;) {
-    const { done, value } = await reader.read();
-    const text = done ? "" : decoder.decode(value, { stream: true });
-    const end = text.lastIndexOf("\n");
-    if (end < 0) {
-      pieces.push(text);
-      if (done) throw new ApiError(0, "ConnectionError", "the server stopped before the map was there");
-      continue;
-    }
-    const whole = pieces.join("") + text.slice(0, end);
-    pieces = [text.slice(end + 1)];
-    for (const one of whole.split("\n")) {
-      const line = JSON.parse(one) as Line;
-      if (line.error !== undefined) throw new ApiError(400, line.error.type, line.error.message);
-      if (line.map !== undefined) return line.map;
-      onStep({ done: line.done ?? 0, total: line.total ?? 0 });
-    }
+  for await (const text of readLines(stream)) {
+    const line = JSON.parse(text) as Line;
+    if (line.error !== undefined) throw new ApiError(400, line.error.type, line.error.message);
+    if (line.map !== undefined) return line.map;
+    onStep({ done: line.done ?? 0, total: line.total ?? 0 });
   }
+  throw new ApiError(0, "ConnectionError", "the server stopped before the map was there");
 }
 
 /** Return the values of a column of the takes that fit. */

@@ -6,11 +6,13 @@ import { useState } from "react";
 import { Link } from "wouter";
 
 import { post } from "../api/client";
+import type { Step } from "../api/lines";
 import { takeAddress } from "../app/address";
 import { Fault } from "../app/Fault";
 import { download } from "../ask/files";
 import { SmallFigure } from "../motion/SmallFigure";
 import type { Edits } from "./edits";
+import { ThresholdCurve } from "./ThresholdCurve";
 import type { Effect, EffectRow, Segments, TemplateFacts } from "./types";
 
 export interface EffectViewProps {
@@ -23,6 +25,8 @@ export interface EffectViewProps {
   fault: Error | null;
   /** True while the answer is that of an earlier edit. */
   old: boolean;
+  /** How far the server is with the answer. */
+  step: Step;
   compete: boolean;
   onTau: (tau: number | null) => void;
   onTruth: (source: string | null) => void;
@@ -33,9 +37,10 @@ export interface EffectViewProps {
 
 /** The threshold, what becomes of the edits, and the table before and after. */
 export function EffectView(props: EffectViewProps) {
-  const { facts, edits, edited, body, answer, fault, old, compete, onTau, onTruth, onCompete, onEverything, onReset } = props;
+  const { facts, edits, edited, body, answer, fault, old, step, compete, onTau, onTruth, onCompete, onEverything, onReset } = props;
   const tau = edits.tau ?? facts.tau;
-  const best = answer?.best.edited ?? null;
+  const training = answer?.training.edited ?? null;
+  const usesTau = answer?.uses_tau ?? true;
   const save = async () => {
     try {
       const file = await post<{ name: string; text: string }>("/api/templates/file", JSON.parse(body));
@@ -47,28 +52,30 @@ export function EffectView(props: EffectViewProps) {
   return (
     <>
       <Group gap={10} mt={10}>
-        <label className="effect-tau">
-          τ{" "}
-          <NumberInput
-            size="xs"
-            w={92}
-            aria-label="Threshold τ"
-            value={tau}
-            min={0.001}
-            max={1}
-            step={0.005}
-            decimalScale={4}
-            onChange={(value) => typeof value === "number" && value > 0 && value <= 1 && onTau(value === facts.tau ? null : value)}
-          />
-        </label>
-        {best !== null && (
+        {usesTau && (
+          <label className="effect-tau">
+            τ{" "}
+            <NumberInput
+              size="xs"
+              w={92}
+              aria-label="Threshold τ"
+              value={tau}
+              min={0.001}
+              max={1}
+              step={0.005}
+              decimalScale={4}
+              onChange={(value) => typeof value === "number" && value > 0 && value <= 1 && onTau(value === facts.tau ? null : value)}
+            />
+          </label>
+        )}
+        {usesTau && training !== null && (
           <Button
             size="compact-sm"
             variant="default"
-            onClick={() => onTau(Number(best.tau.toFixed(4)))}
-            title={`It divides the clips of ${facts.class} from those of all other classes best, F = ${best.f.toFixed(3)}`}
+            onClick={() => onTau(Number(training.tau.toFixed(4)))}
+            title={`It divides the clips of ${facts.class} from those of all other classes best, F = ${training.f.toFixed(3)}`}
           >
-            τ = {best.tau.toFixed(3)}, best on training clips
+            τ = {training.tau.toFixed(3)}, best on training clips
           </Button>
         )}
         <Button size="compact-sm" variant="default" disabled={!edited} onClick={onReset}>
@@ -82,7 +89,7 @@ export function EffectView(props: EffectViewProps) {
           label="other classes compete"
           checked={compete}
           onChange={(event) => onCompete(event.currentTarget.checked)}
-          title="On: the templates of all classes annotate, and the nearest has a frame, as in a pipeline. Off: this class alone."
+          title="On: the templates of all classes annotate, as in the pipeline. Off: this class alone."
         />
         {(answer?.truth.sources.length ?? 0) > 1 && (
           <NativeSelect
@@ -100,13 +107,17 @@ export function EffectView(props: EffectViewProps) {
       {fault !== null && <Fault fault={fault} />}
       {fault === null && answer === undefined && (
         <Text size="sm" role="status">
-          Computing…
+          Computing…{share(step)}
         </Text>
       )}
-      {fault === null && answer !== undefined && <Before answer={answer} old={old} edited={edited} onEverything={onEverything} />}
+      {fault === null && answer !== undefined && <Before answer={answer} old={old} step={step} edited={edited} onEverything={onEverything} />}
+      {fault === null && usesTau && training !== null && <ThresholdCurve training={training} used={tau} pipeline={facts.tau} name={facts.class} />}
     </>
   );
 }
+
+/** Return how far the work has gone, once that is known. */
+const share = ({ done, total }: Step) => (total > 0 ? ` ${Math.floor((100 * done) / total)} %` : "");
 
 const HOUR = 3600;
 
@@ -122,11 +133,12 @@ const MEASURES = [
 interface BeforeProps {
   answer: Effect;
   old: boolean;
+  step: Step;
   edited: boolean;
   onEverything: (everything: boolean) => void;
 }
 
-function Before({ answer, old, edited, onEverything }: BeforeProps) {
+function Before({ answer, old, step, edited, onEverything }: BeforeProps) {
   const { truth } = answer;
   const some = truth.takes < truth.all_takes;
   if (answer.missing !== "")
@@ -145,7 +157,7 @@ function Before({ answer, old, edited, onEverything }: BeforeProps) {
         {truth.among_examples > 0 && `; ${truth.among_examples} more are among its examples`}
         <span className="muted">
           {" "}
-          · {(1000 * answer.seconds).toFixed(0)} ms{old ? " · computing…" : ""}{" "}
+          · {(1000 * answer.seconds).toFixed(0)} ms{old ? ` · computing…${share(step)}` : ""}{" "}
         </span>
         {some && (
           <button type="button" className="templates-plain" onClick={() => onEverything(true)}>
@@ -163,7 +175,7 @@ function Before({ answer, old, edited, onEverything }: BeforeProps) {
           <Table.Thead>
             <Table.Tr>
               <Table.Th>Template</Table.Th>
-              <Table.Th>τ</Table.Th>
+              {answer.uses_tau && <Table.Th>τ</Table.Th>}
               {MEASURES.map(([key, title]) => (
                 <Table.Th key={key} className="number">
                   {title}
@@ -178,9 +190,11 @@ function Before({ answer, old, edited, onEverything }: BeforeProps) {
             {answer.rows.map((row) => (
               <Table.Tr key={`${row.template} ${row.threshold}`} data-current={row.threshold === (edited ? "used" : "pipeline")}>
                 <Table.Td>{row.template === "learned" ? "as learned" : "edited"}</Table.Td>
-                <Table.Td>
-                  {row.tau.toFixed(3)} <span className="muted">{WHICH[row.threshold]}</span>
-                </Table.Td>
+                {row.tau !== null && (
+                  <Table.Td>
+                    {row.tau.toFixed(3)} <span className="muted">{WHICH[row.threshold]}</span>
+                  </Table.Td>
+                )}
                 {MEASURES.map(([key]) => (
                   <Table.Td key={key} className="number">
                     {row[key]?.toFixed(3) ?? "–"}
@@ -214,11 +228,13 @@ export function EffectDetails({ answer, old, edited, compete, rateHz }: EffectDe
   return (
     <>
       <Text size="sm" className="muted templates-text">
-        P: precision, R: recall. Differences are to the first row. Annotated as the method thesis does
-        {compete ? ", the templates of all classes competing for each frame" : ", by the templates of this class alone"}
-        {answer.with.length > 0 && `; ${answer.class} also has ${answer.with.join(", ")}, as learned`}. Best on training clips: the τ that divides the clips of{" "}
-        {answer.class} from those of all other classes best, by their least distance; its own clips made the template, so it is rather low than high.
-        {answer.method !== "thesis" && ` The pipeline annotates by the method ${answer.method}, which has no τ: its own results differ.`}
+        P: precision, R: recall. Differences are to the first row. Annotated as the pipeline does it, by <code>method: {answer.method}</code>
+        {answer.queries && " with its keyframe queries"}
+        {compete ? ", with the templates of all classes" : ", by the templates of this class alone"}
+        {answer.with.length > 0 && `; ${answer.class} also has ${answer.with.join(", ")}, as learned`}.
+        {answer.uses_tau
+          ? ` Best on training clips: the τ that divides the clips of ${answer.class} from those of all other classes best, by their least distance; its own clips made the template, so it is rather low than high.`
+          : " The method has no threshold τ."}
       </Text>
       {answer.remarks.map((one) => (
         <Text key={one} size="sm" className="templates-remark">
@@ -230,7 +246,7 @@ export function EffectDetails({ answer, old, edited, compete, rateHz }: EffectDe
       {edited && (
         <div className="effect-pipeline">
           <Text size="sm">
-            To annotate with it, save it, and run the pipeline again with the file and the τ:
+            To annotate with it, save it, and run the pipeline again with the file{answer.uses_tau ? " and the τ" : ""}:
           </Text>
           <Group gap={6} wrap="nowrap">
             <code tabIndex={0}>{answer.pipeline}</code>

@@ -7,7 +7,8 @@ import { keepPreviousData, useQuery } from "@tanstack/react-query";
 import { useMemo, useState } from "react";
 import { Link } from "wouter";
 
-import { get, post } from "../api/client";
+import { get, postLines } from "../api/client";
+import type { Step } from "../api/lines";
 import type { StoreFacts } from "../api/types";
 import { takeAddress, useParameter } from "../app/address";
 import { Fault } from "../app/Fault";
@@ -70,11 +71,15 @@ function Opened({ store, facts, list, onClose }: OpenedProps) {
     ...(edits.tau === null ? {} : { tau: edits.tau }),
     ...(truth === "labels" || truth === "evaluation" ? { truth } : {}),
   });
+  const [step, setStep] = useState<Step>({ done: 0, total: 0 });
   const [settled] = useDebouncedValue(body, WAIT_MS);
   const effect = useQuery({
     // what is held out depends on labels as well as on the version
     queryKey: ["labels", "template-effect", store.version, settled],
-    queryFn: ({ signal }) => post<Effect>("/api/templates/effect", JSON.parse(settled), signal),
+    queryFn: ({ signal }) => {
+      setStep({ done: 0, total: 0 });
+      return postLines<Effect>("/api/templates/effect", JSON.parse(settled), setStep, signal);
+    },
     placeholderData: keepPreviousData,
     retry: false,
   });
@@ -120,6 +125,7 @@ function Opened({ store, facts, list, onClose }: OpenedProps) {
           answer={effect.data}
           fault={effect.error}
           old={old}
+          step={step}
           compete={compete}
           onTau={setTau}
           onTruth={setTruth}

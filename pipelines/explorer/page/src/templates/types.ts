@@ -79,7 +79,8 @@ export interface Difference extends Same {
 export interface EffectRow {
   template: "learned" | "edited";
   threshold: "pipeline" | "used" | "best";
-  tau: number;
+  /** Null for a method without thresholds. */
+  tau: number | null;
   p1: number | null;
   r1: number | null;
   f1: number | null;
@@ -97,10 +98,21 @@ export interface Segments {
   segments: Hit[];
 }
 
+/** How well thresholds divide the training clips: F = scores[i] from taus[i] on, and the best τ. */
+export interface Divided {
+  taus: number[];
+  scores: number[];
+  tau: number;
+  f: number;
+}
+
 export interface Effect extends Same {
   class: string;
   with: string[];
   method: string;
+  /** True where keyframe queries of the pipeline are used, too. */
+  queries: boolean;
+  uses_tau: boolean;
   truth: {
     source: "evaluation" | "labels" | null;
     stage: string | null;
@@ -114,7 +126,7 @@ export interface Effect extends Same {
   };
   tau: number;
   pipeline_tau: number;
-  best: { learned: { tau: number; f: number } | null; edited: { tau: number; f: number } | null };
+  training: { learned: Divided | null; edited: Divided | null };
   rows: EffectRow[];
   wrong: Segments;
   missed: Segments;
