@@ -22,6 +22,7 @@ WITHOUT = {
     "UnknownName": "SQL asks for a name that does not exist; the message lists those that do",
     "NoFoldsError": "the archive has too few takes for a split; the message counts them",
     "TimeLimitError": "a query took longer than the limit that it was given; the message names the limit",
+    "WriteError": "the disk refuses a file of the store; the message names the file, the reason and the way out",
     "UnwritableError": "the disk refuses a file of an export; the message names the file and the reason",
     "MissingPackageError": "a package is not installed; the message has the command of pip",
     "UnusableRecording": "a key of a recordings file does not fit; the message names the key",

@@ -28,7 +28,7 @@ LOOK_SECONDS = 0.1
 
 
 class Progress:
-    """How far some work has gone: a thread advances it, another one looks."""
+    """The steps of some work that are done and that there are; one thread counts them, and another one looks."""
 
     def __init__(self) -> None:
         self.step = (0, 0)
