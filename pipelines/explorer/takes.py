@@ -81,12 +81,12 @@ class Orders:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._found: OrderedDict[tuple[int, str], Found] = OrderedDict()
+        self._found: OrderedDict[tuple[str, int, str], Found] = OrderedDict()
 
     def find(self, store: Store, condition: str, order: str) -> Found:
         """Return the takes that fit a condition, in an order; both are SQL."""
         text = f"SELECT take_id FROM takes{condition}{order}"
-        key = (store.manifest.version, text)
+        key = (str(store.path), store.manifest.version, text)
         with self._lock:
             if key in self._found:
                 self._found.move_to_end(key)
