@@ -190,7 +190,7 @@ def advance(
         second, third = scores[(frame - 2) % _RING], scores[(frame - 3) % _RING]
         for first, end in spans:
             inner = slice(first + MAX_STEP, end)
-            _step(
+            step(
                 here[inner], rows[slot, inner], rows[once, inner], rows[twice, inner],
                 last[first:end], second[first:end], third[first:end], costs.skip,
             )  # fmt: skip
@@ -251,16 +251,16 @@ def change_ratios(row: F64, before: F64, words: U64, offsets: F64, frame: int, s
 
 
 @nb.njit(cache=True, nogil=True)
-def _step(here: F64, now: F64, once: F64, twice: F64, last: F64, second: F64, third: F64, skip: float) -> None:
+def step(here: F64, now: F64, once: F64, twice: F64, last: F64, second: F64, third: F64, skip: float) -> None:
     """Fill the best value in every column but the first three, from the frames before (without branches, to vectorise).
 
     Parameters
     ----------
-    here : float64 array
+    here : float64 or float32 array
         The results.
-    now, once, twice : float64 array
+    now, once, twice : float64 or float32 array
         Log ratios in this frame and the two before it, without the first three columns.
-    last, second, third : float64 array
+    last, second, third : float64 or float32 array
         Values in the three frames before it.
     skip : float
     """
@@ -326,7 +326,7 @@ def _begin(frames: Frames, columns: Columns, costs: Costs, allowed: Bool, value:
             sum_ratios(rows[place], frames.words[frame], frames.offsets[frame], columns, first - MAX_STEP)
             now = rows[place, MAX_STEP:]
             once, twice = rows[max(place - 1, 0), MAX_STEP:], rows[max(place - 2, 0), MAX_STEP:]
-            _step(here[MAX_STEP:], now, once, twice, last, scores[place + 1], scores[place], costs.skip)
+            step(here[MAX_STEP:], now, once, twice, last, scores[place + 1], scores[place], costs.skip)
             here[MAX_STEP] = max(last[MAX_STEP] - costs.stay, value[frame] - costs.entry) + now[0]
             here[-1] = max(here[-1], last[-1] - costs.stay + now[-1])
         if start == 0 or scores[-1, -1] >= value[stop] - TOLERANCE:

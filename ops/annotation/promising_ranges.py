@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.annotation.decoding import Decoding, frames_of, lay_columns
-from kinedex.ops.annotation.decoding_kernels import MAX_STEP, Columns, Costs, Frames, change_ratios, sum_ratios
+from kinedex.ops.annotation.decoding_kernels import MAX_STEP, Columns, Costs, Frames, change_ratios, step, sum_ratios
 from kinedex.ops.templates.templates import Template
 from kinedex.ops.words import NO_WORD, U64
 
@@ -168,7 +168,7 @@ def _scan(
                 )
         last, second = scores[(frame - 1) % 4], scores[(frame - 2) % 4]
         here, third = scores[frame % 4], scores[(frame - 3) % 4]
-        _step_single(
+        step(
             here[MAX_STEP:],
             rows[slot, MAX_STEP:],
             rows[once, MAX_STEP:],
@@ -214,24 +214,6 @@ def _change_single(row: F32, before: F32, old: np.uint64, new: np.uint64, differ
             else:
                 for n in range(len(row)):
                     row[n] -= slope[n]
-
-
-@nb.njit(cache=True, nogil=True)
-def _step_single(
-    here: F32, now: F32, once: F32, twice: F32, last: F32, second: F32, third: F32, skip: np.float32
-) -> None:
-    """Fill the best value in every column but the first three, from the frames before; see `decoding_kernels`."""
-    for n in range(len(here)):
-        best = last[n + 2]
-        other = last[n + 1] - skip
-        best = other if other > best else best
-        other = last[n] - (skip + skip)
-        best = other if other > best else best
-        other = second[n + 2] + once[n]
-        best = other if other > best else best
-        other = third[n + 2] + (twice[n] + once[n])
-        best = other if other > best else best
-        here[n] = best + now[n]
 
 
 @nb.njit(cache=True, nogil=True)
