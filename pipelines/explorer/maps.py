@@ -1,7 +1,7 @@
 """The map of the archive: takes or windows as points, with their clusters.
 
-`GET /api/map?unit=takes` (or windows) → lines of JSON as the work goes on: {done, total} each, the last one {map} or
-{error} as other answers have it. A map is
+`GET /api/map?unit=takes` (or windows) → lines of JSON as the work goes on: {done, total} each, the last one {answer} or
+{error, status} as other addresses have it. The answer is
 {unit, version, takes: [take_id], names: [name], owner: [index of the take of each point], starts, stops: [frame],
  x, y: [−1 to 1], cluster: [number or −1], clusters: [{points, takes, hours, words, title,
  traits: [{feature, share, rest}], classes: [{value, takes}], typical: [point], outline: [[x, y]]}],
@@ -24,11 +24,12 @@ from anyio import to_thread
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
-from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.ops.errors import ParameterError
 from kinedex.pipelines.explorer.addresses import post
-from kinedex.pipelines.explorer.answers import Json, fault_answer
+from kinedex.pipelines.explorer.answers import Json
 from kinedex.pipelines.explorer.conditions import own_words
 from kinedex.pipelines.explorer.map_processes import maps_of, require_extra
+from kinedex.pipelines.explorer.progress import LINES, fault_line
 from kinedex.pipelines.explorer.same import python_lines, same_query
 from kinedex.pipelines.explorer.selections import SQL_SECONDS, Selection, columns_with_nan, condition_of, expression
 from kinedex.pipelines.explorer.store import NUMERIC
@@ -54,7 +55,7 @@ async def stream_map(request: Request) -> Response:
         raise ParameterError("unit", "takes or windows", asked)
     require_extra()
     store = await to_thread.run_sync(archive.store)
-    return StreamingResponse(_lines(request, archive, store, unit), media_type="application/x-ndjson")
+    return StreamingResponse(_lines(request, archive, store, unit), media_type=LINES)
 
 
 async def _lines(request: Request, archive: Archive, store: Store, unit: Unit) -> AsyncIterator[bytes]:
@@ -62,11 +63,11 @@ async def _lines(request: Request, archive: Archive, store: Store, unit: Unit) -
         async for found in maps_of(archive).find(store, unit):
             if isinstance(found, ArchiveMap):
                 whole = await to_thread.run_sync(_described, archive, store, unit, found)
-                yield bytes(Json({"map": whole}).body) + b"\n"
+                yield bytes(Json({"answer": whole}).body) + b"\n"
             else:
                 yield json.dumps({"done": found[0], "total": found[1]}).encode() + b"\n"
-    except KinedexError as fault:  # the status is sent already
-        yield bytes((await fault_answer(request, fault)).body) + b"\n"
+    except Exception as fault:  # the status of the response is sent already
+        yield await fault_line(request, fault)
 
 
 def _described(archive: Archive, store: Store, unit: Unit, found: ArchiveMap) -> dict[str, Any]:

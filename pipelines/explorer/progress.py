@@ -75,6 +75,13 @@ def post_with_progress(path: str, function: Function[Asked], asked: type[Asked])
     return Route(path, endpoint, methods=["POST"])
 
 
+async def fault_line(request: Request, fault: Exception) -> bytes:
+    """Return the line {error, status} of a fault that came up after the status of the response was sent."""
+    answer = await fault_answer(request, fault)
+    error = json.loads(bytes(answer.body) or b'{"error": {"type": "WithdrawnError", "message": ""}}')
+    return json.dumps({**error, "status": answer.status_code}).encode() + b"\n"
+
+
 async def _lines(request: Request, function: Function[Asked], body: Asked) -> AsyncIterator[bytes]:
     progress, gone = Progress(), Event()
     with withdrawn_when(gone.is_set):
@@ -89,8 +96,6 @@ async def _lines(request: Request, function: Function[Asked], body: Asked) -> As
         try:
             yield bytes(Json({"answer": work.result()}).body) + b"\n"
         except Exception as fault:  # the status of the response is sent already
-            answer = await fault_answer(request, fault)
-            error = json.loads(bytes(answer.body) or b'{"error": {"type": "WithdrawnError", "message": ""}}')
-            yield json.dumps({**error, "status": answer.status_code}).encode() + b"\n"
+            yield await fault_line(request, fault)
     finally:
         gone.set()

@@ -41,7 +41,7 @@ def lines(client: TestClient, unit: str) -> list[dict[str, Any]]:
 def test_the_map_of_the_page_is_that_of_the_library(client: TestClient, store: Path) -> None:
     *steps, last = lines(client, "takes")
     assert all(set(step) == {"done", "total"} for step in steps)
-    found = last["map"]
+    found = last["answer"]
     table = kinedex.open_store(store).map()
     assert found["names"] == table["take"].to_list()
     assert np.abs(np.array([found["x"], found["y"]]) - table.select("x", "y").to_numpy().T).max() < 1e-4

@@ -34,12 +34,16 @@ async function failure(response: Response): Promise<ApiError> {
   }
 }
 
+function isAbort(fault: unknown): boolean {
+  return fault instanceof DOMException && fault.name === "AbortError";
+}
+
 async function request(path: string, options: RequestInit): Promise<Response> {
   let response: Response;
   try {
     response = await fetch(path, options);
   } catch (fault) {
-    if (fault instanceof DOMException && fault.name === "AbortError") throw fault;
+    if (isAbort(fault)) throw fault;
     throw new ApiError(0, "ConnectionError", "the server does not answer; is `kinedex explore` still running?");
   }
   if (!response.ok) throw await failure(response);
@@ -66,14 +70,27 @@ export async function getStream(path: string, signal?: AbortSignal): Promise<Rea
 export async function postLines<T>(path: string, body: unknown, onStep: (step: Step) => void, signal?: AbortSignal): Promise<T> {
   const options = posted(body, signal);
   const asked = { ...options, headers: { ...options.headers, accept: "application/x-ndjson" } };
-  const stream = (await request(path, asked)).body ?? new ReadableStream<Uint8Array>();
-  for await (const text of readLines(stream)) {
-    const line = JSON.parse(text) as Step & { answer?: T; error?: Fault; status?: number };
-    if (line.error !== undefined) throw new ApiError(line.status ?? 500, line.error.type, line.error.message, line.error.remedy);
-    if (line.answer !== undefined) return line.answer;
-    onStep({ done: line.done, total: line.total });
+  return lastAnswer(await request(path, asked), onStep);
+}
+
+/** Get an answer that takes a while: the server sends lines with the progress first. */
+export async function getLines<T>(path: string, onStep: (step: Step) => void, signal?: AbortSignal): Promise<T> {
+  return lastAnswer(await request(path, { signal }), onStep);
+}
+
+async function lastAnswer<T>(response: Response, onStep: (step: Step) => void): Promise<T> {
+  const stopped = new ApiError(0, "ConnectionError", "the server stopped before the answer was there");
+  try {
+    for await (const text of readLines(response.body ?? new ReadableStream())) {
+      const line = JSON.parse(text) as Step & { answer?: T; error?: Fault; status: number };
+      if (line.error !== undefined) throw new ApiError(line.status, line.error.type, line.error.message, line.error.remedy);
+      if (line.answer !== undefined) return line.answer;
+      onStep({ done: line.done, total: line.total });
+    }
+  } catch (fault) {
+    throw fault instanceof ApiError || isAbort(fault) ? fault : stopped;
   }
-  throw new ApiError(0, "ConnectionError", "the server stopped before the answer was there");
+  throw stopped;
 }
 
 export async function postBytes(path: string, body: unknown, signal?: AbortSignal): Promise<ArrayBuffer> {

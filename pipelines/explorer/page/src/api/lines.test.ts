@@ -16,3 +16,21 @@ test("lines arrive whole, however the bytes are cut", async () => {
     expect(found).toEqual(['{"a": "ü"}', "", '{"b": 2}', '{"c": 3}']);
   }
 });
+
+test("a stream that breaks off is a fault of its reader and of nobody else", async () => {
+  const stream = new ReadableStream<Uint8Array>({
+    start(controller) {
+      controller.enqueue(new TextEncoder().encode('{"done": 1}\n'));
+    },
+    pull(controller) {
+      controller.error(new DOMException("signal is aborted without reason", "AbortError"));
+    },
+  });
+  const found: string[] = [];
+  const reading = async () => {
+    for await (const line of readLines(stream)) found.push(line);
+  };
+  await expect(reading()).rejects.toThrow("signal is aborted");
+  await new Promise((done) => setTimeout(done)); // a promise that nobody handles fails the test from here
+  expect(found).toEqual(['{"done": 1}']);
+});

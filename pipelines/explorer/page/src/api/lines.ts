@@ -27,6 +27,6 @@ export async function* readLines(stream: ReadableStream<Uint8Array>): AsyncGener
     const rest = pieces.join("");
     if (rest !== "") yield rest;
   } finally {
-    void reader.cancel();
+    reader.cancel().catch(() => {}); // a stream that failed cannot be cancelled: its reader knows why
   }
 }
