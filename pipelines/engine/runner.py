@@ -238,7 +238,7 @@ def _take_step(run: _Run, planner: Planner, number: int) -> Step:
         run.history.skip(step)
     else:
         run.history.begin(step)
-        _run_step(run, planner, step)
+        step = replace(step, record=_run_step(run, planner, step))
     return step
 
 
@@ -255,7 +255,7 @@ def _status(step: Step) -> str:
     return f"nothing to do{same}, done {step.record.finished} (run {step.record.run})"
 
 
-def _run_step(run: _Run, planner: Planner, step: Step) -> None:
+def _run_step(run: _Run, planner: Planner, step: Step) -> StageRecord:
     stage = step.stage
     context = StageContext(
         store_path=run.store_path,
@@ -290,7 +290,7 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> None:
         with run.terminal.during(stage.name):
             summary = stage.kind.run(context, stage.params)
         seconds = time.perf_counter() - begin
-        _record(replace(context, wait=run.begun().wait), planner.done(step), summary, seconds, run)
+        record = _record(replace(context, wait=run.begun().wait), planner.done(step), summary, seconds, run)
     except KinedexError as fault:
         raise _failed(run, stage.name, str(fault), fault) from fault
     except OSError as fault:
@@ -302,6 +302,7 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> None:
     figures = {"run_id": context.run, "seconds": round(seconds, 3), "summary": summary}
     _log.info("%s: %s", stage.name, text, extra=_fields(run, stage.name, event="finish", **figures))
     run.terminal.say(text)
+    return record
 
 
 def _failed(run: _Run, stage: str, reason: str, fault: KinedexError | None = None) -> StageFailed:
@@ -356,7 +357,10 @@ def _pipeline_record(pipeline: Pipeline, settings: Mapping[str, Any]) -> Pipelin
     )
 
 
-def _record(context: StageContext, step: Step, summary: Mapping[str, object], seconds: float, run: _Run) -> None:
+def _record(
+    context: StageContext, step: Step, summary: Mapping[str, object], seconds: float, run: _Run
+) -> StageRecord:
+    """Record a stage that has run, and return the record as the store has it."""
     full: dict[str, Any] = {
         **summary,
         "uses": step.stage.uses,
@@ -386,6 +390,8 @@ def _record(context: StageContext, step: Step, summary: Mapping[str, object], se
         if step.stage is run.pipeline.stages[-1] and _makes_results(run.pipeline):
             writer.record_run(context.pipeline)
         run.history.done(step, record, writer.commit())
+        # another run may forget the record as soon as the writer is closed
+        return open_store(context.store_path, at="newest").manifest.stages[context.key()]
 
 
 def _resume(
@@ -409,11 +415,10 @@ def _resume(
 
 
 def _outcome(pipeline: Pipeline, steps: list[Step], store_path: Path) -> Outcome:
-    stages = open_store(store_path, at="newest").manifest.stages
-    records = {step.stage.name: stages[f"{pipeline.name}/{step.stage.name}"] for step in steps}
     summaries = {
-        name: {key: value for key, value in record.summary.items() if key not in OWN_FIELDS}
-        for name, record in records.items()
+        step.stage.name: {key: value for key, value in step.record.summary.items() if key not in OWN_FIELDS}
+        for step in steps
+        if step.record is not None
     }
     pages = [name for one in summaries.values() for name in one.get("files", ()) if name.endswith(".html")]
     return Outcome(

@@ -153,6 +153,23 @@ def test_a_stop_after_everything_is_recorded_is_none(
     assert run(*archive, force=frozenset({"index"})) == ("index",)
 
 
+def test_figures_stay_when_another_run_begins_the_stage_right_away(tmp_path: Path) -> None:
+    source, store = write_archive(tmp_path / "source", {"x_1.amc": 30, "x_2.amc": 40}), tmp_path / "store"
+
+    class AnotherRun(Terminal):
+        def say(self, text: str) -> None:
+            if text.startswith("done in"):
+                with StoreWriter.open(store, open_store(store).feature_set) as writer:
+                    writer.forget_stage("ingest/index")
+                    writer.commit()
+
+    terminal = AnotherRun(Console(file=io.StringIO()))
+    outcome = run_pipeline("ingest", store, settings={"source": source}, terminal=terminal)
+    assert outcome.ran == ("ingest", "index")
+    assert list(outcome.summaries) == ["ingest", "index"]
+    assert "ingest/index" not in open_store(store).manifest.stages
+
+
 def test_what_another_pipeline_has_done_is_not_called_undone(archive: tuple[Path, Path]) -> None:
     store, source = archive
     message = io.StringIO()
