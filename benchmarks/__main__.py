@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Callable, Sequence
 
@@ -55,8 +56,11 @@ PARTS: dict[str, Callable[[Store], Sequence[Figure]]] = {
 }
 
 
-def main(parts: Sequence[str]) -> None:
+def main(words: Sequence[str]) -> None:
     """Run all parts, or those named, on one core, with a calibration before and after."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Time kinedex and print a table.")
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"all unless given: {', '.join(PARTS)}")
+    parts = parser.parse_args(words).parts
     for part in parts:
         if part not in PARTS:
             sys.exit(f"{part}: no part of the benchmarks{did_you_mean(part, PARTS)}")

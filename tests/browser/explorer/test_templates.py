@@ -39,6 +39,8 @@ def test_a_template_is_edited_by_keys_and_saved(open_page: Open, store: Path, tm
     tau = template.get_by_label("Threshold τ")
     tau.fill("0.15")
     expect(page).to_have_url(re.compile("tau=0.15"))
+    curve = template.get_by_role("img", name=re.compile("F of the training clips over τ: τ = 0.150 has F "))
+    expect(curve).to_be_visible()
     assert "lhand_forwards%22%3A0" in page.url
     assert "from=1" in page.url
     edited = table.get_by_role("row").filter(has_text="edited")

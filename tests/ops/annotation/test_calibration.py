@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinedex.ops.annotation.calibration import best_threshold
+from kinedex.ops.annotation.calibration import best_threshold, threshold_scores
 from kinedex.ops.errors import ParameterError
 
 costs = st.lists(st.integers(0, 40).map(lambda n: n / 40) | st.just(np.inf), max_size=12)
@@ -24,6 +24,14 @@ def test_no_threshold_divides_better(own: list[float], others: list[float]):
     assert tau > 0
     assert score == pytest.approx(measure(own, others, tau))
     assert score >= max(measure(own, others, tried / 160) for tried in range(1, 400)) - 1e-12
+
+
+@given(costs.filter(lambda own: bool(np.isfinite(own).any())), costs)
+def test_scores_are_those_of_a_threshold_above_each_distance(own: list[float], others: list[float]):
+    distances, scores = threshold_scores(np.array(own), np.array(others))
+    assert distances.tolist() == sorted({one for one in [*own, *others] if np.isfinite(one)})
+    expected = [measure(own, others, one + 1 / 160) for one in distances]  # distances are 1/40 apart
+    assert scores.tolist() == pytest.approx(expected)
 
 
 def test_the_middle_of_the_widest_gap_is_taken():

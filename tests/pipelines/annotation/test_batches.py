@@ -77,6 +77,30 @@ def test_labelled_together_motions_in_a_row_are_told_apart():
     assert made.label == "templates in a row"
 
 
+def test_labelled_together_features_of_weight_0_are_no_evidence():
+    names = ("rest", "walk", "rest", "kick", "kick", "rest")
+    take = np.concatenate([motion(name) for name in names])
+    classes = load_classes("own", ["kick", "walk"])
+    wrong = np.uint64(0xFFFF)  # the template of kicks has these features the other way round
+    learned = [learn_soft([words], 40) for words in (motion("kick") ^ wrong, motion("walk"))]
+    found = {}
+    for weight in (0.0, 1.0):
+        weights = np.repeat([weight, 1.0], [16, 24])
+        templates = [
+            SubclassTemplate(
+                name, "soft", replace(one, template=replace(one.template, feature_weights=weights)), ("c",)
+            )
+            for name, one in zip(("kick", "walk"), learned, strict=True)
+        ]
+        made = make_annotator(BODY, templates, classes, 0.05, 0.13, method=BestMethod, clips=lambda: [take])
+        (annotated,) = annotate_words(made, laid_out([take]))
+        found[weight] = [(s.start, s.stop, s.class_index) for s in annotated.segments]
+    lengths = np.cumsum([0, *(len(motion(name)) for name in names)]).tolist()
+    expected = [(lengths[i], lengths[i + 1], index) for i, index in ((1, 1), (3, 0), (4, 0))]
+    assert found[0.0] == expected
+    assert found[1.0] == expected[:1]
+
+
 def test_labelled_together_a_motion_is_found_in_the_hits_of_its_keyframes_only():
     take = np.concatenate([motion(name) for name in ("walk", "rest", "kick", "rest")])
     templates = [template(subclass) for subclass in ("kick", "walk")]
