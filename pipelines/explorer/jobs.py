@@ -248,10 +248,11 @@ class Jobs:
                 job.then(job)
         except Exception as fault:  # the thread must go on with the next job
             code, problem = 1, str(fault)
-        job.finished = _now()
-        job.version = versions(self._path)[-1]
-        job.state = "done" if code in (0, 3) else "stopped" if job.stopping else "failed"
-        job.problem = problem if job.state == "failed" else None
+        job.version = max(versions(self._path), default=None)  # there is none of a store that somebody has removed
+        state: State = "done" if code in (0, 3) else "stopped" if job.stopping else "failed"
+        job.problem = problem if state == "failed" else None
+        job.state = state
+        job.finished = _now()  # the last one: who finds it finds all others
         with self._lock:
             self._process = None
 

@@ -207,7 +207,9 @@ def test_a_store_that_cannot_be_written_names_the_way_out(connect: Connect, stor
     assert answer.status_code == 507  # pages keep a decision then
     assert "cannot be written" in answer.json()["error"]["message"]
     job = client.post("/api/export", json={"folder": str(tmp_path / "clips")}).json()["id"]
-    while (found := jobs_of(client.app.app.state.archive).find(job)).finished is None:  # type: ignore[attr-defined]
+    found = jobs_of(client.app.app.state.archive).find(job)  # type: ignore[attr-defined]
+    deadline = time.monotonic() + 60
+    while found.finished is None and time.monotonic() < deadline:
         time.sleep(0.05)
     assert found.state == "failed"
     assert f"{refusing / 'jobs'}: cannot be written" in str(found.problem)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import time
 import uuid
 from pathlib import Path
@@ -138,6 +139,19 @@ def test_a_job_that_ignores_the_stop_is_ended_by_force(archive: Path, tmp_path: 
     while job.finished is None and time.monotonic() < deadline:
         time.sleep(0.05)
     assert (job.state, job.problem) == ("stopped", None)
+    jobs.end()
+
+
+def test_jobs_go_on_when_the_store_is_gone(archive: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copytree(archive, tmp_path / "store"))
+    jobs = Jobs(Archive(path))
+    words = ("use", str(path), "own")
+    first = jobs.add(Job("removes the store", words, check=lambda: shutil.rmtree(path)))
+    second = jobs.add(Job("comes later", words))
+    deadline = time.monotonic() + SECONDS
+    while second.finished is None and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert [(job.state, job.version) for job in (first, second)] == [("failed", None)] * 2
     jobs.end()
 
 
