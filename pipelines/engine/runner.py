@@ -357,9 +357,7 @@ def _pipeline_record(pipeline: Pipeline, settings: Mapping[str, Any]) -> Pipelin
     )
 
 
-def _record(
-    context: StageContext, step: Step, summary: Mapping[str, object], seconds: float, run: _Run
-) -> StageRecord:
+def _record(context: StageContext, step: Step, summary: Mapping[str, object], seconds: float, run: _Run) -> StageRecord:
     """Record a stage that has run, and return the record as the store has it."""
     full: dict[str, Any] = {
         **summary,

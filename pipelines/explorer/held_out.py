@@ -25,10 +25,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from kinedex.ops.annotation.calibration import threshold_scores
 from kinedex.ops.annotation.segments import Segment
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
 from kinedex.pipelines.annotation.methods import BestMethod
+from kinedex.pipelines.annotation.parameters import CALIBRATED
 from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.evaluation.annotation_scores import scores
 from kinedex.pipelines.explorer.class_annotation import class_segments
@@ -46,6 +49,9 @@ Row = dict[str, Any]
 
 MOST_SEGMENTS = 24
 """Most segments of a list; its total counts all of them."""
+
+FAR_BETTER = 0.05
+"""A gain in F of training clips that is worth a remark."""
 
 PREPARED = PreparedTemplates()
 
@@ -92,7 +98,7 @@ def show_effect(archive: Archive, asked: EditQuestion, _request: Request, progre
         "rows": [],
         "wrong": {"total": 0, "segments": []},
         "missed": {"total": 0, "segments": []},
-        "remarks": [*use.remarks, *held_out.remarks, *_without_effect(prepared, asked)],
+        "remarks": [*use.remarks, *held_out.remarks, *_without_effect(prepared, asked), *_better_threshold(prepared)],
         "missing": held_out.missing,
         **same_edit(archive, use, one, edit),
     }
@@ -109,6 +115,23 @@ def _divided(costs: tuple[F64, F64] | None) -> Row | None:
         return None
     taus, found = threshold_scores(*costs)
     return {"taus": taus.tolist(), "scores": found.tolist(), "tau": best[0], "f": best[1]}
+
+
+def _better_threshold(prepared: Prepared) -> list[str]:
+    """Return a remark where the training clips are divided far better by a threshold that the class has for itself."""
+    use, found = prepared.use, _divided(prepared.training.of(prepared.one))
+    own = use.params.tau == CALIBRATED or prepared.label in use.params.tau_by_class
+    if found is None or own or use.annotate is None or not use.uses_thresholds:
+        return []
+    below = int(np.searchsorted(found["taus"], prepared.tau))
+    now = found["scores"][below - 1] if below else 0.0
+    if found["f"] - now < FAR_BETTER:
+        return []
+    setting = f"--set {use.annotate.partition('/')[2]}.tau={CALIBRATED}"
+    return [
+        f"of the training clips the pipeline's τ = {prepared.tau:g} has F {now:.2f} and τ = {found['tau']:.3f} has "
+        f"{found['f']:.2f}: a run with `{setting}` gives each class a threshold of its own"
+    ]
 
 
 def _without_effect(prepared: Prepared, asked: EditQuestion) -> list[str]:

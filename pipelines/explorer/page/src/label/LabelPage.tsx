@@ -33,7 +33,7 @@ export default function LabelPage() {
   return (
     <div className="page label-page">
       <div className="label-bar">
-        {take === null ? <Title order={1}>Label</Title> : <Button size="compact-sm" variant="default" component={Link} href="/label">Queue</Button>}
+        {take === null ? <Title order={1}>Label</Title> : <Button size="compact-sm" variant="default" component={Link} href="/label">Doubtful</Button>}
         {store?.read_only === true ? <Text size="sm">This explorer only reads: labels are shown, not changed.</Text> : <Bar annotator={annotator} rename={rename} />}
         <Text size="sm" className="muted">
           {facts !== undefined && `${counted(facts.labels, "label")} in ${counted(facts.takes, "take")}`}

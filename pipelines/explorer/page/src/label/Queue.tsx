@@ -38,7 +38,7 @@ export function Queue({ annotator }: { annotator: string }) {
   useSame(block);
   const editable = store?.read_only === false;
   const answer = (accept: boolean) => editable && queue.answer(accept);
-  useShortcuts("Queue", [
+  useShortcuts("Doubtful", [
     { keys: "y", what: "Yes: accept", run: () => answer(true) },
     { keys: "n", what: "No: reject", run: () => answer(false) },
     { keys: " ", what: "Leave it undecided", run: () => queue.go(at + 1) },

@@ -47,7 +47,11 @@ function OneRun({ run }: { run: Run }) {
   return (
     <Table.Tr title={run.written_by || undefined}>
       <Table.Td>
-        {run.pipeline} {run.current && <Badge size="xs" variant="outline">current</Badge>}
+        {run.pipeline} {run.current && (
+          <Badge size="xs" variant="outline" title="The views of results show what this run has made">
+            current
+          </Badge>
+        )}
         <Text size="xs" className="muted">{run.run}</Text>
       </Table.Td>
       <Table.Td maw={260}>
