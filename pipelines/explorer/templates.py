@@ -2,8 +2,8 @@
 
 `GET /api/templates?stage=&kind=` → {stages: [name], stage, kind, kinds, templates: [row], delta, annotate, evaluate,
  method, remarks}; a row is {name, class, columns, seconds, clips, wildcards, origin, remarks, tau, picture}, where
- `picture` has a byte for each feature and column in base64: 200 times the share of the clips in which the feature is
- on.
+ `tau` is null for a method without thresholds, and `picture` has a byte for each feature and column in base64: 200
+ times the share of the clips in which the feature is on.
 
 `GET /api/templates/one?stage=&kind=&template=` → {name, class, kind, stage, columns, seconds,
  values: [feature][column], weights: [feature] or null, consistency: [feature], clips: [clip], missing,
@@ -99,7 +99,7 @@ def _list_row(store: Store, use: TemplateUse, one: SubclassTemplate) -> Row:
         "wildcards": 1 - quantise(template, use.params.delta).fixed / template.values.shape[1],
         "origin": one.origin,
         "remarks": list(one.remarks),
-        "tau": use.tau(label),
+        "tau": use.tau(label) if use.uses_thresholds else None,
         "picture": picture(template.values),
     }
 

@@ -202,6 +202,8 @@ def test_an_edit_has_the_effect_that_the_stages_then_have(
     assert 0 < shown["f1"] <= 1
     assert (shown["f1"] < 1) or method != "own"
     assert answer["uses_tau"] == (shown["tau"] is not None) == (method in ("own", "keyed"))
+    listed = client.get("/api/templates", params={"stage": asked["stage"]}).json()["templates"]
+    assert all((one["tau"] is not None) == answer["uses_tau"] for one in listed)
     truth = [row for row in store.result("ground_truth", pipeline=name).to_pylist() if row["class"] == "kick"]
     found = [row for row in store.result("annotations", pipeline=name).to_pylist() if row["class"] == "kick"]
     meet = {

@@ -129,7 +129,7 @@ const Card = memo(function Card({ row, current, href }: { row: ListRow; current:
         <b>{row.name}</b>
         <span className="muted">
           {row.class === row.name ? "" : `${row.class} · `}
-          {row.seconds.toFixed(2)} s · {row.clips} {row.clips === 1 ? "clip" : "clips"} · τ {row.tau.toFixed(3)}
+          {row.seconds.toFixed(2)} s · {row.clips} {row.clips === 1 ? "clip" : "clips"}{row.tau !== null && ` · τ ${row.tau.toFixed(3)}`}
         </span>
         {row.remarks.length > 0 && <span className="templates-remark">{row.remarks.length === 1 ? "1 remark" : `${row.remarks.length} remarks`}</span>}
       </Link>

@@ -12,7 +12,8 @@ export interface ListRow {
   wildcards: number;
   origin: string;
   remarks: string[];
-  tau: number;
+  /** Null where the method of the pipeline has no thresholds. */
+  tau: number | null;
   /** A byte for each feature and column, in base64: 200 times the share of the clips in which the feature is on. */
   picture: string;
 }
