@@ -3,15 +3,16 @@
 `POST /api/templates/effect` {stage, kind, template, weights?: {feature: factor}, first?, stop?, tau?, truth?, compete?,
  everything?}
 → {class, with: [name], method, queries, uses_tau, truth: {source, stage, takes, seconds, segments, all_takes,
-   all_seconds, among_examples, sources}, tau, pipeline_tau, training: {learned, edited}, rows: [row], wrong, missed,
-   remarks, missing, seconds, command, python, pipeline}. `first` and `stop` are the columns that are kept. A row is
- {template: "learned" or "edited", threshold: "pipeline", "used" or "best", tau, p1, r1, f1, p2, r2, f2 and the counts};
- `training` has, for each of the two templates, how well thresholds divide the training clips: {taus, scores, tau, f},
- F = scores[i] from taus[i] on, and `tau` with the best of them. `wrong` and `missed` are segments of the last template
- at the τ that is used: {total, segments: [hit]}. `missing` is a sentence where no take is held out, and there are no
- rows then. Without `everything` more than an hour of takes is judged by some of them, drawn at random; `truth` has the
- numbers of both. `pipeline` is the command that runs the pipeline again with the edited template. Whoever accepts
- application/x-ndjson gets lines with the progress first (`progress`).
+   all_seconds, among_examples, sources}, tau, pipeline_tau, training: {learned, edited}, advice, rows: [row], wrong,
+   missed, remarks, missing, seconds, command, python, pipeline}. `first` and `stop` are the columns that are kept. A
+ row is {template: "learned" or "edited", threshold: "pipeline", "used" or "best", tau, p1, r1, f1, p2, r2, f2 and the
+ counts}; `training` has, for each of the two templates, how well thresholds divide the training clips: {taus, scores,
+ tau, f}, F = scores[i] from taus[i] on, and `tau` with the best of them; `advice` is the setting that gives each class
+ a threshold of its own, where that is far better than the threshold of the pipeline, or null. `wrong` and `missed` are
+ segments of the last template at the τ that is used: {total, segments: [hit]}. `missing` is a sentence where no take
+ is held out, and there are no rows then. Without `everything` more than an hour of takes is judged by some of them,
+ drawn at random; `truth` has the numbers of both. `pipeline` is the command that runs the pipeline again with the
+ edited template. Whoever accepts application/x-ndjson gets lines with the progress first (`progress`).
 
 The class is annotated as its pipeline does it, keyframe queries included (`class_annotation`): with `compete` by the
 templates of all classes, otherwise by its own alone. Where the method has no thresholds, `uses_tau` is false, τ of rows
@@ -98,7 +99,8 @@ def show_effect(archive: Archive, asked: EditQuestion, _request: Request, progre
         "rows": [],
         "wrong": {"total": 0, "segments": []},
         "missed": {"total": 0, "segments": []},
-        "remarks": [*use.remarks, *held_out.remarks, *_without_effect(prepared, asked), *_better_threshold(prepared)],
+        "remarks": [*use.remarks, *held_out.remarks, *_without_effect(prepared, asked)],
+        "advice": _better_threshold(prepared),
         "missing": held_out.missing,
         **same_edit(archive, use, one, edit),
     }
@@ -117,21 +119,17 @@ def _divided(costs: tuple[F64, F64] | None) -> Row | None:
     return {"taus": taus.tolist(), "scores": found.tolist(), "tau": best[0], "f": best[1]}
 
 
-def _better_threshold(prepared: Prepared) -> list[str]:
-    """Return a remark where the training clips are divided far better by a threshold that the class has for itself."""
+def _better_threshold(prepared: Prepared) -> str | None:
+    """Return the setting for thresholds by class, where one divides the training clips far better than the common."""
     use, found = prepared.use, _divided(prepared.training.of(prepared.one))
     own = use.params.tau == CALIBRATED or prepared.label in use.params.tau_by_class
     if found is None or own or use.annotate is None or not use.uses_thresholds:
-        return []
+        return None
     below = int(np.searchsorted(found["taus"], prepared.tau))
     now = found["scores"][below - 1] if below else 0.0
     if found["f"] - now < FAR_BETTER:
-        return []
-    setting = f"--set {use.annotate.partition('/')[2]}.tau={CALIBRATED}"
-    return [
-        f"of the training clips the pipeline's τ = {prepared.tau:g} has F {now:.2f} and τ = {found['tau']:.3f} has "
-        f"{found['f']:.2f}: a run with `{setting}` gives each class a threshold of its own"
-    ]
+        return None
+    return f"--set {use.annotate.partition('/')[2]}.tau={CALIBRATED}"
 
 
 def _without_effect(prepared: Prepared, asked: EditQuestion) -> list[str]:

@@ -111,7 +111,7 @@ export function EffectView(props: EffectViewProps) {
         </Text>
       )}
       {fault === null && answer !== undefined && <Before answer={answer} old={old} step={step} edited={edited} onEverything={onEverything} />}
-      {fault === null && usesTau && training !== null && <ThresholdCurve training={training} used={tau} pipeline={facts.tau} name={facts.class} />}
+      {fault === null && usesTau && training !== null && <ThresholdCurve training={training} used={tau} pipeline={facts.tau} name={facts.class} advice={answer?.advice ?? null} />}
     </>
   );
 }

@@ -13,10 +13,11 @@ export interface ThresholdCurveProps {
   used: number;
   pipeline: number;
   name: string;
+  advice: string | null;
 }
 
 /** F of the training clips over τ, with the τ that is used and the best one. */
-export function ThresholdCurve({ training, used, pipeline, name }: ThresholdCurveProps) {
+export function ThresholdCurve({ training, used, pipeline, name, advice }: ThresholdCurveProps) {
   const most = Math.max(used, pipeline, 2 * training.tau);
   const x = (tau: number) => Math.min(tau / most, 1) * WIDTH;
   const y = (score: number) => 2 + (1 - score) * (HEIGHT - FOOT - 4);
@@ -38,6 +39,12 @@ export function ThresholdCurve({ training, used, pipeline, name }: ThresholdCurv
       </svg>
       <Text component="figcaption" size="xs" className="muted">
         Training clips of {name} and of all other classes: {facts}.
+        {advice !== null && (
+          <>
+            {" "}
+            A run of the pipeline with <code className="effect-setting">{advice}</code> gives each class a threshold of its own.
+          </>
+        )}
       </Text>
     </figure>
   );

@@ -128,6 +128,8 @@ export interface Effect extends Same {
   tau: number;
   pipeline_tau: number;
   training: { learned: Divided | null; edited: Divided | null };
+  /** The setting for thresholds by class, where the best one is far better than that of the pipeline. */
+  advice: string | null;
   rows: EffectRow[];
   wrong: Segments;
   missed: Segments;
