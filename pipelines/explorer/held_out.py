@@ -76,6 +76,7 @@ def show_effect(archive: Archive, asked: EditQuestion, _request: Request, progre
     edit = Edit(edited_template(store, one, asked) if changed else one, changed, prepared.tau, asked.tau)
     learned = prepared.training.of(one)
     costs = {"learned": learned, "edited": prepared.training.of(edit.one) if changed else learned}
+    training = {name: _divided(own) for name, own in costs.items()}
     answer: Row = {
         "class": prepared.label,
         "with": [other.subclass for other in prepared.others],
@@ -95,17 +96,17 @@ def show_effect(archive: Archive, asked: EditQuestion, _request: Request, progre
         },
         "tau": edit.tau,
         "pipeline_tau": prepared.tau,
-        "training": {name: _divided(own) for name, own in costs.items()},
+        "training": training,
         "rows": [],
         "wrong": {"total": 0, "segments": []},
         "missed": {"total": 0, "segments": []},
         "remarks": [*use.remarks, *held_out.remarks, *_without_effect(prepared, asked)],
-        "advice": _better_threshold(prepared),
+        "advice": _better_threshold(prepared, training["learned"]),
         "missing": held_out.missing,
         **same_edit(archive, use, one, edit),
     }
     if prepared.batches:
-        best = {name: own and own["tau"] for name, own in answer["training"].items()}
+        best = {name: None if own is None else own["tau"] for name, own in training.items()}
         answer |= _judged(prepared, edit, asked.compete, best, progress)
     return {**answer, "seconds": time.perf_counter() - begin}
 
@@ -119,11 +120,11 @@ def _divided(costs: tuple[F64, F64] | None) -> Row | None:
     return {"taus": taus.tolist(), "scores": found.tolist(), "tau": best[0], "f": best[1]}
 
 
-def _better_threshold(prepared: Prepared) -> str | None:
-    """Return the setting for thresholds by class, where one divides the training clips far better than the common."""
-    use, found = prepared.use, _divided(prepared.training.of(prepared.one))
+def _better_threshold(prepared: Prepared, found: Row | None) -> str | None:
+    """Return the setting for thresholds by class where the class's own would divide the training clips far better."""
+    use = prepared.use
     own = use.params.tau == CALIBRATED or prepared.label in use.params.tau_by_class
-    if found is None or own or use.annotate is None or not use.uses_thresholds:
+    if found is None or own or use.annotate is None or not use.uses_thresholds or prepared.training.actors < 2:
         return None
     below = int(np.searchsorted(found["taus"], prepared.tau))
     now = found["scores"][below - 1] if below else 0.0

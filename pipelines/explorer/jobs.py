@@ -21,6 +21,7 @@ import sys
 import threading
 import uuid
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -248,7 +249,8 @@ class Jobs:
                 job.then(job)
         except Exception as fault:  # the thread must go on with the next job
             code, problem = 1, str(fault)
-        job.version = max(versions(self._path), default=None)  # there is none of a store that somebody has removed
+        with suppress(OSError):
+            job.version = max(versions(self._path), default=None)  # there is none of a store that somebody has removed
         state: State = "done" if code in (0, 3) else "stopped" if job.stopping else "failed"
         job.problem = problem if state == "failed" else None
         job.state = state

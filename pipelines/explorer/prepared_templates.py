@@ -47,12 +47,15 @@ class TrainingCosts:
         Their least distance to the templates of the class besides the one that is edited.
     delta : float
         Entries of a template within delta of 0 or 1 count.
+    actors : int
+        The number of actors of the clips; those without one count as one more.
     """
 
     clips: list[StoredClip]
     own: npt.NDArray[np.bool_]
     others: F64
     delta: float
+    actors: int
 
     def of(self, one: SubclassTemplate) -> tuple[F64, F64] | None:
         """Return the least distance of the class's templates in its own clips and in all others.
@@ -171,7 +174,9 @@ def training_costs(
     clips = [clip for _, own in by_template for clip in own]
     mine = [use.class_of(each.subclass) == label for each, own in by_template for _ in own]
     costs = template_costs(others, clips, use.params.delta) if others and clips else np.empty((0, len(clips)))
-    return TrainingCosts(clips, np.array(mine, np.bool_), costs.min(axis=0, initial=np.inf), use.params.delta)
+    actor = dict(store.takes().select("name", "actor").iter_rows())
+    actors = len({actor.get(clip.take) or "" for clip in clips})
+    return TrainingCosts(clips, np.array(mine, np.bool_), costs.min(axis=0, initial=np.inf), use.params.delta, actors)
 
 
 def dividing_threshold(costs: tuple[F64, F64] | None) -> tuple[float, float] | None:
