@@ -174,7 +174,7 @@ docs: setup $(VENV)/docs.stamp
 links: setup $(VENV)/docs.stamp
 	$(BIN)/sphinx-build --quiet -b linkcheck docs build/links
 
-# Run where nothing of the checkout is on the path: the wheel must do with what is in it.
+# Tried where nothing of the checkout is on the path, as users have it: the demo, the explorer in a browser, a notebook.
 wheel: setup page
 	rm -rf dist build/tried
 	SOURCE_DATE_EPOCH=$(EPOCH) $(BIN)/python -m hatchling build
@@ -182,6 +182,7 @@ wheel: setup page
 	build/tried/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	build/tried/bin/python -m pip install --quiet --disable-pip-version-check --no-deps dist/kinedex-*.whl
 	cd build/tried && bin/kinedex version && bin/kinedex demo store --minutes 2 && bin/kinedex verify store
+	$(BIN)/python -m tests.tried_wheel build/tried build/tried/store
 
 # What is installed for users, and under which licences; one that is not in the list of pyproject.toml is an error.
 build/audit/run.stamp: requirements-audit.lock requirements.lock

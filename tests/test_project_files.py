@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,7 @@ def test_the_image_runs_a_command_that_there_is() -> None:
 
 @pytest.mark.parametrize(
     ("name", "jobs"),
-    [("checks.yml", {"lint", "test", "docs", "release"}), ("audit.yml", {"sbom", "vulnerabilities"})],
+    [("checks.yml", {"lint", "test", "docs", "release", "publish"}), ("audit.yml", {"sbom", "vulnerabilities"})],
 )
 def test_the_workflows_call_targets_and_locks_that_there_are(name: str, jobs: set[str]) -> None:
     text = (ROOT / ".github" / "workflows" / name).read_text(encoding="utf-8")
@@ -61,3 +62,23 @@ def test_the_workflows_call_targets_and_locks_that_there_are(name: str, jobs: se
 def test_the_locks_name_no_host() -> None:
     for lock in [*ROOT.glob("requirements*.lock"), ROOT / "pipelines/explorer/page/package-lock.json"]:
         assert "://" not in lock.read_text(encoding="utf-8"), lock.name
+
+
+def test_version_and_works_are_cited_alike_in_all_forms() -> None:
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    page = (ROOT / "docs" / "citing.md").read_text(encoding="utf-8")
+    titles = re.findall(r"^  title = \{(.+?)\},$", page, re.MULTILINE)
+    assert sorted(titles) == sorted([citation["title"], *(work["title"] for work in citation["references"])])
+    assert citation["version"] == version
+    assert re.findall(r"version = \{(.+?)\}", page) == [version]
+
+
+def test_the_text_on_the_package_index_has_no_links_into_the_repository() -> None:
+    hook = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["metadata"]["hooks"]
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    for change in hook["fancy-pypi-readme"]["substitutions"]:
+        text = re.sub(change["pattern"], change["replacement"], text)
+    assert "](" not in text
+    assert "<!--" not in text
+    assert len(text.split("\n## ")) == len((ROOT / "README.md").read_text(encoding="utf-8").split("\n## "))
