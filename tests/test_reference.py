@@ -9,6 +9,7 @@ import pytest
 
 from docs.generators.reference import PARTS, reference
 from kinedex.catalog.configs import KINDS, config_names
+from kinedex.pipelines.commands.app import COMMON_OPTIONS
 from kinedex.pipelines.engine.stage import BUILT_IN, load_stage
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "reference.md").read_text(encoding="utf-8")
@@ -32,6 +33,17 @@ def test_every_command_has_its_options_and_a_summary() -> None:
         lines = text.splitlines()
         assert lines[2].endswith((".", "best")) or ":" in lines[2], lines[0]
         assert not re.findall(r"^\| [^|]+ \| [^|]* \|  \|$", text, re.MULTILINE), f"{lines[0]}: an option without help"
+
+
+def test_no_table_is_empty() -> None:
+    assert not re.findall(r"^.*\n\n\|.*\n\| -.*\n(?!\|)", PAGE, re.MULTILINE)
+
+
+def test_the_options_of_every_command_are_listed_with_their_meaning() -> None:
+    listed = PAGE.split("Every command has these options:\n")[1].split("\n### ")[0]
+    assert re.findall(r"^\| `(--[\w-]+)`.* \| \w.*\. \|$", listed, re.MULTILINE) == [
+        f"--{name.replace('_', '-')}" for name in COMMON_OPTIONS
+    ]
 
 
 def test_every_kind_of_configuration_file_has_its_keys_and_names() -> None:

@@ -6,7 +6,7 @@ import importlib
 import re
 import types
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -173,10 +173,19 @@ def _contents(body: str) -> str:
 
 def _common() -> str:
     """Return what holds for all commands: exit codes and common options."""
-    root: Any = typer.main.get_command(app)
-    options = [one for one in root.commands["takes"].params if one.name in COMMON_OPTIONS]
-    rows = [(_option(one), one.help) for one in options]
+    first = next(_leaves(typer.main.get_command(app)))
+    options = {one.name: one for one in first.params}
+    rows = [(_option(options[name]), options[name].help) for name in COMMON_OPTIONS]
     return f"{app.info.epilog}\n\nEvery command has these options:\n\n{table(('option', 'what it does'), rows)}"
+
+
+def _leaves(one: Any) -> Iterator[Any]:
+    """Yield the commands of a group and of the groups in it; groups have no options of their own."""
+    if not hasattr(one, "commands"):
+        yield one
+        return
+    for inner in one.commands.values():
+        yield from _leaves(inner)
 
 
 def _documents() -> list[str]:
