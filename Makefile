@@ -24,7 +24,7 @@ PAGE_SOURCES := $(addprefix $(PAGE)/,package.json package-lock.json vite.config.
 
 PAGE_INDEX := pipelines/explorer/built/index.html
 
-.PHONY: page check-page explore setup demo demo-tracking demo-depth demo-inertial test lint types compile-tests check-kernels check-bounds check-plain fuzz attack bench bench-explorer docs links wheel sbom audit lock clean help
+.PHONY: page check-page explore setup demo demo-tracking demo-depth demo-inertial test check-without-data other-duckdb lint types compile-tests check-kernels check-bounds check-plain fuzz attack bench bench-explorer docs links wheel sbom audit lock clean help
 .DEFAULT_GOAL := help
 # Else what a step that failed has half written would count as made.
 .DELETE_ON_ERROR:
@@ -121,6 +121,19 @@ test: lint
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal
 	@$(MAKE) --no-print-directory check-kernels BOUNDED="not slow and (slow_as_python or shared)"
 
+# Where real data lies beside the checkout: the tests that take other data without it, as a newcomer runs them.
+check-without-data: setup
+	KINEDEX_SHARED=none $(BIN)/pytest -n $(WORKERS) --dist worksteal -m other_data
+
+# Another version of DuckDB reads the files of stores where KINEDEX_OTHER_DUCKDB names its Python.
+build/other-duckdb/run.stamp: requirements-other-duckdb.lock
+	@rm -rf build/other-duckdb
+	@$(PYTHON) -m venv build/other-duckdb
+	@build/other-duckdb/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-other-duckdb.lock
+	@touch $@
+
+other-duckdb: build/other-duckdb/run.stamp
+
 # Once before the workers start, as each would compile all modules for itself; one that fails is reported by the tests.
 compile-tests: setup
 	@$(BIN)/pytest --collect-only -qq > /dev/null || true
@@ -208,6 +221,7 @@ lock:
 	uv pip compile --group audit --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-audit.lock
 	uv pip compile --group node --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-node.lock
 	uv pip compile --group fuzz --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-fuzz.lock
+	uv pip compile --group other-duckdb --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-other-duckdb.lock
 	uv pip compile pyproject.toml --group docs -c requirements-dev.lock --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-docs.lock
 	uv pip compile pyproject.toml --group bench -c requirements.lock --universal --python-version 3.11 --generate-hashes --no-header -q -o requirements-bench.lock
 	cd $(PAGE) && npm install --package-lock-only --ignore-scripts --no-audit --no-fund

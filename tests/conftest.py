@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import sys
+from collections import Counter
 from functools import lru_cache
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import typer.testing
 from hypothesis import settings
 
 from tests.plain_python import PLAIN
+from tests.real_data import SHARED, takes_other_data
 from tests.shared_kernels import compile_in_one_worker
 
 # The first call of a kernel compiles it, and tests run beside each other: time proves nothing about correctness.
@@ -55,6 +57,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "shared" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.shared)
+        elif takes_other_data(item.path):
+            item.add_marker(pytest.mark.other_data)
         if PLAIN and item.get_closest_marker("slow_as_python") is not None:
             item.add_marker(pytest.mark.skip(reason="as plain Python it takes minutes"))
     items.sort(key=lambda item: item.get_closest_marker("slow") is None)
@@ -63,7 +67,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.timeout(SLOW_SECONDS))
 
 
-SHARED = Path(__file__).resolve().parents[2] / "shared"
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say why tests were skipped, in one line a reason."""
+    reasons: Counter[str] = Counter()
+    for report in terminalreporter.stats.get("skipped", []):
+        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+        reasons[reason.removeprefix("Skipped: ")] += 1
+    for reason, count in sorted(reasons.items(), key=lambda one: (-one[1], one[0])):
+        terminalreporter.write_line(f"{count} skipped: {reason}")
 
 
 @pytest.fixture(scope="session")

@@ -18,7 +18,7 @@ from kinedex.catalog.skeletons.mappings import Mappings, load_mappings, load_ske
 from kinedex.storage.formats.labels.formats import FORMATS
 from kinedex.storage.formats.labels.segments import Label, TakeLabels
 from kinedex.storage.formats.motion.body_models import BODY, HANDS
-from tests import osim_files, point_files
+from tests import osim_files, point_files, real_data
 from tests.bodies import STANDING, standing
 from tests.bvh_files import bvh_text, dance, mixamo, small
 from tests.c3d_files import standing_markers, write_c3d
@@ -27,7 +27,7 @@ from tests.gltf_files import dancing_gltf
 from tests.mvnx_files import dancing, mvnx_text, subject_text
 from tests.pipelines.archives import human_amc, human_asf
 
-SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
+SHARED = real_data.SHARED / "data"
 SMALL = 60_000
 """Seeds have no more bytes than this, so that many mutants are read in a second."""
 

@@ -24,14 +24,14 @@ from typing import Any
 
 import polars as pl
 import pytest
-from playwright.sync_api import Browser, Locator, Page, expect
+from playwright.sync_api import Browser, FloatRect, Locator, Page, expect
 from typer.testing import CliRunner
 
 import kinedex
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.explorer.jobs import FOLDER
 from tests.browser.explorer.conftest import WAIT_MS
-from tests.conftest import SHARED
+from tests.real_data import SHARED
 
 BANDAI = SHARED / "data" / "bandai"
 PATTERN = r"dataset-\d_(?P<class>[^_]+)_(?P<actor>[^_]+)_(?P<clip>\d+)\."
@@ -54,6 +54,9 @@ DIFFERENT = ["id", "created", "replaces", "current", "take_id"]
 
 RUNS = ["run", "pipeline_run"]
 """Columns of annotations that name the run: its time and random digits."""
+
+FRAME_PX = 4
+"""Pixels of a frame at which a drag is sure to move by whole frames."""
 
 LONG_MS = 240_000
 """Learning and writing take longer than an answer of the page, on a machine with other work."""
@@ -171,12 +174,10 @@ class Story:
             page.keyboard.press("e")
             self.saved("accept by e", "accept")
             lane = page.locator(f'[data-lane="labels/{NEW}"]')
-            (frames,) = store.takes().filter(pl.col("name") == first["take"])["frames"]
-            drag(lane, (first["stop"] - 0.2) / frames, (first["stop"] - 5.2) / frames)
+            chosen = lane.locator('[aria-pressed="true"]')
+            drag_end(chosen, first["stop"] - first["start"], -5)
             self.saved("correct by mouse", "change")
-            expect(lane.locator('[aria-pressed="true"]')).to_have_attribute(
-                "title", _containing(f"to {first['stop'] - 5},")
-            )
+            expect(chosen).to_have_attribute("title", _containing(f"to {first['stop'] - 5},"))
         with self.step("correct the start of another one by keys"):
             self.open(second)
             page.keyboard.press("e")
@@ -223,14 +224,41 @@ class Story:
 
 def drag(area: Locator, start: float, stop: float) -> None:
     """Drag by mouse over shares of the width of an area."""
+    box = box_of(area)
+    left, y = box["x"], box["y"] + min(box["height"] / 2, 60)
+    move(area.page, (left + start * box["width"], y), (left + stop * box["width"], y))
+
+
+def drag_end(segment: Locator, frames: int, by: int) -> None:
+    """Drag the end of a segment of so many frames, after zooming in until a frame is some pixels wide.
+
+    A mouse rests on whole pixels: in a long take that is shown whole, a pixel is more than half a frame.
+    """
+    for _ in range(20):
+        box = box_of(segment)
+        right, y = box["x"] + box["width"], box["y"] + box["height"] / 2
+        if box["width"] / frames >= FRAME_PX:
+            move(segment.page, (right - 2, y), (right - 2 + by * box["width"] / frames, y))
+            return
+        segment.page.mouse.move(right - 2, y)
+        segment.page.mouse.wheel(0, -200)
+        expect(segment).not_to_have_css("width", f"{box['width']:g}px")
+    raise AssertionError("the lanes do not zoom in")
+
+
+def box_of(area: Locator) -> FloatRect:
     box = area.bounding_box()
     assert box is not None
-    mouse, y = area.page.mouse, box["y"] + min(box["height"] / 2, 60)
-    mouse.move(box["x"] + start * box["width"], y)
-    mouse.down()
-    mouse.move(box["x"] + (start + stop) / 2 * box["width"], y)
-    mouse.move(box["x"] + stop * box["width"], y)
-    mouse.up()
+    return box
+
+
+def move(page: Page, begin: tuple[float, float], end: tuple[float, float]) -> None:
+    """Drag by mouse from a point to another one."""
+    page.mouse.move(*begin)
+    page.mouse.down()
+    page.mouse.move((begin[0] + end[0]) / 2, (begin[1] + end[1]) / 2)
+    page.mouse.move(*end)
+    page.mouse.up()
 
 
 def _beginning(words: str) -> Any:
