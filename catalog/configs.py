@@ -18,6 +18,7 @@ from yaml.constructor import SafeConstructor
 from yaml.resolver import Resolver
 
 from kinedex.ops.errors import ConfigError, did_you_mean
+from kinedex.ops.local_paths import refuse_addresses
 
 KINDS = {
     "skeletons": "skeleton mapping",
@@ -72,6 +73,7 @@ def config_path(kind: str, name: str | Path) -> Path:
     ConfigError
         If no such file exists; the message names the nearest shipped file.
     """
+    refuse_addresses(name)
     text = str(name)
     if "/" in text or text.endswith((".yaml", ".yml", ".json")):
         path = Path(text).expanduser()

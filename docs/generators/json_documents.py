@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 _STORE = {"store": "path of the store"}
+_UNMATCHED = (
+    "for each label file with labels that match no take its `file`, the number of these `labels`, `of` how many, and "
+    "the names of `takes` that no take has"
+)
 _RUN = {
     "pipeline": "name of the pipeline",
     **_STORE,
@@ -10,10 +14,12 @@ _RUN = {
     "skipped": "names of the stages that were up to date",
     "report": "path of the report, or null",
     "excluded_files": "number of source files that the ingest excluded (exit code 3 where there are any)",
+    "unmatched_labels": f"{_UNMATCHED} (exit code 3 where there are any)",
     "metrics": "rows of the view `metrics` with the scope `pooled`, one for each evaluation",
 }
 
 DOCUMENTS: dict[str, dict[str, str]] = {
+    "demo": _RUN,
     "run": _RUN,
     "ingest": _RUN,
     "plan": {
@@ -71,6 +77,7 @@ DOCUMENTS: dict[str, dict[str, str]] = {
             "`without errors`, `rejected` or `removed`",
             "known": "number of decisions that the store had already",
             "remarks": "what was excluded, and why",
+            "unmatched_labels": _UNMATCHED,
             "labels": "the new rows, with the columns of a label and without those that the view adds",
         }
         for name in ("import", "add", "remove", "accept", "reject")

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.local_paths import refuse_addresses
 
 T = TypeVar("T", bound=Callable[..., Any])
 C = TypeVar("C")
@@ -45,16 +46,20 @@ _CLASSES = {"Store", "Take", "Template", "Query", "DataFrame"}
 def checked(function: T) -> T:
     """Return a public function that raises a ParameterError for an argument of a wrong type.
 
-    What an annotation says is checked as far as it consists of plain types, classes of this interface, and sequences of
-    them; other annotations (arrays, aliases) are left to the function itself.
+    Arguments that can be paths must be paths of this machine. What an annotation says is checked as far as it consists
+    of plain types, classes of this interface, and sequences of them; other annotations (arrays, aliases) are left to
+    the function itself.
     """
     signature = inspect.signature(function)
     found = ((name, _check_of(one.annotation)) for name, one in signature.parameters.items())
     checks = {name: check for name, check in found if check is not None}
+    paths = [name for name, one in signature.parameters.items() if "Path" in str(one.annotation)]
 
     @functools.wraps(function)
     def guarded(*arguments: Any, **named: Any) -> Any:
-        for name, value in signature.bind(*arguments, **named).arguments.items():
+        given = signature.bind(*arguments, **named).arguments
+        refuse_addresses([given[name] for name in paths if name in given])
+        for name, value in given.items():
             if name in checks and not checks[name][1](value):
                 raise ParameterError(name, checks[name][0], value)
         return function(*arguments, **named)

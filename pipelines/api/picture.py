@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from kinedex.pipelines.api.arguments import checked_methods
 from kinedex.pipelines.report.matrix_figures import MatrixFigure, draw, write_figure
 
 
+@checked_methods
 class Picture:
     """A picture of a template or of the difference of two.
 

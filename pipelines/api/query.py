@@ -7,8 +7,10 @@ from collections.abc import Iterable
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries import query as catalog_query
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
+from kinedex.pipelines.api.arguments import checked_methods
 
 
+@checked_methods
 class Query(catalog_query.Query):
     __doc__ = catalog_query.Query.__doc__
 

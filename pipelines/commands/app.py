@@ -188,12 +188,16 @@ LogOption = Annotated[
 COMMON_OPTIONS = {"quiet": (QuietOption, False), "verbose": (VerboseOption, False), "log_file": (LogOption, None)}
 """The options that every command has: parameter → its type and its default."""
 
+NO_PATHS = ("scheduler", "note")
+"""Parameters of commands whose texts may be addresses with a scheme."""
+
 
 def _guarded(function: Callable[..., None]) -> Callable[..., None]:
     """Return the command with the common options, which ends with one message where it fails."""
 
     @functools.wraps(function)
     def guarded(**arguments: Any) -> None:
+        from kinedex.ops.local_paths import refuse_addresses
         from kinedex.pipelines.console.logs import configure_logging
         from kinedex.pipelines.console.terminal import configure_messages
         from kinedex.storage.ctrl_c import ctrl_c_in_statements
@@ -202,6 +206,8 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
         as_json = bool(arguments.get("as_json"))
         configure_messages(quiet=quiet, to_stderr=as_json)
         try:
+            refuse_addresses([value for name, value in arguments.items() if name not in NO_PATHS])
+            refuse_addresses(log_file)
             configure_logging(quiet=quiet, verbose=verbose, log_file=log_file)
             with _logged(function.__name__.replace("_", "-")), ctrl_c_in_statements():
                 function(**arguments)

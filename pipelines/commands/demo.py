@@ -11,10 +11,11 @@ from rich.console import Console
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.console.terminal import Terminal
-from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.engine.executors import cores
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
 from kinedex.pipelines.synth.archive import write_archive
+from kinedex.storage.snapshot.manifest_files import versions
 from kinedex.storage.store.store import open_store
 
 ACTORS, SEED = 5, 2026
@@ -65,12 +66,13 @@ def run_demo(
         If `data` is no folder, or a stage fails.
     """
     settings = {"method": method}
+    if data is not None and not data.is_dir():
+        raise KinedexError(f"--data {data}: no such folder")
+    refuse_other_takes(store, data or archive_folder(store, minutes))
     if data is None:
-        data = store.parent / f"{store.name}-archive-{minutes:g}min"
+        data = archive_folder(store, minutes)
         make_archive(data, minutes, ACTORS, SEED, workers, console)
         settings["classes"] = "synthetic"
-    elif not data.is_dir():
-        raise KinedexError(f"--data {data}: no such folder")
     settings["source"] = str(data)
     console.print(f"store: {store}", markup=False)
     return run_pipeline(
@@ -180,11 +182,45 @@ def ingest_archive(store: Path, minutes: float, console: Console, run: Mapping[s
     """
     from kinedex.catalog.configs import config_path, load_yaml
 
-    data = store.parent / f"{store.name}-archive-{minutes:g}min"
+    data = archive_folder(store, minutes)
+    refuse_other_takes(store, data)
     make_archive(data, minutes, ACTORS, SEED, run["workers"], console)
     patterns = load_yaml(config_path("pipelines", "reconstruct")).mapping()["settings"]["patterns"]
     run_pipeline("ingest", store, settings={"source": str(data), "ingest.patterns": patterns}, **run)
     return data
+
+
+def archive_folder(store: Path, minutes: float) -> Path:
+    """Return the folder of a demo's synthetic archive, beside its store."""
+    return store.parent / f"{store.name}-archive-{minutes:g}min"
+
+
+def refuse_other_takes(store: Path, data: Path) -> None:
+    """Refuse a store that a demo with this archive has not made, before anything is written.
+
+    Parameters
+    ----------
+    store : Path
+        Directory of the store, which need not exist.
+    data : Path
+        Folder of the motion files of the demo. A store that was moved together with it counts as made of it.
+
+    Raises
+    ------
+    KinedexError
+        The store holds takes, and none of this archive.
+    """
+    if not versions(store):
+        return
+    rows = open_store(store, at="newest").take_rows.select(["source_root"]).to_pylist()
+    roots = {Path(row["source_root"]) for row in rows if row["source_root"]}
+    if not roots or any(root.name == data.resolve().name for root in roots):
+        return
+    raise KinedexError(
+        f"{store} holds {counted(len(rows), 'take')} of {few(sorted(map(str, roots)))}, and none of {data}: the demo "
+        "would mix others with them; name a folder for its store that does not exist yet, such as "
+        f"{store.with_name(store.name + '-demo')}"
+    )
 
 
 def recordings_folder(store: Path, minutes: float) -> Path:

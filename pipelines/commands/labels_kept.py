@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinedex.pipelines.commands.app import command
+from kinedex.pipelines.commands.app import LEFT_OUT, command
 from kinedex.pipelines.commands.labels import labels
 from kinedex.pipelines.commands.options import AtOption, FormatOption, JsonOption, OutputOption, StorePath
 from kinedex.pipelines.commands.output import print_json, print_message, show_table
@@ -301,11 +301,16 @@ def _report(store: Path, done: Recorded, as_json: bool) -> None:
 
     if as_json:
         print_json(
-            {"store": store, "counts": done.counts, "known": done.known, "remarks": done.remarks, "labels": done.rows}
-        )
-        return
+            {
+                "store": store, "counts": done.counts, "known": done.known, "remarks": done.remarks,
+                "unmatched_labels": [one.as_json() for one in done.unmatched], "labels": done.rows,
+            }
+        )  # fmt: skip
+        raise typer.Exit(LEFT_OUT if done.unmatched else 0)
     for remark in done.remarks:
         print_message(f"! {remark}")
     counts = ", ".join(f"{count:,} {name}" for name, count in done.counts.items())
     known = f"; {done.known:,} were there already" if done.known else ""
     print_message(f"{counted(done.rows.num_rows, 'label')} recorded{f' ({counts})' if counts else ''}{known}")
+    if done.unmatched:
+        raise typer.Exit(LEFT_OUT)

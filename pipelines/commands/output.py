@@ -108,7 +108,7 @@ def _pooled_metrics(outcome: Outcome) -> list[dict[str, object]]:
     return [row for row in rows if row["scope"] == "pooled"]
 
 
-def show_outcome(outcome: Outcome, store: Path, as_json: bool = False) -> None:
+def show_outcome(outcome: Outcome, store: Path, as_json: bool = False, *, repeat: bool = False) -> None:
     """Print how a pipeline ended and where its report is; exit with `LEFT_OUT` where source files were excluded.
 
     Parameters
@@ -119,6 +119,8 @@ def show_outcome(outcome: Outcome, store: Path, as_json: bool = False) -> None:
         Directory of the store.
     as_json : bool
         Print the JSON object of `run` (docs/reference.md, "JSON output").
+    repeat : bool
+        Print the command that repeats the run.
     """
     from kinedex.pipelines.console.terminal import make_console
 
@@ -131,6 +133,7 @@ def show_outcome(outcome: Outcome, store: Path, as_json: bool = False) -> None:
                 "skipped": outcome.skipped,
                 "report": outcome.report,
                 "excluded_files": outcome.left_out,
+                "unmatched_labels": [one.as_json() for one in outcome.unmatched],
                 "metrics": _pooled_metrics(outcome),
             }
         )
@@ -141,11 +144,16 @@ def show_outcome(outcome: Outcome, store: Path, as_json: bool = False) -> None:
         )
     if not as_json and outcome.report is not None:
         console.print(f"report: {outcome.report}", style="bold", markup=False)
-    if outcome.left_out:
-        if not as_json:
-            console.print(
-                f"{outcome.left_out} source files were excluded; list them: "
-                f'kinedex sql {shlex.quote(str(store))} "SELECT * FROM ingest_log"',
-                markup=False,
-            )
+    if outcome.left_out and not as_json:
+        console.print(
+            f"{counted(outcome.left_out, 'source file')} excluded; list them: "
+            f'kinedex sql {shlex.quote(str(store))} "SELECT * FROM ingest_log"',
+            markup=False,
+        )
+    if not as_json:
+        for one in outcome.unmatched:
+            console.print(str(one), markup=False)
+    if not as_json and repeat:
+        console.print(f"again, where something changed: {outcome.command}", markup=False)
+    if outcome.left_out or outcome.unmatched:
         raise typer.Exit(LEFT_OUT)

@@ -62,6 +62,7 @@ def demo(
     ] = False,
     executor: ExecutorOption = "processes",
     workers: WorkersOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Run everything, from motion files to a report.
 
@@ -79,10 +80,11 @@ def demo(
         raise typer.BadParameter(f"--{chosen[0]} uses takes of the synthetic archive; leave out --data")
     if chosen:
         store = store or Path(f"build/{chosen[0]}-store")
-        show_outcome(others[chosen[0]](store, minutes or 3.0, executor, workers, message_console()), store)
-        return
-    store = store or Path("build/demo-store")
-    show_outcome(run_demo(store, data, minutes or 30.0, executor, workers, message_console(), method), store)
+        outcome = others[chosen[0]](store, minutes or 3.0, executor, workers, message_console())
+    else:
+        store = store or Path("build/demo-store")
+        outcome = run_demo(store, data, minutes or 30.0, executor, workers, message_console(), method)
+    show_outcome(outcome, store, as_json, repeat=True)
 
 
 @command(RUN)

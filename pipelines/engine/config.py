@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.configs import Located, config_path, load_yaml, parse_yaml, read_text, shipped_configs
 from kinedex.ops.errors import ConfigError, KinedexError, did_you_mean
+from kinedex.ops.local_paths import refuse_addresses
 from kinedex.pipelines.engine.stage import STAGES, Input, Stage, load_stage
 
 _SETTING = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")
@@ -225,6 +226,7 @@ class _PipelineReader:
         given = self._overrides.get(name, {})
         fields = kind.parameters.model_fields
         params |= {option: one.parsed(fields[option].annotation in (str, str | None)) for option, one in given.items()}
+        refuse_addresses(params)
         try:
             filled = self._located.model(kind.parameters, *key, data=params)
         except ConfigError as fault:

@@ -25,6 +25,7 @@ from kinedex.pipelines.engine.context import Display, StageContext, feature_set_
 from kinedex.pipelines.engine.executors import Executor, make_executor
 from kinedex.pipelines.engine.plan import FORCED, Planner, Step, make_plan
 from kinedex.pipelines.engine.run_recorder import RunRecorder
+from kinedex.pipelines.labels.label_takes import UNMATCHED, UnmatchedLabels
 from kinedex.storage.ctrl_c import ctrl_c_in_statements
 from kinedex.storage.lock import Wait
 from kinedex.storage.provenance import kinedex_version, running_command
@@ -60,8 +61,12 @@ class Outcome:
         The figures that each stage recorded, of skipped stages those of the run before.
     left_out : int
         How many source files the ingest excluded.
+    unmatched : tuple of UnmatchedLabels
+        The labels that match no take, once for each label file.
     report : Path or None
         The page of the last stage that writes one.
+    command : str or None
+        The command that runs the same again; None for a call without `assignments`.
     """
 
     pipeline: Pipeline
@@ -70,7 +75,9 @@ class Outcome:
     skipped: tuple[str, ...]
     summaries: dict[str, dict[str, Any]]
     left_out: int
+    unmatched: tuple[UnmatchedLabels, ...]
     report: Path | None
+    command: str | None = None
 
     @cached_property
     def metrics(self) -> pl.DataFrame:
@@ -196,7 +203,7 @@ def run_pipeline(
     except KeyboardInterrupt:
         # all is done and recorded: only the workers were waited for
         pool.abort()
-    return _outcome(pipeline, steps, store_path)
+    return _outcome(run, steps)
 
 
 def _make_current(run: _Run) -> None:
@@ -412,21 +419,24 @@ def _resume(
     return shlex.join(words)
 
 
-def _outcome(pipeline: Pipeline, steps: list[Step], store_path: Path) -> Outcome:
+def _outcome(run: _Run, steps: list[Step]) -> Outcome:
     summaries = {
         step.stage.name: {key: value for key, value in step.record.summary.items() if key not in OWN_FIELDS}
         for step in steps
         if step.record is not None
     }
+    unmatched = [found for one in summaries.values() for found in one.get(UNMATCHED, ())]
     pages = [name for one in summaries.values() for name in one.get("files", ()) if name.endswith(".html")]
     return Outcome(
-        pipeline,
-        store_path,
+        run.pipeline,
+        run.store_path,
         tuple(step.stage.name for step in steps if step.reason is not None),
         tuple(step.stage.name for step in steps if step.reason is None),
         summaries,
         sum(int(one.get("left_out", 0)) for one in summaries.values()),
-        store_path / pages[-1] if pages else None,
+        tuple({found["file"]: UnmatchedLabels.of_json(found) for found in unmatched}.values()),
+        run.store_path / pages[-1] if pages else None,
+        run.resume,
     )
 
 

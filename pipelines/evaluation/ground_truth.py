@@ -14,6 +14,7 @@ import pyarrow as pa
 from kinedex.catalog.classes import Classes
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.console.wording import few
+from kinedex.pipelines.labels.label_takes import UnmatchedLabels, unmatched_labels
 from kinedex.storage.formats.labels.ground_truth import LabelFile, ManualSegment
 from kinedex.storage.snapshot.schemas import result_schema
 
@@ -50,11 +51,14 @@ class GroundTruth:
         excluded) there is nothing to find.
     remarks : tuple of str
         Labels and takes that were excluded.
+    unmatched : tuple of UnmatchedLabels
+        The labels that match no take, file by file.
     """
 
     segments: tuple[Manual, ...]
     takes: tuple[str, ...]
     remarks: tuple[str, ...] = ()
+    unmatched: tuple[UnmatchedLabels, ...] = ()
 
 
 def place_ground_truth(
@@ -95,7 +99,8 @@ def place_ground_truth(
     here = [segment for file in files for segment in file.segments if segment.take in by_name]
     looked_at = {take for file in files for take in file.takes}
     absent = sorted(looked_at - known_takes)
-    remarks = [f"ground truth of takes that the archive does not have: {few(absent)}"] if absent else []
+    unmatched = unmatched_labels(files, known_takes)
+    remarks = list(map(str, unmatched))
     evaluated = looked_at & set(by_name)
     if not evaluated:
         count = sum(len(file.segments) for file in files)
@@ -127,7 +132,7 @@ def place_ground_truth(
     bare = sorted(evaluated - {segment.take for segment in placed} - set(empty))
     if bare:
         remarks.append(f"takes in which nothing is left to be found, evaluated as such: {few(bare)}")
-    return GroundTruth(tuple(placed), tuple(sorted(evaluated)), tuple(remarks))
+    return GroundTruth(tuple(placed), tuple(sorted(evaluated)), tuple(remarks), unmatched)
 
 
 def _of_no_class(labels: Mapping[str, str | None], classes: Classes) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -19,6 +20,7 @@ from kinedex.pipelines.evaluation.ground_truth import (
     ground_truth_of_classes,
     place_ground_truth,
 )
+from kinedex.pipelines.labels.label_takes import on_takes
 from kinedex.storage.formats.labels.ground_truth import any_ground_truth, ground_truth_files, read_ground_truth
 from kinedex.storage.store.store import Store
 
@@ -103,10 +105,10 @@ def ground_truth(store: Store, params: GroundTruthParameters, takes: pl.DataFram
     """Read the ground truth of takes, and place it on them."""
     if params.ground_truth == OWN_CLASS:
         return ground_truth_of_classes(takes, classes)
-    files = truth_files(params, takes["source_root"].unique())
-    return place_ground_truth(
-        list(map(read_ground_truth, files)), takes, store.takes()["name"], classes, params.unknown_labels
-    )
+    paths = truth_files(params, takes["source_root"].unique())
+    files, remarks = on_takes(store, list(map(read_ground_truth, paths)))
+    truth = place_ground_truth(files, takes, store.takes()["name"], classes, params.unknown_labels)
+    return replace(truth, remarks=(*remarks, *truth.remarks))
 
 
 def truth_files(params: GroundTruthParameters, roots: Iterable[str]) -> list[Path]:

@@ -12,12 +12,14 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import xxhash
+from rich.console import Console
 
 from kinedex.ops.duplicates.alignments import find_alignments
-from kinedex.ops.duplicates.same_motion import local_poses, same_motion
+from kinedex.ops.duplicates.same_motion import NEARLY_ALL, local_poses, same_motion
 from kinedex.ops.duplicates.word_agreement import plausible
 from kinedex.ops.search.runs import word_runs
 from kinedex.ops.words import TakeWords
+from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.context import Display
 from kinedex.storage.snapshot.parts import joint_positions
@@ -70,6 +72,30 @@ def find_duplicates(store: Snapshot, display: Display) -> pa.Table:
     rows.sort(key=lambda row: (row["take"], row["of_take"], row["start"]))
     schema = result_schema("duplicates")
     return pa.Table.from_pylist(rows, schema=schema.remove(schema.get_field_index("run")))
+
+
+def hold_one_motion(store: Snapshot, names: Sequence[str]) -> bool:
+    """Return whether takes hold the same motion as a whole: a label of the frames of one fits each of them.
+
+    Parameters
+    ----------
+    store : Snapshot
+        The version of their store.
+    names : sequence of str
+        The takes; a single one does.
+    """
+    if len(names) < 2:
+        return True
+    lengths = [store.take_frames[store.take_id(name)] for name in names]
+    if min(lengths) < NEARLY_ALL * max(lengths):
+        return False
+    rows = _same_motions(store, list(names), Terminal(Console(quiet=True)))
+    whole = [
+        row
+        for row in rows
+        if row["share"] >= NEARLY_ALL and not row["mirrored"] and abs(row["shift_seconds"]) * store.rate_hz <= 1.0
+    ]
+    return len({(row["take"], row["of_take"]) for row in whole}) == len(names) * (len(names) - 1) // 2
 
 
 def save_duplicates(store: Snapshot, table: pa.Table, run: str) -> None:

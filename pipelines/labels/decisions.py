@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import polars as pl
@@ -14,6 +14,7 @@ from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.annotation.labels import annotate_stage
 from kinedex.pipelines.annotation.tables import annotated_takes
 from kinedex.pipelines.console.wording import few
+from kinedex.pipelines.labels.label_takes import UnmatchedLabels
 from kinedex.pipelines.labels.segments import Difference, Segment, differences, placed_files
 from kinedex.storage.formats.labels.segments import LabelFile
 from kinedex.storage.snapshot.schemas import labels_schema
@@ -33,10 +34,13 @@ class Proposed:
         Rows for `record`.
     remarks : tuple of str
         What was excluded.
+    unmatched : tuple of UnmatchedLabels
+        The labels that match no take, file by file.
     """
 
     rows: tuple[Row, ...]
     remarks: tuple[str, ...] = ()
+    unmatched: tuple[UnmatchedLabels, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -51,11 +55,14 @@ class Recorded:
         The number of decisions that the store had already.
     remarks : tuple of str
         What was excluded.
+    unmatched : tuple of UnmatchedLabels
+        The labels of files that match no take, file by file; `remarks` has them in words.
     """
 
     rows: pa.Table
     known: int = 0
     remarks: tuple[str, ...] = ()
+    unmatched: tuple[UnmatchedLabels, ...] = ()
 
     @property
     def counts(self) -> dict[str, int]:
@@ -234,7 +241,7 @@ def import_labels(store: Store, files: Sequence[LabelFile], **more: str | None) 
 
 
 def _record(store: Store, proposed: Proposed) -> Recorded:
-    return record(store, proposed.rows, proposed.remarks)
+    return replace(record(store, proposed.rows, proposed.remarks), unmatched=proposed.unmatched)
 
 
 def proposed_labels(store: Store, files: Sequence[LabelFile], **more: str | None) -> Proposed:
@@ -242,7 +249,7 @@ def proposed_labels(store: Store, files: Sequence[LabelFile], **more: str | None
     placed = placed_files(store, files)
     rows = [_drawn(one, "imported", more) for one in placed.segments]
     rows += [_drawn(one, "imported", more) | {"verdict": "negative", "of_person": True} for one in placed.covered]
-    return Proposed(tuple(rows), placed.remarks)
+    return Proposed(tuple(rows), placed.remarks, placed.unmatched)
 
 
 def import_corrections(
@@ -299,7 +306,7 @@ def proposed_corrections(
             "`kinedex labels accept` accepts them"
         )
     rows = (row for one in found if one.before not in decided for row in _corrections(one, known, chosen, more))
-    return Proposed(tuple(rows), tuple(remarks))
+    return Proposed(tuple(rows), tuple(remarks), placed.unmatched)
 
 
 def _decided_otherwise(store: Store, annotations: Iterable[Row]) -> list[Segment]:
@@ -358,7 +365,7 @@ def proposed_label_corrections(store: Store, files: Sequence[LabelFile], **more:
         elif one.after is None and before is not None:
             kept = {name: before[name] for name in ("take", "class", "start", "stop", "limb", "origin")}
             rows.append({**kept, "replaces": before["id"], "verdict": "withdrawn", **more})
-    return Proposed(tuple(rows), placed.remarks)
+    return Proposed(tuple(rows), placed.remarks, placed.unmatched)
 
 
 def _corrections(

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.evaluation.ground_truth import analysis_frame
+from kinedex.pipelines.labels.label_takes import UnmatchedLabels, on_takes, unmatched_labels
 from kinedex.storage.formats.labels.segments import ERROR, LabelFile
 from kinedex.storage.store.store import Store
 
@@ -57,12 +57,15 @@ class PlacedFiles:
         Whole takes in which an annotator has looked at a limb, or at all limbs, without marking an error.
     remarks : tuple of str
         Takes and segments that were excluded.
+    unmatched : tuple of UnmatchedLabels
+        The labels that match no take, file by file.
     """
 
     takes: tuple[str, ...]
     segments: tuple[Segment, ...]
     covered: tuple[Segment, ...]
     remarks: tuple[str, ...]
+    unmatched: tuple[UnmatchedLabels, ...] = ()
 
 
 def placed_files(store: Store, files: Sequence[LabelFile]) -> PlacedFiles:
@@ -84,6 +87,7 @@ def placed_files(store: Store, files: Sequence[LabelFile]) -> PlacedFiles:
     """
     columns = ("name", "source_frames", "source_rate_hz", "rate_hz", "frames")
     rows = {str(row[0]): row[1:] for row in store.takes().select(columns).iter_rows()}
+    files, remarks = on_takes(store, files)
     named = dict.fromkeys(take for file in files for take in file.takes)
     absent = sorted(set(named) - set(rows))
     if absent and len(absent) == len(named):
@@ -91,7 +95,8 @@ def placed_files(store: Store, files: Sequence[LabelFile]) -> PlacedFiles:
             f"none of the takes of these files is in {store.path}: no take is named '{absent[0]}'"
             f"{did_you_mean(absent[0], rows)}"
         )
-    remarks = [f"takes that the store does not have: {few(absent)}"] if absent else []
+    unmatched = unmatched_labels(files, rows)
+    remarks += map(str, unmatched)
     found: dict[Segment, Segment] = {}
     for one in (segment for file in files for segment in file.segments if segment.take in rows):
         frames, source_rate_hz, rate_hz, _ = rows[one.take]
@@ -110,7 +115,7 @@ def placed_files(store: Store, files: Sequence[LabelFile]) -> PlacedFiles:
         if take in rows and rows[take][3]
     ]
     takes = tuple(take for take in named if take in rows)
-    return PlacedFiles(takes, tuple(found.values()), tuple(covered), tuple(remarks))
+    return PlacedFiles(takes, tuple(found.values()), tuple(covered), tuple(remarks), unmatched)
 
 
 def _covered(files: Iterable[LabelFile]) -> Iterator[tuple[str, str, str, str]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pyarrow as pa
@@ -22,6 +22,7 @@ from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import TakeWords
 from kinedex.pipelines.console.tables import plain_text
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth, Manual, place_ground_truth
+from kinedex.pipelines.labels.label_takes import on_takes
 from kinedex.pipelines.ranking.ranked_hits import Hit
 from kinedex.storage.formats.labels.ground_truth import ground_truth_files, read_ground_truth
 from kinedex.storage.snapshot.schemas import result_schema
@@ -94,8 +95,10 @@ def read_truth(store: Store, pattern: str, where: str, subclasses: Sequence[str]
     """
     takes = store.takes(where)
     files = ground_truth_files(pattern, sorted(takes["source_root"].unique()))
-    labels = list(map(read_ground_truth, files))
-    return place_ground_truth(labels, takes, store.takes()["name"], load_classes(OWN, set(subclasses)), "miss")
+    labels, remarks = on_takes(store, list(map(read_ground_truth, files)))
+    classes = load_classes(OWN, set(subclasses))
+    truth = place_ground_truth(labels, takes, store.takes()["name"], classes, "miss")
+    return replace(truth, remarks=(*remarks, *truth.remarks))
 
 
 def names_filter(takes: Sequence[str]) -> str:

@@ -29,6 +29,7 @@ from kinedex.pipelines.evaluation.label_files import (
     not_labelled,
     with_own_classes,
 )
+from kinedex.pipelines.labels.label_takes import UNMATCHED
 from kinedex.pipelines.templates.learning import run_of
 from kinedex.storage.store.store import Store
 
@@ -91,6 +92,7 @@ class Evaluate(Stage[GroundTruthParameters]):
         return {
             "evaluated_takes": len(truth.takes),
             "segments": len(truth.segments),
+            UNMATCHED: [one.as_json() for one in truth.unmatched],
             "files": [report.relative_to(context.store_path).as_posix()],
             **measures(counts),
         }

@@ -127,7 +127,9 @@ def examples_of(store: Store, params: ExampleParameters, *, required: bool = Tru
         if LABELS in params.examples:
             labelled, remarks = _labelled(store, takes)
             found += labelled
-        found += _of_files(store, takes, params.patterns)
+        of_files, unused = _of_files(store, takes, params.patterns)
+        found += of_files
+        remarks += unused
     once: dict[tuple[bool, str, str], Example] = {}
     for one in found:
         once.setdefault((one.positive, one.label, one.name), one)
@@ -205,15 +207,18 @@ def _labelled(store: Store, takes: pl.DataFrame) -> tuple[list[Example], list[st
     return found, remarks
 
 
-def _of_files(store: Store, takes: pl.DataFrame, patterns: Sequence[str]) -> list[Example]:
-    """Return the segments of label files as examples."""
+def _of_files(store: Store, takes: pl.DataFrame, patterns: Sequence[str]) -> tuple[list[Example], Sequence[str]]:
+    """Return the segments of label files as examples, and remarks on those that are excluded."""
+    if not patterns:
+        return [], ()
     rows = {str(row[0]): row[1:] for row in takes.select("name", "take_id", "frames").iter_rows()}
-    placed = placed_files(store, [read_ground_truth(path) for path in _files(store, patterns)]) if patterns else None
-    return [
+    placed = placed_files(store, [read_ground_truth(path) for path in _files(store, patterns)])
+    found = [
         Example(rows[one.take][0], one.take, int(one.start), int(one.stop), rows[one.take][1], one.label, one.where)
-        for one in (placed.segments if placed else ())
+        for one in placed.segments
         if one.take in rows and not (one.label == ERROR and one.limb)
     ]
+    return found, placed.remarks
 
 
 def _files(store: Store, patterns: Sequence[str]) -> list[Path]:

@@ -216,8 +216,8 @@ def test_files_without_a_take_of_the_store_are_refused(line: Line, tmp_path: Pat
         "labels", "import", line.store, file, fails=True
     )
     file.write_text("take,class,start,stop\nbob_take02,walk,0,50\nbob_take01,hop,0,50\nbob_take01,hop,1,2\n")
-    text = run("labels", "import", line.store, file)
-    assert "takes that the store does not have: bob_take02" in text
+    text = run("labels", "import", line.store, file, fails=True)
+    assert f"{file}: 1 of 3 labels matches no take: bob_take02" in text
     assert "no analysis frame lies in this segment" in text
     assert len(labels(line, "--class", "hop")) == 1
     file.write_text("take,class,start,stop\nbob_take01,hop,0,5000\n")
@@ -246,6 +246,6 @@ def test_python_records_what_commands_do(tmp_path: Path) -> None:
     with warnings.catch_warnings(record=True) as seen:
         warnings.simplefilter("always")
         assert store.labels.read(file)["origin"].to_list() == ["imported"]
-    assert "takes that the store does not have: nobody" in str(seen[0].message)
+    assert "1 of 2 labels matches no take: nobody" in str(seen[0].message)
     assert store.labels.remove(store.labels.table()["id"]).height == 2
     assert len(store.labels) == 0

@@ -1,0 +1,160 @@
+"""The takes of a store that label files speak of, by the names in the files, and the labels that match no take."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from kinedex.pipelines.console.wording import counted, few
+from kinedex.pipelines.ingestion.take_names import file_names, person_name
+from kinedex.storage.formats.labels.segments import LabelFile
+from kinedex.storage.snapshot.schemas import RECORDED_FORMATS
+from kinedex.storage.snapshot.snapshot import Snapshot
+
+UNMATCHED = "unmatched_labels"
+"""The key of labels that match no take in the summary of a stage."""
+
+
+@dataclass(frozen=True)
+class UnmatchedLabels:
+    """The labels of a file that match no take of a store.
+
+    Attributes
+    ----------
+    file : str
+        The label file.
+    labels : int
+        The number of its labels that match no take; a take without a segment counts as one label.
+    of : int
+        The number of all of its labels.
+    takes : tuple of str
+        The names in the file that are no take's.
+    """
+
+    file: str
+    labels: int
+    of: int
+    takes: tuple[str, ...]
+
+    def __str__(self) -> str:
+        verb = "matches" if self.labels == 1 else "match"
+        return f"{self.file}: {self.labels:,} of {counted(self.of, 'label')} {verb} no take: {few(self.takes)}"
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the attributes as JSON has them."""
+        return {**asdict(self), "takes": list(self.takes)}
+
+    @classmethod
+    def of_json(cls, known: dict[str, Any]) -> UnmatchedLabels:
+        """Return what `as_json` gave."""
+        return cls(known["file"], known["labels"], known["of"], tuple(known["takes"]))
+
+
+def unmatched_labels(files: Iterable[LabelFile], known: Collection[str]) -> tuple[UnmatchedLabels, ...]:
+    """Return the labels of files that match no take.
+
+    Parameters
+    ----------
+    files : iterable of LabelFile
+        The label files.
+    known : collection of str
+        The names of all takes.
+    """
+    known = frozenset(known)
+    found = []
+    for file in files:
+        counts = dict.fromkeys(file.takes, 0)
+        for segment in file.segments:
+            counts[segment.take] = counts.get(segment.take, 0) + 1
+        labels = {take: max(1, count) for take, count in counts.items()}
+        absent = [take for take in labels if take not in known]
+        if absent:
+            lost, total = sum(labels[take] for take in absent), sum(labels.values())
+            found.append(UnmatchedLabels(file.path, lost, total, tuple(absent)))
+    return tuple(found)
+
+
+def on_takes(store: Snapshot, files: Sequence[LabelFile]) -> tuple[list[LabelFile], list[str]]:
+    """Give the labels of names that no take has to the takes whose files have that name.
+
+    Where files have equal stems, their takes are named by paths, and a label file that names the stem fits several
+    takes. Its labels belong to each of them if all hold the same motion.
+
+    Parameters
+    ----------
+    store : Snapshot
+        The store.
+    files : sequence of LabelFile
+        The label files.
+
+    Returns
+    -------
+    files : list of LabelFile
+        The files with the names of takes.
+    remarks : list of str
+        Names that stand for several takes, and those that fit takes of different motion and stay as they are.
+    """
+    rows = [row for row in _rows(store) if row["format"] not in RECORDED_FORMATS]
+    known = {str(row["name"]) for row in _rows(store)}
+    absent = {take for file in files for take in file.takes} - known
+    if not absent:
+        return list(files), []
+    fitting: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    for row in rows:
+        names = {person_name(name, row["person"] or "") for name in file_names("stem", str(row["source"]))}
+        for name in names & absent:
+            fitting[name].append(row)
+    same = _of_one_motion(store, fitting)
+    chosen = {name: [str(row["name"]) for row in found] for name, found in fitting.items() if name in same}
+    remarks = [
+        f"labels of '{name}' belong to {few(takes)}, which hold the same motion"
+        for name, takes in chosen.items()
+        if len(takes) > 1
+    ]
+    remarks += [
+        f"'{name}' fits takes of different motion, {few([str(row['name']) for row in found])}: labels of it belong to "
+        "none of them until the file names one of these"
+        for name, found in fitting.items()
+        if name not in same
+    ]
+    return [_renamed(file, chosen) for file in files], remarks
+
+
+def _rows(store: Snapshot) -> list[dict[str, Any]]:
+    columns = ["name", "source", "format", "checksum", "person"]
+    table = store.take_rows
+    missing = dict.fromkeys(set(columns) - set(table.column_names))
+    return [missing | row for row in table.select([one for one in columns if one not in missing]).to_pylist()]
+
+
+def _of_one_motion(store: Snapshot, fitting: dict[str, list[dict[str, Any]]]) -> set[str]:
+    """Return the names all of whose takes hold the same motion; takes of equal files need no comparison."""
+    from kinedex.pipelines.inspection.duplicates import hold_one_motion
+
+    firsts = {name: _first_of_each_file(rows) for name, rows in fitting.items()}
+    return {name for name, takes in firsts.items() if hold_one_motion(store, takes)}
+
+
+def _first_of_each_file(rows: Sequence[dict[str, Any]]) -> list[str]:
+    by_file: dict[tuple[str, str | None], str] = {}
+    for row in rows:
+        by_file.setdefault((row["checksum"], row["person"]), str(row["name"]))
+    return list(by_file.values())
+
+
+def _renamed(file: LabelFile, chosen: dict[str, list[str]]) -> LabelFile:
+    """Return a file whose labels bear the names of takes; those of several takes stand there for each."""
+    if not chosen.keys() & set(file.takes):
+        return file
+
+    def names(take: str) -> list[str]:
+        return chosen.get(take, [take])
+
+    return replace(
+        file,
+        takes=tuple(dict.fromkeys(name for take in file.takes for name in names(take))),
+        segments=tuple(replace(one, take=name) for one in file.segments for name in names(one.take)),
+        covered=tuple((name, limb, by) for take, limb, by in file.covered for name in names(take)),
+    )

@@ -1,0 +1,127 @@
+"""Labels find their takes by name, also where copies of a file have names of paths; the others are counted."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from kinedex.catalog.classes import load_classes
+from kinedex.pipelines.commands.cli import app
+from kinedex.pipelines.commands.output import show_outcome
+from kinedex.pipelines.engine.config import load_pipeline
+from kinedex.pipelines.engine.runner import Outcome
+from kinedex.pipelines.evaluation.label_files import GroundTruthParameters, ground_truth
+from kinedex.pipelines.labels.label_takes import UnmatchedLabels, on_takes, unmatched_labels
+from kinedex.storage.formats.labels.formats import read_labels
+from kinedex.storage.formats.labels.segments import LabelFile
+from kinedex.storage.store.store import open_store
+from tests.pipelines.archives import write_archive
+
+TRUTH = """take,class,start,stop
+01_01,jump,0,40
+01_01,turn,40,80
+02_02,jump,8,48
+03_03,,,
+"""
+
+
+def kinedex(*words: str | Path) -> Result:
+    return CliRunner().invoke(app, [*map(str, words)], prog_name="kinedex", catch_exceptions=False)
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    """An archive with a take 01_01, and 02_02 in a folder of its own."""
+    write_archive(tmp_path / "source", {"a/01_01.amc": 160, "a/02_02.amc": 120})
+    for name in ("01.asf", "02.asf"):
+        shutil.copy(tmp_path / "source" / "x.asf", tmp_path / "source" / "a" / name)
+    (tmp_path / "source" / "labels.csv").write_text(TRUTH)
+    return tmp_path / "source"
+
+
+def copied(source: Path, *, decimals: int | None = None, cut: int = 0) -> None:
+    """Copy 01_01 into another folder, as it is, with fewer digits, or without its first frames."""
+    (source / "b").mkdir()
+    shutil.copy(source / "x.asf", source / "b" / "01.asf")
+    text = (source / "a" / "01_01.amc").read_text()
+    if decimals is not None:
+        text = re.sub(r"-?\d+\.\d+", lambda found: f"{float(found[0]):.{decimals}f}", text)
+    head, *frames = re.split(r"(?m)^(?=\d+$)", text)
+    (source / "b" / "01_01.amc").write_text("".join([head, *frames[cut:]]))
+
+
+def ingested(source: Path) -> Path:
+    store = source.parent / "store"
+    assert kinedex("ingest", store, source, "--executor", "serial").exit_code == 0
+    return store
+
+
+@pytest.mark.parametrize("decimals", [None, 2])
+def test_labels_of_a_stem_belong_to_every_copy_of_the_motion(source: Path, decimals: int | None) -> None:
+    copied(source, decimals=decimals)
+    store = open_store(ingested(source))
+    assert sorted(store.take_ids) == ["02_02", "a/01_01", "b/01_01"]
+    (file,), remarks = on_takes(store, [read_labels(source / "labels.csv")])
+    assert file.takes == ("a/01_01", "b/01_01", "02_02", "03_03")
+    assert [(one.take, one.label) for one in file.segments] == [
+        ("a/01_01", "jump"), ("b/01_01", "jump"), ("a/01_01", "turn"), ("b/01_01", "turn"), ("02_02", "jump"),
+    ]  # fmt: skip
+    assert remarks == ["labels of '01_01' belong to a/01_01, b/01_01, which hold the same motion"]
+    classes = load_classes("own", {"jump", "turn"})
+    truth = ground_truth(store, GroundTruthParameters(ground_truth="labels.csv"), store.takes(), classes)
+    assert len(truth.segments) == 5
+    assert truth.unmatched == (UnmatchedLabels(str(source / "labels.csv"), 1, 6, ("03_03",)),)
+
+
+def test_a_label_of_takes_of_different_motion_belongs_to_none(source: Path) -> None:
+    copied(source, cut=80)
+    store = open_store(ingested(source))
+    files, remarks = on_takes(store, [read_labels(source / "labels.csv")])
+    assert files[0].takes == ("01_01", "02_02", "03_03")
+    assert remarks == [
+        "'01_01' fits takes of different motion, a/01_01, b/01_01: labels of it belong to none of them until the file "
+        "names one of these"
+    ]
+    (found,) = unmatched_labels(files, store.take_ids)
+    assert str(found) == f"{source / 'labels.csv'}: 3 of 4 labels match no take: 01_01, 03_03"
+    assert UnmatchedLabels.of_json(json.loads(json.dumps(found.as_json()))) == found
+
+
+def test_takes_named_by_paths_are_found_by_the_names_of_their_files(source: Path) -> None:
+    store = source.parent / "store"
+    done = kinedex("ingest", store, source, "--executor", "serial", "--set", "ingest.name=path")
+    assert done.exit_code == 0
+    (file,), _ = on_takes(open_store(store), [read_labels(source / "labels.csv")])
+    assert file.takes == ("a/01_01", "a/02_02", "03_03")
+
+
+def test_an_import_names_the_file_and_the_number_of_labels_and_exits_with_3(source: Path) -> None:
+    copied(source)
+    store = ingested(source)
+    done = kinedex("labels", "import", store, source / "labels.csv", "--json")
+    found = json.loads(done.stdout)
+    assert done.exit_code == 3
+    assert found["unmatched_labels"] == [{"file": str(source / "labels.csv"), "labels": 1, "of": 6, "takes": ["03_03"]}]
+    assert len(found["labels"]) == 5
+    done = kinedex("labels", "import", store, source / "labels.csv")
+    assert done.exit_code == 3
+    assert f"{source / 'labels.csv'}: 1 of 6 labels matches no take: 03_03" in done.stdout
+
+
+def test_a_run_ends_with_the_labels_that_match_no_take(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    pipeline = load_pipeline("ingest", None, {"source": str(tmp_path)})
+    lost = UnmatchedLabels("/data/ground_truth.csv", 12, 15, ("01_01",))
+    outcome = Outcome(pipeline, tmp_path, ("ingest",), (), {}, 0, (lost,), None)
+    with pytest.raises(Exception) as ended:
+        show_outcome(outcome, tmp_path)
+    assert getattr(ended.value, "exit_code", None) == 3
+    assert "/data/ground_truth.csv: 12 of 15 labels match no take: 01_01" in capsys.readouterr().out
+
+
+def test_a_file_whose_takes_are_all_there_has_no_such_labels() -> None:
+    assert unmatched_labels([LabelFile("a.csv", ("x",), ())], ["x", "y"]) == ()
