@@ -13,6 +13,10 @@ FUZZ_SEED    ?= 0
 # The time of every file in wheel and sdist, so that two builds have the same bytes.
 EPOCH        := 1580601600
 ATTACK  ?=
+# Benchmarks: a commit or tag to compare with, some parts in place of all, and SMALL=1 for sizes that take seconds.
+AGAINST ?=
+PARTS   ?=
+SMALL   ?=
 # One process more than there are cores: tests of processes that wait for each other leave a core free.
 WORKERS ?= $(shell $(PYTHON) -c 'import os; print(len(os.sched_getaffinity(0)) + 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) + 1)')
 NIGHTLY ?=
@@ -41,7 +45,8 @@ help:
 	@echo "make test                  lint, types and all tests"
 	@echo "make fuzz                  broken files against every reader (FUZZ_SECONDS=20 for each, FUZZ_SEED=0)"
 	@echo "make attack                attacks on a store, counted (ATTACK=kills for one, NIGHTLY=1 for all of each)"
-	@echo "make bench                 benchmarks: a table, and JSON in build/bench"
+	@echo "make bench                 benchmarks: a table, and JSON in build/bench (SMALL=1: that they run; PARTS=\"reading ranking\")"
+	@echo "make bench AGAINST=COMMIT  what may not fall, beside another commit or tag, by turns (PARTS=\"reading ingest\")"
 	@echo "make bench-explorer        times of the explorer in Chromium (DATA=dir: with the motion files of a folder, five times)"
 	@echo "make docs                  the site in build/site, every warning an error; make links checks links to other sites"
 	@echo "make wheel                 dist/kinedex-*.whl, installed into an environment of its own and tried"
@@ -168,8 +173,8 @@ $(VENV)/bench.stamp: requirements-bench.lock $(VENV)/run.stamp
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-bench.lock
 	@touch $@
 
-bench: setup $(VENV)/bench.stamp
-	$(BIN)/python -m benchmarks
+bench: setup page $(VENV)/bench.stamp
+	$(if $(SMALL),KINEDEX_BENCH_SMALL=1) $(BIN)/python -m $(if $(AGAINST),benchmarks.against "$(AGAINST)",benchmarks) $(PARTS)
 
 # In a real browser, over 100 hours and over some 3,000 short takes, which are made first where they are missing.
 bench-explorer: setup page

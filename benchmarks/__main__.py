@@ -4,75 +4,99 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+import time
+import traceback
+from collections.abc import Iterable, Sequence
+from importlib import import_module
 
-from benchmarks import (
-    annotating,
-    checksums,
-    depth,
-    depth_frame,
-    depth_lookup,
-    depth_recordings,
-    explorer,
-    explorer_page,
-    indexing,
-    inertial,
-    inertial_take,
-    keyframes,
-    learning,
-    ranking,
-    reading,
-    searching,
-    sharing,
-    startup,
-    tracking,
-)
-from benchmarks.archive import BUILD, store
-from benchmarks.harness import Figure, calibrate, show, write
+from benchmarks.archive import store
+from benchmarks.harness import BUILD, SMALL_VARIABLE, Figure, calibrate, show, write
+from benchmarks.kept_parts import KeptParts, state_of_checkout
 from kinedex.ops.errors import did_you_mean
 from kinedex.pipelines.console.terminal import make_console
-from kinedex.storage.store.store import Store
 
-PARTS: dict[str, Callable[[Store], Sequence[Figure]]] = {
-    "startup": lambda opened: list(startup.figures(opened)),
-    "reading": lambda _: list(reading.figures()),
-    "checksums": lambda opened: list(checksums.figures(opened)),
-    "indexing": indexing.figures,
-    "searching": searching.figures,
-    "sharing": sharing.figures,
-    "learning": learning.figures,
-    "keyframes": keyframes.figures,
-    "ranking": ranking.figures,
-    "annotating": annotating.figures,
-    "tracking": tracking.figures,
-    "depth": depth.figures,
-    "depth_frame": depth_frame.figures,
-    "depth_lookup": lambda opened: list(depth_lookup.figures(opened)),
-    "depth_recordings": depth_recordings.figures,
-    "explorer": lambda _: explorer.figures(),
-    "explorer_page": lambda _: explorer_page.figures(),
-    "inertial": lambda _: inertial.figures(),
-    "inertial_take": lambda _: inertial_take.figures(),
-}
+PARTS = (
+    "startup",
+    "reading",
+    "checksums",
+    "indexing",
+    "searching",
+    "sharing",
+    "learning",
+    "keyframes",
+    "ranking",
+    "annotating",
+    "tracking",
+    "depth",
+    "depth_frame",
+    "depth_lookup",
+    "depth_recordings",
+    "explorer",
+    "explorer_page",
+    "inertial",
+    "inertial_take",
+)
+"""The modules of this package whose `figures`, given a store, yield what they measured."""
 
 
-def main(words: Sequence[str]) -> None:
-    """Run all parts, or those named, on one core, with a calibration before and after."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Time kinedex and print a table.")
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"all unless given: {', '.join(PARTS)}")
-    parts = parser.parse_args(words).parts
-    for part in parts:
-        if part not in PARTS:
-            sys.exit(f"{part}: no part of the benchmarks{did_you_mean(part, PARTS)}")
-    opened = store()
-    figures = [calibrate()]
-    for part in parts or PARTS:
-        figures += PARTS[part](opened)
+def main(words: Sequence[str], parts: Sequence[str] = PARTS) -> int:
+    """Run all parts, or those named, with a calibration before and after, and return the exit status."""
+    chosen = _arguments(words, parts)
+    kept = KeptParts(BUILD / "parts", state_of_checkout())
+    figures, failures, left_out = [calibrate()], dict[str, str](), dict[str, str]()
+    names = chosen.parts or parts
+    for place, part in enumerate(names):
+        found = None if chosen.anew else kept.read(part)
+        if found is not None:
+            print(f"[{place + 1}/{len(names)}] {part}: kept from an earlier run of this commit; --anew measures again")
+        else:
+            print(f"[{place + 1}/{len(names)}] {part}{kept.left(names[place:])}", flush=True)
+            begin = time.monotonic()
+            found, failure = measured(part)
+            if failure:
+                failures[part] = failure
+            else:
+                kept.write(part, found, time.monotonic() - begin)
+        figures += found
+        left_out |= {one.name: one.other for one in found if one.left_out}
     figures.append(calibrate())
     console = make_console()
     console.print(show(figures))
     console.print(f"written to {write(figures, BUILD)}", markup=False)
+    for title, reasons in (("left out", left_out), ("failed", failures)):
+        for name, reason in reasons.items():
+            console.print(f"{title}: {name}: {reason}", markup=False)
+    return int(bool(failures))
+
+
+def measured(part: str) -> tuple[list[Figure], str]:
+    """Return the figures of a part, and the reason why it failed: it raised, or yielded none; "" if it did not."""
+    found = list[Figure]()
+    try:
+        made: Iterable[Figure] = import_module(f"benchmarks.{part}").figures(store())
+        found.extend(made)  # of a part that raises, those before
+    except Exception as fault:
+        traceback.print_exc()
+        return found, f"{type(fault).__name__}: {fault}"
+    return found, "" if found else "it has no figure"
+
+
+def _arguments(words: Sequence[str], parts: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks",
+        description="Time kinedex and print a table. What a part measured at this commit is kept, so that a run that "
+        "was interrupted goes on where it ended.",
+        epilog=f"{SMALL_VARIABLE}=1 in the environment (make bench SMALL=1) takes a size at which every part needs "
+        "seconds: it shows that they run, not how fast. Exit status: 1 if a part failed.",
+    )
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"all unless given: {', '.join(parts)}")
+    parser.add_argument("--anew", action="store_true", help="measure again what is kept of an earlier run")
+    chosen = parser.parse_args(words)
+    for part in chosen.parts:
+        if part not in parts:
+            parser.error(f"{part}: no part of the benchmarks{did_you_mean(part, parts)}")
+    return chosen
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    sys.exit(main(sys.argv[1:]))

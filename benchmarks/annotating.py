@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
-from benchmarks.harness import Figure, seconds
+from benchmarks.harness import Figure, seconds, sized
 from kinedex.catalog.classes import load_classes
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import Gap, Keyframe, KeyframeQuery
@@ -26,7 +26,7 @@ from kinedex.pipelines.annotation.methods import BestMethod
 from kinedex.pipelines.templates.learning import SubclassTemplate
 from kinedex.storage.store.store import Store
 
-FRAMES, SUBCLASSES, COLUMNS = 133_019, 69, 50
+FRAMES, SUBCLASSES, COLUMNS = *sized((133_019, 69), (6_000, 8)), 50
 DELTA, TAU = 0.05, 0.13
 KEPT = (0.05, 0.15)
 """Approximate shares of the frames that queries leave, margins included."""
@@ -46,7 +46,7 @@ def figures(store: Store) -> list[Figure]:
     row = make_annotator(store.feature_set, templates, classes, DELTA, TAU, method=BestMethod, clips=lambda: words)
     cells = FRAMES * SUBCLASSES * COLUMNS / 1e6
     whole = seconds(lambda: _run(plain, batches), 3)
-    found = [Figure("annotation, 133,019 frames, 69 subclasses", cells, "M cells", whole)]
+    found = [Figure(f"annotation, {FRAMES:,} frames, {SUBCLASSES} subclasses", cells, "M cells", whole)]
     cases = [("the same, labelled together (best)", row)]
     choices = [_queries(one, store.feature_set, batches[0]) for one in templates]
     for kept in KEPT:

@@ -17,15 +17,16 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from benchmarks.archive import BUILD
-from benchmarks.harness import Figure, seconds
+from benchmarks.harness import Figure, seconds, sized
 from kinedex.storage.snapshot.checked_files import CheckedFiles
 from kinedex.storage.snapshot.parts import FramesWriter, joint_positions
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
+from tests.storage.made_up import take_row, takes_table
 
-PART_BYTES = 100_000_000
+PART_BYTES = sized(100_000_000, 4_000_000)
 
-MANY = 40
+MANY = sized(40, 3)
 """Runs of what takes milliseconds."""
 
 
@@ -113,9 +114,9 @@ def large_part(source: Store) -> Store:
                     turned = table.column("root_orientation").combine_chunks().flatten()
                     words = source.words([names[name]["take_id"]]).words
                     frames.add(take_id, positions, np.array([axis.to_numpy() for axis in turned]), words)
-                    taken.append({**names[name], "name": name, "take_id": take_id})
+                    taken.append(take_row(take_id, name, table.num_rows))
                     total += table.num_rows
                 part = frames.close()
-            writer.add_takes(source.take_rows.schema.empty_table().from_pylist(taken, source.take_rows.schema), part)
+            writer.add_takes(takes_table(taken), part)
             writer.commit()
     return open_store(path)

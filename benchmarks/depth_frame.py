@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from benchmarks.harness import Figure
+from benchmarks.harness import Figure, sized
 from kinedex.catalog.bodies import load_body
 from kinedex.catalog.filmed_bodies import load_filmed_body
 from kinedex.ops.body.joint_tree import JOINTS
@@ -43,7 +43,7 @@ F64 = npt.NDArray[np.float64]
 F32 = npt.NDArray[np.float32]
 I32 = npt.NDArray[np.int32]
 
-FRAMES, RUNS = 40, 15
+FRAMES, RUNS = sized((40, 15), (4, 1))
 FRAME_PASSES, RESTARTED_SHARE = 10, 8
 """A whole frame is to take as many plain passes at most, and all extrema a part of searches that start anew."""
 

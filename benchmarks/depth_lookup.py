@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from benchmarks.harness import Figure, seconds
+from benchmarks.harness import Figure, seconds, sized
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.pose_database import bone_directions, bone_lengths_of, place_directions
 from kinedex.ops.depth.pose_index import PoseIndex, pose_features
@@ -27,10 +27,10 @@ F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
-SIZES = (25_000, 1_000_000)
+SIZES = sized((25_000, 1_000_000), (1_000, 4_000))
 LABELS, NEIGHBOURS, FRAMES = 12, 10, 20
 TURN_RAD, NOISE_M = 0.15, 0.04
-REAL_CLIPS = 40
+REAL_CLIPS = sized(40, 2)
 _SHARED = Path(__file__).resolve().parents[2] / "shared" / "data" / "hdm05" / "clips"
 
 

@@ -17,7 +17,7 @@ import yaml
 
 from benchmarks.archive import BUILD
 from benchmarks.depth_frame import FRAME_PASSES, RUNS, mean_of_best, plain_pass, recording
-from benchmarks.harness import Figure, silent
+from benchmarks.harness import Figure, silent, sized
 from kinedex.ops.depth.points import Preparation
 from kinedex.ops.depth.tracker import Reconstructor
 from kinedex.pipelines.engine.executors import make_executor
@@ -32,7 +32,7 @@ from kinedex.storage.formats.depth.frames import DepthFrames
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
 
-FRAMES, RECORDED, RUNS_WHOLE = 120, 2, 3
+FRAMES, RECORDED, RUNS_WHOLE = sized((120, 2, 3), (12, 2, 1))
 MOST_AROUND = 10.0
 """Preparing points and writing are to take so many percent of the time at most."""
 

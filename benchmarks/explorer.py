@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.explorer_archive import hundred_hours
-from benchmarks.harness import Figure, calibrate, seconds, show
+from benchmarks.harness import Figure, calibrate, seconds, show, sized
 from benchmarks.rivals import sql
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.catalog.queries.query_files import read_queries
@@ -26,18 +26,18 @@ from kinedex.pipelines.search.search import search_store
 from kinedex.pipelines.templates.stored_templates import template_from_clip
 from kinedex.storage.store.store import Store
 
-RUNS, THREADS, TOP = 5, 2, 60
+RUNS, THREADS, TOP = sized(5, 1), 2, 60
 EXAMPLE_SECONDS, QUERY_SECONDS = 0.5, 0.15
 """The times that are asked for, of a search by example and of one by keyframes."""
 
 LENGTHS = (30, 60, 120)
 """The frames of the examples."""
 
-PLAIN_TAKES = 20
+PLAIN_TAKES = sized(20, 4)
 """The curves of so many takes are timed for the comparison, and counted for all frames."""
 
 
-def figures() -> list[Figure]:
+def figures(_: Store | None = None) -> list[Figure]:
     """Time searches by example and by keyframes over 100 hours."""
     store = hundred_hours()
     hours = sum(store.take_frames.values()) / store.rate_hz / 3600

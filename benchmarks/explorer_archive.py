@@ -27,6 +27,7 @@ import pyarrow as pa
 
 from benchmarks.archive import BUILD, archive
 from benchmarks.archive import store as small_store
+from benchmarks.harness import sized
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.body import features
 from kinedex.ops.body.mirrored_motion import mirrored_places, mirrored_quaternions
@@ -39,14 +40,14 @@ from kinedex.storage.snapshot.schemas import result_schema, takes_schema
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
 
-HOURS, TAKES, CLIPS = 100.0, 2400, 600
+HOURS, TAKES, CLIPS = sized((100.0, 2400, 600), (0.5, 24, 6))
 """The size of the archive; of its takes so many are clips of one motion, with its class."""
 
 RATE_HZ = 30.0
 ACTORS = 40
 TAKES_A_TASK = 60
 
-MANY_TAKES, MANY_ACTORS = 100_000, 200
+MANY_TAKES, MANY_ACTORS = sized((100_000, 200), (1_000, 20))
 MANY_FRAMES = (12, 24)
 """The shortest and the longest take of the archive of many takes, in frames."""
 

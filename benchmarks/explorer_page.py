@@ -49,7 +49,7 @@ from benchmarks.explorer_browser import (
     scrub,
     show_take,
 )
-from benchmarks.harness import Figure, calibrate, seconds, show, silent, write
+from benchmarks.harness import LEFT_OUT, Figure, calibrate, seconds, show, silent, sized, write
 from benchmarks.rivals import sql
 from kinedex.catalog.queries.query_files import read_queries
 from kinedex.catalog.queries.query_writer import write_queries
@@ -64,8 +64,8 @@ READY_S, PAINT_S, OPEN_S, EXAMPLE_S, KEYFRAMES_S, GROUPED_S = 1.0, 2.0, 0.2, 0.5
 FRAME_MS, SERVER_MIB, PAGE_MB = 8.0, 500.0, 2.0
 """The limits that are asked for."""
 
-SHORT_TAKES = 3290
-STARTS, OPENED = 5, 20
+SHORT_TAKES = sized(3290, 60)
+STARTS, OPENED = sized((5, 20), (1, 3))
 NAMES = ("alpha", "bravo", "charlie", "delta", "echo")
 """The names under which the files of a folder are in the archive of short takes."""
 
@@ -79,7 +79,7 @@ EXAMPLE_FRAMES = (30, 60, 120)
 def short_takes(data: Path | None) -> Store:
     """Return the archive of short takes; make it where it is missing."""
     if data is None:
-        return hundred_hours(hours=3, takes=SHORT_TAKES, clips=SHORT_TAKES)
+        return hundred_hours(hours=sized(3, 0.05), takes=SHORT_TAKES, clips=SHORT_TAKES)
     path = BUILD / "explorer-five"
     if not (path / "manifest").is_dir():
         source = BUILD / "explorer-five-files"
@@ -90,7 +90,7 @@ def short_takes(data: Path | None) -> Store:
     return open_store(path)
 
 
-def figures(data: Path | None = None) -> list[Figure]:
+def figures(_: Store | None = None, data: Path | None = None) -> list[Figure]:
     """Time the page over both archives.
 
     Parameters
@@ -101,9 +101,9 @@ def figures(data: Path | None = None) -> list[Figure]:
     browser_path = find_chromium()
     if browser_path is None or not (BUILT / "index.html").is_file():
         reason = "no Chromium on this machine" if browser_path is None else "the page has not been built (make page)"
-        return [Figure("the page of the explorer", 0.0, "", None, reason)]
+        return [Figure("the page of the explorer", 0.0, "", None, LEFT_OUT + reason)]
     whole, short, many = hundred_hours(), short_takes(data), many_takes()
-    long = hundred_hours(hours=1.5, takes=3, clips=0)
+    long = hundred_hours(hours=sized(1.5, 0.1), takes=3, clips=0)
     found: list[Figure] = []
     with chromium(browser_path) as browser:
         with new_page(browser) as page:
@@ -301,7 +301,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     about = "Time the page of the explorer in a real browser."
     parser = argparse.ArgumentParser(prog="python -m benchmarks.explorer_page", description=about)
     parser.add_argument("--data", type=Path, help="folder of motion files, for the archive of short takes")
-    found = [calibrate(), *figures(parser.parse_args(arguments).data), calibrate()]
+    found = [calibrate(), *figures(data=parser.parse_args(arguments).data), calibrate()]
     console = make_console()
     console.print(show(found))
     console.print(f"written to {write(found, BUILD)}", markup=False)

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from rich import box
@@ -18,6 +19,25 @@ from rich.console import Console
 from rich.table import Table
 
 from kinedex.pipelines.console.terminal import Terminal
+
+SMALL_VARIABLE = "KINEDEX_BENCH_SMALL"
+"""The variable that asks for sizes at which every part takes seconds; processes that a part starts inherit it."""
+
+SMALL = os.environ.get(SMALL_VARIABLE) == "1"
+
+ROOT = Path(__file__).resolve().parents[1]
+BUILD = ROOT / "build" / "bench" / ("small" if SMALL else "")
+"""Folder of what benchmarks make, apart for the small size."""
+
+LEFT_OUT = "left out: "
+"""The begin of a reason why nothing was measured."""
+
+T = TypeVar("T")
+
+
+def sized(whole: T, small: T) -> T:
+    """Return a size, or the one at which a part takes seconds if that is asked for."""
+    return small if SMALL else whole
 
 
 @dataclass(frozen=True)
@@ -65,6 +85,11 @@ class Figure:
         return self.other_amount / self.amount if self.other_amount is not None and self.amount else None
 
     @property
+    def left_out(self) -> bool:
+        """Return True where nothing was measured as something is missing; `other` says what."""
+        return self.other.startswith(LEFT_OUT)
+
+    @property
     def shown(self) -> str:
         """Return the rate with its unit, or the amount where nothing is timed."""
         if self.rate is not None:
@@ -79,7 +104,7 @@ def seconds(work: Callable[[], object], runs: int = 5) -> float:
     """
     work()
     times = []
-    for _ in range(runs):
+    for _ in range(sized(runs, 1)):
         begin = time.perf_counter()
         work()
         times.append(time.perf_counter() - begin)

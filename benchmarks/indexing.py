@@ -9,21 +9,17 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 
 from benchmarks.archive import BUILD
-from benchmarks.harness import Figure, seconds
+from benchmarks.harness import Figure, seconds, sized
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.words import TakeWords
 from kinedex.storage.duck import connect, quote
 from kinedex.storage.index.builder import build_index
-from kinedex.storage.snapshot.parts import FramesWriter
-from kinedex.storage.snapshot.schemas import takes_schema
 from kinedex.storage.store.store import Store, open_store
-from kinedex.storage.store.writer import StoreWriter
+from tests.storage.made_up import make_word_store
 
-HOURS = 20.0
-TAKES_A_PART = 2000
+HOURS = sized(20.0, 0.2)
 
 
 def figures(store: Store) -> list[Figure]:
@@ -77,7 +73,7 @@ def _ten_more(store: Store, whole: float) -> Figure:
     def fresh() -> Store:
         shutil.rmtree(more, ignore_errors=True)
         shutil.copytree(store.path, more)
-        _add(more, store.feature_set, store.words(store.manifest.live_takes[:10]), "more")
+        make_word_store(more, store.feature_set, store.words(store.manifest.live_takes[:10]), "more")
         return open_store(more, at="newest")
 
     opened = fresh()
@@ -111,37 +107,11 @@ def _by_sql(store: Store) -> None:
 
 
 def store_of_words(words: TakeWords, feature_set: FeatureSet) -> Store:
+    """Return a store of takes that have words and no positions; make it if it is missing."""
     path = BUILD / f"index-store-{len(words.words)}"
     if not (path / "manifest").is_dir():
-        _add(path, feature_set, words, "take")
+        make_word_store(path, feature_set, words)
     return open_store(path, at="newest")
-
-
-def _add(path: Path, feature_set: FeatureSet, words: TakeWords, name: str) -> None:
-    """Add takes that have words and no positions."""
-    names = [f"{name}_{i:06d}" for i in range(len(words))]
-    takes = takes_schema()
-    with StoreWriter.open(path, feature_set) as writer:
-        ids = writer.assign_take_ids(names)
-        for first in range(0, len(words), TAKES_A_PART):
-            chosen = range(first, min(first + TAKES_A_PART, len(words)))
-            with FramesWriter(path, feature_set) as part:
-                for i in chosen:
-                    count = int(words.frames[i])
-                    nowhere = np.full((len(feature_set.joints), 3, count), np.nan, np.float32)
-                    turned = np.full((4, count), np.nan, np.float32)
-                    part.add(ids[names[i]], nowhere, turned, words.take(i))
-                done = part.close()
-            rows = [_row(ids[names[i]], names[i], int(words.frames[i]), takes) for i in chosen]
-            writer.add_takes(pa.Table.from_pylist(rows, schema=takes), done)
-        writer.commit()
-
-
-def _row(take_id: int, name: str, frames: int, schema: pa.Schema) -> dict[str, object]:
-    empty = {pa.string(): "", pa.int32(): 0, pa.int64(): 0, pa.float64(): 0.0}
-    row = {field.name: empty.get(field.type, []) for field in schema}
-    known = {"take_id": take_id, "name": name, "rate_hz": 30.0, "frames": frames, "seconds": frames / 30.0}
-    return row | known | {"groups": "{}"}
 
 
 def own_peak_mb() -> float:

@@ -11,19 +11,20 @@ import numpy.typing as npt
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
-from benchmarks.harness import Figure, seconds
+from benchmarks.harness import Figure, seconds, sized
 from kinedex.ops.inertial.disagreement import errors
 from kinedex.ops.inertial.hand_eye import Stream, calibrate
 from kinedex.ops.inertial.rotations import Z_TO_Y, angular_speed, conjugate, exp, multiply
 from kinedex.ops.inertial.time_offset import CUTOFF_HZ, RATE_HZ, Speeds, find
+from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
 
-FRAMES, PAIRS, ERRORS, LAG_S = 15_000, 5_000, 1_000_000, 180.0
+FRAMES, PAIRS, ERRORS, LAG_S = sized((15_000, 5_000, 1_000_000, 180.0), (1_500, 500, 20_000, 30.0))
 MOUNT = exp(np.array([0.2, -0.4, 0.7]))
 
 
-def figures() -> list[Figure]:
+def figures(_: Store) -> list[Figure]:
     """Time a calibration, a million errors, and a lag search."""
     return [calibration_figure(), error_figure(), lag_figure()]
 

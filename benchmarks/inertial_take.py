@@ -12,7 +12,7 @@ from pathlib import Path
 import polars as pl
 
 from benchmarks.archive import BUILD
-from benchmarks.harness import Figure, seconds, silent
+from benchmarks.harness import Figure, seconds, silent, sized
 from kinedex.ops.synth.actors import Actor, cast
 from kinedex.ops.synth.performance import perform_take
 from kinedex.ops.synth.solve import columns
@@ -21,15 +21,15 @@ from kinedex.pipelines.simulation.imu_recordings import RECORDINGS, SENSORS, Req
 from kinedex.pipelines.simulation.imu_sensors import Wearing
 from kinedex.pipelines.simulation.imu_takes import simulate_imu
 from kinedex.storage.formats.motion.acclaim_writer import Dialect, write_amc, write_asf
-from kinedex.storage.store.store import open_store
+from kinedex.storage.store.store import Store, open_store
 
-SECONDS, SEED, AIM_S, CORES, RUNS = 600.0, 2026, 10.0, 2, 3
+SECONDS, SEED, AIM_S, CORES, RUNS = sized(600.0, 40.0), 2026, 10.0, 2, sized(3, 1)
 PIPELINE = "limb-errors"
 LIMBS = ("torso", "lthigh", "rthigh", "lshank", "rshank")
 """The limbs that wear sensors: none of them turns so fast that the simulator would cut the take."""
 
 
-def figures() -> list[Figure]:
+def figures(_: Store) -> list[Figure]:
     """Time the pipeline, each of its stages, and the reading of the sensors' files by polars."""
     folder = BUILD / "inertial"
     take, sensors = _files(folder)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.harness import Figure, seconds
+from benchmarks.harness import Figure, seconds, sized
 from kinedex.ops.templates.templates import learn
 from kinedex.ops.words import U64, bits
 from kinedex.storage.store.store import Store
 from tests.oracles import warping as naive
 
-CLIPS, COLUMNS = 20, 100
+CLIPS, COLUMNS = sized((20, 100), (4, 40))
 FEW = 30  # columns that the tests' naive twin aligns; more would take it seconds
 
 

@@ -15,14 +15,14 @@ import numpy.typing as npt
 
 from benchmarks.archive import BUILD
 from benchmarks.archive import store as synthetic
-from benchmarks.harness import Figure, calibrate, seconds, show, silent
+from benchmarks.harness import SMALL, Figure, calibrate, seconds, show, silent, sized
 from benchmarks.ranking_memory import made_up, searched_classes
 from kinedex.ops.distances.costs import cost_table, encode, lay_out
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.distances.pruning import CoarseBound, coarse_bounds, fine_bound, pieces_below
 from kinedex.ops.distances.recurrence import COARSE_CAP
 from kinedex.ops.distances.stripes import BLOCK
-from kinedex.ops.distances.sweep import CAP, pieces_of, sweep
+from kinedex.ops.distances.sweep import CAP
 from kinedex.ops.ranking.ranking import rank, rank_together
 from kinedex.ops.templates.templates import QuantisedTemplate, learn_soft, quantise
 from kinedex.ops.words import TakeWords, bits
@@ -31,19 +31,19 @@ from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.ranking.ranking import rank_takes
 from kinedex.storage.store.store import Store, open_store
 
-COLUMNS, FRAMES, WORDS = 60, 400_000, 4_000
+COLUMNS, FRAMES, WORDS = 60, sized(400_000, 8_000), sized(4_000, 400)
 """The size at which a curve is timed."""
 
 DELTA, TAU, TOP = 0.1, 0.1, 100
 """Numbers of templates, thresholds and hits of the rankings."""
 
-THREAD_HOURS = 10.0
+THREAD_HOURS = sized(10.0, 0.1)
 """The size at which threads are compared."""
 
 HDM05 = Path(__file__).resolve().parents[2] / "shared" / "data" / "hdm05"
-RUNS = 5
+RUNS = sized(5, 1)
 
-FEW = 4_000
+FEW = sized(4_000, 400)
 """Frames at which packages are timed that store the whole matrix, or are slow; times are per cell."""
 
 F64 = npt.NDArray[np.float64]
@@ -83,21 +83,19 @@ def _made_up() -> tuple[QuantisedTemplate, npt.NDArray[np.uint64]]:
 
 
 def _curves() -> list[Figure]:
-    """Time the sweep in float64, which annotation uses, and in float32; rankings sweep bounds in 8 and 16 bits."""
+    """Time curves in float64, which annotation uses, and in float32, codes and costs included."""
     template, words = _made_up()
-    coded, layout = encode(words), lay_out([template])
-    pieces = pieces_of(np.array([[0, FRAMES]]), 4096, 2 * (COLUMNS - 1))
-    wide = cost_table(layout, coded.vocabulary)[:, :COLUMNS].copy()
+    coded = encode(words)
+    wide = cost_table(lay_out([template]), coded.vocabulary)[:, :COLUMNS].copy()
     loop = seconds(lambda: plain(wide, coded.codes), 3)
     billions = COLUMNS * FRAMES / 1e9
     found = []
-    for name, dtype in (("float32", np.float32), ("float64", np.float64)):
-        table, sums = cost_table(layout, coded.vocabulary, dtype), np.empty((1, FRAMES), dtype)
-        time = seconds(lambda t=table, s=sums: sweep(t, coded.codes, pieces, layout.firsts, layout.lasts, s))
-        found.append(Figure(f"distance curve, {name}", billions, "G cells", time, "plain loop in numba", loop))
-    whole = seconds(lambda: distance_curves([template], words, dtype=np.float32))
+    for dtype in (np.float32, np.float64):
+        time = seconds(lambda kind=dtype: distance_curves([template], words, dtype=kind))  # type: ignore[misc]
+        found.append(
+            Figure(f"distance curve, {dtype.__name__}", billions, "G cells", time, "plain loop in numba", loop)
+        )
     ours = seconds(lambda: distance_curves([template], words[:FEW])) / FEW * FRAMES
-    found.append(Figure("the same with codes and costs", billions, "G cells", whole, "plain loop in numba", loop))
     for name, work in _packages(template, words[:FEW]).items():
         time = seconds(work, 1) / FEW * FRAMES
         found.append(Figure("distance curve of a short take", billions, "G cells", ours, name, time))
@@ -136,7 +134,7 @@ def _archive(store: Store) -> tuple[str, list[str], list[QuantisedTemplate], Tak
     The motion is HDM05, with its clips, where ../shared has it; else the synthetic archive.
     """
     name = "synthetic takes"
-    if HDM05.is_dir():
+    if HDM05.is_dir() and not SMALL:
         name = "HDM05"
         run_pipeline("ingest", BUILD / "hdm05", assignments={"source": str(HDM05)}, terminal=silent())
         store = open_store(BUILD / "hdm05")

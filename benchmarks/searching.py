@@ -24,7 +24,8 @@ import pyarrow.parquet as pq
 
 from benchmarks.archive import BUILD
 from benchmarks.costplot import write_plot
-from benchmarks.harness import Figure, seconds
+from benchmarks.harness import Figure, seconds, sized
+from benchmarks.indexing import store_of_words
 from benchmarks.rivals import recursion, sql
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery, word_pattern
@@ -38,12 +39,12 @@ from kinedex.ops.search.runs import word_runs
 from kinedex.ops.words import I64, TakeWords
 from kinedex.pipelines.search.bit_slices import sliced_words
 from kinedex.storage.index.builder import build_index
-from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.store import Store
 from tests.oracles import runs as naive_runs
 
-HOURS = 4.0
-LARGER = (40.0, 400.0)
-REPEATS = 15
+HOURS = sized(4.0, 0.05)
+LARGER = sized((40.0, 400.0), (0.1, 0.2))
+REPEATS = sized(15, 1)
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "reference"
 
 F64 = npt.NDArray[np.float64]
@@ -236,12 +237,7 @@ def _slope(runs: F64, times: F64) -> float:
 
 def _cold(case: _Case, queries: list[KeyframeQuery]) -> list[Figure]:
     """Time a process that opens a store and answers one query: the one of median Σ, and the largest."""
-    from benchmarks.indexing import _add
-
-    path = BUILD / f"search-store-{len(case.words.words)}"
-    if not (path / "manifest").is_dir():
-        _add(path, case.feature_set, case.words, "take")
-    store = open_store(path)
+    store = store_of_words(case.words, case.feature_set)
     build_index(store)
     order = np.argsort(case.runs)
     found = []

@@ -8,10 +8,10 @@ import sys
 import time
 from collections.abc import Iterator
 
-from benchmarks.harness import Figure
+from benchmarks.harness import Figure, sized
 from kinedex.storage.store.store import Store
 
-RUNS = 7
+RUNS = sized(7, 1)
 
 
 def figures(store: Store) -> Iterator[Figure]:

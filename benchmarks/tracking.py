@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.harness import Figure, seconds
+from benchmarks.harness import Figure, seconds, sized
 from kinedex.catalog.keypoint_sets import load_keypoint_set
 from kinedex.catalog.kinematics import load_kinematic_chain
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses
@@ -29,10 +29,10 @@ from kinedex.pipelines.simulation.camera_recordings import limbs_of
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
 
-FRAMES, PASS_FRAMES, TIMES = 400, 100, 4
+FRAMES, PASS_FRAMES, TIMES = *sized((400, 100), (80, 20)), 4
 """Frames of the recording, those of a pass, and how many times as many a long pass has."""
 
-RUNS = 40
+RUNS = sized(40, 2)
 """Runs of a pass, of which the best counts; each takes milliseconds."""
 
 RECORDED_HZ = 60.0

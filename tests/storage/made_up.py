@@ -1,4 +1,4 @@
-"""Takes made up for the storage tests: seeded random words and positions, no motion."""
+"""Takes made up for tests and benchmarks: seeded random words and positions, or given words; no motion."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from kinedex.catalog.features import load_feature_set
+from kinedex.catalog.features import FeatureSet, load_feature_set
+from kinedex.ops.words import TakeWords
 from kinedex.storage.snapshot.part_records import Part
 from kinedex.storage.snapshot.parts import FramesWriter
 from kinedex.storage.snapshot.schemas import takes_schema
@@ -78,5 +79,40 @@ def add(writer: StoreWriter, takes: dict[str, int], edition: int = 0, **columns:
 def make_store(path: Path, takes: dict[str, int]) -> Path:
     with StoreWriter.open(path, BODY) as writer:
         add(writer, takes)
+        writer.commit()
+    return path
+
+
+def make_word_store(
+    path: Path, feature_set: FeatureSet, words: TakeWords, name: str = "take", in_part: int = 2000
+) -> Path:
+    """Add takes that have these words and no positions to a store, which is made where there is none.
+
+    Parameters
+    ----------
+    path : Path
+        The store.
+    feature_set : FeatureSet
+        The meaning of the words.
+    words : TakeWords
+        The words; their take ids are not kept.
+    name : str
+        The takes are named after it, and numbered.
+    in_part : int
+        The number of takes in a part of frames.
+    """
+    names = [f"{name}_{i:06d}" for i in range(len(words))]
+    with StoreWriter.open(path, feature_set) as writer:
+        ids = writer.assign_take_ids(names)
+        for first in range(0, len(words), in_part):
+            rows = []
+            with FramesWriter(path, feature_set) as part:
+                for i in range(first, min(first + in_part, len(words))):
+                    own = words.take(i)
+                    nowhere = np.full((len(feature_set.joints), 3, len(own)), np.nan, np.float32)
+                    part.add(ids[names[i]], nowhere, np.full((4, len(own)), np.nan, np.float32), own)
+                    rows.append(take_row(ids[names[i]], names[i], len(own)))
+                written = part.close()
+            writer.add_takes(takes_table(rows), written)
         writer.commit()
     return path
