@@ -63,9 +63,10 @@ def main(words: Sequence[str], parts: Sequence[str] = PARTS) -> int:
     console = make_console()
     console.print(show(figures))
     console.print(f"written to {write(figures, BUILD)}", markup=False)
-    for title, reasons in (("left out", left_out), ("failed", failures)):
-        for name, reason in reasons.items():
-            console.print(f"{title}: {name}: {reason}", markup=False)
+    for name, reason in left_out.items():
+        console.print(f"{name}: {reason}", markup=False)
+    for part, reason in failures.items():
+        console.print(f"failed: {part}: {reason}", markup=False)
     return int(bool(failures))
 
 

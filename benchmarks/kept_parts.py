@@ -50,7 +50,7 @@ class KeptParts:
 
     def write(self, part: str, figures: Sequence[Figure], seconds: float) -> None:
         """Keep the figures of a part, and the seconds that it took."""
-        for state in {self._state or "", ""} if self._state else {""}:
+        for state in {self._state or "", ""}:
             path = self._folder / state / f"{part}.json"
             path.parent.mkdir(parents=True, exist_ok=True)
             content = {"seconds": seconds, "figures": [asdict(one) for one in figures]}

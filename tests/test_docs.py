@@ -169,4 +169,5 @@ def test_tests_that_pages_name_exist(file: str, word: str) -> None:
 
 def test_programs_that_pages_name_exist() -> None:
     for package, name in re.findall(r"python -m (studies|benchmarks)\.(\w+)", "".join(TEXTS.values())):
-        assert (DOCS.parent / package / f"{name}.py").is_file(), f"{package}.{name}"
+        program = DOCS.parent / package / name
+        assert program.with_suffix(".py").is_file() or (program / "__main__.py").is_file(), f"{package}.{name}"

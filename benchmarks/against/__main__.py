@@ -8,11 +8,13 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from benchmarks.against.commits import FIRST, ROOT, Side, newest_tag, other_side, this_side
 from benchmarks.against.comparison import Compared, compare, show, value_of, write
-from benchmarks.against.guarded import FILE, Guarded, guarded
+from benchmarks.against.guarded_figures import FILE, Guarded, guarded_figures
 from benchmarks.against.inputs import inputs
+from benchmarks.against.rivals import rival_rows
 from benchmarks.against.turns import DriverError, Measure, Missing, by_turns, measure_once
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.console.terminal import make_console
@@ -37,7 +39,7 @@ def main(words: Sequence[str], measure: Measure = measure_once) -> int:
     if commit == "newest-tag":
         commit = newest_tag() or FIRST
     try:
-        figures = guarded(chosen.parts)
+        figures = guarded_figures(chosen.parts)
         sides = (other_side(commit, lambda line: console.print(line, markup=False)), this_side())
     except KinedexError as fault:
         if chosen.commit == "newest-tag":
@@ -48,7 +50,9 @@ def main(words: Sequence[str], measure: Measure = measure_once) -> int:
     shutil.rmtree(sides[1].work, ignore_errors=True)  # a store of code that has changed since
     if chosen.rounds:
         figures = [replace(one, rounds=chosen.rounds) for one in figures]
-    rows = _measured(figures, sides, measure)
+    files = inputs()
+    rows = _measured(figures, sides, files, measure)
+    rows += rival_rows(figures, rows, files)
     write(rows, RESULT)
     console.print(show(rows, sides[0].name))
     console.print(f"written to {RESULT.relative_to(ROOT)}", markup=False)
@@ -61,9 +65,9 @@ def main(words: Sequence[str], measure: Measure = measure_once) -> int:
 FAILED = "failed: "
 
 
-def _measured(figures: Sequence[Guarded], sides: tuple[Side, Side], measure: Measure) -> list[Compared]:
+def _measured(figures: Sequence[Guarded], sides: tuple[Side, Side], files: Path, measure: Measure) -> list[Compared]:
     """Measure the figures one after the other, with a line on each and on the time that is left."""
-    files, rows, began = inputs(), list[Compared](), time.monotonic()
+    rows, began = list[Compared](), time.monotonic()
     for done, one in enumerate(figures):
         left = f", some {(time.monotonic() - began) / done * (len(figures) - done) / 60:.1f} min left" if done else ""
         print(f"[{done + 1}/{len(figures)}] {one.figure}{left}", flush=True)

@@ -48,7 +48,7 @@ class Side:
 
 def this_side() -> Side:
     """Return the working tree with the environment that runs this."""
-    return Side("this", Path(sys.executable), ROOT, DRIVERS / "public.py", BUILD / "this")
+    return Side("this", Path(sys.executable), ROOT, DRIVERS / "public_api.py", BUILD / "this")
 
 
 def newest_tag() -> str | None:
@@ -110,7 +110,7 @@ def other_side(commit: str, report: object = print) -> Side:
         _run([*pip, "-r", lock])
         (environment / "installed").touch()
     own = [path for path in DRIVERS.glob("commit_*.py") if sha.startswith(path.stem.removeprefix("commit_"))]
-    return Side(commit, python, tree, own[0] if own else DRIVERS / "public.py", home / "work")
+    return Side(commit, python, tree, own[0] if own else DRIVERS / "public_api.py", home / "work")
 
 
 def _git(*words: str) -> subprocess.CompletedProcess[str]:

@@ -24,7 +24,7 @@ class Compared:
     figure, unit : str
         What was measured, and its unit.
     other, this : float or None
-        The best measurement of each; None where the commit has no such figure.
+        The median measurement of each; None where the commit has no such figure.
     ratio : float or None
         How many times as good this is as the other: the median of the rounds.
     low, high : float or None
@@ -66,11 +66,9 @@ def compare(figure: str, unit: str, other: Iterable[dict[str, float]], this: Ite
         The measurements of the two commits, in the order of the rounds.
     """
     here, there = (np.array([value_of(one, unit) for one in side]) for side in (this, other))
-    more = unit.endswith("/s")
-    ratios = here / there if more else there / here
+    ratios = here / there if unit.endswith("/s") else there / here
     low, ratio, high = (float(one) for one in np.quantile(ratios, (0.25, 0.5, 0.75)))
-    best = np.max if more else np.min
-    return Compared(figure, unit, float(best(there)), float(best(here)), ratio, low, high, high < FALL)
+    return Compared(figure, unit, float(np.median(there)), float(np.median(here)), ratio, low, high, high < FALL)
 
 
 def show(rows: Iterable[Compared], other: str) -> Table:

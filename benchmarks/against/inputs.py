@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
+import kinedex
 from benchmarks.against.commits import BUILD, ROOT
 from kinedex.ops.errors import KinedexError
 
@@ -15,6 +20,12 @@ MINUTES = 12
 
 FRAMES = 30_000
 """Source frames of the long files, at 120 Hz: some four minutes, and 25 MB as AMC."""
+
+COPIES = 8
+"""Copies of the long file's frames at 30 Hz in the arrays, of which features are computed."""
+
+HOURS, RATE_HZ = 10, 30.0
+"""Hours of motion for searches, and their frames per second."""
 
 LARGE_FRAMES = 90_000
 """Frames of the file at which memory is measured: some 60 MB."""
@@ -43,9 +54,39 @@ def _write(folder: Path, long: Path) -> None:
     for ending in ("bvh", "c3d", "trc"):
         _kinedex("export", store, "long", "-o", long / f"long.{ending}", "--resample", 120)
     (long / "large.bvh").write_bytes(lengthened_bvh((long / "long.bvh").read_bytes(), LARGE_FRAMES))
+    _write_mappings(long)
+    _write_positions(long)
     store = folder / "short-store"
     _kinedex("ingest", store, archive)
-    _kinedex("export", store, "--where", "class IS NOT NULL", "--format", "bvh", "-o", folder / "short")
+    for name, where in (("short", "class IS NOT NULL"), ("takes", "class IS NULL")):
+        _kinedex("export", store, "--where", where, "--format", "bvh", "-o", folder / name)
+    _write_hours(folder / "hours", sorted((folder / "takes").rglob("*.bvh")))
+
+
+def _write_mappings(long: Path) -> None:
+    """Write the mappings of exported markers, for commits that do not know their names or the key `only`."""
+    for ending, name in (("c3d", "named-markers-c3d"), ("trc", "named-markers")):
+        lines = (ROOT / "configs" / "skeletons" / f"{name}.yaml").read_text(encoding="utf-8").splitlines()
+        kept = [line for line in lines if not line.startswith("only:")]
+        (long / f"markers-{ending}.yaml").write_text("\n".join(kept) + "\n", encoding="utf-8")
+
+
+def _write_positions(long: Path) -> None:
+    """Write positions (T, 24, 3) and orientations (T, 4) at 30 Hz as arrays."""
+    take = kinedex.read(long / "long.bvh")
+    for name in ("positions", "orientation"):
+        np.save(long / f"{name}.npy", np.concatenate([getattr(take, name)] * COPIES))
+
+
+def _write_hours(folder: Path, takes: Sequence[Path]) -> None:
+    """Write the frames of some takes one after the other as files of an hour each, all of them the same file."""
+    folder.mkdir()
+    rows = b"".join(path.read_bytes().partition(b"Frame Time")[2].partition(b"\n")[2] for path in takes)
+    header = takes[0].read_bytes().partition(b"Frame Time")
+    joined = b"".join([header[0], header[1], header[2].partition(b"\n")[0], b"\n", rows])
+    (folder / "hour_00.bvh").write_bytes(lengthened_bvh(joined, round(3600 * RATE_HZ)))
+    for number in range(1, HOURS):
+        os.link(folder / "hour_00.bvh", folder / f"hour_{number:02}.bvh")
 
 
 def _kinedex(*words: object) -> None:

@@ -87,6 +87,7 @@ def measure_once(side: Side, figure: str, inputs: Path) -> Measurement:
     words = [side.python, DRIVERS / "launcher.py", side.driver, figure, inputs, side.work]
     side.work.mkdir(parents=True, exist_ok=True)
     environment = {**os.environ, "PYTHONPATH": str(side.tree)}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # else every start compiles every module
     try:
         done = subprocess.run(
             list(map(str, words)), env=environment, cwd=side.work, capture_output=True, text=True, timeout=LIMIT_SECONDS

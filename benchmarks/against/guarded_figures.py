@@ -39,7 +39,7 @@ class Guarded:
     rounds: int = ROUNDS
 
 
-def guarded(parts: Sequence[str] = ()) -> list[Guarded]:
+def guarded_figures(parts: Sequence[str] = ()) -> list[Guarded]:
     """Return the guarded figures of some parts, or of all if none are named.
 
     Raises
@@ -51,6 +51,6 @@ def guarded(parts: Sequence[str] = ()) -> list[Guarded]:
     for part in parts:
         if part not in listed:
             raise KinedexError(
-                f"no part of {FILE.name} is named '{part}'{did_you_mean(part, listed)}; known: {', '.join(listed)}"
+                f"'{part}' is no part of {FILE.name}, which has {', '.join(listed)}{did_you_mean(part, listed)}"
             )
     return [Guarded(key, part, **entry) for part in parts or listed for key, entry in listed[part].items()]
