@@ -17,7 +17,7 @@ import yaml
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import TEMPORARY, FileSums, sync_file, write_errors
 from kinedex.storage.index.builder import build_index
-from kinedex.storage.index.generations import current_generation, generations
+from kinedex.storage.index.generations import INDEX_VERSION, current_generation, generations, read_generation
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
 from kinedex.storage.provenance import kinedex_version, running_command
 from kinedex.storage.remedies import upgrade_with_damage
@@ -91,7 +91,7 @@ def upgrade(
     written again with these as columns. Takes, their ids, results and records of stages stay valid, so that no stage
     runs again because of it. All of it becomes visible in one step, as a new version. A killed upgrade goes on where it
     was when it is run again. The index stays, too, unless the files of indexes have changed since: then it is built
-    again at the end.
+    again at the end, also by the next upgrade where this one was killed before.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def upgrade(
     root = Path(store)
     manifest = read_newest(root)
     if manifest.format_version == FORMAT_VERSION:
-        return Upgrade(FORMAT_VERSION, manifest.version)
+        return Upgrade(FORMAT_VERSION, manifest.version, index_built=not dry_run and _built_outdated(root, manifest))
     if dry_run:
         columns, again = _group_columns(root, manifest, ())
         return _summary(manifest, manifest.version, columns, again, ())
@@ -145,10 +145,20 @@ def upgrade(
     return replace(done, index_built=True)
 
 
+def _built_outdated(root: Path, manifest: Manifest) -> bool:
+    """Build the index again if no generation can be read by this kinedex, and return whether that was so."""
+    records = [read_generation(folder) for folder in generations(root)]
+    if not records or any(record is not None and record.index_version >= INDEX_VERSION for record in records):
+        return False
+    build_index(Snapshot(root, manifest))
+    return True
+
+
 def summary(store: str | Path, done: Upgrade, *, dry_run: bool = False) -> list[str]:
     """Describe an upgrade in lines of text."""
     if done.before == FORMAT_VERSION:
-        return [f"{store} has format {FORMAT_VERSION} already: nothing to do"]
+        rest = "; the index, which this kinedex cannot read, was built again" if done.index_built else ": nothing to do"
+        return [f"{store} has format {FORMAT_VERSION} already{rest}"]
     columns = f"; takes get the columns {', '.join(done.columns)}" if done.columns else ""
     parts = f"{done.parts} parts of {shown_bytes(done.bytes)}"
     if dry_run:

@@ -44,9 +44,9 @@ OLD_FORMAT = """
 import sys
 from pathlib import Path
 
-from tests.storage.old_formats import as_format_3
+from tests.storage.stores import unpacked
 
-as_format_3(Path(sys.argv[2]))
+unpacked(3, Path(sys.argv[2]).parent)
 """
 
 UPGRADE = """
@@ -90,7 +90,7 @@ for number in range(1, 9):
 
 WORKS = {
     "ingest": ((), INGEST),
-    "upgrade": ((INGEST, OLD_FORMAT), UPGRADE),
+    "upgrade": ((OLD_FORMAT,), UPGRADE),
     "gc": ((INGEST,), COLLECT),
     "labels": ((INGEST,), LABELS),
 }

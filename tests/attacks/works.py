@@ -24,7 +24,7 @@ from kinedex.storage.store.upgrade import upgrade
 from kinedex.storage.store.writer import StoreWriter
 from tests.bvh_files import write_duet
 from tests.pipelines.archives import write_archive
-from tests.storage.old_formats import as_format_3
+from tests.storage.stores import unpacked
 
 BATCH_BYTES = 1 << 12
 """A batch of files is this small, so that an ingest of a few takes commits several times."""
@@ -148,9 +148,8 @@ def _stages(count: int, folder: Path, store: Path) -> None:
 
 
 def _old_format(folder: Path) -> None:
-    """A store of labelled clips and takes in the format before this one."""
-    _staged(2, folder)
-    as_format_3(folder / "store")
+    """A store of format 3, with an index of the kinedex that wrote it."""
+    unpacked(3, folder)
 
 
 def _damaged(kinds: tuple[str, ...], folder: Path) -> None:

@@ -1,14 +1,12 @@
-"""Upgrade: a store that kinedex wrote in format 3 is read, and becomes one of format 4 with the same answers.
+"""Upgrade: a store of each older format is read, and becomes one of the present format with the same answers.
 
-`format-3.tar.xz` is a store of three synthetic clips, made by the kinedex of commit 51b0a6f with the pipeline `old`
-(ingest with named groups, index, learn_templates, annotate), of which one clip was replaced. Its index is left out.
+The stores are real ones: see `tests/storage/stores/README.md`.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import tarfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,27 +18,30 @@ import yaml
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import sync_file
 from kinedex.storage.index.builder import build_index
-from kinedex.storage.index.generations import current_generation
 from kinedex.storage.snapshot.manifest_files import read_newest, versions
-from kinedex.storage.snapshot.schemas import RESULT_KINDS
+from kinedex.storage.snapshot.schemas import FORMAT_VERSION, RESULT_KINDS
 from kinedex.storage.store import upgrade as upgrading
 from kinedex.storage.store.garbage_collection import collect
 from kinedex.storage.store.store import open_store
-from kinedex.storage.store.upgrade import PROGRESS, upgrade
+from kinedex.storage.store.upgrade import PROGRESS, summary, upgrade
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter
-from tests.storage.made_up import BODY, add, make_store
-from tests.storage.old_formats import as_format_3
+from tests.storage.made_up import BODY, add
+from tests.storage.stores import unpacked
 
-ARCHIVE = Path(__file__).with_name("format-3.tar.xz")
+FORMATS = (3, 4)
+"""The formats of all stores that open or upgrade."""
+
 JACK = "SYN_al_jumpingJack1Reps_001_120"
+
+
+class _Killed(BaseException):
+    """The end of the process, at a chosen moment."""
 
 
 @pytest.fixture
 def old(tmp_path: Path) -> Path:
-    with tarfile.open(ARCHIVE) as archive:
-        archive.extractall(tmp_path, filter="data")
-    return tmp_path / "store"
+    return unpacked(3, tmp_path)
 
 
 def answers(path: Path) -> dict[str, list[dict[str, object]]]:
@@ -58,6 +59,28 @@ def files(path: Path) -> dict[str, bytes]:
     return {str(file.relative_to(path)): file.read_bytes() for file in path.rglob("*") if file.is_file()}
 
 
+@pytest.mark.parametrize("number", FORMATS)
+def test_a_store_of_every_format_is_read_upgraded_and_written(tmp_path: Path, number: int) -> None:
+    path = unpacked(number, tmp_path)
+    assert read_newest(path).format_version == number
+    before = answers(path)
+    assert len(before["by SQL"]) == 1
+    upgrade(path)
+    assert read_newest(path).format_version == FORMAT_VERSION
+    assert answers(path) == before
+    assert open_store(path).sql("SELECT count(DISTINCT take_id) AS n FROM word_runs").to_pylist() == [{"n": 3}]
+    with StoreWriter.open(path, open_store(path).feature_set) as writer:
+        writer.drop_takes([min(writer.store.manifest.live_takes)])
+        writer.commit()
+    build_index(open_store(path, at="newest"))
+    assert verify(open_store(path)) == []
+
+
+def test_the_store_of_format_4_has_a_label(tmp_path: Path) -> None:
+    (label,) = open_store(unpacked(4, tmp_path)).labels().to_pylist()
+    assert (label["take"], label["class"], label["start"], label["stop"]) == (JACK, "jumpingJack1Reps", 2, 30)
+
+
 def test_format_3_is_read_and_left_as_it_is(old: Path) -> None:
     before = files(old)
     store = open_store(old, at="newest")
@@ -73,7 +96,7 @@ def test_format_3_is_read_and_left_as_it_is(old: Path) -> None:
     assert refused.value.remedy is not None
     assert refused.value.remedy.command == ("kinedex", "upgrade", str(old))
     assert {name for name in files(old).keys() - before.keys() if "lease" not in name} <= {"lock"}
-    assert all(before[name] == content for name, content in files(old).items() if name in before)
+    assert all(files(old)[name] == content for name, content in before.items() if name != "lock")
 
 
 def test_an_upgrade_keeps_every_answer(old: Path) -> None:
@@ -88,7 +111,8 @@ def test_an_upgrade_keeps_every_answer(old: Path) -> None:
     assert verify(open_store(old, at="newest")) == []
     for part in manifest.parts:
         assert part.xxh3 == xxhash.xxh3_128((old / part.path).read_bytes()).hexdigest()
-    assert upgrade(old) == replace(done, before=4, parts=0, bytes=0, takes_parts=0, columns=())
+    again = replace(done, before=4, parts=0, bytes=0, takes_parts=0, columns=(), index_built=False)
+    assert upgrade(old) == again
 
 
 def test_named_groups_become_columns(old: Path) -> None:
@@ -104,12 +128,12 @@ def test_records_of_stages_make_sources_and_pipelines(old: Path) -> None:
     upgrade(old)
     manifest = read_newest(old)
     assert manifest.stages == before.stages
-    assert manifest.sources["/archive"].stage == "old/ingest"
-    assert (
-        manifest.sources["/archive"].settings["patterns"] == before.stages["old/ingest"].summary["params"]["patterns"]
-    )
+    ((folder, source),) = manifest.sources.items()
+    assert folder == before.stages["old/ingest"].summary["params"]["source"]
+    assert source.stage == "old/ingest"
+    assert source.settings["patterns"] == before.stages["old/ingest"].summary["params"]["patterns"]
     record = manifest.pipelines["old"]
-    assert record.sources == ("/archive",)
+    assert record.sources == (folder,)
     stages = yaml.safe_load(record.yaml)["stages"]
     assert list(stages) == ["ingest", "index", "learn_templates", "annotate"]
     assert stages["annotate"]["params"]["tau"] == 0.3
@@ -118,7 +142,7 @@ def test_records_of_stages_make_sources_and_pipelines(old: Path) -> None:
 
 def test_the_old_version_stays_until_it_is_collected(old: Path) -> None:
     upgrade(old)
-    assert versions(old) == [20, 21, 22]
+    assert versions(old) == [*range(1, 23)]
     collect(old, keep=1)
     assert versions(old) == [22]
     assert verify(open_store(old, at="newest")) == []
@@ -135,24 +159,10 @@ def test_an_upgraded_store_is_written(old: Path) -> None:
     store = open_store(old, at="newest")
     assert store.takes()["style"].to_list() == ["jumpingJack1Reps", None, None, None]
     assert store.labels().num_rows == 1
-    assert verify(store) == []
-
-
-def test_the_index_stays_valid(tmp_path: Path) -> None:
-    path = make_store(tmp_path / "store", {"bd_walk": 50, "mm_run": 40})
-    build_index(open_store(path, at="newest"))
-    as_format_3(path)
-    generation = current_generation(path, read_newest(path))
-    assert generation is not None
-    upgrade(path)
-    assert current_generation(path, read_newest(path)) == generation
-    rows = open_store(path, at="newest").sql("SELECT name, session FROM takes ORDER BY name").to_pylist()
-    assert rows == [{"name": "bd_walk", "session": "1"}, {"name": "mm_run", "session": "1"}]
+    assert [str(one) for one in verify(store) if one.fault] == []
 
 
 def test_an_index_of_an_older_kinedex_is_built_again(old: Path) -> None:
-    (old / "index" / "gen-000021").mkdir(parents=True)
-    (old / "index" / "gen-000021" / "generation.json").write_text('{"index_version": 4}')
     with pytest.raises(StoreError, match="of an older kinedex") as missing:
         open_store(old).index_path()
     assert missing.value.remedy is not None
@@ -162,6 +172,23 @@ def test_an_index_of_an_older_kinedex_is_built_again(old: Path) -> None:
     assert upgrade(old).index_built
     assert verify(open_store(old, at="newest")) == []
     assert open_store(old).sql("SELECT count(*) > 0 AS found FROM word_runs").to_pylist() == [{"found": True}]
+
+
+def test_an_upgrade_killed_before_its_index_builds_it_next_time(old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def dies(_: object) -> None:
+        raise _Killed
+
+    with monkeypatch.context() as patched:
+        patched.setattr(upgrading, "build_index", dies)
+        with pytest.raises(_Killed):
+            upgrade(old)
+    assert upgrade(old, dry_run=True).index_built is False
+    done = upgrade(old)
+    assert (done.before, done.version, done.index_built) == (4, 22, True)
+    (line,) = summary(old, done)
+    assert line == f"{old} has format 4 already; the index, which this kinedex cannot read, was built again"
+    assert verify(open_store(old)) == []
+    assert not upgrade(old).index_built
 
 
 def test_a_dry_run_changes_nothing(old: Path) -> None:
@@ -190,10 +217,6 @@ def test_a_damaged_part_stops_the_upgrade(old: Path, folder: str, missing: bool)
     assert done.damaged == (f"{folder}/{part.name}",)
     assert read_newest(old).format_version == 4
     assert any(finding.fault for finding in verify(open_store(old, at="newest")))
-
-
-class _Killed(BaseException):
-    """The end of the process, at a chosen moment."""
 
 
 @pytest.mark.parametrize("moment", range(12))

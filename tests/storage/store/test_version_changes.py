@@ -13,13 +13,13 @@ from kinedex.storage.index.builder import build_index
 from kinedex.storage.provenance import LONGEST, kinedex_version, running_command
 from kinedex.storage.snapshot.manifest import PipelineRecord, StageRecord
 from kinedex.storage.snapshot.manifest_files import manifest_path, read_newest, read_version, versions
-from kinedex.storage.snapshot.schemas import TakeColumn
+from kinedex.storage.snapshot.schemas import FORMAT_VERSION, TakeColumn
 from kinedex.storage.store.compaction import compact
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.version_changes import described, list_versions, versions_table
 from kinedex.storage.store.writer import StoreWriter
 from tests.storage.made_up import BODY, add, make_store
-from tests.storage.old_formats import as_format_3
+from tests.storage.stores import unpacked
 
 
 @pytest.fixture
@@ -61,23 +61,27 @@ def test_changes_of_each_version_are_recorded(path: Path) -> None:
         assert (manifest.kinedex, manifest.command) == (kinedex_version(), running_command())
 
 
-def test_all_versions_are_listed_also_old_and_damaged_ones(path: Path) -> None:
+def test_all_versions_are_listed_also_damaged_ones(path: Path) -> None:
     build_index(open_store(path, at="newest"))
     with StoreWriter.open(path, BODY) as writer:
         add(writer, {"tr_new": 10})
         writer.commit()
-    as_format_3(path)
     manifest_path(path, 1).write_text("{")
     found = list_versions(path)
     assert [one.version for one in found] == [1, 2, 3]
     assert "not valid JSON" in found[0].problem
     assert [(one.takes, one.index, one.format, one.command) for one in found[1:]] == [
-        (2, True, 3, ""),
-        (3, False, 3, ""),
+        (2, True, FORMAT_VERSION, running_command()),
+        (3, False, FORMAT_VERSION, running_command()),
     ]
     assert versions_table(found).column("index").to_pylist() == [None, "yes", "no"]
     with pytest.raises(StoreError, match="does not exist"):
         list_versions(path / "none")
+
+
+def test_versions_of_an_older_format_are_listed(tmp_path: Path) -> None:
+    newest = list_versions(unpacked(3, tmp_path))[-1]
+    assert (newest.version, newest.takes, newest.index, newest.format, newest.command) == (21, 3, False, 3, "")
 
 
 def test_settings_of_sources_and_pipelines_are_kept(path: Path) -> None:
