@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import math
 import re
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -13,10 +12,8 @@ from typing import Any, Literal, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
-from yaml.composer import Composer
-from yaml.constructor import SafeConstructor
-from yaml.resolver import Resolver
 
+from kinedex.catalog.yaml_nodes import MOST_BYTES, MOST_DIGITS, composed, too_large
 from kinedex.ops.errors import ConfigError, did_you_mean
 from kinedex.ops.local_paths import refuse_addresses
 
@@ -39,9 +36,6 @@ KINDS = {
 
 _UNION_TYPE = re.compile(r"literal\[.*\]|(?:constrained-)?(?:float|int|str)|list\[.*\]|bool")
 """The names of types that pydantic puts behind the key of a union, such as `tau.literal['auto']`."""
-
-MOST_VALUES = 100_000
-"""The most values that a YAML file may hold by way of aliases; one without aliases may be as long as it likes."""
 
 Key = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
@@ -207,7 +201,8 @@ def load_yaml(path: str | Path) -> Located:
     Raises
     ------
     ConfigError
-        If the file cannot be read, is not UTF-8 or not YAML, or repeats a key; names the line.
+        If the file cannot be read, is not UTF-8 or not YAML, repeats a key, or is beyond the bounds of
+        `kinedex.catalog.yaml_nodes`; names the line.
     """
     return parse_yaml(read_text(Path(path)), path)
 
@@ -218,14 +213,18 @@ def read_text(path: Path, encoding: Literal["utf-8", "utf-8-sig"] = "utf-8") -> 
     Raises
     ------
     ConfigError
-        If the file cannot be read or is not UTF-8.
+        If the file cannot be read, is not UTF-8, or has more than `MOST_BYTES`.
     """
     try:
-        return path.read_text(encoding=encoding)
+        with path.open(encoding=encoding) as file:
+            text = file.read(MOST_BYTES + 1)
     except OSError as fault:
         raise ConfigError(path, f"cannot be read: {fault.strerror}") from fault
     except UnicodeDecodeError as fault:
         raise ConfigError(path, f"is not UTF-8 text (byte {fault.start})") from fault
+    if len(text) > MOST_BYTES:
+        raise too_large(path, "is larger than may be")
+    return text
 
 
 def parse_yaml(text: str, path: str | Path) -> Located:
@@ -238,9 +237,7 @@ def parse_yaml(text: str, path: str | Path) -> Located:
 def _parsed(text: str, path: Path) -> Located:
     located = Located(path, None, {})
     try:
-        node = _composed(text)
-        if node is not None:
-            _refuse_bombs(node, path)
+        node = composed(text, path)
         data = None if node is None else _construct(node, (), located, yaml.SafeLoader(""))
     except yaml.MarkedYAMLError as fault:
         line = fault.problem_mark.line + 1 if fault.problem_mark else None
@@ -251,60 +248,6 @@ def _parsed(text: str, path: Path) -> Located:
     except RecursionError:
         raise ConfigError(path, "is nested too deeply, or an alias contains itself") from None
     return Located(located.path, data, located.lines)
-
-
-_LOADERS: list[Any] = [yaml.SafeLoader]
-
-if yaml.__with_libyaml__:
-    from yaml._yaml import CParser
-
-    class _FastLoader(Composer, CParser, SafeConstructor, Resolver):
-        """A loader of libyaml events that builds nodes in Python, where deep nesting raises instead of crashing."""
-
-        def __init__(self, text: str) -> None:
-            CParser.__init__(self, text)
-            Composer.__init__(self)
-            SafeConstructor.__init__(self)
-            Resolver.__init__(self)
-
-    _LOADERS.insert(0, _FastLoader)
-
-
-def _composed(text: str) -> yaml.Node | None:
-    """Return the node tree of a text, by libyaml where it is installed, which is seven times as fast."""
-    for loader in _LOADERS[:-1]:
-        # The parser in Python gives the better message for what libyaml refuses.
-        with suppress(yaml.YAMLError, ValueError):
-            return yaml.compose(text, Loader=loader)
-    return yaml.compose(text, Loader=_LOADERS[-1])
-
-
-def _refuse_bombs(root: yaml.Node, path: Path) -> None:
-    """Refuse a file whose aliases multiply: its size is added up over the nodes as written, without expanding any."""
-    sizes: dict[int, int] = {}
-    waiting: list[tuple[yaml.Node, bool]] = [(root, False)]
-    while waiting:
-        node, ready = waiting.pop()
-        parts = _parts(node)
-        if ready:
-            # An alias inside of what it names has no size yet; building it fails with a message of its own.
-            sizes[id(node)] = 1 + sum(sizes.get(id(part), 0) for part in parts)
-        elif id(node) not in sizes:
-            sizes[id(node)] = 0
-            waiting.append((node, True))
-            waiting.extend((part, False) for part in parts)
-    if sizes[id(root)] > max(MOST_VALUES, len(sizes)):
-        raise ConfigError(
-            path,
-            f"its aliases expand {len(sizes):,} values to {sizes[id(root)]:,}, and at most {MOST_VALUES:,} are read; "
-            "write the values out, or use fewer aliases of aliases",
-        )
-
-
-def _parts(node: yaml.Node) -> list[yaml.Node]:
-    if isinstance(node, yaml.MappingNode):
-        return [part for pair in node.value for part in pair]
-    return list(node.value) if isinstance(node, yaml.SequenceNode) else []
 
 
 def _construct(node: yaml.Node, key: Key, located: Located, constructor: yaml.SafeLoader) -> Any:
@@ -334,5 +277,6 @@ def _construct(node: yaml.Node, key: Key, located: Located, constructor: yaml.Sa
 
 def scalar(text: str) -> str:
     """Return a text as YAML: plain where it reads back as itself, else in quotes."""
-    plain = text.isascii() and text.replace("_", "").isalnum() and yaml.safe_load(text) == text
+    short = len(text) <= MOST_DIGITS and text.isascii() and text.replace("_", "").isalnum()
+    plain = short and yaml.safe_load(text) == text
     return text if plain else yaml.safe_dump(text, default_style='"', width=math.inf, allow_unicode=True).strip()

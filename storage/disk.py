@@ -6,7 +6,7 @@ import errno
 import hashlib
 import os
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
@@ -19,7 +19,9 @@ from kinedex.ops.errors import StoreError
 _NO_SPACE = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
 
 TEMPORARY = ".tmp-"
-"""The prefix of the names of unfinished files; readers ignore them, the next writer removes them."""
+"""The prefix of the names of unfinished files; readers ignore them, writers and garbage collection remove them."""
+
+_ATTEMPTS = 5
 
 _BLOCK = 1 << 18
 """Bytes that are read at a time to compute checksums; they stay in the cache of a core."""
@@ -75,6 +77,29 @@ def whole_file(path: Path) -> Iterator[Path]:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def replace_file(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a file of a store, whole or not at all, while nobody else is kept from writing the store.
+
+    Garbage collection cannot tell an unfinished file that is being written from one of a killed run. Where it removes
+    that file, the function is called again.
+
+    Parameters
+    ----------
+    path : Path
+        The file; an existing one is replaced.
+    write : callable
+        Writes the content to a path.
+    """
+    for left in reversed(range(_ATTEMPTS)):
+        try:
+            with whole_file(path) as unfinished:
+                write(unfinished)
+            return
+        except FileNotFoundError:
+            if not left or not path.parent.is_dir():
+                raise
 
 
 class FileSums(NamedTuple):

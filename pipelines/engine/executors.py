@@ -30,6 +30,8 @@ KINDS = ("serial", "processes", "dask")
 TRIES = 3
 """A task is started so often before the deaths of its workers are attributed to it."""
 
+_CHECKS = 3
+
 ANSWER_SECONDS = 10.0
 """A Dask scheduler may take so long to answer at first."""
 
@@ -285,11 +287,14 @@ class DaskExecutor:
         """Raise a KinedexError if a worker does not answer, or does not see a file that was just written."""
         store.mkdir(parents=True, exist_ok=True)
         token = store / f".tmp-shared-{secrets.token_hex(4)}"
-        token.touch()
         try:
-            seen = self._ask_workers(_sees, str(token.resolve()))
+            for _ in range(_CHECKS):
+                token.touch()
+                seen = self._ask_workers(_sees, str(token.resolve()))
+                if token.exists():
+                    break  # else garbage collection has taken it for the unfinished file of a killed run
         finally:
-            token.unlink()
+            token.unlink(missing_ok=True)
         blind = [worker for worker, sees in seen.items() if sees is not True]
         broken = [fault for fault in seen.values() if isinstance(fault, BaseException)]
         if broken:

@@ -16,7 +16,7 @@ from kinedex.ops.evaluation.metrics import Counts, compare, pooled
 from kinedex.pipelines.console.tables import numbers_table, plain_text
 from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS, THESIS_NAMES, digits
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth
-from kinedex.storage.disk import whole_file, write_errors
+from kinedex.storage.disk import replace_file, write_errors
 from kinedex.storage.snapshot.schemas import result_schema
 
 MEASURES = ("p1", "r1", "f1", "p2", "r2", "f2")
@@ -108,8 +108,9 @@ def write_metrics(path: Path, evaluation: Evaluation, run: str, **about: object)
         rows = {row.name: scores(row.counts) for row in evaluation.rows if row.scope == scope}
         if rows:
             content[key] = rows
-    with write_errors(path), whole_file(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    with write_errors(path):
+        replace_file(path, lambda unfinished: unfinished.write_text(text, encoding="utf-8"))
 
 
 def metrics_table(evaluation: Evaluation, title: str, scopes: Sequence[str] = SCOPES) -> Table:

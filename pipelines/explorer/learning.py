@@ -23,6 +23,7 @@ import yaml
 from pydantic import Field
 
 from kinedex.catalog.classes import OWN, class_files
+from kinedex.catalog.configs import load_yaml
 from kinedex.ops.errors import ConflictError, KinedexError, StoreError
 from kinedex.pipelines.annotation.labels import annotate_stage
 from kinedex.pipelines.explorer.addresses import Question, get, post
@@ -31,7 +32,7 @@ from kinedex.pipelines.explorer.labels import stage_of
 from kinedex.pipelines.explorer.same import command_line
 from kinedex.pipelines.labels.segments import Difference, Segment, differences
 from kinedex.pipelines.templates.examples import CLIPS, LABELS
-from kinedex.storage.disk import whole_file, write_errors
+from kinedex.storage.disk import replace_file, write_errors
 from kinedex.storage.snapshot.shown_results import current_pipeline
 from kinedex.storage.store.store import Store, open_store
 
@@ -154,8 +155,7 @@ def _last(archive: Archive) -> Row | None:
 def _write(path: Path, text: str) -> None:
     with write_errors(path.parent):
         path.parent.mkdir(exist_ok=True)
-        with whole_file(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        replace_file(path, lambda unfinished: unfinished.write_text(text, encoding="utf-8"))
 
 
 def learn(archive: Archive, asked: LearnQuestion, _request: Request) -> Row:
@@ -207,8 +207,7 @@ def _put_classes(archive: Archive, store: Store, stages: Row) -> None:
         return
     labels = store.labels().to_pylist()
     names = sorted({row["class"] for row in labels if row["verdict"] == "positive" and row["limb"] is None})
-    text = files[0].read_text(encoding="utf-8")
-    added = classes_with(yaml.safe_load(text), names)
+    added = classes_with(load_yaml(files[0]).mapping(), names)
     if added is not None:
         _write(path := archive.path / FOLDER / f"{PIPELINE}-classes.yaml", added)
         annotate["classes"] = str(path.absolute())

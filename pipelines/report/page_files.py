@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from kinedex.ops.errors import KinedexError
-from kinedex.storage.disk import whole_file
+from kinedex.storage.disk import replace_file
 
 
 def write_page(page: str, path: Path) -> int:
@@ -33,5 +33,5 @@ def write_page(page: str, path: Path) -> int:
             f"{path}: the folder {path.parent} does not exist; create it (mkdir -p {path.parent}) or name another"
         )
     content = page.encode("utf-8")
-    with whole_file(path) as temporary:
-        return temporary.write_bytes(content)
+    replace_file(path, lambda unfinished: unfinished.write_bytes(content))
+    return len(content)

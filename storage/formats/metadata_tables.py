@@ -31,7 +31,6 @@ MOST_COLUMNS = 200
 MOST_LETTERS = 10_000
 """Most rows and columns of a table, and characters of a cell."""
 
-_MOST_YAML_BYTES = 8_000_000
 _SIXTY_FOUR_BITS = 2**63
 _WHOLE = re.compile(r"[+-]?(?:0|[1-9][0-9]{0,17})")
 _NUMBER = re.compile(r"[+-]?(?:(?:0|[1-9][0-9]{0,17})(?:\.[0-9]{0,30})?|\.[0-9]{1,30})(?:[eE][+-]?[0-9]{1,3})?")
@@ -275,9 +274,6 @@ def _read_yaml(path: str | Path, data: bytes) -> MetadataTable:
 
 def _located(path: str | Path, data: bytes) -> Located:
     """Return the content of YAML with its lines."""
-    if len(data) > _MOST_YAML_BYTES:
-        most = _MOST_YAML_BYTES / 1e6
-        raise SourceError(path, f"has {len(data) / 1e6:.1f} MB; YAML and JSON have at most {most:g} MB: save it as CSV")
     try:
         return parse_yaml(data.decode("utf-8-sig"), path)
     except UnicodeDecodeError as fault:

@@ -17,7 +17,7 @@ import pyarrow as pa
 from kinedex.catalog.sql.views import MACROS, VIEWS
 from kinedex.ops.errors import KinedexError, StoreError
 from kinedex.storage import duck
-from kinedex.storage.disk import whole_file, write_errors
+from kinedex.storage.disk import replace_file, write_errors
 from kinedex.storage.index.generations import read_generation
 from kinedex.storage.index.reference_tables import features_table, help_table
 from kinedex.storage.index.surface import index_statements
@@ -53,17 +53,21 @@ def write_database(store: Store) -> Path:
     path = store.path.absolute() / DATABASE
     connection = duck.connect()
     try:
-        with write_errors(path), whole_file(path) as temporary:
-            connection.execute(f"ATTACH {duck.quote(str(temporary))} AS made (STORAGE_VERSION 'v1.5.0')")
-            connection.execute("USE made")
-            _fill(connection, store, index)
-            connection.execute("USE memory")
-            connection.execute("DETACH made")
+        with write_errors(path):
+            replace_file(path, lambda unfinished: _write(connection, store, index, unfinished))
     except duck.Error as fault:
         raise StoreError(f"{path}: the database file cannot be written: {duck.first_line(fault)}") from None
     finally:
         connection.close()
     return path
+
+
+def _write(connection: duck.Connection, store: Store, index: Path, path: Path) -> None:
+    connection.execute(f"ATTACH {duck.quote(str(path))} AS made (STORAGE_VERSION 'v1.5.0')")
+    connection.execute("USE made")
+    _fill(connection, store, index)
+    connection.execute("USE memory")
+    connection.execute("DETACH made")
 
 
 def refresh_database(path: Path) -> None:
@@ -74,7 +78,7 @@ def refresh_database(path: Path) -> None:
 
 
 def _fill(connection: duck.Connection, store: Store, index: Path) -> None:
-    connection.execute(f"ATTACH {duck.quote(str(index))} AS idx (READ_ONLY)")
+    connection.execute(f"ATTACH IF NOT EXISTS {duck.quote(str(index))} AS idx (READ_ONLY)")
     listed = duck.rows(connection, "SELECT table_name FROM duckdb_tables() WHERE database_name = 'idx'")
     record = read_generation(index.parent)
     copied = {"features", "help"}

@@ -8,6 +8,7 @@ import time
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Container, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -23,6 +24,7 @@ from kinedex.storage.index.generations import (
 )
 from kinedex.storage.leases import OpenVersion, open_versions, without_readers
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
+from kinedex.storage.repair.quarantine import FOLDER as QUARANTINE
 from kinedex.storage.snapshot.manifest_files import (
     FOLDER,
     manifest_path,
@@ -32,9 +34,15 @@ from kinedex.storage.snapshot.manifest_files import (
     versions,
 )
 from kinedex.storage.snapshot.schemas import PART_FOLDERS
+from kinedex.storage.store.history import FILES
+from kinedex.storage.store.history import FOLDER as HISTORY
 
 KEPT_VERSIONS = 2
 """Number of the newest versions that stay: the newest, and one to fall back to should its manifest be damaged."""
+
+
+_OTHER_FOLDERS = (".", HISTORY, FILES, "jobs", f"{QUARANTINE}/*")
+"""The folders whose files are written without the lock of the store, or by a repair; parts are in none of them."""
 
 
 @dataclass(frozen=True)
@@ -205,12 +213,18 @@ def _parts(root: Path, stay: list[int]) -> Iterator[Garbage]:
                 yield Garbage(f"{folder}/{name}", (root / folder / name).stat().st_size, kind)
 
 
+def unfinished_files(root: Path) -> Iterator[str]:
+    """Yield the path, relative to the store, of each file that a killed run has begun, or that is being written."""
+    patterns = [f"{folder}/{TEMPORARY}*" for folder in (FOLDER, *PART_FOLDERS, *_OTHER_FOLDERS)]
+    for pattern in (*patterns, "results/reports/*/.*"):
+        for path in sorted(root.glob(pattern)):
+            yield path.relative_to(root).as_posix()
+
+
 def _unfinished(root: Path) -> Iterator[Garbage]:
-    for folder in (FOLDER, *PART_FOLDERS):
-        for path in sorted((root / folder).glob(f"{TEMPORARY}*")):
-            yield Garbage(path.relative_to(root).as_posix(), path.stat().st_size, "unfinished file")
-    for path in sorted((root / "results" / "reports").glob("*/.*")):
-        yield Garbage(path.relative_to(root).as_posix(), path.stat().st_size, "unfinished file")
+    for path in unfinished_files(root):
+        with suppress(FileNotFoundError):  # finished meanwhile
+            yield Garbage(path, (root / path).stat().st_size, "unfinished file")
 
 
 def _generations(root: Path, stay: list[int]) -> Iterator[Garbage]:

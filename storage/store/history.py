@@ -19,7 +19,7 @@ from typing import Any, Literal
 from pydantic import TypeAdapter, ValidationError
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage.disk import sync_file, sync_folder, whole_file, write_errors
+from kinedex.storage.disk import replace_file, sync_file, sync_folder, write_errors
 from kinedex.storage.remedies import repair
 from kinedex.storage.snapshot.manifest import Manifest, PipelineRecord, StageRecord
 from kinedex.storage.snapshot.manifest_files import json_checksum, read_newest, read_version, versions
@@ -321,10 +321,13 @@ def _write(path: Path, content: bytes) -> None:
         if not path.parent.is_dir():
             path.parent.mkdir(parents=True, exist_ok=True)
             sync_folder(path.parent.parent)
-        with whole_file(path) as temporary:
-            temporary.write_bytes(content)
-            sync_file(temporary)
+        replace_file(path, lambda unfinished: _flushed(unfinished, content))
         sync_folder(path.parent)
+
+
+def _flushed(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
+    sync_file(path)
 
 
 def _runs_of_manifests(store: Path) -> Iterator[PipelineRun]:

@@ -46,6 +46,7 @@ from kinedex.storage.snapshot.schemas import (
     schema_problem,
 )
 from kinedex.storage.snapshot.snapshot import Snapshot
+from kinedex.storage.store.garbage_collection import unfinished_files
 from kinedex.storage.store.history import history_problems
 from kinedex.storage.store.imu_checks import imu_problems
 from kinedex.storage.store.limb_checks import limb_problems
@@ -291,6 +292,9 @@ class _Verification:
                 if f"{folder}/{name}" not in named:
                     problem = "no manifest names this file" + (", which a killed run has left" if _ours(name) else "")
                     yield self._found("leftover", f"{folder}/{name}", problem, fault=False)
+        for name in unfinished_files(path):
+            if name.rpartition("/")[0] not in PART_FOLDERS:
+                yield self._found("leftover", name, "is unfinished: a run was killed, or is at work", fault=False)
 
     def _history(self) -> Iterator[Finding]:
         for file, problem in history_problems(self.store.path):

@@ -218,7 +218,7 @@ def _checked(work: Work, base: Path, place: Path, undisturbed: Undisturbed, publ
     if problem:
         return f"after the next run: {problem}"
     collect(place, keep=1)
-    left = [path.relative_to(place) for path in place.rglob(".*") if "quarantine" not in path.parts]
+    left = [path.relative_to(place) for path in place.rglob(".*")]
     return f"no collection of garbage removes {left[0]}" if left else _sound(place)
 
 

@@ -6,21 +6,21 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import pytest
-import yaml
 from pydantic import BaseModel, Field
 
-from kinedex.catalog import configs
-from kinedex.catalog.configs import Located, load_yaml, parse_yaml, shipped_configs
+from kinedex.catalog import configs, yaml_nodes
+from kinedex.catalog.configs import load_yaml, parse_yaml, shipped_configs
 from kinedex.ops.errors import ConfigError
 
 
 @pytest.mark.parametrize("path", sorted(shipped_configs().rglob("*.yaml")), ids=lambda path: path.stem)
 def test_a_file_reads_alike_with_and_without_the_fast_reader(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = path.read_text(encoding="utf-8")
-    fast = configs._construct(configs._composed(text), (), one := Located(path, None, {}), yaml.SafeLoader(""))
-    monkeypatch.setattr(configs, "_LOADERS", [yaml.SafeLoader])
-    slow = configs._construct(configs._composed(text), (), other := Located(path, None, {}), yaml.SafeLoader(""))
-    assert (fast, one.lines) == (slow, other.lines)
+    fast = parse_yaml(text, path)
+    configs._parsed.cache_clear()
+    monkeypatch.setattr(yaml_nodes, "_LOADERS", yaml_nodes._LOADERS[-1:])
+    slow = parse_yaml(text, path)
+    assert (fast.data, fast.lines) == (slow.data, slow.lines)
 
 
 @pytest.mark.parametrize(
@@ -30,10 +30,13 @@ def test_what_is_no_yaml_is_refused_in_the_words_of_one_reader(text: str, monkey
     with pytest.raises(ConfigError) as fast:
         parse_yaml(text, "a.yaml")
     configs._parsed.cache_clear()
-    monkeypatch.setattr(configs, "_LOADERS", [yaml.SafeLoader])
+    monkeypatch.setattr(yaml_nodes, "_LOADERS", yaml_nodes._LOADERS[-1:])
     with pytest.raises(ConfigError) as slow:
         parse_yaml(text, "a.yaml")
     assert str(fast.value) == str(slow.value)
+
+
+SEXAGESIMAL = "1" + ":10" * 3000
 
 
 def billion(levels: int) -> str:
@@ -46,6 +49,49 @@ def billion(levels: int) -> str:
 def test_aliases_that_multiply_are_refused_before_they_are_expanded(levels: int) -> None:
     with pytest.raises(ConfigError, match=r"bomb.yaml: its aliases expand .* at most 100,000 are read"):
         parse_yaml(billion(levels), "bomb.yaml")
+
+
+@pytest.mark.parametrize("number", ["1" * 5000, "-1" + "0" * 5000, "0x" + "f" * 5000, "0b" + "1" * 5000, SEXAGESIMAL])
+@pytest.mark.parametrize("text", ["\na: [1, {}]", "\n? {}\n: 1", "\na: !!int '{}'"])
+def test_an_integer_that_python_cannot_print_is_refused(number: str, text: str) -> None:
+    with pytest.raises(ConfigError, match=r"yaml:2: has an integer of [\d,]+ characters, .{12}…; 400 are the most"):
+        parse_yaml(text.replace("{}", number), "a.yaml")
+
+
+def test_a_long_text_of_digits_is_written_in_quotes_and_read_again() -> None:
+    assert parse_yaml(configs.scalar("1" * 5000), "a.yaml").data == "1" * 5000
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[" * 3_000_000, r"a\.yaml:1: is nested too deeply: a value lies 64 levels deep at most"),
+        ("{a: " * 1_000_000, "nested too deeply"),
+        ("- " * 2_500_000, "nested too deeply"),
+        ("\n".join(" " * i + "a:" for i in range(100)), r"a\.yaml:64: is nested too deeply"),
+        ("[" + ("[" * 60 + "]" * 60 + ",") * 5_100 + "]", r"has more than 300,000 keys and values; divide the file"),
+        ("- 1\n" * 300_000, r"a\.yaml:300000: has more than 300,000 keys and values"),
+        ("#" * 8_000_001, r"has 8\.0 MB, and 8 MB are the most"),
+        ("- 1\n" * 100_000 + "]", "a.yaml:100001: is not valid YAML"),
+    ],
+)
+def test_what_would_take_long_is_refused_at_its_bound(text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        parse_yaml(text, "a.yaml")
+
+
+def test_a_file_at_the_bounds_is_read() -> None:
+    assert len(parse_yaml("- 1\n" * 299_999, "a.yaml").data) == 299_999
+    assert parse_yaml("[" * 63 + "1" + "]" * 63, "a.yaml").data
+    assert parse_yaml("1" * 400, "a.yaml").data == int("1" * 400)
+
+
+def test_a_file_that_never_ends_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    with path.open("wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(ConfigError, match="is larger than may be, and 8 MB are the most"):
+        load_yaml(path)
 
 
 def test_merge_keys_that_multiply_are_refused_as_well() -> None:

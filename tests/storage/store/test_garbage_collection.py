@@ -8,10 +8,12 @@ from pathlib import Path
 import pytest
 
 from kinedex.ops.errors import ParameterError, StoreError
+from kinedex.storage.disk import FileSums, sync_file
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.lock import Lock
 from kinedex.storage.snapshot.manifest_files import manifest_path, named_files, read_version, versions
 from kinedex.storage.store import garbage_collection as garbage
+from kinedex.storage.store import history
 from kinedex.storage.store.compaction import FANOUT, compact
 from kinedex.storage.store.garbage_collection import Collection, collect, shown_bytes, summary
 from kinedex.storage.store.store import Store, open_store
@@ -95,6 +97,43 @@ def test_leftovers_of_killed_runs_and_a_stale_index_go(store: Store) -> None:
     assert found["index/.building-1"].bytes == 100
     assert found["takes/.tmp-1.parquet"].kind == "unfinished file"
     assert not files(store.path) & {orphan.path, "takes/.tmp-1.parquet", "index/.building-1/index.duckdb"}
+
+
+UNFINISHED = (
+    "frames/.tmp-1", "labels/.tmp-1", "manifest/.tmp-1", "history/.tmp-1", "history/files/.tmp-1", ".tmp-1",
+    ".tmp-1.wal", "jobs/.tmp-1", "quarantine/q/.tmp-quarantine.json", "results/reports/p/.tmp-1", "results/hits/.tmp-1",
+)  # fmt: skip
+
+
+def test_an_unfinished_file_is_noted_and_removed_wherever_it_lies(store: Store) -> None:
+    collect(store.path)
+    for name in UNFINISHED:
+        (store.path / name).parent.mkdir(parents=True, exist_ok=True)
+        (store.path / name).write_bytes(b"unfinished")
+    noted = {found.file for found in verify(store) if found.kind == "leftover" and not found.fault}
+    assert noted >= set(UNFINISHED)
+    assert {(item.path, item.bytes, item.kind) for item in collect(store.path).removed} == {
+        (name, 10, "unfinished file") for name in UNFINISHED
+    }
+    assert collect(store.path).removed == []
+    assert not files(store.path).intersection(UNFINISHED)
+
+
+def test_a_run_that_is_written_while_garbage_is_collected_is_in_the_history(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    collections = []
+
+    def collected(path: Path) -> FileSums:
+        if not collections:
+            collections.append(collect(store.path))
+        return sync_file(path)
+
+    monkeypatch.setattr(history, "sync_file", collected)
+    history.write_run(store.path, history.PipelineRun("20260101-000000-abcdef", "p", begun="2026"))
+    assert any(item.path.startswith("history/.tmp-") for item in collections[0].removed)
+    assert [run.run for run in history.list_runs(store.path)][-1] == "20260101-000000-abcdef"
+    assert list((store.path / "history").iterdir()) == [store.path / "history" / "20260101-000000-abcdef.json"]
 
 
 def test_garbage_is_not_collected_while_anybody_writes(store: Store) -> None:
