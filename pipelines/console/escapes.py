@@ -43,7 +43,8 @@ def visible_lines(text: str) -> str:
 
 def json_escaped(text: str) -> str:
     """Return JSON text in which these characters are escaped; its values stay the same."""
-    return text if text.isascii() else _ESCAPED_IN_LINES.sub(_json_escape, text)
+    # DEL is the one control character that JSON leaves as it is
+    return text if text.isascii() and "\x7f" not in text else _ESCAPED_IN_LINES.sub(_json_escape, text)
 
 
 def _escape(found: re.Match[str]) -> str:

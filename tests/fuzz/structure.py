@@ -225,6 +225,9 @@ def xml_tree(data: bytes, random: Random) -> bytes:
 
 # ---- arrays and markers ----------------------------------------------------------------------------------
 
+_REFUSED = (ValueError, TypeError, IndexError, OverflowError, RuntimeError)
+"""The errors of numpy where an array cannot be of a type: -1 of none without a sign, a date of no nine letters."""
+
 
 def _change_array(array: np.ndarray, random: Random) -> np.ndarray:
     """Change shape, type, order or values of an array, which stays a right one."""
@@ -257,7 +260,7 @@ def npy_array(data: bytes, random: Random) -> bytes:
     """Change the array of an NPY file."""
     try:
         return _saved(_change_array(np.load(io.BytesIO(data)), random))
-    except (ValueError, TypeError, IndexError):
+    except _REFUSED:
         return data
 
 
@@ -266,6 +269,8 @@ def npz_arrays(data: bytes, random: Random) -> bytes:
     file = io.BytesIO()
     with np.load(io.BytesIO(data)) as packed:
         arrays = dict(packed)
+    if not arrays:
+        return data
     name, other = random.choice(sorted(arrays)), random.choice(sorted(arrays))
     try:
         match random.randrange(6):
@@ -278,7 +283,7 @@ def npz_arrays(data: bytes, random: Random) -> bytes:
         with zipfile.ZipFile(file, "w") as packed_again:
             for key, array in arrays.items():
                 packed_again.writestr(zipfile.ZipInfo(f"{key}.npy"), _saved(array))
-    except (ValueError, TypeError, IndexError):
+    except _REFUSED:
         return data
     return file.getvalue()
 

@@ -7,6 +7,7 @@ import os
 import signal
 import time
 from pathlib import Path
+from random import Random
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from kinedex.ops.errors import SourceError
 from tests.fuzz import hunt as hunting
 from tests.fuzz.hunt import Mutator, attempt, hunt, mutant
 from tests.fuzz.mutations import flip_bytes
+from tests.fuzz.structure import change_structure
 from tests.fuzz.targets import TARGETS, Broken, Target
 
 CASES: dict[Mutator, int] = {"bytes": 25, "structure": 8}
@@ -87,3 +89,24 @@ def test_a_reader_that_lets_infinity_through_is_noticed(tmp_path: Path, monkeypa
     outcome = attempt(TARGETS["npy"], tmp_path / "a.npy", changed.getvalue())
     assert Broken.__name__ in outcome
     assert "not finite, or out of bounds" in outcome
+
+
+@pytest.mark.parametrize("ending", [".npy", ".npz"])
+def test_arrays_of_every_type_are_changed_into_arrays(ending: str) -> None:
+    """A mutator that numpy stops would end the hunt."""
+    for number in range(600):
+        random = Random(number)
+        data = change_structure(_dates(ending), ending, random)
+        for _ in range(3):
+            data = change_structure(data, ending, random)
+        assert data
+
+
+def _dates(ending: str) -> bytes:
+    file = io.BytesIO()
+    dates = np.array([0, -1, 123456789123], "<M8[s]")
+    if ending == ".npy":
+        np.save(file, dates)
+    else:
+        np.savez(file, dates=dates, numbers=np.array([-1.0, np.nan]), letters=np.array("a" * 9))
+    return file.getvalue()
