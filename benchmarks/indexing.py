@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import shutil
 import subprocess
@@ -108,9 +109,11 @@ def _by_sql(store: Store) -> None:
 
 def store_of_words(words: TakeWords, feature_set: FeatureSet) -> Store:
     """Return a store of takes that have words and no positions; make it if it is missing."""
-    path = BUILD / f"index-store-{len(words.words)}"
-    if not (path / "manifest").is_dir():
-        make_word_store(path, feature_set, words)
+    path = BUILD / f"words-{hashlib.sha256(words.words.tobytes()).hexdigest()[:12]}"
+    if not path.is_dir():
+        half = path.with_suffix(".half")
+        shutil.rmtree(half, ignore_errors=True)
+        make_word_store(half, feature_set, words).rename(path)
     return open_store(path, at="newest")
 
 
