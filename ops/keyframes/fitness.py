@@ -132,8 +132,10 @@ class Workspace(NamedTuple):
         The places of the keyframes of one query in the cache.
     lows, highs : int64 array (K,)
         Gaps.
-    reached : uint64 array
-        The frames reached in the longest clip.
+    reached : uint64 array (2, W)
+        The frames reached, and memory for the next ones.
+    place : int64 array (W,)
+        The number of lanes of its clip before each lane.
     hit : bool array (T,)
         The clips that are retrieved.
     """
@@ -146,11 +148,13 @@ class Workspace(NamedTuple):
     lows: I64
     highs: I64
     reached: U64
+    place: I64
     hit: Bool
 
 
 def new_workspace(frames: TrainingFrames, keyframes: int) -> Workspace:
     """Return a workspace for queries of up to so many keyframes on these clips."""
+    lanes = np.arange(len(frames.valid))
     return Workspace(
         np.zeros((CACHED_BITMAPS, len(frames.valid)), np.uint64),
         np.zeros(CACHED_BITMAPS, np.uint64),
@@ -159,7 +163,8 @@ def new_workspace(frames: TrainingFrames, keyframes: int) -> Workspace:
         np.zeros(keyframes, np.int64),
         np.zeros(keyframes, np.int64),
         np.zeros(keyframes, np.int64),
-        np.zeros(int(np.diff(frames.first).max()), np.uint64),
+        np.zeros((2, len(lanes)), np.uint64),
+        lanes - np.repeat(frames.first[:-1], np.diff(frames.first)),
         np.zeros(len(frames), np.bool_),
     )
 
@@ -225,79 +230,68 @@ def _bitmap(on, off, valid, mask, value, out):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def retrieve(count, strict_lows, strict_highs, lows, highs, first, positives, space):  # type: ignore[no-untyped-def]
     """Write to space.hit[t] whether clip t has a hit; positive clips are judged under the strict gaps."""
+    middle, end = first[positives], first[-1]
+    _reach(space, count, strict_lows, strict_highs, 0, middle)
+    _reach(space, count, lows, highs, middle, end)
     for t in range(len(first) - 1):
-        if t < positives:
-            low, high = strict_lows, strict_highs
-        else:
-            low, high = lows, highs
-        begin, end = first[t], first[t + 1]
-        if end - begin == 1:
-            space.hit[t] = _one_lane(space.bitmaps, space.slots, count, low, high, begin)
-        else:
-            space.hit[t] = _more_lanes(space.bitmaps, space.slots, count, low, high, begin, end, space.reached)
+        some = np.uint64(0)
+        for i in range(first[t], first[t + 1]):
+            some |= space.reached[0, i]
+        space.hit[t] = some != np.uint64(0)
 
 
 @njit(**INNER)
-def _one_lane(bitmaps, slots, count, lows, highs, lane):  # type: ignore[no-untyped-def]
-    """Return whether a clip of one lane has a hit."""
-    alive = bitmaps[slots[0], lane]
-    for k in range(1, count):
-        if alive == np.uint64(0):
-            return False
-        low = lows[k - 1]
-        if low > 63 or low > highs[k - 1]:
-            return False
-        alive <<= np.uint64(low)
-        span = min(highs[k - 1], 63) - low
-        widened = 0
-        while widened < span:
-            step = min(widened + 1, span - widened)
-            alive |= alive << np.uint64(step)
-            widened += step
-        alive &= bitmaps[slots[k], lane]
-    return alive != np.uint64(0)
+def _reach(space, count, lows, highs, begin, end):  # type: ignore[no-untyped-def]
+    """Leave in space.reached[0] the frames of lanes [begin, end) where a hit of the query ends.
 
-
-@njit(**INNER)
-def _more_lanes(bitmaps, slots, count, lows, highs, begin, end, reached):  # type: ignore[no-untyped-def]
-    """Return whether a clip of several lanes has a hit."""
-    lanes = end - begin
-    most = lanes * 64 - 1
-    some = np.uint64(0)
-    for i in range(lanes):
-        reached[i] = bitmaps[slots[0], begin + i]
-        some |= reached[i]
+    All lanes advance together, in loops without branches: one clip after the other would take ten times as long.
+    """
+    here, other, place = space.reached[0], space.reached[1], space.place
+    most = 0
+    for i in range(begin, end):
+        here[i] = space.bitmaps[space.slots[0], i]
+        most = max(most, place[i] * 64 + 63)
     for k in range(1, count):
         low = lows[k - 1]
-        if some == np.uint64(0) or low > most or low > highs[k - 1]:
-            return False
+        if low > most or low > highs[k - 1]:
+            here[begin:end] = np.uint64(0)
+            return
         if low > 0:
-            _move(reached, lanes, low, np.uint64(0))
+            _move(here, other, place, begin, end, low, np.uint64(0))
+            here, other = other, here
         span = min(highs[k - 1], most) - low
         widened = 0
         while widened < span:
             step = min(widened + 1, span - widened)
-            _move(reached, lanes, step, ~np.uint64(0))
+            _move(here, other, place, begin, end, step, ~np.uint64(0))
+            here, other = other, here
             widened += step
         some = np.uint64(0)
-        for i in range(lanes):
-            reached[i] &= bitmaps[slots[k], begin + i]
-            some |= reached[i]
-    return some != np.uint64(0)
+        bitmap, result = space.bitmaps[space.slots[k]], space.reached[0]
+        for i in range(begin, end):
+            result[i] = here[i] & bitmap[i]
+            some |= result[i]
+        here, other = space.reached[0], space.reached[1]
+        if some == np.uint64(0):
+            return
 
 
 @njit(**INNER)
-def _move(lane, lanes, frames, keep):  # type: ignore[no-untyped-def]
-    """Move the bits of some lanes to later frames; the bits of `keep` also stay where they are."""
-    # from the last lane to the first, so that what is read has not been moved yet
+def _move(source, target, place, begin, end, frames, keep):  # type: ignore[no-untyped-def]
+    """Move the bits of lanes to later frames of the same clip; the bits of `keep` also stay where they are."""
     whole = frames // 64
     part = np.uint64(frames % 64)
-    rest = np.uint64(64) - part
-    for back in range(lanes):
-        i = lanes - 1 - back
+    rest = np.uint64(63) - part  # and one more: a word cannot be shifted by 64
+    one, back = np.uint64(1), np.uint64(whole)
+    edge = min(begin + whole + 1, end)
+    for i in range(begin, edge):
         moved = np.uint64(0)
-        if i >= whole:
-            moved = lane[i - whole] << part
-            if part != np.uint64(0) and i > whole:
-                moved |= lane[i - whole - 1] >> rest
-        lane[i] = (lane[i] & keep) | moved
+        if place[i] >= whole:
+            moved = source[i - whole] << part
+            if place[i] > whole:
+                moved |= (source[i - whole - 1] >> rest) >> one
+        target[i] = (source[i] & keep) | moved
+    for i in range(np.uint64(edge), np.uint64(end)):
+        near = source[i - back] if place[i] >= whole else np.uint64(0)
+        far = source[i - back - one] if place[i] > whole else np.uint64(0)
+        target[i] = (source[i] & keep) | near << part | (far >> rest) >> one
