@@ -9,9 +9,10 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -19,6 +20,12 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from kinedex.ops.errors import KinedexError, Remedy
+from kinedex.pipelines.commands.command_list import ASK as ASK
+from kinedex.pipelines.commands.command_list import COMMANDS, PANELS
+from kinedex.pipelines.commands.command_list import MAINTAIN as MAINTAIN
+from kinedex.pipelines.commands.command_list import RUN as RUN
+from kinedex.pipelines.commands.command_list import SEARCH as SEARCH
+from kinedex.pipelines.commands.command_list import TRACK as TRACK
 from kinedex.pipelines.console.escapes import json_escaped, visible_lines
 
 if TYPE_CHECKING:
@@ -29,11 +36,6 @@ FAILED, LEFT_OUT, TIMED_OUT, INTERRUPTED = 1, 3, 124, 130
 
 _CODES = {"TimeLimitError": TIMED_OUT}
 """Class of an error → exit code, where it is not `FAILED`."""
-
-RUN, ASK, SEARCH = "Run pipelines", "Ask a store", "Search for motion"
-TRACK, MAINTAIN = "Track bodies", "Look after files and stores"
-PANELS = (RUN, ASK, SEARCH, TRACK, MAINTAIN)
-"""The groups of commands in the help, in its order: what most people need first stands first."""
 
 Function = TypeVar("Function", bound=Callable[..., None])
 
@@ -51,20 +53,24 @@ class HelpPage(TyperGroup):
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write a section of commands for each subject; a group within a group has one section."""
-        commands = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
+        commands = self.listed()
         width = max(len(name) for name, _ in commands)
         formatter.write_paragraph()
         for panel in (*PANELS, None):
             rows = [
                 (name.ljust(width), one.get_short_help_str(formatter.width - width - 4))
                 for name, one in commands
-                if one is not None and one.rich_help_panel == panel  # type: ignore[attr-defined]
+                if one.rich_help_panel == panel
             ]
             if rows:
                 formatter.write_heading(panel or "Commands")
                 formatter.indent()
                 formatter.write_dl(rows)
                 formatter.dedent()
+
+    def listed(self) -> list[tuple[str, Any]]:
+        """Return the commands for the help, with their names."""
+        return list(self.commands.items())
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command that the arguments name."""
@@ -97,9 +103,54 @@ class _UsageErrors:
             raise typer.Exit(code) from None
 
 
+class Program(HelpPage):
+    """All commands: the help knows them by `command_list`, and each is imported when it is asked for."""
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        self.commands: Any = _Commands()
+
+    def listed(self) -> list[tuple[str, Any]]:
+        """Return the commands for the help, with their names; none is imported."""
+        return [
+            (name, TyperCommand(name, help=line.summary, rich_help_panel=line.panel)) for name, line in COMMANDS.items()
+        ]
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of all commands."""
+        return list(COMMANDS)
+
+
+_registered: dict[str, tuple[typer.Typer, str | None]] = {}
+"""Name → the command or group, which is an application of its own to Typer, and its panel, once it is imported."""
+
+
+class _Commands(Mapping[str, Any]):
+    """The commands by name, imported and made when they are first asked for."""
+
+    def __init__(self) -> None:
+        self._made: dict[str, Any] = {}
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._made:
+            for module in COMMANDS[name].modules.split():
+                import_module(f"kinedex.pipelines.commands.{module}")
+            one, panel = _registered[name]
+            is_group = one.info.name == name
+            self._made[name] = typer.main.get_group(one) if is_group else typer.main.get_command(one)
+            self._made[name].rich_help_panel = panel
+        return self._made[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(COMMANDS)
+
+    def __len__(self) -> int:
+        return len(COMMANDS)
+
+
 app = typer.Typer(
     name="kinedex",
-    cls=HelpPage,
+    cls=Program,
     help="A motion archive that can be queried: motion in, SQL and reports out.",
     epilog="Exit codes: 0 done, 1 failed, 2 usage, 3 some files excluded, 124 too long, 130 by Ctrl-C.",
     no_args_is_help=True,
@@ -152,12 +203,12 @@ def group(name: str, title: str, panel: str, cls: type[HelpPage] = HelpPage) -> 
         Class of the group.
     """
     made = typer.Typer(name=name, cls=cls, help=title, no_args_is_help=True, rich_markup_mode=None)
-    app.add_typer(made, rich_help_panel=panel)
+    _registered[name] = made, panel
     return made
 
 
 def command(
-    panel: str | None = None, *, of: typer.Typer = app, name: str | None = None, cls: type[Command] = Command
+    panel: str | None = None, *, of: typer.Typer | None = None, name: str | None = None, cls: type[Command] = Command
 ) -> Callable[[Function], Function]:
     """Register a function as a command that has the common options and reports its errors in one message.
 
@@ -165,8 +216,8 @@ def command(
     ----------
     panel : str or None
         Section of the help that lists the command, one of `PANELS`; None in a group.
-    of : typer.Typer
-        Group that the command belongs to.
+    of : typer.Typer or None
+        Group that the command belongs to; none unless given.
     name : str or None
         Name of the command; the function's name unless given.
     cls : type of Command
@@ -174,7 +225,10 @@ def command(
     """
 
     def register(function: Function) -> Function:
-        of.command(name, cls=cls, rich_help_panel=panel)(_guarded(function))
+        group = typer.Typer(add_completion=False, rich_markup_mode=None) if of is None else of
+        group.command(name, cls=cls)(_guarded(function))
+        if of is None:
+            _registered[name or function.__name__.replace("_", "-")] = group, panel
         return function
 
     return register

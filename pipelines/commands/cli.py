@@ -6,29 +6,6 @@ import os
 import sys
 from contextlib import suppress
 
-# Importing a module registers its commands, in the order of the help. They import what they need when they run.
-from kinedex.pipelines.commands import (  # noqa: F401
-    changes,
-    drafts,
-    duplicates,
-    explore,
-    export,
-    history,
-    keyframes,
-    labels,
-    labels_kept,
-    maintenance,
-    mappings,
-    pipelines,
-    queries,
-    ranking,
-    reconstruction,
-    reports,
-    simulate,
-    tables,
-    templates,
-    tracking,
-)
 from kinedex.pipelines.commands.app import app
 from kinedex.pipelines.console.escapes import escape_streams
 
