@@ -36,9 +36,10 @@ from kinedex.storage.formats.labels.ground_truth import read_ground_truth
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.snapshot.part_records import Part
 from kinedex.storage.snapshot.parts import FramesWriter, joint_positions
-from kinedex.storage.snapshot.schemas import result_schema, takes_schema
+from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
+from tests.storage.made_up import take_row, takes_table
 
 HOURS, TAKES, CLIPS = sized((100.0, 2400, 600), (0.5, 24, 6))
 """The size of the archive; of its takes so many are clips of one motion, with its class."""
@@ -123,7 +124,7 @@ def _make(path: Path, source: Store, hours: float, takes: int, clips: int) -> No
         truth: list[dict[str, Any]] = []
         try:
             for made in executor.map(partial(_write, path, source.path, ids, clips, seconds), tasks):
-                writer.add_takes(pa.Table.from_pylist(made.rows, schema=takes_schema()), made.part)
+                writer.add_takes(takes_table(made.rows), made.part)
                 truth += made.labels
         finally:
             executor.close()
@@ -159,7 +160,7 @@ def _cut_many(path: Path, source: Store) -> None:
                     positions = clip.positions[start : start + count], clip.orientation[start : start + count]
                     rows.append(_add(frames, feature_set, take_id, name, actor, clip.label, *positions))
                 part = frames.close()
-            writer.add_takes(pa.Table.from_pylist(rows, schema=takes_schema()), part)
+            writer.add_takes(takes_table(rows), part)
         writer.commit()
 
 
@@ -333,13 +334,10 @@ def _heading(places: F64, joints: Sequence[str]) -> float:
 
 
 def _row(take_id: int, name: str, frames: int, actor: str, label: str | None, checksum: str) -> dict[str, Any]:
-    return {
-        "take_id": take_id, "name": name, "source": f"{actor}/{name}.amc", "source_root": "benchmark",
-        "checksum": checksum, "source_bytes": 0, "source_mtime_ns": 0, "format": "amc", "skeleton": "acclaim",
-        "skeleton_source": None, "recipe": "benchmark", "unit": "m", "source_rate_hz": RATE_HZ, "source_frames": frames,
-        "rate_hz": RATE_HZ, "frames": frames, "seconds": frames / RATE_HZ, "invalid_frames": 0, "actor": actor,
-        "class": label, "clip": None if label is None else name[-4:], "groups": "{}", "warnings": [],
-    }  # fmt: skip
+    return take_row(
+        take_id, name, frames, source=f"{actor}/{name}.amc", checksum=checksum, source_rate_hz=RATE_HZ,
+        source_frames=frames, actor=actor, clip=None if label is None else name[-4:], groups="{}", **{"class": label},
+    )  # fmt: skip
 
 
 def _truth(take_id: int, take: str, label: str, start: int, stop: int) -> dict[str, Any]:

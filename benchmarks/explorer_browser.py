@@ -28,6 +28,7 @@ from urllib.parse import quote
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.harness import sized
 from kinedex.ops.errors import KinedexError
 
 if TYPE_CHECKING:
@@ -38,6 +39,9 @@ WAIT_MS = 60_000
 
 SETTLED_MS = 1500
 """A page that is to be moved through has been there for so long: a person looks before moving."""
+
+JUMPS, PIXELS, MOVES = sized((60, 9000, 120), (5, 900, 12))
+"""How far a table is scrolled and motion is scrubbed, unless given."""
 
 SIZE = (1400, 900)
 """The size of the window in CSS pixels."""
@@ -326,7 +330,7 @@ def group_rows(page: Page, base: str, column: str) -> float:
     return (_noted(page, "probes.grouped") - float(page.evaluate("probes.click"))) / 1000
 
 
-def scroll(page: Page, jumps: int = 60, pixels: int = 9000) -> None:
+def scroll(page: Page, jumps: int = JUMPS, pixels: int = PIXELS) -> None:
     """Scroll the table in sight by the wheel, slowly and quickly, there and back, and by its bar to anywhere.
 
     Parameters
@@ -382,11 +386,11 @@ def open_take(page: Page, row: int) -> float:
 def show_take(page: Page, base: str, take: str) -> None:
     """Open the page of a take, and wait for its motion and its words."""
     page.goto(f"{base}/take/{quote(take, safe='')}")
-    page.locator(".pose-features li:visible").first.wait_for()
+    page.locator(".pose-features li:visible").or_(page.get_by_text("No feature holds.")).first.wait_for()
     page.wait_for_timeout(SETTLED_MS)
 
 
-def scrub(page: Page, moves: int = 120) -> None:
+def scrub(page: Page, moves: int = MOVES) -> None:
     """Move through a take: on the axis, under the pointer, and by the slider while the lanes are zoomed in and follow.
 
     Parameters

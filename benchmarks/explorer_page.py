@@ -73,7 +73,9 @@ ROWS = """SELECT r.word, t.name, t.class, t.actor, r.start AS first, r.stop AS a
 FROM word_runs AS r JOIN takes AS t USING (take_id) LIMIT 100000"""
 """A result of 100,000 rows whose columns do not make them hits."""
 
-EXAMPLE_FRAMES = (30, 60, 120)
+EXAMPLE_FRAMES, EXAMPLE_TAKES = sized(((30, 60, 120), 4), ((30, 60), 2))
+
+GROUPED = sized(("class", "actor", "folder"), ("class",))
 
 
 def short_takes(data: Path | None) -> Store:
@@ -182,7 +184,7 @@ def _table(page: Page, server: Explorer, what: str) -> Iterator[Figure]:
 def _grouped(page: Page, server: Explorer, store: Store) -> Iterator[Figure]:
     """Group the table of takes by a column, and scroll it, beside the same order and groups by SQL."""
     first_rows(page, server.address)
-    for column in ("class", "actor", "folder"):
+    for column in GROUPED:
         what = f"{store.take_rows.num_rows:,} takes in groups by {column}"
         opened = group_rows(page, server.base, column)
         page.wait_for_timeout(SETTLED_MS)
@@ -242,8 +244,8 @@ def _takes_opened(
 
 
 def _examples(page: Page, server: Explorer, store: Store) -> Iterator[Figure]:
-    """Ask by examples of three lengths from four takes; the address changes as it does when an interval is selected."""
-    takes = store.takes("class IS NULL").sort("take_id")["name"][:4]
+    """Ask by examples of several lengths; the address changes as it does when an interval is selected."""
+    takes = store.takes("class IS NULL").sort("take_id")["name"][:EXAMPLE_TAKES]
     page.goto(f"{server.base}/ask")
     trips = []
     for take in takes:
@@ -268,7 +270,7 @@ def _keyframes(page: Page, server: Explorer, store: Store) -> Iterator[Figure]:
     page.goto(f"{server.base}/ask?way=keyframes")
     field = page.get_by_label("The same as YAML")
     queries = [query for query in read_queries("example", store.feature_set) if len(query.chains) == 1]
-    texts = [write_queries([query], store.feature_set) for query in queries]
+    texts = [write_queries([query], store.feature_set) for query in queries[: sized(len(queries), 2)]]
     trips = [asked(page, "/api/ask/keyframes", partial(field.fill, text)) for text in texts]
     with store.connect(threads=2) as connection:
         by_sql = seconds(lambda: connection.sql(sql(queries[0].chains[0])).to_arrow_table(), 1)

@@ -1,4 +1,4 @@
-"""Start-up: seconds of a whole process, from its start to its end, for the import and for three commands."""
+"""Start-up: seconds of a whole process, from its start to its end, for the import and for four commands."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ def figures(store: Store) -> Iterator[Figure]:
         "kinedex --help": [*python, "-m", "kinedex", "--help"],
         "kinedex takes": [*python, "-m", "kinedex", "takes", str(store.path)],
         "kinedex sql": [*python, "-m", "kinedex", "sql", str(store.path), "SELECT count(*) FROM takes"],
+        "kinedex search": [*python, "-m", "kinedex", "search", str(store.path), "example"],
     }
     for name, command in processes.items():
         times = []

@@ -35,6 +35,7 @@ def inputs() -> Path:
     """Return the folder of the files; make it if it is missing."""
     folder = BUILD / "inputs"
     if not (folder / "complete").is_file():
+        print(f"making the motion files that both commits read, in {folder}", flush=True)
         shutil.rmtree(folder, ignore_errors=True)
         _write(folder, folder / "long")
         (folder / "complete").touch()
