@@ -1,7 +1,8 @@
-"""The motion files that both commits read, made once by this checkout's commands in `build/against/inputs`."""
+"""The motion files that both commits read, made once by this checkout's commands in `build/against`."""
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import subprocess
@@ -24,7 +25,7 @@ FRAMES = 30_000
 COPIES = 8
 """Copies of the long file's frames at 30 Hz in the arrays, of which features are computed."""
 
-HOURS, RATE_HZ = 10, 30.0
+HOURS, RATE_HZ = 4, 30.0
 """Hours of motion for searches, and their frames per second."""
 
 LARGE_FRAMES = 90_000
@@ -32,8 +33,11 @@ LARGE_FRAMES = 90_000
 
 
 def inputs() -> Path:
-    """Return the folder of the files; make it if it is missing."""
-    folder = BUILD / "inputs"
+    """Return the folder of the files; make it if it is missing.
+
+    It is named after this module, so that other sizes have other files, and stores of them.
+    """
+    folder = BUILD / f"inputs-{hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:8]}"
     if not (folder / "complete").is_file():
         print(f"making the motion files that both commits read, in {folder}", flush=True)
         shutil.rmtree(folder, ignore_errors=True)

@@ -84,13 +84,14 @@ def measure_once(side: Side, figure: str, inputs: Path) -> Measurement:
     DriverError
         The process failed, took longer than `LIMIT_SECONDS`, or printed no measurement.
     """
-    words = [side.python, DRIVERS / "launcher.py", side.driver, figure, inputs, side.work]
-    side.work.mkdir(parents=True, exist_ok=True)
+    work = side.work / inputs.name
+    work.mkdir(parents=True, exist_ok=True)
+    words = [side.python, DRIVERS / "launcher.py", side.driver, figure, inputs, work]
     environment = {**os.environ, "PYTHONPATH": str(side.tree)}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)  # else every start compiles every module
     try:
         done = subprocess.run(
-            list(map(str, words)), env=environment, cwd=side.work, capture_output=True, text=True, timeout=LIMIT_SECONDS
+            list(map(str, words)), env=environment, cwd=work, capture_output=True, text=True, timeout=LIMIT_SECONDS
         )
     except subprocess.TimeoutExpired:
         raise DriverError(f"{figure} at {side.name} took longer than {LIMIT_SECONDS:g} s") from None

@@ -134,7 +134,7 @@ def rank(bench: Bench, driver: Driver) -> Measured:
 
 def dtw(bench: Bench, driver: Driver) -> Measured:
     """Find all hits of all learned templates in hours of motion, so many that no bound spares distances."""
-    return bench.timed(driver.rank(_hours(bench, driver), _learned(bench, driver), None, 0.3), 1.0)
+    return bench.timed(driver.rank(_hours(bench, driver), _learned(bench, driver), None, 0.2), 1.0)
 
 
 def annotate_thesis(bench: Bench, driver: Driver) -> Measured:
