@@ -41,7 +41,7 @@ SETTLED_MS = 1500
 """A page that is to be moved through has been there for so long: a person looks before moving."""
 
 JUMPS, PIXELS, MOVES = sized((60, 9000, 120), (5, 900, 12))
-"""How far a table is scrolled and motion is scrubbed, unless given."""
+"""The jumps and the way of a table that is scrolled, and the moves of motion that is scrubbed, unless given."""
 
 SIZE = (1400, 900)
 """The size of the window in CSS pixels."""
