@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -13,8 +14,9 @@ from kinedex.ops.errors import ParameterError
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 U8 = npt.NDArray[np.uint8]
+Text = bytes | bytearray | memoryview
 
-OK, BAD_NUMBER, TOO_FEW, TOO_MANY, UNKNOWN_NAME, TWICE, MISSING, NOT_NEXT, NO_FRAME = range(9)
+OK, BAD_NUMBER, TOO_FEW, TOO_MANY, UNKNOWN_NAME, TWICE, MISSING, NOT_NEXT, NO_FRAME, FULL = range(10)
 """The faults that `parse_frames` and `parse_rows` report: see `Fault`."""
 
 _EXACT = 2**53  # integers up to here are exact in a double, and so are the powers of ten up to 22:
@@ -34,7 +36,7 @@ class Fault:
     Parameters
     ----------
     code : int
-        One of BAD_NUMBER … NO_FRAME.
+        One of BAD_NUMBER … FULL, the last for a text with more rows than there is room for.
     line : int
         The line, from 1.
     start, stop : int
@@ -47,7 +49,7 @@ class Fault:
     stop: int
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def _number(data: U8, pos: int, end: int) -> tuple[float, int, int]:
     """Read a number at pos.
 
@@ -150,21 +152,24 @@ def _note_slow(slow, slows, row, column, pos, line):  # type: ignore[no-untyped-
     return slows + 1
 
 
+@njit(cache=True, nogil=True, forceinline=True)
+def _name_end(data: U8, pos: int, end: int, names: U8, start: int, stop: int) -> int:
+    """Return the position after a name that is names[start:stop]; −1 where another one is at pos."""
+    size = stop - start
+    if pos + size > end or (pos + size < end and data[_at(pos + size)] > _SPACE):
+        return -1
+    for b in range(size):
+        if data[_at(pos + b)] != names[_at(start + b)]:
+            return -1
+    return pos + size
+
+
 @njit(cache=True, nogil=True)
-def _find_name(data: U8, pos: int, stop: int, names: U8, offsets: I64, guess: int) -> int:
-    """Return the index of the name at [pos, stop), compared with `guess` first; −1 where it is none of them."""
-    count = len(offsets) - 1
-    for k in range(-1, count):
-        i = guess if k < 0 else k
-        size = offsets[_at(i + 1)] - offsets[_at(i)]
-        if size == stop - pos:
-            same = True
-            for b in range(size):
-                if data[_at(pos + b)] != names[_at(offsets[i] + b)]:
-                    same = False
-                    break
-            if same:
-                return i
+def _find_name(data: U8, pos: int, end: int, names: U8, offsets: I64) -> int:
+    """Return the index of the name at pos; −1 where it is none of them."""
+    for i in range(len(offsets) - 1):
+        if _name_end(data, pos, end, names, offsets[_at(i)], offsets[_at(i + 1)]) >= 0:
+            return i
     return -1
 
 
@@ -192,25 +197,26 @@ def _parse_frames(
         if byte in (_NEWLINE, _RETURN, _HASH):
             pos, line = _next_line(data, pos, end), line + 1
             continue
-        stop = _token_end(data, pos, end)
         if _ZERO <= byte <= _NINE:
             value, after, status = _number(data, pos, end)
             if status == 1 or value != np.floor(value) or status == 2:
-                return BAD_NUMBER, line, pos, stop, frame + 1, first, slows
+                return BAD_NUMBER, line, pos, _token_end(data, pos, end), frame + 1, first, slows
             if frame >= 0 and present < count:
                 return MISSING, line, _first_absent(seen, frame), 0, frame, first, slows
             if frame >= 0 and int(value) != number + 1:
                 return NOT_NEXT, line, number, int(value), frame, first, slows
             number, frame = int(value), frame + 1
             if frame == len(out):
-                return MISSING, line, 0, 0, frame, first, slows
+                return FULL, line, 0, 0, frame, first, slows
             if frame == 0:
                 first = number
             present, guess, pos = 0, 0, after
         else:
             if frame < 0:
-                return NO_FRAME, line, pos, stop, 0, first, slows
-            name = _find_name(data, pos, stop, names, offsets, np.int64(guess))
+                return NO_FRAME, line, pos, _token_end(data, pos, end), 0, first, slows
+            name, stop = guess, _name_end(data, pos, end, names, offsets[_at(guess)], offsets[_at(guess + 1)])
+            if stop < 0:  # not the name behind the one before, as in nearly every file
+                name, stop = _find_name(data, pos, end, names, offsets), _token_end(data, pos, end)
             if name < 0:
                 return UNKNOWN_NAME, line, pos, stop, frame, first, slows
             if seen[_at(name)] == frame:
@@ -240,29 +246,31 @@ def _parse_frames(
 
 
 @njit(cache=True, nogil=True)
-def _count_line_ends(data: U8) -> int:
-    count = 0
-    for byte in data:
-        count += int(byte == _NEWLINE) + int(byte == _RETURN)
-    return count
+def _count_rows(data: U8, pos: int, numbered: bool) -> tuple[int, int]:
+    """Return the numbers of rows and of lines that begin with a blank behind a byte.
 
-
-def count_lines(data: bytes, start: int = 0) -> int:
-    r"""Return an upper bound of the lines from a byte on; "\n", "\r\n" and "\r" end them, also mixed.
-
-    "\r\n" counts twice: memory that is asked for and never touched costs less than to look at pairs of bytes.
-
-    Parameters
-    ----------
-    data : bytes
-    start : int
-        The first byte.
+    Sums of 128 bytes fit into a byte, so that the processor takes dozens of bytes at once.
     """
-    return int(_count_line_ends(np.frombuffer(data, dtype=np.uint8)[start:])) + 1
+    end, rows, indented = len(data), 0, 0
+    for start in range(pos + 1, end, 128):
+        begun, blank = np.uint8(0), np.uint8(0)
+        for i in range(start, min(start + 128, end)):
+            before, byte = data[_at(i - 1)], data[_at(i)]
+            begins = (before == _NEWLINE) | (before == _RETURN)
+            indent = (byte == _SPACE) | (byte == _TAB)
+            blank = np.uint8(blank + np.uint8(begins & indent))
+            if numbered:
+                row = (byte >= _ZERO) & (byte <= _NINE)
+            else:
+                row = (byte != _NEWLINE) & (byte != _RETURN) & (byte != _HASH) & (not indent)
+            begun = np.uint8(begun + np.uint8(begins & row))
+        rows += int(begun)
+        indented += int(blank)
+    return rows, indented
 
 
 @njit(cache=True, nogil=True)
-def _count_rows(data: U8, pos: int, numbered: bool) -> int:
+def _count_indented_rows(data: U8, pos: int, numbered: bool) -> int:
     end, count = len(data), 0
     while pos < end:
         pos = _skip_blanks(data, pos, end)
@@ -276,19 +284,27 @@ def _count_rows(data: U8, pos: int, numbered: bool) -> int:
     return count
 
 
-def count_rows(data: bytes, start: int, numbered: bool) -> int:
+def count_rows(data: Text, start: int, numbered: bool) -> int:
     """Return the number of lines from a byte on that are neither blank nor a comment.
 
     Parameters
     ----------
-    data : bytes
+    data : bytes or memoryview
         A text.
     start : int
         The first byte.
     numbered : bool
         Count only lines that begin with a digit: the frames of `parse_frames`, not the rows of `parse_rows`.
     """
-    return int(_count_rows(np.frombuffer(data, dtype=np.uint8), start, numbered))
+    array = np.frombuffer(data, dtype=np.uint8)
+    if start < len(array) and array[start] in (_SPACE, _TAB):
+        return int(_count_indented_rows(array, start, numbered))
+    rows, indented = _count_rows(array, start, numbered)
+    if indented:
+        return int(_count_indented_rows(array, start, numbered))
+    first = array[start] if start < len(array) else _NEWLINE
+    own = _ZERO <= first <= _NINE if numbered else first not in (_NEWLINE, _RETURN, _HASH)
+    return int(rows) + int(own)
 
 
 @njit(cache=True, nogil=True)
@@ -309,7 +325,7 @@ def _row_starts(data: U8, pos: int, numbered: bool, out: I64) -> None:
         pos = _next_line(data, pos, end)
 
 
-def row_starts(data: bytes, start: int, numbered: bool) -> I64:
+def row_starts(data: Text, start: int, numbered: bool) -> I64:
     """Return the bytes at which the lines begin that `count_rows` counts.
 
     Parameters
@@ -331,8 +347,17 @@ def row_starts(data: bytes, start: int, numbered: bool) -> I64:
     return found
 
 
+@lru_cache(maxsize=16)
+def _named_columns(names: tuple[str, ...], widths: tuple[int, ...]) -> tuple[U8, I64, I64]:
+    """Return the letters of all names, and where each name and its columns begin and end."""
+    encoded = [name.encode("latin-1") for name in names]
+    offsets = np.cumsum([0, *(len(name) for name in encoded)]).astype(np.int64)
+    columns = np.cumsum([0, *widths]).astype(np.int64)
+    return np.frombuffer(b"".join(encoded), dtype=np.uint8), offsets, columns
+
+
 def parse_frames(
-    data: bytes, start: int, line: int, names: list[str], widths: list[int]
+    data: Text, start: int, line: int, names: list[str], widths: list[int], out: F64 | None = None
 ) -> tuple[F64, int, Fault | None]:
     """Parse frames of named rows of numbers, the body of an AMC file.
 
@@ -341,8 +366,8 @@ def parse_frames(
 
     Parameters
     ----------
-    data : bytes
-        The whole file.
+    data : bytes or memoryview
+        A text that ends with its last frame.
     start : int
         The byte where the frames begin.
     line : int
@@ -351,6 +376,8 @@ def parse_frames(
         The rows that every frame must have.
     widths : list of int
         The number of values of each row.
+    out : float64 array (at least frames, sum of widths), optional
+        Where the numbers are put; memory of their own by default.
 
     Returns
     -------
@@ -361,14 +388,13 @@ def parse_frames(
     fault : Fault or None
         The first fault, if any.
     """
-    encoded = [name.encode("latin-1") for name in names]
-    offsets = np.cumsum([0, *(len(name) for name in encoded)]).astype(np.int64)
-    columns = np.cumsum([0, *widths]).astype(np.int64)
+    letters, offsets, columns = _named_columns(tuple(names), tuple(widths))
     array = np.frombuffer(data, dtype=np.uint8)
-    rows = count_lines(data, start) // (len(names) + 1) + 2
-    out = np.empty((rows, int(columns[-1])))
+    if out is None:
+        shortest = 2 + len(letters) + len(names) + 2 * int(columns[-1])
+        most = min(count_rows(data, start, True), (len(data) - start) // shortest + 1)
+        out = np.empty((most, int(columns[-1])))
     slow = np.empty((1024, 4), dtype=np.int64)
-    letters = np.frombuffer(b"".join(encoded), dtype=np.uint8)
     while True:
         code, at, a, b, frames, first, slows = _parse_frames(array, start, line, letters, offsets, columns, out, slow)
         if slows <= len(slow):
@@ -396,7 +422,7 @@ def _parse_rows(data: U8, pos: int, line: int, out: F64, slow: I64) -> tuple[int
             pos, line = _next_line(data, pos, end), line + 1
             continue
         if row == len(out):
-            return TOO_MANY, line, pos, _token_end(data, pos, end), row, slows
+            return FULL, line, row, 0, row, slows
         for column in range(columns):
             pos = _skip_blanks(data, pos, end)
             if pos >= end or data[_at(pos)] == _NEWLINE or data[_at(pos)] == _RETURN:
@@ -416,21 +442,23 @@ def _parse_rows(data: U8, pos: int, line: int, out: F64, slow: I64) -> tuple[int
     return OK, line, 0, 0, row, slows
 
 
-def parse_rows(data: bytes, start: int, line: int, columns: int) -> tuple[F64, Fault | None]:
+def parse_rows(data: Text, start: int, line: int, columns: int, out: F64 | None = None) -> tuple[F64, Fault | None]:
     """Parse lines of equally many numbers, the body of a BVH file.
 
     Blank lines and lines that begin with # are skipped.
 
     Parameters
     ----------
-    data : bytes
-        The whole file.
+    data : bytes or memoryview
+        A text that ends with its last row.
     start : int
         The byte where the rows begin.
     line : int
         The number of the line there, from 1.
     columns : int
         The number of values of a line, at least one.
+    out : float64 array (at least rows, columns), optional
+        Where the numbers are put; memory of their own by default.
 
     Returns
     -------
@@ -448,9 +476,9 @@ def parse_rows(data: bytes, start: int, line: int, columns: int) -> tuple[F64, F
     if columns < 1:
         raise ParameterError("columns", "at least 1", columns)
     array = np.frombuffer(data, dtype=np.uint8)
-    # A number takes a byte and a space at least, so that no count of lines can ask for more than a few file sizes.
-    rows = min(count_lines(data, start), (len(data) - start) // (2 * columns) + 1) + 1
-    out = np.empty((rows, columns))
+    if out is None:
+        # A number takes a byte and a space at least, so that no count of lines can ask for more than a few file sizes.
+        out = np.empty((min(count_rows(data, start, False), (len(data) - start) // (2 * columns) + 1), columns))
     slow = np.empty((1024, 4), dtype=np.int64)
     while True:
         code, at, a, b, found, slows = _parse_rows(array, start, line, out, slow)
@@ -463,12 +491,12 @@ def parse_rows(data: bytes, start: int, line: int, columns: int) -> tuple[F64, F
     return (out[:0] if fault else out[:found]), fault
 
 
-def _convert_exactly(data: bytes, out: F64, slow: I64) -> Fault | None:
+def _convert_exactly(data: Text, out: F64, slow: I64) -> Fault | None:
     """Fill in the numbers that the kernel could not round itself; return a fault where one is out of range."""
     for row, column, position, where in slow:
         # A number of hundreds of digits is one token all the same.
         stop = _token_end(np.frombuffer(data, dtype=np.uint8), int(position), len(data))
-        value = float(data[position:stop])
+        value = float(bytes(data[position:stop]))
         if not np.isfinite(value):
             return Fault(BAD_NUMBER, int(where), int(position), stop)
         out[_at(row), _at(column)] = value

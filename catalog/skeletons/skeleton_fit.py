@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -40,12 +41,12 @@ class Mix:
     plane: tuple[str, ...] = ()
     out: float = 0.0
 
-    @property
+    @cached_property
     def node(self) -> str | None:
         """Return the node, if the combination has only one; else None."""
         return self.weights[0][0] if len(self.weights) == 1 and not self.of_joints and not self.plane else None
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Return all nodes (or joints) of the combination."""
         return tuple(dict.fromkeys([*(name for name, _ in self.weights), *self.plane]))
@@ -277,20 +278,20 @@ class Fit:
         mixes = [mix for choices in self.mapping.joints.values() for mix in choices if mix and not mix.of_joints]
         return len({name for mix in mixes for name in mix.names} & self.places.keys())
 
-    @property
+    @cached_property
     def root(self) -> int:
         """Return the index of the node whose rotation is the body's: that of joint `root`, else the first node."""
         mix = self.joints.get("root")
         return self.places[mix.node] if mix is not None and mix.node is not None else 0
 
-    @property
+    @cached_property
     def nodes(self) -> tuple[int, ...]:
         """Return the indices of the nodes that the named joints are made of."""
         mixes = [*self.joints.values(), *(mix for others in self.instead.values() for mix in others)]
         own = [mix for mix in mixes if mix is not None and not mix.of_joints]
         return tuple(sorted({self.places[name] for mix in own for name in mix.names}))
 
-    @property
+    @cached_property
     def unknown(self) -> tuple[str, ...]:
         """Return the joints that the skeleton does not have."""
         return tuple(joint for joint, mix in self.joints.items() if mix is None)
@@ -319,8 +320,9 @@ class Fit:
     def apply(self, positions: F64, joints: tuple[str, ...]) -> F64:
         """Return the named joints (len(joints), 3, T), Y up, from the positions (nodes, 3, T) of all nodes."""
         tracks: dict[str, F64] = {}
-        frames = positions.shape[2]
-        hand = float(np.sign(np.linalg.det(self.mapping.axes)))
+        frames, axes = positions.shape[2], self.mapping.axes
+        plain = bool((axes == np.eye(3)).all())
+        hand = 1.0 if plain else float(np.sign(np.linalg.det(axes)))
         for joint, mix in self.joints.items():  # The order of `fit` puts the parts of a virtual joint before it.
             tracks[joint] = np.full((3, frames), np.nan) if mix is None else self._track(mix, positions, tracks, hand)
             for other in self.instead.get(joint, ()):
@@ -329,8 +331,8 @@ class Fit:
                     break
                 tracks[joint] = np.where(lost, self._track(other, positions, tracks, hand), tracks[joint])
         result = np.stack([tracks[joint] for joint in joints])
-        if not np.array_equal(self.mapping.axes, np.eye(3)):
-            result = np.einsum("ab,jbt->jat", self.mapping.axes, result)
+        if not plain:
+            result = np.einsum("ab,jbt->jat", axes, result)
         return np.ascontiguousarray(result)
 
     def _track(self, mix: Mix, positions: F64, tracks: Mapping[str, F64], hand: float) -> F64:

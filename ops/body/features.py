@@ -111,16 +111,67 @@ def _stretch(
     out = np.zeros(positions.shape[2], dtype=np.uint64)
     if not len(out):
         return out
-    body = _Body(positions, orientation, rate_hz, measured[:, :, 0], primitives)
-    left = Counter(key for rule in rules for key in _used(rule))
-    for bit, rule in enumerate(rules):
-        scale = body.scale(rule)
+    plan = _plan(rules)
+    body = _Body(positions, orientation, rate_hz, measured[:, :, 0], primitives, plan)
+    for bit, rule in enumerate(plan.rules):
+        scale = body.scale(plan.lengths_of_rule[bit])
         weak = p.bounds(rule.comparison, rule.weak[0] * scale, rule.weak[1] * scale)
         strong = p.bounds(rule.comparison, rule.strong[0] * scale, rule.strong[1] * scale)
-        p.hysteresis(body.quantity(rule.terms), *weak, *strong, bit, out)
-        left.subtract(_used(rule))
-        body.forget(key for key in _used(rule) if not left[key])
+        p.hysteresis(body.quantity(plan.terms_of_rule[bit]), *weak, *strong, bit, out)
+        body.forget(*plan.last_used[bit])
     return out
+
+
+class _Plan:
+    """Rules by the numbers of their terms and lengths, which are found sooner than what they stand for.
+
+    Attributes
+    ----------
+    rules : tuple of Rule
+        The rules.
+    terms : list of Term
+        Their terms, each once.
+    lengths : list of tuple of (int, int)
+        The pairs of joints whose distances scale thresholds.
+    terms_of_rule : list of list of int
+        The terms of every rule.
+    lengths_of_rule : list of list of (float, int)
+        The length of every rule and its stand-ins, each with its factor.
+    last_used : list of (list of int, list of Velocity)
+        The terms and velocities that no rule behind one needs.
+    """
+
+    def __init__(self, rules: Sequence[Rule]) -> None:
+        self.rules = tuple(rules)
+        self.terms = list(dict.fromkeys(term for rule in rules for term in rule.terms))
+        number = {term: i for i, term in enumerate(self.terms)}
+        self.terms_of_rule = [[number[term] for term in rule.terms] for rule in rules]
+        scales = [((1.0, rule.length), *rule.stand_ins) if rule.length else () for rule in rules]
+        self.lengths = list(dict.fromkeys(pairs for several in scales for _, pairs in several))
+        self.lengths_of_rule = [
+            [(factor, self.lengths.index(pairs)) for factor, pairs in several] for several in scales
+        ]
+        last = {key: bit for bit, rule in enumerate(rules) for key in _used(rule)}
+        self.last_used: list[tuple[list[int], list[Velocity]]] = [([], []) for _ in rules]
+        for key, bit in last.items():
+            if isinstance(key, Term):
+                self.last_used[bit][0].append(number[key])
+            else:
+                self.last_used[bit][1].append(key)
+
+
+_PLANS: dict[tuple[int, ...], _Plan] = {}
+"""Plans by the identities of their rules, which they keep alive."""
+
+
+def _plan(rules: Sequence[Rule]) -> _Plan:
+    key = tuple(map(id, rules))
+    plan = _PLANS.get(key)
+    if plan is None:
+        if len(_PLANS) >= 8:
+            _PLANS.clear()
+        plan = _PLANS[key] = _Plan(rules)
+    return plan
 
 
 def _used(rule: Rule) -> list[Term | Velocity]:
@@ -147,47 +198,54 @@ class _Body:
         rate_hz: float,
         measured: F64,
         primitives: Mapping[str, Primitive],
+        plan: _Plan,
     ) -> None:
         self.positions = positions
         self.primitives = primitives
         self.measured = measured
         self.orientation = orientation
         self.rate_hz = rate_hz
-        self._lengths: dict[tuple[tuple[int, int], ...], float] = {}
-        self._terms: dict[Term | Velocity, F64] = {}
-        self._velocities: dict[Term | Velocity, F64] = {}
+        self._plan = plan
+        self._lengths: dict[int, float] = {}
+        self._terms: dict[int, F64] = {}
+        self._velocities: dict[Velocity, F64] = {}
 
-    def forget(self, keys: Iterable[Term | Velocity]) -> None:
+    def forget(self, terms: Iterable[int], velocities: Iterable[Velocity]) -> None:
         """Drop terms and velocities that no further rule needs: they would take more memory than the body."""
-        for key in keys:
-            self._terms.pop(key, None)
-            self._velocities.pop(key, None)
+        for term in terms:
+            self._terms.pop(term, None)
+        for velocity in velocities:
+            self._velocities.pop(velocity, None)
 
-    def length(self, pairs: tuple[tuple[int, int], ...]) -> float:
-        if pairs not in self._lengths:
-            self._lengths[pairs] = float(sum(np.linalg.norm(self.measured[a] - self.measured[b]) for a, b in pairs))
-        return self._lengths[pairs]
+    def length(self, number: int) -> float:
+        if number not in self._lengths:
+            ways = (self.measured[a] - self.measured[b] for a, b in self._plan.lengths[number])
+            self._lengths[number] = float(sum(math.sqrt(way.dot(way)) for way in ways))
+        return self._lengths[number]
 
-    def scale(self, rule: Rule) -> float:
+    def scale(self, lengths: Sequence[tuple[float, int]]) -> float:
         """Return the length that scales the thresholds of a rule; NaN where neither it nor a stand-in is known."""
-        if not rule.length:
-            return 1.0
-        found = ((factor * self.length(pairs)) for factor, pairs in ((1.0, rule.length), *rule.stand_ins))
-        return next((length for length in found if not math.isnan(length)), math.nan)
+        for factor, number in lengths:
+            length = factor * self.length(number)
+            if not math.isnan(length):
+                return length
+        return math.nan if lengths else 1.0
 
-    def quantity(self, terms: tuple[Term, ...]) -> F64:
+    def quantity(self, terms: Sequence[int]) -> F64:
         total = self._term(terms[0])
         for term in terms[1:]:
             total = total + self._term(term)
         return total
 
-    def _term(self, term: Term) -> F64:
-        if term not in self._terms:
+    def _term(self, number: int) -> F64:
+        found = self._terms.get(number)
+        if found is None:
+            term = self._plan.terms[number]
             value = self._primitive(term)
             if term.absolute:
                 value = np.abs(value)
-            self._terms[term] = value if term.factor == 1.0 else value * term.factor
-        return self._terms[term]
+            found = self._terms[number] = value if term.factor == 1.0 else value * term.factor
+        return found
 
     def _velocity(self, key: Velocity) -> F64:
         """Return the velocity of joint q relative to joint c, or to the room for c = −1."""

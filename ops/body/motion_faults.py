@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -105,28 +106,39 @@ def motion_faults(positions: F64, joints: tuple[str, ...], rate_hz: float, valid
         The frames that count.
     """
     positions, rate_hz = np.ascontiguousarray(positions), float(rate_hz)
-    at = {joint: i for i, joint in enumerate(joints)}
     lost = 1.0 - float(valid.mean()) if len(valid) else UNKNOWN
     if not valid.any() or positions.shape[2] < 4:
         return MotionFaults(invalid_share=lost)
-    known = np.asarray(np.isfinite(positions[:, :, np.flatnonzero(valid)[0]]).all(axis=1), np.bool_)
-    feet = [[at[joint] for joint in foot if joint in at and known[at[joint]]][:1] for foot in _FEET]
-    names = [(a, b) for a, b in _LIMBS if a in at and b in at and known[at[a]] and known[at[b]]]
-    limbs = np.array([(at[a], at[b]) for a, b in names], np.int64).reshape(-1, 2)
-    grounded = np.array([b.endswith("ankle") for _, b in names], np.bool_)  # a foot may stand still
-    legs = [[at[joint] for joint in leg] for leg in _LEGS if all(joint in at and known[at[joint]] for joint in leg)]
+    known = np.isfinite(positions[:, :, valid.argmax()]).all(axis=1)
+    soles, limbs, above, legs = _parts(tuple(joints), tuple(known.tolist()))
     lag = max(1, round(rate_hz * LAG_S))
-    soles = np.array([joint for foot in feet for joint in foot], np.int64)
     slide, contact, penetration, flight = _ground(positions, valid, soles, rate_hz)
     return MotionFaults(
         foot_skate_m_s=slide / contact if contact >= LAG_S else UNKNOWN,
         penetration_m=penetration,
         flight_s=flight,
-        knee_forwards_share=_knees_forwards(positions, valid, np.array(legs, np.int64).reshape(-1, 3)),
+        knee_forwards_share=_knees_forwards(positions, valid, legs),
         spike_deg=math.degrees(_spike(positions, valid, limbs)),
         jitter_m_s3=_jitter(positions, valid, lag) * (rate_hz / lag) ** 3,
-        stuck_share=_stuck(positions, valid, limbs[~grounded], rate_hz),
+        stuck_share=_stuck(positions, valid, above, rate_hz),
         invalid_share=lost,
+    )
+
+
+@lru_cache(maxsize=16)  # The takes of an archive share a few skeletons.
+def _parts(joints: tuple[str, ...], known: tuple[bool, ...]) -> tuple[I64, I64, I64, I64]:
+    """Return the joints of soles, of limbs, of limbs whose end does not stand, and of whole legs that are known."""
+    at = {joint: i for i, joint in enumerate(joints) if known[i]}
+    feet = [[at[joint] for joint in foot if joint in at][:1] for foot in _FEET]
+    limbs = [(a, b) for a, b in _LIMBS if a in at and b in at]
+    legs = [[at[joint] for joint in leg] for leg in _LEGS if all(joint in at for joint in leg)]
+    ends = [(at[a], at[b]) for a, b in limbs]
+    above = [(at[a], at[b]) for a, b in limbs if not b.endswith("ankle")]  # a foot may stand still
+    return (
+        np.array([joint for foot in feet for joint in foot], np.int64),
+        np.array(ends, np.int64).reshape(-1, 2),
+        np.array(above, np.int64).reshape(-1, 2),
+        np.array(legs, np.int64).reshape(-1, 3),
     )
 
 
@@ -166,6 +178,21 @@ def _ground(positions: F64, valid: Bool, soles: I64, rate_hz: float) -> tuple[fl
     return slide, contact, sunk, longest / rate_hz if used.any() else np.nan
 
 
+@njit(inline="always")
+def _between(positions, a, b, t):  # type: ignore[no-untyped-def]
+    # The vector from one joint to another in a frame; numbers, since an array of three would be a piece of memory.
+    return (
+        positions[a, 0, t] - positions[b, 0, t],
+        positions[a, 1, t] - positions[b, 1, t],
+        positions[a, 2, t] - positions[b, 2, t],
+    )
+
+
+@njit(inline="always")
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _knees_forwards(positions: F64, valid: Bool, legs: I64) -> float:
     """Return the share of frames in which a knee bends forwards about the line of the hips; NaN without both legs."""
@@ -176,14 +203,18 @@ def _knees_forwards(positions: F64, valid: Bool, legs: I64) -> float:
         if not valid[t]:
             continue
         counted += 1
-        left = positions[legs[0, 0], :, t] - positions[legs[1, 0], :, t]
+        left = _between(positions, legs[0, 0], legs[1, 0], t)
         for i in range(2):
-            thigh = positions[legs[i, 1], :, t] - positions[legs[i, 0], :, t]
-            shank = positions[legs[i, 2], :, t] - positions[legs[i, 1], :, t]
-            turn = np.cross(thigh, shank)
-            size = math.sqrt((turn * turn).sum())
-            angle = math.atan2(size, (thigh * shank).sum())
-            if angle > LOCKED and (turn * left).sum() < -SIDEWAYS * size * math.sqrt((left * left).sum()):
+            thigh = _between(positions, legs[i, 1], legs[i, 0], t)
+            shank = _between(positions, legs[i, 2], legs[i, 1], t)
+            turn = (
+                thigh[1] * shank[2] - thigh[2] * shank[1],
+                thigh[2] * shank[0] - thigh[0] * shank[2],
+                thigh[0] * shank[1] - thigh[1] * shank[0],
+            )
+            size = math.sqrt(_dot(turn, turn))
+            angle = math.atan2(size, _dot(thigh, shank))
+            if angle > LOCKED and _dot(turn, left) < -SIDEWAYS * size * math.sqrt(_dot(left, left)):
                 bent += 1
                 break
     return bent / counted if counted else np.nan
@@ -196,15 +227,17 @@ def _spike(positions: F64, valid: Bool, limbs: I64) -> float:
     if not len(limbs) or frames < 3:
         return np.nan
     most = 0.0
-    bone, step = np.empty((3, frames)), np.empty(frames)
+    bone, step = np.empty((3, frames)), np.zeros(frames)
+    x, y, z = bone[0], bone[1], bone[2]
     for i in range(len(limbs)):
+        begin, end = positions[limbs[i, 0]], positions[limbs[i, 1]]
         for t in range(frames):
-            for k in range(3):
-                bone[k, t] = positions[limbs[i, 1], k, t] - positions[limbs[i, 0], k, t]
-            length = math.sqrt(bone[0, t] ** 2 + bone[1, t] ** 2 + bone[2, t] ** 2)
-            for k in range(3):
-                bone[k, t] /= length
-            step[t] = _chord(bone, t - 1, t) if t else 0.0
+            dx, dy, dz = end[0, t] - begin[0, t], end[1, t] - begin[1, t], end[2, t] - begin[2, t]
+            length = math.sqrt(dx**2 + dy**2 + dz**2)
+            x[t], y[t], z[t] = dx / length, dy / length, dz / length
+        for t in range(1, frames):
+            dx, dy, dz = x[t - 1] - x[t], y[t - 1] - y[t], z[t - 1] - z[t]
+            step[t] = math.sqrt(dx * dx + dy * dy + dz * dz)
         for t in range(1, frames - 1):
             # the result is at most the smaller of the two angles, and an angle at most π/2 times its chord
             if 1.6 * min(step[t], step[t + 1]) > most and valid[t - 1] and valid[t] and valid[t + 1]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kinedex.catalog.skeletons.recognition.limbs import Pair, limb_pairs
-from kinedex.catalog.skeletons.recognition.tree import ARM, LEG, Tree
+from kinedex.catalog.skeletons.recognition.tree import ARM, LEG, Tree, lengths, medians
 
 ARM_TO_LEG = 0.68
 """Upper arm and forearm as a share of thigh and calf (0.66 to 0.70 in the skeletons of HDM05 and CMU)."""
@@ -101,7 +101,7 @@ def trunk_length(tree: Tree, legs: Pair, arms: Pair) -> float:
     """Return the median distance from between the hips to between the shoulders."""
     low = (tree.places[legs.first.nodes[0]] + tree.places[legs.second.nodes[0]]) / 2
     high = (tree.places[arms.first.nodes[0]] + tree.places[arms.second.nodes[0]]) / 2
-    return float(np.median(np.linalg.norm(high - low, axis=0)))
+    return float(medians(lengths(high - low)))
 
 
 def _hips(tree: Tree, common: int, legs: Pair) -> int:
@@ -109,7 +109,7 @@ def _hips(tree: Tree, common: int, legs: Pair) -> int:
     middle = (tree.places[legs.first.nodes[0]] + tree.places[legs.second.nodes[0]]) / 2
     near = [common, *tree.ancestors(common)[1:], legs.at]
     for node in near:
-        far = float(np.median(np.linalg.norm(tree.places[node] - middle, axis=0)))
+        far = float(medians(lengths(tree.places[node] - middle)))
         if "hips" in tree.parts[node] and far < 0.35 * legs.length:
             return node
     return common

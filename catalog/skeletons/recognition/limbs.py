@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import accumulate, combinations
 
 import numpy as np
 
+from kinedex.catalog.skeletons.recognition.names import NodeName
 from kinedex.catalog.skeletons.recognition.tree import ARM, LEG, Tree
 
 _LEAST = 0.12  # a limb is at least this share of the way across the whole tree
@@ -143,7 +144,8 @@ class _Branch:
     def __init__(self, tree: Tree, path: tuple[int, ...], kind: Sequence[str]) -> None:
         self.path, self.arm = path, tuple(kind) == ARM
         self.far = list(accumulate(tree.lengths[node] for node in path))
-        self.named = [[_named(tree, path, at, part, kind) for at in range(len(path))] for part in kind]
+        names, parts = tuple(tree.names[node] for node in path), tuple(tree.parts[node] for node in path)
+        self.named = _named_parts(names, parts, tuple(kind))
         self.joints = list(accumulate(_joint(tree, path, at) for at in range(len(path))))
 
     def bones(self, cut: tuple[int, int, int]) -> tuple[float, float, float, float]:
@@ -188,21 +190,31 @@ def _joint(tree: Tree, path: Sequence[int], at: int) -> float:
     return _PASSED + (_BENT if bend > 0.02 else 0.0)
 
 
-def _named(tree: Tree, path: Sequence[int], at: int, part: str, kind: Sequence[str]) -> float:
+@lru_cache(maxsize=1024)  # The takes of an archive share a few skeletons.
+def _named_parts(
+    names: tuple[NodeName, ...], parts: tuple[tuple[str, ...], ...], kind: tuple[str, ...]
+) -> tuple[tuple[float, ...], ...]:
+    """Return how well the names of a branch's nodes fit each part of a limb."""
+    return tuple(tuple(_named(names, parts, at, part, kind) for at in range(len(names))) for part in kind)
+
+
+def _named(
+    names: Sequence[NodeName], parts: Sequence[tuple[str, ...]], at: int, part: str, kind: Sequence[str]
+) -> float:
     """Return how well the name of one node fits a part: up to 1, and below 0 if it names another one."""
-    name, parts = tree.names[path[at]], tree.parts[path[at]]
-    if name.end and any(part in tree.parts[node] and not tree.names[node].end for node in path):
+    name, own = names[at], parts[at]
+    if name.end and any(part in others and not other.end for other, others in zip(names, parts, strict=True)):
         return -1.0
-    if part in parts:
-        sure = _only(parts)
-        before = any(part in tree.parts[node] and _only(tree.parts[node]) >= sure for node in path[:at])
+    if part in own:
+        sure = _only(own)
+        before = any(part in others and _only(others) >= sure for others in parts[:at])
         helper = name.end or name.text.startswith("_")  # `__UpLeg_L` leads from the pelvis to `UpLeg_L`
         return (1.0 if sure else 0.75) * (0.6 if before else 1.0) * (0.5 if helper else 1.0)
-    if any(part in tree.parts[node] and _only(tree.parts[node]) and not tree.names[node].end for node in path):
+    if any(part in others and _only(others) and not other.end for other, others in zip(names, parts, strict=True)):
         return -1.0  # another node of the branch has the name
-    if not parts:
+    if not own:
         return 0.0
-    limb = [other for other in parts if other in (*LEG, *ARM)]
+    limb = [other for other in own if other in (*LEG, *ARM)]
     return -1.0 if limb and not any(other in kind for other in limb) else -0.5
 
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from kinedex.catalog.skeletons.recognition.anatomy import Anatomy
 from kinedex.catalog.skeletons.recognition.limbs import Limb, Pair
-from kinedex.catalog.skeletons.recognition.tree import Tree
+from kinedex.catalog.skeletons.recognition.tree import Tree, lengths
 
 F64 = npt.NDArray[np.float64]
 
@@ -99,14 +99,20 @@ def _facing(tree: Tree, legs: tuple[Limb, Limb]) -> float:
         shank, line = _unit(knee - ankle), _unit(hip - ankle)
         for up, vector in ((shank, tip - ankle), (line, knee - ankle)):
             ahead = vector - up * (up * vector).sum(axis=0)
-            left = np.cross(up, ahead, axis=0)
-            length = np.linalg.norm(ahead, axis=0)
+            left = _cross(up, ahead)
+            length = lengths(ahead)
             seen = length > _SEEN * leg.length
             total += float((across * left).sum(axis=0)[seen].sum())
             weight += float(length[seen].sum())
     return total / weight if weight > 0 else 0.0
 
 
+def _cross(a: F64, b: F64) -> F64:
+    """Return the cross products of vectors (3, K); `numpy.cross` takes three times as long for a few."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
 def _unit(vectors: F64) -> F64:
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        return np.asarray(np.nan_to_num(vectors / np.linalg.norm(vectors, axis=0)))
+        found = vectors / lengths(vectors)
+        return found if np.isfinite(found).all() else np.nan_to_num(found)

@@ -89,8 +89,21 @@ class Tree:
         """Return the median distance of two nodes."""
         if a not in self._far:
             with np.errstate(over="ignore", invalid="ignore"):
-                self._far[a] = np.median(np.linalg.norm(self.places - self.places[a], axis=1), axis=1).tolist()
+                self._far[a] = medians(lengths(self.places - self.places[a], 1)).tolist()
         return self._far[a][b]
+
+
+def lengths(vectors: F64, axis: int = 0) -> F64:
+    """Return the lengths of vectors along an axis: those of `numpy.linalg.norm`, in half the time for a few."""
+    return np.asarray(np.sqrt((vectors * vectors).sum(axis=axis)))
+
+
+def medians(values: F64) -> F64:
+    """Return the medians along the last axis: those of `numpy.median`, which takes five times as long for a few."""
+    ordered = np.sort(values, axis=-1)
+    low, high = ordered[..., (values.shape[-1] - 1) // 2], ordered[..., values.shape[-1] // 2]
+    middle = high if values.shape[-1] % 2 else (low + high) / 2
+    return np.where(np.isnan(ordered[..., -1]), np.nan, middle)
 
 
 def build_tree(evidence: Evidence, vocabulary: Vocabulary) -> Tree:
@@ -115,8 +128,8 @@ def build_tree(evidence: Evidence, vocabulary: Vocabulary) -> Tree:
         rest[i] = offsets[i] + (rest[parent] if parent >= 0 else 0.0)
     places = evidence.places if evidence.places.shape[2] else rest[:, :, None]
     with np.errstate(over="ignore", invalid="ignore"):
-        far = np.median(np.linalg.norm(places - places[above], axis=1), axis=1)
-    lengths = np.where(above < 0, 0.0, np.nan_to_num(far, nan=0.0, posinf=0.0)).tolist()
+        far = medians(lengths(places - places[above], 1))
+    bones = np.where(above < 0, 0.0, np.nan_to_num(far, nan=0.0, posinf=0.0)).tolist()
     used = _used(parts, parents)
     children: list[list[int]] = [[] for _ in range(count)]
     reach = [0.0] * count
@@ -124,8 +137,8 @@ def build_tree(evidence: Evidence, vocabulary: Vocabulary) -> Tree:
         parent = parents[i]
         if parent >= 0 and used[i]:
             children[parent].insert(0, i)
-            reach[parent] = max(reach[parent], lengths[i] + reach[i])
-    return Tree(names, parts, parents, tuple(map(tuple, children)), places, rest, tuple(lengths), tuple(reach))
+            reach[parent] = max(reach[parent], bones[i] + reach[i])
+    return Tree(names, parts, parents, tuple(map(tuple, children)), places, rest, tuple(bones), tuple(reach))
 
 
 def _used(parts: tuple[tuple[str, ...], ...], parents: tuple[int, ...]) -> list[bool]:

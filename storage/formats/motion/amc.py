@@ -14,7 +14,7 @@ import numpy.typing as npt
 from kinedex.ops import textnumbers as t
 from kinedex.ops.errors import SourceError, did_you_mean
 from kinedex.storage.formats.motion.asf import Skeleton
-from kinedex.storage.formats.motion.text_blocks import Block, before_last_frame, blocks
+from kinedex.storage.formats.motion.text_blocks import Block, RowMemory, before_last_frame, blocks, changed
 
 _LINE_END = re.compile(rb"\r\n?|\n")
 
@@ -53,7 +53,7 @@ def read_amc(path: str | Path, skeleton: Skeleton, data: bytes | None = None) ->
         The file is damaged; the error names the line of the first fault. No frame of such a file is used.
     """
     file = AmcFile(path, skeleton, data)
-    return Motion(np.concatenate(list(file.blocks())), file.warnings)
+    return Motion(file.channels(), file.warnings)
 
 
 class AmcFile:
@@ -90,66 +90,92 @@ class AmcFile:
         self._data = data
         self.frames = self.start = 0
         for block in blocks(self.path, data, before_last_frame):
-            start = _amc_header(self.path, block)[0] if block.line == 1 else 0
-            self.start = self.start or start
-            self.frames += t.count_rows(block.data, start, numbered=True)
+            if not block.start:
+                self.start, self._line, self._degrees = _amc_header(block)
+                self._data = block.data if block.last else None
+            self._size = block.start + len(block.view)
+            self.frames += t.count_rows(block.view, 0 if block.start else self.start, numbered=True)
 
     def blocks(self) -> Iterator[npt.NDArray[np.float64]]:
-        """Yield the channels (T, C) of consecutive frames, in radians and metres.
+        """Yield the channels (T, C) of consecutive frames, in radians and metres; they hold until the next ones.
 
         Raises
         ------
         SourceError
             The file is damaged; the error names the line of the first fault.
         """
-        skeleton, start, expected = self.skeleton, 0, None
+        return self._parsed(RowMemory(self._columns))
+
+    def channels(self) -> npt.NDArray[np.float64]:
+        """Return the channels (T, C) of all frames at once, as `blocks` yields them."""
+        memory = RowMemory(self._columns, self.frames, self._size)
+        for _ in self._parsed(memory):
+            pass
+        if memory.filled != self.frames:
+            raise changed(self.path)
+        return memory.whole
+
+    @property
+    def _columns(self) -> int:
+        return sum(len(dofs) for _, dofs in self.skeleton.channels)
+
+    def _parsed(self, memory: RowMemory) -> Iterator[npt.NDArray[np.float64]]:
+        skeleton, expected = self.skeleton, None
         names = [name for name, _ in skeleton.channels]
         widths = [len(dofs) for _, dofs in skeleton.channels]
-        scale: list[float] = []
-        line = 1
-        for block in blocks(self.path, self._data, before_last_frame):
-            line = block.line
-            if line == 1:
-                start, line, degrees = _amc_header(self.path, block)
-                turn, metres = np.pi / 180.0 if degrees else 1.0, skeleton.unit_m / skeleton.length_scale
-                dofs_of_all = [dof for _, dofs in skeleton.channels for dof in dofs]
-                scale = [turn if dof in ("rx", "ry", "rz") else metres for dof in dofs_of_all]
-            values, first, fault = t.parse_frames(block.data, start, line, names, widths)
-            start = 0
+        turn, metres = np.pi / 180.0 if self._degrees else 1.0, skeleton.unit_m / skeleton.length_scale
+        kinds = [dof for _, dofs in skeleton.channels for dof in dofs]
+        scale = np.array([turn if dof in ("rx", "ry", "rz") else metres for dof in kinds])
+        source = blocks(self.path, self._data, before_last_frame)
+        for block in source:
+            start, line = (0, 1) if block.start else (self.start, self._line)
+            room = memory.free(len(block.view))
+            values, first, fault = t.parse_frames(block.view, start, line, names, widths, room)
             # every block but the first begins with the line of a frame's number
             numbered = fault is None or (fault.code, fault.line) != (t.BAD_NUMBER, line)
             if expected is not None and numbered and first != expected:
                 fault = t.Fault(t.NOT_NEXT, line, expected - 1, first)
-            elif fault is not None and fault.code == t.MISSING and not block.last:
+            elif fault is not None and fault.code == t.MISSING and fault.stop and not block.last:
                 fault = replace(fault, stop=0)
+                after = next(source)
+                _, _, other = t.parse_frames(after.view, 0, 1, names, widths)
+                if other is not None and (other.code, other.line) == (t.BAD_NUMBER, 1):
+                    fault, block = other, after  # the whole file's first fault is the number of the frame that follows
             if fault is not None:
-                raise SourceError(self.path, _explain(fault, block.data, skeleton), line=fault.line)
+                raise self._error(fault, block)
             if len(values):
                 if expected is None and first != 1:
                     self.warnings = (f"frame numbers begin at {first}; its source frame here is 0",)
                 expected = first + len(values)
+                memory.filled += len(values)
                 values *= scale
                 yield values
         if expected is None:
-            raise SourceError(self.path, "no frames: the file ends after its header", line=line)
+            raise SourceError(self.path, "no frames: the file ends after its header", line=self._line)
+
+    def _error(self, fault: t.Fault, block: Block) -> SourceError:
+        """Return the error of a fault in a block."""
+        if fault.code == t.FULL:
+            return changed(self.path)
+        return SourceError(self.path, _explain(fault, block.data, self.skeleton), line=fault.line + block.line - 1)
 
 
-def _amc_header(path: Path, block: Block) -> tuple[int, int, bool]:
+def _amc_header(block: Block) -> tuple[int, int, bool]:
     """Return the byte and the line where the frames begin, and whether angles are degrees."""
-    data, position, line, degrees = block.data, 0, 1, True
+    data, position, line, degrees = block.view, 0, 1, True
     while position < len(data):
         end = _LINE_END.search(data, position)
-        text = data[position : end.start() if end else len(data)].decode("latin-1").strip()
+        text = bytes(data[position : end.start() if end else len(data)]).decode("latin-1").strip()
         if text[:1].isdigit():
             return position, line, degrees
         if text.lower().startswith(":radians"):
             degrees = False
         elif text and text[0] not in ":#":
-            raise SourceError(path, f"expected a frame number, got {text[:40]!r}", line=line)
+            raise SourceError(block.path, f"expected a frame number, got {text[:40]!r}", line=line)
         position = end.end() if end else len(data)
         line += 1
     if block.last:
-        raise SourceError(path, "no frames: the file ends after its header", line=line)
+        raise SourceError(block.path, "no frames: the file ends after its header", line=line)
     return position, line, degrees
 
 

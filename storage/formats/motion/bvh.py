@@ -199,8 +199,8 @@ class _Motion:
 
     def sampled(self, count: int) -> F64:
         """Return the channels of about as many frames, evenly spread."""
-        if 8 * self.file.frames * self.file.columns <= _KEPT_BYTES:
-            self.kept = list(self.file.blocks())
+        if self.kept is None and 8 * self.file.frames * self.file.columns <= _KEPT_BYTES:
+            self.kept = [self.file.channels()]
         wanted = np.unique(np.linspace(0, self.frames - 1, count).round().astype(np.int64))
         found, start = [], 0
         for block in self.blocks():

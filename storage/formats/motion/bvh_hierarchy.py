@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.body import kinematics as k
-from kinedex.ops.errors import did_you_mean
+from kinedex.ops.errors import SourceError, did_you_mean
 from kinedex.storage.formats.motion.bvh_text import BvhText, shown
 
 MOST_JOINTS = 10_000
@@ -19,6 +22,9 @@ _CHANNELS = {
     "xrotation": k.ROTATE_X, "yrotation": k.ROTATE_Y, "zrotation": k.ROTATE_Z,
     "xposition": k.MOVE_X, "yposition": k.MOVE_Y, "zposition": k.MOVE_Z,
 }  # fmt: skip
+_BOM = b"\xef\xbb\xbf"
+_MOTION = re.compile(rb"(?<![^\s{}])MOTION(?![^\s{}])")
+_KNOWN_BYTES = 1 << 17  # a longer hierarchy is parsed anew for every file
 
 
 @dataclass
@@ -35,7 +41,81 @@ class BvhJoint:
     stop: int = 0  # the byte after its closing brace
 
 
-def read_hierarchy(text: BvhText) -> list[BvhJoint]:
+@dataclass(frozen=True)
+class Hierarchy:
+    """The joints of a BVH file as a chain; files with the same text before MOTION share one.
+
+    Attributes
+    ----------
+    stop : int
+        The byte behind MOTION.
+    nodes : tuple of Node
+        Parents first, each with a name of its own.
+    rotations : bool array (C,)
+        The channels that are rotations.
+    offsets : float64 array (N, 3)
+        The OFFSET of every node.
+    redundant : frozenset of int
+        Indices of End Sites at the place of their joint.
+    spans, numbers : tuple of (int, int)
+        Bytes of every node, and of the numbers of its OFFSET.
+    warnings : tuple of str
+        Reservations about the names.
+    """
+
+    stop: int
+    nodes: tuple[k.Node, ...]
+    rotations: npt.NDArray[np.bool_]
+    offsets: npt.NDArray[np.float64]
+    redundant: frozenset[int]
+    spans: tuple[tuple[int, int], ...]
+    numbers: tuple[tuple[int, int], ...]
+    warnings: tuple[str, ...]
+
+
+def read_hierarchy(text: BvhText) -> Hierarchy:
+    """Read up to MOTION; a hierarchy that a file before this one had is known.
+
+    Raises
+    ------
+    SourceError
+        The hierarchy is damaged; the error names the line.
+    """
+    found = _MOTION.search(text.data, 0, _KNOWN_BYTES)
+    try:
+        hierarchy = _known(text.data[: found.end()]) if found is not None else _parsed(text)
+    except SourceError:
+        hierarchy = _parsed(text)  # MOTION was part of a comment, or the error is to name the file
+    text.pos = hierarchy.stop
+    return hierarchy
+
+
+@lru_cache(maxsize=64)  # The takes of an archive share a few skeletons.
+def _known(text: bytes) -> Hierarchy:
+    return _parsed(BvhText(Path(), text))
+
+
+def _parsed(text: BvhText) -> Hierarchy:
+    text.pos = len(_BOM) if text.data.startswith(_BOM) else 0
+    joints = _joints(text)
+    warnings = name_joints(joints)
+    nodes, rotations = chain_of(joints)
+    offsets = np.array([joint.offset for joint in joints])
+    for shared in (rotations, offsets):
+        shared.flags.writeable = False
+    return Hierarchy(
+        stop=text.pos,
+        nodes=nodes,
+        rotations=rotations,
+        offsets=offsets,
+        redundant=frozenset(i for i, joint in enumerate(joints) if joint.end and not any(joint.offset or ())),
+        spans=tuple((joint.at, joint.stop) for joint in joints),
+        numbers=tuple(joint.numbers for joint in joints),
+        warnings=tuple(warnings),
+    )
+
+
+def _joints(text: BvhText) -> list[BvhJoint]:
     """Read up to MOTION and return the joints in the order of the file, parents first."""
     word = text.word()
     if word is None or word.upper() != "HIERARCHY":

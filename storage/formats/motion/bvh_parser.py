@@ -14,11 +14,11 @@ import numpy.typing as npt
 from kinedex.ops import textnumbers as t
 from kinedex.ops.body import kinematics as k
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.bvh_hierarchy import BvhJoint, chain_of, name_joints, read_hierarchy
+from kinedex.storage.formats.motion.bvh_hierarchy import Hierarchy, read_hierarchy
 from kinedex.storage.formats.motion.bvh_rate import MILLISECONDS, frame_rate
 from kinedex.storage.formats.motion.bvh_text import _NUMBER, LINE_END, BvhText, decoded, shown
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ
-from kinedex.storage.formats.motion.text_blocks import LONGEST, Block, after_last_line, blocks
+from kinedex.storage.formats.motion.text_blocks import LONGEST, Block, RowMemory, after_last_line, blocks, changed
 
 _COUNT = re.compile(rb"Frames[^\S\r\n]*:?[^\S\r\n]*([^\r\n]*)", re.IGNORECASE)
 _TIME = re.compile(rb"Frame[^\S\r\n]*Time[^\S\r\n]*:?[^\S\r\n]*([^\r\n]*)", re.IGNORECASE)
@@ -105,8 +105,7 @@ def parse_bvh(path: str | Path, data: bytes | None = None) -> Bvh:
         The file is damaged; the error names the line of the first fault. No frame of such a file is used.
     """
     file = BvhFile(path, data)
-    channels = np.concatenate(list(file.blocks()))
-    return Bvh(str(path), file.nodes, channels, file.rate_hz, tuple(file.warnings), file.redundant)
+    return Bvh(str(path), file.nodes, file.channels(), file.rate_hz, tuple(file.warnings), file.redundant)
 
 
 class BvhFile:
@@ -139,13 +138,13 @@ class BvhFile:
     def __init__(self, path: str | Path, data: bytes | None = None) -> None:
         self.path = Path(path)
         self._data = data
-        text, joints, claimed = self._read_header()
+        text, hierarchy, claimed = self._read_header()
         self._start, self._line = text.pos, text.line(text.pos)
         self.frames, ended = 0, False
         for block in self._blocks():
-            begin = self._start if block.line == 1 else 0
-            self.frames += t.count_rows(block.data, begin, numbered=False)
-            ended = block.data.endswith((b"\n", b"\r")) or (ended and not block.data)
+            self._size = block.start + len(block.view)
+            self.frames += t.count_rows(block.view, 0 if block.start else self._start, numbered=False)
+            ended = bytes(block.view[-1:]) in (b"\n", b"\r") or (ended and not block.view)
         if not self.frames:
             raise text.error(f"no frames: the file ends after its header, which states {claimed} frames", text.pos)
         if claimed != self.frames:
@@ -153,13 +152,12 @@ class BvhFile:
             self.warnings.append(
                 f"the header states {claimed} frames, the file holds {self.frames}, which are kept{cut}"
             )
-        self.warnings += name_joints(joints)
-        spans = tuple((joint.at, joint.stop) for joint in joints)
-        numbers = tuple(joint.numbers for joint in joints)
-        self.layout = Layout(text.data[: text.pos], text.settings[-2], text.settings[-1], spans, numbers)
-        self.nodes, self._rotations = chain_of(joints)
-        self.offsets = np.array([joint.offset for joint in joints])
-        self.redundant = frozenset(i for i, joint in enumerate(joints) if joint.end and not any(joint.offset or ()))
+        self.warnings += hierarchy.warnings
+        self.layout = Layout(
+            text.data[: text.pos], text.settings[-2], text.settings[-1], hierarchy.spans, hierarchy.numbers
+        )
+        self.nodes, self._rotations = hierarchy.nodes, hierarchy.rotations
+        self.offsets, self.redundant = hierarchy.offsets, hierarchy.redundant
 
     @property
     def places(self) -> dict[str, int]:
@@ -171,51 +169,72 @@ class BvhFile:
         """Return the number of channels."""
         return len(self._rotations)
 
-    def _read_header(self) -> tuple[BvhText, list[BvhJoint], int]:
+    def _read_header(self) -> tuple[BvhText, Hierarchy, int]:
         """Read hierarchy and header from the first block, or from a longer one as long as it ends within them."""
         self._least = 0
         while True:
             block = next(self._blocks())
-            text = BvhText(self.path, block.data, pos=3 if block.data.startswith(b"\xef\xbb\xbf") else 0)
+            text = BvhText(self.path, block.data)
             try:
-                joints = read_hierarchy(text)
+                hierarchy = read_hierarchy(text)
                 claimed, self.rate_hz, self.warnings = _motion_header(text)
             except SourceError:
                 if block.last or len(block.data) > LONGEST:
                     raise
                 self._least = 2 * len(block.data)
                 continue
-            self._columns = sum(len(joint.channels or ()) for joint in joints)
+            self._data = block.data if block.last else None
+            self._columns = len(hierarchy.rotations)
             if not self._columns:
-                raise text.error("no joint of the hierarchy has CHANNELS, so nothing can move", joints[0].at)
-            return text, joints, claimed
+                raise text.error("no joint of the hierarchy has CHANNELS, so nothing can move", hierarchy.spans[0][0])
+            return text, hierarchy, claimed
 
     def _blocks(self) -> Iterator[Block]:
         return blocks(self.path, self._data, after_last_line, self._least)
 
     def blocks(self) -> Iterator[npt.NDArray[np.float64]]:
-        """Yield the channels (T, C) of consecutive frames, in radians and the file's unit.
+        """Yield the channels (T, C) of consecutive frames, in radians and the file's unit; they hold until the next.
 
         Raises
         ------
         SourceError
             The file is damaged; the error names the line of the first fault.
         """
-        rows, scale = 0, np.where(self._rotations, np.pi / 180.0, 1.0)
+        return self._parsed(RowMemory(self._columns))
+
+    def channels(self) -> npt.NDArray[np.float64]:
+        """Return the channels (T, C) of all frames at once, as `blocks` yields them."""
+        memory = RowMemory(self._columns, self.frames, self._size)
+        for _ in self._parsed(memory):
+            pass
+        if memory.filled != self.frames:
+            raise changed(self.path)
+        return memory.whole
+
+    def _parsed(self, memory: RowMemory) -> Iterator[npt.NDArray[np.float64]]:
+        scale = np.where(self._rotations, np.pi / 180.0, 1.0)
         source = self._blocks()
         for block in source:
-            begin, line = (self._start, self._line) if block.line == 1 else (0, block.line)
-            values, fault = t.parse_rows(block.data, begin, line, self._columns)
+            begin, line = (0, 1) if block.start else (self._start, self._line)
+            room = memory.free(len(block.view))
+            values, fault = t.parse_rows(block.view, begin, line, self._columns, room)
             if fault is not None:
-                if fault.code == t.TOO_FEW:
-                    fault = replace(fault, start=fault.start + rows)
-                    rest = block.data[_line_start(block.data, fault.line - block.line + 1) :].rstrip()
-                    last = LINE_END.search(rest) is None and all(not more.data.strip() for more in source)
-                    raise SourceError(self.path, _too_few(fault, self._columns, last), line=fault.line)
-                raise SourceError(self.path, _explain(fault, block.data, self._columns), line=fault.line)
-            rows += len(values)
+                raise self._error(fault, memory.filled, block, source)
+            memory.filled += len(values)
             values *= scale
             yield values
+
+    def _error(self, fault: t.Fault, rows: int, block: Block, source: Iterator[Block]) -> SourceError:
+        """Return the error of a fault behind so many rows, in a block to which others may follow."""
+        if fault.code == t.FULL:
+            return changed(self.path)
+        at, data = fault.line + block.line - 1, block.data
+        if fault.code == t.TOO_FEW:
+            fault = replace(fault, start=fault.start + rows)
+            rest = data[_line_start(data, fault.line) :].rstrip()
+            last = LINE_END.search(rest) is None and all(not more.data.strip() for more in source)
+            return SourceError(self.path, _too_few(fault, self._columns, last), line=at)
+        return SourceError(self.path, _explain(fault, data, self._columns), line=at)
 
 
 def _motion_header(text: BvhText) -> tuple[int, float, list[str]]:

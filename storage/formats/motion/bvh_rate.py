@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from decimal import Decimal
+from functools import lru_cache
 
 MILLISECONDS = 1000
 """A frame time of more than a second is one in milliseconds."""
@@ -14,6 +15,7 @@ _USUAL_HZ = (
 )
 
 
+@lru_cache(maxsize=64)  # The files of an archive state a few.
 def frame_rate(frame_time: str) -> float:
     """Return the frames per second of a frame time as it is written.
 

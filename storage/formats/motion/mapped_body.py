@@ -18,7 +18,7 @@ from kinedex.catalog.skeletons.units import contradicted_unit, guess_unit
 from kinedex.ops.body import kinematics
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.reader import body_bytes
-from kinedex.storage.formats.motion.text_blocks import BLOCK
+from kinedex.storage.formats.motion.text_blocks import BLOCK, changed
 
 F64 = npt.NDArray[np.float64]
 
@@ -60,7 +60,7 @@ class Motion(Protocol):
     frames: int
 
     def blocks(self) -> Iterator[F64]:
-        """Yield the channels of consecutive frames."""
+        """Yield the channels of consecutive frames, which hold until the next ones."""
         ...
 
 
@@ -107,7 +107,7 @@ def posed(
             positions[:, :, at:stop] = fit.apply(found, joints)
             at = stop
     if at != motion.frames:
-        raise SourceError(motion.path, "was changed while it was read; run again when it is whole")
+        raise changed(motion.path)
     return positions, turned
 
 

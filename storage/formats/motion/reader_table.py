@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from functools import lru_cache
 from pathlib import Path
 
@@ -65,16 +66,19 @@ def reader_of(path: str | Path) -> Reader:
         No reader reads files with this ending.
     """
     file = Path(path)
-    readers = readers_by_ending().get(file.suffix.lower(), ())
+    readers = _readers_by_ending(tuple(READERS)).get(file.suffix.lower(), ())
     if not readers:
         raise SourceError(file, f"is not read; kinedex reads {', '.join(motion_endings())}")
     return next((reader for reader in readers[:-1] if reader.sniff(file)), readers[-1])
 
 
-def is_motion_file(path: Path) -> bool:
+def is_motion_file(path: str | Path) -> bool:
     """Return whether a reader takes a file for one of its format."""
-    # the last reader of an ending is the most general one, which mostly needs not open the file
-    return any(reader.sniff(path) for reader in reversed(readers_by_ending().get(path.suffix.lower(), ())))
+    readers = _readers_by_ending(tuple(READERS)).get(os.path.splitext(path)[1].lower(), ())
+    # the last reader of an ending is the most general one, which mostly takes every file
+    if readers and type(readers[-1]).sniff is Reader.sniff:
+        return True
+    return any(reader.sniff(Path(path)) for reader in reversed(readers))
 
 
 def read_body(

@@ -219,7 +219,7 @@ def scan(root: str | Path) -> Scan:
             continue
         try:
             file = _source_file(root, folder, name)
-            if kind is not motions or is_motion_file(file.absolute):
+            if kind is not motions or is_motion_file(os.path.join(folder, name)):
                 kind.append(file)
             else:
                 passed.append(PassedOver(path, NO_MOTION))

@@ -2,48 +2,77 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import cached_property
+from io import FileIO
 from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
 
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.reader import source_bytes
 
-BLOCK = 4 << 20
-"""Bytes that are read at once; a shorter file is one block."""
+BLOCK = 1 << 20
+"""Bytes that are read at once, and stay in the processor's cache meanwhile; a shorter file is one block."""
 
 LONGEST = 64 << 20
 """Bytes of a header, of a frame or of a line; a file with a longer one is refused."""
 
+_LINE_END = re.compile(rb"\r\n?|\n")
 _FRAME = re.compile(rb"[\r\n][ \t]*(?=[0-9])")
 
 
 @dataclass(frozen=True)
 class Block:
-    """Consecutive bytes of a file.
+    """Consecutive bytes of a file; they hold until the next block is asked for.
 
     Attributes
     ----------
-    data : bytes
+    path : Path
+        The file.
+    view : memoryview
         The bytes.
-    line : int
-        The number of the first line, from 1.
+    start : int
+        The place of the first one in the file.
     last : bool
         True if nothing follows.
     """
 
-    data: bytes
-    line: int
+    path: Path
+    view: memoryview
+    start: int
     last: bool
 
+    @cached_property
+    def data(self) -> bytes:
+        """The bytes to keep."""
+        whole = self.view.obj
+        return whole if isinstance(whole, bytes) and len(whole) == len(self.view) else bytes(self.view)
+
     @property
-    def next_line(self) -> int:
-        r"""The number of the line after the block; "\n", "\r\n" and "\r" end one."""
-        return self.line + self.data.count(b"\n") + self.data.count(b"\r") - self.data.count(b"\r\n")
+    def line(self) -> int:
+        r"""The number of the first line, from 1; "\n", "\r\n" and "\r" end one.
+
+        Only messages need it, so that the file before the block is read once more for it.
+        """
+        line, left, carry = 1, self.start, b""
+        if left:
+            with self.path.open("rb") as file:
+                while left and (more := file.read(min(left, BLOCK))):
+                    left -= len(more)
+                    found = carry + more
+                    # the end of a line may lie across two pieces
+                    carry = b"\r" if left and found.endswith(b"\r") else b""
+                    line += len(_LINE_END.findall(found, 0, len(found) - len(carry)))
+        return line
 
 
-def blocks(path: Path, data: bytes | None, cut: Callable[[bytes], int], least: int = 0) -> Iterator[Block]:
+def blocks(path: Path, data: bytes | None, cut: Callable[[bytearray, int], int], least: int = 0) -> Iterator[Block]:
     """Yield a text file in blocks.
 
     Parameters
@@ -51,9 +80,9 @@ def blocks(path: Path, data: bytes | None, cut: Callable[[bytes], int], least: i
     path : Path
         The file.
     data : bytes, optional
-        Its bytes, if they have been read already; they are one block.
+        Its bytes, if they have been read already; they are one block, as a file of up to `BLOCK` bytes is.
     cut : callable
-        Returns the place in some bytes at which a block can end; 0 where there is none.
+        Returns the place at which a block can end among the first bytes, so many, of a buffer; 0 where there is none.
     least : int, optional
         Bytes that the first block has at least, where the file has so many.
 
@@ -62,44 +91,106 @@ def blocks(path: Path, data: bytes | None, cut: Callable[[bytes], int], least: i
     SourceError
         The file cannot be read, is empty, or has no place to end a block in `LONGEST` bytes.
     """
-    if data is not None:
-        yield Block(source_bytes(path, data), 1, True)
-        return
-    line, carry, empty = 1, b"", True
     try:
-        with path.open("rb") as file:
-            while more := file.read(BLOCK):
-                carry += more
-                empty = empty and more.isspace()
-                end = cut(carry) if len(carry) >= least else 0
-                if end > 0 and end >= least:
-                    block = Block(carry[:end], line, False)
-                    line, carry = block.next_line, carry[end:]
-                    yield block
-                elif len(carry) > LONGEST + least:
-                    raise SourceError(
-                        path, f"has a header, a frame or a line of more than {LONGEST >> 20} MB", line=line
-                    )
+        with path.open("rb", buffering=0) if data is None else nullcontext() as file:
+            if file is not None and os.fstat(file.fileno()).st_size > BLOCK:
+                yield from _long(path, file, cut, least)
+                return
+            data = file.read() if file is not None else data
     except OSError as fault:
         raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
+    yield Block(path, memoryview(source_bytes(path, data)), 0, True)
+
+
+def _long(path: Path, file: FileIO, cut: Callable[[bytearray, int], int], least: int) -> Iterator[Block]:
+    """Yield the blocks of a long file, all in one buffer: fresh memory would cost as much as the numbers in it."""
+    buffer, held, start, empty = bytearray(BLOCK + BLOCK // 4), 0, 0, True
+    while True:
+        if len(buffer) < held + BLOCK:
+            buffer = buffer[:held] + bytes(BLOCK + BLOCK // 4)
+        view = memoryview(buffer)
+        more = _fill(file, view[held : held + BLOCK])
+        empty = empty and (not more or buffer[held : held + more].isspace())
+        held += more
+        last = more < BLOCK
+        end = cut(buffer, held) if held >= least else 0
+        if not (end > 0 and end >= least) and held > LONGEST + least:
+            line = Block(path, view[:0], start, False).line
+            raise SourceError(path, f"has a header, a frame or a line of more than {LONGEST >> 20} MB", line=line)
+        if last:
+            break
+        if end > 0 and end >= least:
+            yield Block(path, view[:end].toreadonly(), start, False)
+            view[: held - end] = view[end:held]
+            start, held = start + end, held - end
     if empty:
         raise SourceError(path, "the file is empty")
-    yield Block(carry, line, True)
+    yield Block(path, view[:held].toreadonly(), start, True)
 
 
-def after_last_line(data: bytes) -> int:
-    """Return the place after the last line that ends in some bytes; 0 where none does."""
-    end = data.rfind(b"\n") + 1
-    return end or data.rfind(b"\r", 0, len(data) - 1) + 1
+def _fill(file: FileIO, room: memoryview) -> int:
+    """Read as many bytes as there is room for, or as the file has, and return their number."""
+    held = 0
+    while held < len(room) and (more := file.readinto(room[held:])):
+        held += more
+    return held
 
 
-def before_last_frame(data: bytes) -> int:
-    """Return the place of the last line that begins with a digit, as frames of AMC files do; 0 where there is none."""
-    window = 1 << 16
+class RowMemory:
+    """Memory for the rows of numbers of a text: one array for all of them, or one that every block fills anew.
+
+    Parameters
+    ----------
+    columns : int
+        The numbers of a row.
+    rows : int, optional
+        The rows of the whole text, to keep all of them.
+    size : int, optional
+        The bytes of that text.
+    """
+
+    def __init__(self, columns: int, rows: int | None = None, size: int = 0) -> None:
+        self._columns, self._keeps = columns, rows is not None
+        self._rows = np.empty((min(rows or 0, self._most(size)), columns))
+        self.filled = 0
+
+    def _most(self, size: int) -> int:
+        """Return a bound of the rows in some bytes, since a number and its end take two."""
+        return size // max(2 * self._columns, 1) + 1
+
+    def free(self, size: int) -> npt.NDArray[np.float64]:
+        """Return an array for the rows of the next block of so many bytes."""
+        if self._keeps:
+            return self._rows[self.filled :]
+        least = self._most(size)
+        if len(self._rows) < least:
+            self._rows = np.empty((least + least // 8, self._columns))
+        return self._rows
+
+    @property
+    def whole(self) -> npt.NDArray[np.float64]:
+        """The rows of the whole text, once all of them are there."""
+        return self._rows
+
+
+def changed(path: Path) -> SourceError:
+    """Return the error of a file that is another one than when its frames were counted."""
+    return SourceError(path, "was changed while it was read; run again when it is whole")
+
+
+def after_last_line(data: bytearray, stop: int) -> int:
+    """Return the place after the last line that ends in the first `stop` bytes; 0 where none does."""
+    end = data.rfind(b"\n", 0, stop) + 1
+    return end or data.rfind(b"\r", 0, max(stop - 1, 0)) + 1
+
+
+def before_last_frame(data: bytearray, stop: int) -> int:
+    """Return the place of the last line in `stop` bytes that begins with a digit, as frames of AMC files do, or 0."""
+    window = 1 << 12
     while True:
-        found = list(_FRAME.finditer(data, max(0, len(data) - window)))
+        found = list(_FRAME.finditer(data, max(0, stop - window), stop))
         if found:
             return found[-1].start() + 1
-        if window >= len(data):
+        if window >= stop:
             return 0
         window *= 8

@@ -42,19 +42,19 @@ class TextRows:
         The end of a line, as the file writes it first.
     """
 
-    def __init__(self, path: Path, start: int, numbered: bool, cut: Callable[[bytes], int]) -> None:
+    def __init__(self, path: Path, start: int, numbered: bool, cut: Callable[[bytearray, int], int]) -> None:
         self.path = path
         found: list[npt.NDArray[np.int64]] = []
         at, self.newline, self.head = 0, b"", b""
         for block in blocks(path, None, cut):
-            begin = min(max(0, start - at), len(block.data))
-            rows = textnumbers.row_starts(block.data, begin, numbered)
+            begin = min(max(0, start - at), len(block.view))
+            rows = textnumbers.row_starts(block.view, begin, numbered)
             if not any(map(len, found)):
-                self.head += block.data[: rows[0]] if len(rows) else block.data
+                self.head += bytes(block.view[: rows[0]] if len(rows) else block.view)
             found.append(rows + at)
-            first = None if self.newline else _LINE_END.search(block.data)
-            self.newline = first[0] if first is not None else self.newline
-            at += len(block.data)
+            first = None if self.newline else _LINE_END.search(block.view)
+            self.newline = bytes(first[0]) if first is not None else self.newline
+            at += len(block.view)
         self.newline = self.newline or b"\n"
         self.starts = np.concatenate([*found, [at]])
 

@@ -88,13 +88,14 @@ def test_blocks_join_to_the_file_and_know_their_lines(tmp_path: Path, monkeypatc
 
     for _ in range(300):
         data = b"a" + bytes(random.choice([*b"\n\r\n\r12a "], 60).tolist())
-        found = list(pieces(data, int(random.integers(1, 30))))
-        assert b"".join(block.data for block in found) == data
-        assert [block.last for block in found] == [False] * (len(found) - 1) + [True]
-        before = b""
-        for block in found:
+        before, lasts = b"", []
+        for block in pieces(data, int(random.integers(1, 30))):
+            assert block.start == len(before)
             assert block.line == len(re.findall(rb"\r\n?|\n", before)) + 1
             before += block.data
+            lasts.append(block.last)
+        assert before == data
+        assert lasts == [False] * (len(lasts) - 1) + [True]
 
 
 def test_a_file_that_grows_while_it_is_read_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
