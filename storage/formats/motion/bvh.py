@@ -13,6 +13,7 @@ import numpy.typing as npt
 from kinedex.catalog.skeletons.evidence import SAMPLED_FRAMES, Evidence
 from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
 from kinedex.ops.body import kinematics
+from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.bvh_parser import BvhFile
 from kinedex.storage.formats.motion.figures import chosen_person
 from kinedex.storage.formats.motion.mapped_body import (
@@ -171,11 +172,16 @@ def fitted_person(file: BvhFile, person: str, mappings: Mappings, joints: tuple[
 
 
 def _fitted(bvh: _Motion, name: str, mappings: Mappings, joints: tuple[str, ...]) -> FittedPerson:
-    persons = persons_of(bvh.file, _offsets_apart(bvh))
-    person = persons[chosen_person(bvh.path, name, [person.name for person in persons])]
-    fit = mappings.exact(bvh.path, "bvh", person.places)
-    if fit is None or _skips_spine(person, fit):
-        fit = mappings.recognised(bvh.path, "bvh", _evidence(bvh, person))
+    try:
+        persons = persons_of(bvh.file, _offsets_apart(bvh))
+        person = persons[chosen_person(bvh.path, name, [person.name for person in persons])]
+        fit = mappings.exact(bvh.path, "bvh", person.places)
+        if fit is None or _skips_spine(person, fit):
+            fit = mappings.recognised(bvh.path, "bvh", _evidence(bvh, person))
+    except SourceError:
+        if bvh.skimmed:
+            bvh.file.refuse_faults()  # a fault of the frames comes before what is made of them
+        raise
     nodes, restored = _restore(person, fit)
     positions, turned = posed(bvh, nodes, fit.root, fit, joints)
     fit, turned_by = turned_upright(fit, _resting(person), positions, joints)
@@ -183,12 +189,13 @@ def _fitted(bvh: _Motion, name: str, mappings: Mappings, joints: tuple[str, ...]
 
 
 class _Motion:
-    """The motion of a file; the channels of a small one are parsed once, and kept."""
+    """The motion of a file; the channels of a small one are parsed once, and kept; of a long one some are skimmed."""
 
     def __init__(self, file: BvhFile) -> None:
         self.file = file
         self.path, self.frames = file.path, file.frames
         self.kept: list[F64] | None = None
+        self.skimmed = False
 
     def blocks(self) -> Iterator[F64]:
         """Yield the channels of consecutive frames."""
@@ -202,12 +209,10 @@ class _Motion:
         if self.kept is None and 8 * self.file.frames * self.file.columns <= _KEPT_BYTES:
             self.kept = [self.file.channels()]
         wanted = np.unique(np.linspace(0, self.frames - 1, count).round().astype(np.int64))
-        found, start = [], 0
-        for block in self.blocks():
-            inside = wanted[(wanted >= start) & (wanted < start + len(block))]
-            found.append(block[inside - start])
-            start += len(block)
-        return np.concatenate(found)
+        if self.kept is not None:
+            return self.kept[0][wanted]
+        self.skimmed = True
+        return self.file.frames_at(wanted)
 
 
 def _one_root(file: MotionFile) -> bool:

@@ -156,7 +156,7 @@ class BvhFile:
         self.layout = Layout(
             text.data[: text.pos], text.settings[-2], text.settings[-1], hierarchy.spans, hierarchy.numbers
         )
-        self.nodes, self._rotations = hierarchy.nodes, hierarchy.rotations
+        self.nodes, self._scale = hierarchy.nodes, np.where(hierarchy.rotations, np.pi / 180.0, 1.0)
         self.offsets, self.redundant = hierarchy.offsets, hierarchy.redundant
 
     @property
@@ -167,7 +167,7 @@ class BvhFile:
     @property
     def columns(self) -> int:
         """Return the number of channels."""
-        return len(self._rotations)
+        return self._columns
 
     def _read_header(self) -> tuple[BvhText, Hierarchy, int]:
         """Read hierarchy and header from the first block, or from a longer one as long as it ends within them."""
@@ -211,8 +211,43 @@ class BvhFile:
             raise changed(self.path)
         return memory.whole
 
+    def frames_at(self, wanted: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+        """Return the channels (K, C) of some frames; the text of the others is not parsed.
+
+        Parameters
+        ----------
+        wanted : int64 array (K,)
+            Their numbers, from 0, ascending.
+
+        Raises
+        ------
+        SourceError
+            One of them is damaged; the error names the first fault of the file.
+        """
+        found, done = [], 0
+        for block in self._blocks():
+            begin = 0 if block.start else self._start
+            rows = t.count_rows(block.view, begin, numbered=False)
+            here = wanted[(wanted >= done) & (wanted < done + rows)] - done
+            if len(here):
+                edges = np.append(t.row_starts(block.view, begin, numbered=False), len(block.view))
+                for start, stop in zip(edges[here].tolist(), edges[here + 1].tolist(), strict=True):
+                    values, fault = t.parse_rows(block.view[start:stop], 0, 1, self._columns)
+                    if fault is not None:
+                        self.refuse_faults()
+                        raise changed(self.path)
+                    found.append(values)
+            done += rows
+        if len(found) != len(wanted):
+            raise changed(self.path)
+        return np.concatenate(found) * self._scale
+
+    def refuse_faults(self) -> None:
+        """Parse all frames, and raise the SourceError of the first fault if there is one."""
+        for _ in self.blocks():
+            pass
+
     def _parsed(self, memory: RowMemory) -> Iterator[npt.NDArray[np.float64]]:
-        scale = np.where(self._rotations, np.pi / 180.0, 1.0)
         source = self._blocks()
         for block in source:
             begin, line = (0, 1) if block.start else (self._start, self._line)
@@ -221,7 +256,7 @@ class BvhFile:
             if fault is not None:
                 raise self._error(fault, memory.filled, block, source)
             memory.filled += len(values)
-            values *= scale
+            values *= self._scale
             yield values
 
     def _error(self, fault: t.Fault, rows: int, block: Block, source: Iterator[Block]) -> SourceError:

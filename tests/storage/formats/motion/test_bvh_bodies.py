@@ -11,7 +11,8 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings, load_skeleton
 from kinedex.ops.body import features
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion import mapped_body
+from kinedex.storage.formats.motion import bvh, mapped_body, text_blocks
+from kinedex.storage.formats.motion.bvh_parser import BvhFile
 from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import read_body, reader_of
 from tests.bvh_files import POSITIONS, Joint, bvh_text, dance, mixamo, still
@@ -54,6 +55,51 @@ def test_a_take_is_worked_on_in_stretches_without_a_seam(tmp_path: Path, monkeyp
     parts = read_body(path, None, AUTO, JOINTS)
     np.testing.assert_array_equal(parts.positions, whole.positions)
     np.testing.assert_array_equal(parts.orientation, whole.orientation)
+
+
+def test_a_body_is_recognised_from_single_frames_of_a_long_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = mixamo(prefix="")
+    path = tmp_path / "a.bvh"
+    text = bvh_text(root, dance(root, 90)).replace("LeftUpLeg", "left_thigh").replace("RightUpLeg", "right_thigh")
+    path.write_text(text)
+    whole = read_body(path, None, AUTO, JOINTS)
+    assert whole.skeleton == "recognised"
+    monkeypatch.setattr(bvh, "_KEPT_BYTES", 0)
+    monkeypatch.setattr(text_blocks, "BLOCK", 5000)
+    long = read_body(path, None, AUTO, JOINTS)
+    np.testing.assert_array_equal(long.positions, whole.positions)
+    assert (long.warnings, long.evidence) == (whole.warnings, whole.evidence)
+    # the first fault of the file is reported, be it in a frame that is looked at or in another one before it
+    lines = text.splitlines(keepends=True)
+    first = next(i for i, line in enumerate(lines) if line.startswith("Frame Time")) + 1
+    for bad in ((0, 30), (7, 89), (41, 44)):
+        damaged = [line.replace(" ", " x", 1) if at - first in bad else line for at, line in enumerate(lines)]
+        path.write_text("".join(damaged).replace("left_thigh", "one") if bad[0] == 7 else "".join(damaged))
+        with pytest.raises(SourceError, match=f"a.bvh:{first + bad[0] + 1}: not a number: 'x"):
+            read_body(path, None, AUTO, JOINTS)
+
+
+def test_files_with_the_same_hierarchy_share_it_and_others_do_not(tmp_path: Path) -> None:
+    root = mixamo()
+    texts = [bvh_text(root, dance(root, 3, seed)) for seed in range(2)]
+    comment = texts[0].replace("HIERARCHY\n", "HIERARCHY\n# MOTION \n", 1)
+    damaged = texts[0].replace("OFFSET", "OFSET", 1)
+    files = []
+    for i, text in enumerate([*texts, comment, texts[0].replace("Spine", "Rachis")]):
+        path = tmp_path / f"{i}.bvh"
+        path.write_text(text)
+        files.append(BvhFile(path))
+    assert files[0].nodes is files[1].nodes
+    for other in files[2:]:
+        assert other.nodes is not files[0].nodes
+    assert [node.name for node in files[2].nodes] == [node.name for node in files[0].nodes]
+    assert any(node.name.endswith("Rachis") for node in files[3].nodes)
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.bvh").write_text(damaged)
+        with pytest.raises(SourceError, match=rf"{name}\.bvh:4: expected OFFSET, CHANNELS"):
+            BvhFile(tmp_path / f"{name}.bvh")
 
 
 @pytest.mark.parametrize(("scale", "unit"), [(1.0, "cm"), (0.01, "metres"), (10.0, "mm"), (1 / 2.54, "inches")])
