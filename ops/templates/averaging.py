@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numba as nb
 import numpy as np
@@ -15,12 +15,11 @@ from kinedex.ops.templates.pairs import (
     Stack,
     Weighted,
     align_pairs,
-    all_pairs,
     compact,
     path_offsets,
 )
 from kinedex.ops.templates.warping import FIRST, SECOND
-from kinedex.ops.words import U64, bits
+from kinedex.ops.words import U64, bits, pack
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
@@ -49,6 +48,8 @@ class Soft:
 
     def align(self, stack: Stack, pairs: I64) -> Paths:
         """Warp pairs of templates, int64 (P, 2), onto each other."""
+        if self._counts_bits(stack.columns):
+            return Hard(self.feature_weights).align(replace(stack, columns=self._as_hard(stack.columns)), pairs, True)
         # A feature that never varies, or does not count, adds exactly 0 to every cost.
         varies = (stack.columns != stack.columns[0]).any(axis=0) & (self.feature_weights > 0)
         columns = np.ascontiguousarray((stack.columns[:, varies] * self.feature_weights[varies]).T)
@@ -57,7 +58,16 @@ class Soft:
         costs, counts, steps = align_pairs(columns, None, total, stack.weights, stack.offsets, pairs, offsets)
         return compact(costs, counts, steps, offsets)
 
-    def average(self, stack: Stack, reference: int, paths: Paths, pair_of: I64) -> Weighted:
+    def _counts_bits(self, columns: Columns) -> bool:
+        """Return whether a cost is a number of features, to the last bit: clips as they are, and no weights."""
+        plain = np.isin(self.feature_weights, (0, 1)).all() and ((columns == 0) | (columns == 1)).all()
+        return bool(plain)
+
+    def _as_hard(self, columns: Columns) -> Columns:
+        """Return columns of 0 and 1 as those of hard templates."""
+        return Hard(self.feature_weights).start(pack(columns.astype(np.uint8)))
+
+    def average(self, stack: Stack, reference: int, paths: Paths, pair_of: I64, stands_for: int = 1) -> Weighted:
         """Average the reference and all others warped to it.
 
         Parameters
@@ -67,15 +77,17 @@ class Soft:
         paths : Paths
         pair_of : int64 array (n,)
             The pair that each other template makes with the reference.
+        stands_for : int
+            The number of clips that the reference stands for.
         """
         first, last = stack.offsets[reference], stack.offsets[reference + 1]
-        weights = stack.weights[first:last].copy()
+        weights = stack.weights[first:last] * stands_for
         total = stack.columns[first:last] * weights[:, None]
         add_others(
             total, None, weights, stack.columns, stack.weights, stack.offsets, reference, paths.steps, paths.starts,
             paths.counts, pair_of,
         )  # fmt: skip
-        return Weighted(total / weights[:, None], weights / len(stack))
+        return Weighted(total / weights[:, None], weights / (len(stack) - 1 + stands_for))
 
     def merge(self, left: Columns, right: Columns, left_weight: float, right_weight: float) -> Columns:
         """Return one column for two neighbours."""
@@ -106,25 +118,26 @@ class Hard:
         every = np.uint64((1 << len(self.feature_weights)) - 1)
         return np.stack([words, ~words & every], axis=1)
 
-    def align(self, stack: Stack, pairs: I64) -> Paths:
-        """Warp pairs of templates, int64 (P, 2), onto each other."""
+    def align(self, stack: Stack, pairs: I64, shares: bool = False) -> Paths:
+        """Warp pairs of templates, int64 (P, 2), onto each other; costs are numbers of features, or shares of them."""
         counted = np.bitwise_or.reduce(
             (self.feature_weights > 0).astype(np.uint64) << np.arange(len(self.feature_weights), dtype=np.uint64)
         )
         offsets = path_offsets(stack, pairs)
         columns = stack.columns & counted
-        costs, counts, steps = align_pairs(None, columns, 1.0, stack.weights, stack.offsets, pairs, offsets)
+        total = float(np.count_nonzero(self.feature_weights)) if shares else 1.0
+        costs, counts, steps = align_pairs(None, columns, total, stack.weights, stack.offsets, pairs, offsets)
         return compact(costs, counts, steps, offsets)
 
-    def average(self, stack: Stack, reference: int, paths: Paths, pair_of: I64) -> Weighted:
+    def average(self, stack: Stack, reference: int, paths: Paths, pair_of: I64, stands_for: int = 1) -> Weighted:
         """Return what the reference and all others warped to it agree on; see `Soft.average`."""
         first, last = stack.offsets[reference], stack.offsets[reference + 1]
-        columns, weights = stack.columns[first:last].copy(), stack.weights[first:last].copy()
+        columns, weights = stack.columns[first:last].copy(), stack.weights[first:last] * stands_for
         add_others(
             None, columns, weights, stack.columns, stack.weights, stack.offsets, reference, paths.steps, paths.starts,
             paths.counts, pair_of,
         )  # fmt: skip
-        return Weighted(columns, weights / len(stack))
+        return Weighted(columns, weights / (len(stack) - 1 + stands_for))
 
     def merge(self, left: Columns, right: Columns, left_weight: float, right_weight: float) -> Columns:
         """Return one column for two neighbours."""
@@ -140,8 +153,8 @@ class Hard:
 Method = Soft | Hard
 
 
-def average_all(method: Method, stack: Stack, paths: Paths) -> list[Weighted]:
-    """Make every template the reference once (thesis, Section 2.3), and rebalance.
+def average_all(method: Method, stack: Stack, paths: Paths, pairs: I64, references: I64) -> list[Weighted]:
+    """Make each of some templates the reference once (thesis, Section 2.3: every one), and rebalance.
 
     Parameters
     ----------
@@ -149,18 +162,21 @@ def average_all(method: Method, stack: Stack, paths: Paths) -> list[Weighted]:
     stack : Stack
         The templates of the round before.
     paths : Paths
-        Those of `all_pairs`.
+        Those of the pairs.
+    pairs : int64 array (P, 2)
+        The pairs of each reference with all others, the first place before the second.
+    references : int64 array (R,)
+        The places of the references.
 
     Returns
     -------
     list of Weighted
-        The new templates.
+        The new templates, in the order of the references.
     """
     count = len(stack)
     places = np.full((count, count), -1)
-    pairs = all_pairs(count)
     places[pairs[:, 0], pairs[:, 1]] = places[pairs[:, 1], pairs[:, 0]] = np.arange(len(pairs))
-    return [rebalance(method.average(stack, i, paths, places[i]), method.merge) for i in range(count)]
+    return [rebalance(method.average(stack, i, paths, places[i]), method.merge) for i in references.tolist()]
 
 
 def rebalance(template: Weighted, merge: Callable[[Columns, Columns, float, float], Columns]) -> Weighted:

@@ -11,7 +11,16 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.bits import count_bits
-from kinedex.ops.templates.warping import FIRST, SECOND, advance_row, trace_back
+from kinedex.ops.templates.warping import (
+    BLOCK,
+    FIRST,
+    MARGIN,
+    SECOND,
+    advance_rows,
+    begin_rows,
+    row_memory,
+    trace_back,
+)
 from kinedex.ops.words import U64
 
 F64 = npt.NDArray[np.float64]
@@ -107,6 +116,13 @@ def all_pairs(count: int) -> I64:
     return np.stack(np.triu_indices(count, 1), axis=1).astype(np.int64)
 
 
+def reference_pairs(count: int, references: I64) -> I64:
+    """Return every pair i < j of that many templates of which one is a reference, int64 (P, 2), by i and then j."""
+    pairs = all_pairs(count)
+    kept: I64 = pairs[np.isin(pairs, references).any(axis=1)]
+    return kept
+
+
 def path_offsets(stack: Stack, pairs: I64) -> I64:
     """Return where the memory for each pair's two paths begins, int64 (2 P + 1,): no path is longer than K + L − 1."""
     longest = stack.lengths[pairs].sum(axis=1) - 1
@@ -177,7 +193,7 @@ def align_pairs(
     hard : uint64 array (M, 2), optional
         The columns of hard templates, whose cost is the number of contradictions; None for soft templates.
     total : float
-        The divisor of soft costs, see `soft_costs`.
+        The divisor of the costs, see `soft_costs`.
     weights : float64 array (M,)
     offsets : int64 array (n + 1,)
     pairs : int64 array (P, 2)
@@ -191,27 +207,28 @@ def align_pairs(
     for i in range(len(offsets) - 1):
         longest = max(longest, offsets[i + 1] - offsets[i])
     entered = np.empty((longest, longest), np.uint8)
-    rows = np.empty((4, longest))
+    accumulated, block = row_memory(longest)
     for p in range(len(pairs)):
         first, second = offsets[pairs[p, 0]], offsets[pairs[p, 1]]
         height, width = offsets[pairs[p, 0] + 1] - first, offsets[pairs[p, 1] + 1] - second
-        above, here, entering, weighted = rows[0][:width], rows[1][:width], rows[2][:width], rows[3][:width]
-        above[:] = np.inf
-        for k in range(height):
-            weight = weights[first + k]
-            if soft is not None:
-                soft_costs(soft[:, first + k], soft, second, total, weighted)
-                for column in range(width):
-                    weighted[column] *= 0.5 * (weight + weights[second + column])
-            if hard is not None:
-                ones, zeros = hard[first + k, 0], hard[first + k, 1]
-                for column in range(width):
-                    other = second + column
-                    against = (ones & hard[other, 1]) | (zeros & hard[other, 0])
-                    weighted[column] = count_bits(against) * (0.5 * (weight + weights[other]))
-            advance_row(above, here, entering, weighted, entered[k][:width], k == 0)
-            above, here = here, above
-        costs[p] = above[width - 1]
+        begin_rows(accumulated)
+        for top in range(0, height, BLOCK):
+            rows = min(BLOCK, height - top)
+            for row in range(rows):
+                k, weighted = first + top + row, block[row][MARGIN : MARGIN + width]
+                weight = weights[k]
+                if soft is not None:
+                    soft_costs(soft[:, k], soft, second, total, weighted)
+                    for column in range(width):
+                        weighted[column] *= 0.5 * (weight + weights[second + column])
+                if hard is not None:
+                    ones, zeros = hard[k, 0], hard[k, 1]
+                    for column in range(width):
+                        other = second + column
+                        against = (ones & hard[other, 1]) | (zeros & hard[other, 0])
+                        weighted[column] = count_bits(against) / total * (0.5 * (weight + weights[other]))
+            advance_rows(accumulated, block, entered[top : top + rows, :width])
+        costs[p] = accumulated[0, width]
         walked = entered[:height, :width]
         counts[2 * p] = trace_back(walked, FIRST, steps[places[2 * p] : places[2 * p + 1]])
         counts[2 * p + 1] = trace_back(walked, SECOND, steps[places[2 * p + 1] : places[2 * p + 2]])

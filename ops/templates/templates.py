@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.templates.averaging import TOLERANCE, Hard, Method, Soft, average_all
-from kinedex.ops.templates.pairs import Paths, Stack, Weighted, all_pairs
+from kinedex.ops.templates.averaging import TOLERANCE, Hard, Method, Soft, average_all, rebalance
+from kinedex.ops.templates.drawn_clips import evenly_drawn
+from kinedex.ops.templates.pairs import Paths, Stack, Weighted, reference_pairs
 from kinedex.ops.words import MOST_FEATURES, NO_WORD, U64, bits
 
 F64 = npt.NDArray[np.float64]
@@ -21,6 +23,12 @@ Kind = Literal["soft", "hard"]
 
 MOST_ROUNDS = 10
 CONVERGED = 0.005
+
+MOST_AVERAGED = 80
+"""Of a class with more clips so many are averaged, drawn evenly over actors and lengths; the rest weighs in at last."""
+
+REFERENCES = 8
+"""So many of the drawn clips are references, likewise drawn; of a class with at most `MOST_AVERAGED` clips all are."""
 
 
 @dataclass(frozen=True)
@@ -111,8 +119,8 @@ class Learned:
         The largest DTW cost between two templates, divided by the reference's total weight, before each round and after
         the last: rounds + 1 numbers (a single one, 0, where there is one clip).
     clip_costs : tuple of float
-        Of each clip the median of its DTW costs to the others, before the first round, as a share of the entries
-        compared along the path (0 where there is one clip).
+        Of each clip the median of its DTW costs to the others, or to the references among them, before the first round,
+        as a share of the entries compared along the path (0 where there is one clip).
     """
 
     template: Template
@@ -132,6 +140,10 @@ class Piece:
 
 Spread = Callable[[Callable[[Piece], Paths], Iterable[Piece]], Iterable[Paths]]
 """Applies a function to all pieces and gives the results in their order: `map`, or an executor's."""
+
+
+Align = Callable[[Stack, I64], Paths]
+"""Aligns pairs of the templates of a stack."""
 
 
 def learn_soft(clips: Sequence[U64], features: int) -> Learned:
@@ -166,12 +178,17 @@ def learn(
     feature_weights: F64 | None = None,
     spread: Spread = map,
     pieces: int = 1,
+    actors: Sequence[str] | None = None,
 ) -> Learned:
     """Learn a soft or hard motion template, the alignments of each round divided among workers.
 
     Soft templates are those of `learn_soft`. Hard templates (diploma thesis, Section 3.3.1, Eq. 3.1 to 3.6) have the
     values 0, 0.5 (a wildcard) and 1; the local cost counts the contradictions. The classical DTW cost between a hard
     template and every one of its clips is 0 (Claim 3.1 in Section 3.3.2 there).
+
+    The work grows with the square of the number of clips up to `MOST_AVERAGED`, and from there on with the number: so
+    many clips are drawn, the first round makes `REFERENCES` of them the reference only, and the others go on as a small
+    class does. Each clip that was not drawn is warped to the result once and weighs in as one clip.
 
     Parameters
     ----------
@@ -188,6 +205,8 @@ def learn(
         The function that applies another one to all pieces of a round, see `Spread`.
     pieces : int
         The number of pieces that a round is divided into. The result depends on neither.
+    actors : sequence of str, optional
+        The actor of each clip; all the same unless given. They matter only to which clips of a large class are drawn.
 
     Returns
     -------
@@ -201,27 +220,84 @@ def learn(
     _validate(clips, features)
     counts = _checked_weights(feature_weights, features)
     method: Method = Soft(counts) if kind == "soft" else Hard(counts)
-    stack = Stack.of([Weighted(method.start(clip), np.ones(len(clip))) for clip in clips])
-    pairs = all_pairs(len(clips))
+    align = partial(_align, method, spread=spread, pieces=pieces)
+    compared = 1.0 if kind == "soft" else float(np.count_nonzero(counts))
+    drawn, references = _drawn(clips, actors)
+    stack = Stack.of(_clips(method, [clips[place] for place in drawn]))
+    found, costs, own = _average(method, stack, np.searchsorted(drawn, references), align, compared)
+    clip_costs = np.zeros(len(clips))
+    clip_costs[drawn] = own
+    rest = np.setdiff1d(np.arange(len(clips)), drawn)
+    if len(rest):
+        others = [clips[place] for place in rest]
+        found = _weighed_in(method, found, len(drawn), others, align)
+        clip_costs[rest] = _costs_to(method, [clips[place] for place in references], others, align, compared)
+    template = Template(method.values(found.columns), found.weights, feature_weights)
+    return Learned(template, max(len(costs) - 1, 0), tuple(costs or [0.0]), tuple(clip_costs.tolist()))
+
+
+def _drawn(clips: Sequence[U64], actors: Sequence[str] | None) -> tuple[I64, I64]:
+    """Return the places of the clips that are averaged, and of those among them that are references."""
+    lengths = [len(clip) for clip in clips]
+    who = [""] * len(clips) if actors is None else list(actors)
+    drawn = evenly_drawn(lengths, who, MOST_AVERAGED)
+    if len(drawn) == len(clips):
+        return drawn, drawn
+    places = drawn.tolist()
+    return drawn, drawn[evenly_drawn([lengths[i] for i in places], [who[i] for i in places], REFERENCES)]
+
+
+def _average(
+    method: Method, stack: Stack, references: I64, align: Align, compared: float
+) -> tuple[Weighted, list[float], F64]:
+    """Return the template of the first reference, the largest costs of all rounds, and the cost of each clip."""
     costs: list[float] = []
-    clip_costs = [0.0] * len(clips)
-    while len(clips) > 1:
-        paths = _align(method, stack, pairs, spread, pieces)
-        totals = np.array([piece.sum() for piece in np.split(stack.weights, stack.offsets[1:-1])])
+    clip_costs = np.zeros(len(stack))
+    while len(stack) > 1:
+        pairs = reference_pairs(len(stack), references)
+        paths = align(stack, pairs)
+        totals = _totals(stack)
         largest = float((paths.costs / totals[pairs].min(axis=1)).max())
         if not costs:
-            compared = 1.0 if kind == "soft" else float(np.count_nonzero(counts))
-            clip_costs = _medians(paths.costs / totals[pairs].mean(axis=1) / compared, pairs, len(clips))
+            clip_costs = _medians(paths.costs / totals[pairs].mean(axis=1) / compared, pairs, references, len(stack))
         costs.append(largest)
         rounds = len(costs) - 1
         # The first round always counts: before it, "all alike" would let the first clip stand for the class.
         unchanged = rounds > 0 and abs(largest - costs[-2]) <= TOLERANCE
         if rounds == MOST_ROUNDS or (rounds > 0 and (largest < CONVERGED or unchanged)):
             break
-        stack = Stack.of(average_all(method, stack, paths))
+        stack = Stack.of(average_all(method, stack, paths, pairs, references))
+        references = np.arange(len(stack))
     last = int(stack.offsets[1])
-    template = Template(method.values(stack.columns[:last]), stack.weights[:last], feature_weights)
-    return Learned(template, max(len(costs) - 1, 0), tuple(costs or [0.0]), tuple(clip_costs))
+    return Weighted(stack.columns[:last], stack.weights[:last]), costs, clip_costs
+
+
+def _weighed_in(method: Method, template: Weighted, count: int, rest: Sequence[U64], align: Align) -> Weighted:
+    """Average a template of so many clips with more clips, each of which is warped to it once, and rebalance."""
+    stack = Stack.of([template, *_clips(method, rest)])
+    places = np.arange(len(stack))
+    pairs = np.stack([np.zeros(len(rest), np.int64), places[1:]], axis=1)
+    averaged = method.average(stack, 0, align(stack, pairs), places - 1, count)
+    return rebalance(averaged, method.merge)
+
+
+def _costs_to(method: Method, references: Sequence[U64], clips: Sequence[U64], align: Align, compared: float) -> F64:
+    """Return of each clip the median of its costs to references, as a share of the entries compared."""
+    stack = Stack.of(_clips(method, [*references, *clips]))
+    count = len(references)
+    pairs = np.stack(np.meshgrid(np.arange(count), np.arange(count, len(stack))), axis=-1).reshape(-1, 2)
+    costs: F64 = align(stack, pairs).costs / _totals(stack)[pairs].mean(axis=1) / compared
+    medians: F64 = np.median(costs.reshape(len(clips), count), axis=1)
+    return medians
+
+
+def _clips(method: Method, clips: Sequence[U64]) -> list[Weighted]:
+    return [Weighted(method.start(clip), np.ones(len(clip))) for clip in clips]
+
+
+def _totals(stack: Stack) -> F64:
+    """Return the total weight of each template."""
+    return np.array([piece.sum() for piece in np.split(stack.weights, stack.offsets[1:-1])])
 
 
 def align_piece(piece: Piece) -> Paths:
@@ -272,9 +348,10 @@ def _align(method: Method, stack: Stack, pairs: I64, spread: Spread, pieces: int
     return Paths.joined(list(spread(align_piece, tasks)))
 
 
-def _medians(costs: F64, pairs: I64, count: int) -> list[float]:
-    """Return, for each template, the median cost of the pairs that it is in."""
-    return [float(np.median(costs[(pairs == i).any(axis=1)])) for i in range(count)]
+def _medians(costs: F64, pairs: I64, references: I64, count: int) -> F64:
+    """Return, for each template, the median cost of its pairs with references."""
+    is_reference = np.isin(pairs, references)
+    return np.array([np.median(costs[((pairs == i) & is_reference[:, ::-1]).any(axis=1)]) for i in range(count)])
 
 
 def _validate(clips: Sequence[U64], features: int) -> None:

@@ -19,6 +19,9 @@ DIAGONAL, FIRST, SECOND, EITHER = np.uint8(0), np.uint8(1), np.uint8(2), np.uint
 """The step that enters a cell: both sequences advance, only the first, only the second; or the last two are equally
 cheap, and then the one is taken in which the sequence advances from whose side the path is read."""
 
+BLOCK, MARGIN = 4, 3
+"""Accumulated costs are computed in blocks of so many rows; the last of them is so many columns behind the first."""
+
 
 @dataclass(frozen=True)
 class Alignment:
@@ -88,61 +91,84 @@ def _cells(steps: U8) -> I64:
 @nb.njit(cache=True, nogil=True)
 def _accumulate(local_cost: F64, first_weights: F64, second_weights: F64) -> tuple[float, U8]:
     """Return the cost of the best path and, per cell, the step that enters it (kernel of `align`)."""
-    rows, columns = local_cost.shape
-    entered = np.empty((rows, columns), np.uint8)
-    above = np.full(columns, np.inf)
-    here = np.empty(columns)
-    entering = np.empty(columns)
-    weighted = np.empty(columns)
-    for k in range(rows):
-        for column in range(columns):
-            weighted[column] = local_cost[k, column] * (0.5 * (first_weights[k] + second_weights[column]))
-        advance_row(above, here, entering, weighted, entered[k], k == 0)
-        above, here = here, above
-    return above[columns - 1], entered
+    height, width = local_cost.shape
+    entered = np.empty((height, width), np.uint8)
+    accumulated, weighted = row_memory(width)
+    begin_rows(accumulated)
+    for top in range(0, height, BLOCK):
+        rows = min(BLOCK, height - top)
+        for row in range(rows):
+            for column in range(width):
+                mean = 0.5 * (first_weights[top + row] + second_weights[column])
+                weighted[row, MARGIN + column] = local_cost[top + row, column] * mean
+        advance_rows(accumulated, weighted, entered[top : top + rows])
+    return accumulated[0, width], entered
 
 
 @nb.njit(cache=True, nogil=True)
-def advance_row(above: F64, here: F64, entering: F64, weighted: F64, entered: U8, first: bool) -> None:
-    """Fill one row of accumulated costs and of the steps that enter its cells (kernel).
+def row_memory(longest: int) -> tuple[F64, F64]:
+    """Return memory for the accumulated and for the weighted costs of a block of rows (kernel)."""
+    return np.empty((BLOCK + 1, longest + 2 * MARGIN)), np.zeros((BLOCK, longest + 2 * MARGIN))
 
-    Of the three passes only the second depends on the cell before: the others vectorise.
+
+@nb.njit(cache=True, nogil=True)
+def begin_rows(accumulated: F64) -> None:
+    """Set the row above the first one: every path begins before the first column (kernel)."""
+    accumulated[:, 0] = np.inf
+    accumulated[0, :] = np.inf
+    accumulated[0, 0] = 0.0
+
+
+@nb.njit(cache=True, nogil=True)
+def advance_rows(accumulated: F64, weighted: F64, entered: U8) -> None:
+    """Fill up to `BLOCK` rows of accumulated costs and of the steps that enter their cells (kernel).
+
+    A cell depends on the one before it, and a sum and a comparison take as long as ten others that wait for nothing. So
+    four rows advance at once, each of them one column behind the row above.
 
     Parameters
     ----------
-    above : float64 array (L,)
-        The row before (∞ before the first one).
-    here : float64 array (L,)
-        The results.
-    entering : float64 array (L,)
-        Memory.
-    weighted : float64 array (L,)
-        The local costs times the mean of the two column weights.
-    entered : uint8 array (L,)
-        The resulting steps.
-    first : bool
-        Whether this is the first row.
+    accumulated : float64 array (BLOCK + 1, L + 2 MARGIN)
+        In its first row the row above, column c at c + 1, and ∞ at 0 (see `begin_rows`); the last row that was filled
+        takes its place.
+    weighted : float64 array (BLOCK, L + 2 MARGIN)
+        The local costs times the mean of the two column weights, column c at c + MARGIN; finite everywhere.
+    entered : uint8 array (R, L)
+        The resulting steps of R rows.
     """
-    columns = len(weighted)
-    entering[0] = 0.0 if first else above[0]
-    for column in range(1, columns):
-        diagonal, up = above[column - 1], above[column]
-        entering[column] = up if up < diagonal else diagonal
-    before = entering[0] + weighted[0]
-    here[0] = before
-    entered[0] = DIAGONAL if first else FIRST
-    for column in range(1, columns):
-        least = entering[column]
-        before = (before if before < least else least) + weighted[column]
-        here[column] = before
-    for column in range(1, columns):
-        diagonal, up, left = above[column - 1], above[column], here[column - 1]
-        step = DIAGONAL
-        if up < diagonal:
-            step = EITHER if left == up else FIRST
-        if left < entering[column]:
-            step = SECOND
-        entered[column] = step
+    rows, width = entered.shape
+    above, one, two, three, four = accumulated[0], accumulated[1], accumulated[2], accumulated[3], accumulated[4]
+    w_one, w_two, w_three, w_four = weighted[0], weighted[1], weighted[2], weighted[3]
+    a = b = c = d = np.inf  # the last cell of each row, and the one before it
+    a_before = b_before = c_before = np.inf
+    for column in range(width + MARGIN):
+        diagonal = c_before if c_before < c else c
+        d = (d if d < diagonal else diagonal) + w_four[column]
+        diagonal = b_before if b_before < b else b
+        c_before, c = c, (c if c < diagonal else diagonal) + w_three[column + 1]
+        diagonal = a_before if a_before < a else a
+        b_before, b = b, (b if b < diagonal else diagonal) + w_two[column + 2]
+        diagonal = above[column] if above[column] < above[column + 1] else above[column + 1]
+        a_before, a = a, (a if a < diagonal else diagonal) + w_one[column + 3]
+        one[column + 1] = a
+        two[column] = b
+        if column > 0:
+            three[column - 1] = c
+        if column > 1:
+            four[column - 2] = d
+    accumulated[1:, 0] = np.inf
+    for row in range(rows):
+        upper, here, steps = accumulated[row], accumulated[row + 1], entered[row]
+        for column in range(width):
+            diagonal, up, left = upper[column], upper[column + 1], here[column]
+            entering = up if up < diagonal else diagonal
+            step = DIAGONAL
+            if up < diagonal:
+                step = EITHER if left == up else FIRST
+            if left < entering:
+                step = SECOND
+            steps[column] = step
+    accumulated[0, : width + 1] = accumulated[rows, : width + 1]
 
 
 @nb.njit(cache=True, nogil=True)

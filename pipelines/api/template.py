@@ -136,7 +136,8 @@ class Template:
         if len(words) < len(every):
             raise KinedexError("two of the clips have the same name and interval; each clip counts once")
         known = {take.label: take.known for take in every if take.known != ALL_KNOWN}
-        training = usable_clips(called, words, known)
+        actors = {take.label: str(take.info.get("actor") or "") for take in every}
+        training = usable_clips(called, words, known, actors)
         counts = feature_weights(weights or {}, features)
         found = learned_template(training, kind, learned_of(training, kind, len(features.features), counts))
         return cls(found, features, every[0].rate_hz, lambda: words)

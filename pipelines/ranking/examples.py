@@ -101,7 +101,9 @@ def template_of_chosen(
         clips = {held.label(one): one for one in accepted}
         masks = {label: held.known(one) for label, one in clips.items()}
         known_masks = {label: mask for label, mask in masks.items() if mask != ALL_KNOWN}
-        training = usable_clips(name, {label: held.words(clips[label]) for label in sorted(clips)}, known_masks)
+        actors = {label: held.actors[one.take_id] for label, one in clips.items()}
+        words_of = {label: held.words(clips[label]) for label in sorted(clips)}
+        training = usable_clips(name, words_of, known_masks, actors)
         learned = learned_of(training, "soft", features)
         named = NamedTemplate(name, learned.template, f"learned of {len(training.names)} intervals")
         learned_words, remarks = list(training.words), training.remarks
@@ -133,6 +135,8 @@ class _Words:
         self.names = {take_id: name for name, take_id in store.take_ids.items() if take_id in wanted}
         if missing := wanted - set(self.names):
             raise KinedexError(f"no take has the id {min(missing)}; it may have been removed from the store")
+        rows = store.takes().select("take_id", "actor").iter_rows()
+        self.actors = {take_id: actor or "" for take_id, actor in rows if take_id in wanted}
         found = stored_words(store, sorted(wanted))
         self._takes = {take_id: found.take(place) for place, take_id in enumerate(found.take_ids.tolist())}
         for one in chosen:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +14,7 @@ import polars as pl
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.templates.templates import MOST_AVERAGED
 from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
 from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.engine.digests import Reading
@@ -310,11 +311,14 @@ def examples_read(store: Store, params: ExampleParameters) -> Reading:
         A filter does not work, a label file or the takes cannot be read.
     """
     found, _ = examples_of(store, params, required=False)
+    counts = Counter(one.label for one in found if one.positive)
+    actors = dict(store.takes().select("name", "actor").iter_rows())
     hasher = hashlib.sha256(f"{store.feature_set.digest} {store.rate_hz!r}".encode())
     for one, words in example_words(store, found).items():
         own = np.ascontiguousarray(words)
         mask = (store.known[one.take_id],) if one.take_id in store.known else ()
-        hasher.update(repr((one.name, one.label, one.positive, len(own), *mask)).encode() + own.tobytes())
+        actor = (actors[one.take],) if counts[one.label] > MOST_AVERAGED else ()  # clips are drawn evenly over them
+        hasher.update(repr((one.name, one.label, one.positive, len(own), *mask, *actor)).encode() + own.tobytes())
     clips = sum(one.source == "clip" for one in found)
     parts = [counted(clips, "clip")] if clips else []
     if len(found) > clips:

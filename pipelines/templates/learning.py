@@ -18,8 +18,8 @@ from kinedex.catalog.template_files import NamedTemplate
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.known import known_bits
 from kinedex.ops.templates.derived_templates import without_unknown
+from kinedex.ops.templates.templates import MOST_AVERAGED, REFERENCES, Learned, Spread, Template, learn
 from kinedex.ops.templates.templates import Kind as Kind
-from kinedex.ops.templates.templates import Learned, Spread, Template, learn
 from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
 from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.executors import Executor
@@ -62,6 +62,8 @@ class TrainingClips:
         The take of each clip; the names are those of takes unless given.
     known : int
         The mask of the features that all clips know, with the bits of a word. The others are learned from nowhere.
+    actors : tuple of str
+        The actor of each clip; all the same unless given. A large class is drawn from evenly over them.
     """
 
     subclass: str
@@ -72,6 +74,12 @@ class TrainingClips:
     remarks: tuple[str, ...] = ()
     takes: tuple[str, ...] = ()
     known: int = int(ALL_KNOWN)
+    actors: tuple[str, ...] = ()
+
+    @property
+    def of_actors(self) -> tuple[str, ...]:
+        """The actor of each clip."""
+        return self.actors or ("",) * len(self.names)
 
     @property
     def of_takes(self) -> tuple[str, ...]:
@@ -80,8 +88,10 @@ class TrainingClips:
 
     @property
     def cells(self) -> int:
-        """The cells of the alignments of one round: all pairs of frames of all pairs of clips."""
-        return sum(len(words) for words in self.words) ** 2
+        """The cells of the alignments of one round, about: all pairs of frames of all pairs of clips that it aligns."""
+        frames = sum(len(words) for words in self.words)
+        count = len(self.words)
+        return frames**2 if count <= MOST_AVERAGED else frames**2 * REFERENCES // count
 
     @property
     def origin(self) -> str:
@@ -109,6 +119,7 @@ class TrainingClips:
             tuple(self.words[index] for index in chosen),
             takes=tuple(self.of_takes[index] for index in chosen),
             known=self.known,
+            actors=tuple(self.of_actors[index] for index in chosen),
         )
 
 
@@ -162,11 +173,13 @@ def example_clips(store: Store, examples: Iterable[Example]) -> list[TrainingCli
         A subclass is left without an example.
     """
     words = example_words(store, (one for one in examples if one.positive))
+    actors = dict(store.takes().select("name", "actor").iter_rows())
     clips = []
     for subclass, group in groupby(sorted(words, key=_order), key=lambda one: one.label):
         chosen = list(group)
         known = {one.name: store.known[one.take_id] for one in chosen if one.take_id in store.known}
-        usable = usable_clips(subclass, {one.name: words[one] for one in chosen}, known)
+        who = {one.name: actors[one.take] or "" for one in chosen}
+        usable = usable_clips(subclass, {one.name: words[one] for one in chosen}, known, who)
         take = {one.name: one.take for one in chosen}
         clips.append(replace(usable, takes=tuple(take[name] for name in usable.names)))
     return clips
@@ -176,7 +189,12 @@ def _order(one: Example) -> tuple[str, str, int, int]:
     return one.label, one.take, one.start, one.stop
 
 
-def usable_clips(subclass: str, every: dict[str, U64], known: Mapping[str, int] | None = None) -> TrainingClips:
+def usable_clips(
+    subclass: str,
+    every: dict[str, U64],
+    known: Mapping[str, int] | None = None,
+    actors: Mapping[str, str] | None = None,
+) -> TrainingClips:
     """Return the clips of one subclass that can be learned from.
 
     Parameters
@@ -187,6 +205,8 @@ def usable_clips(subclass: str, every: dict[str, U64], known: Mapping[str, int] 
         The words of each clip by its name.
     known : mapping of str to int, optional
         The masks of known features of the clips that lack some.
+    actors : mapping of str to str, optional
+        The actor of each clip.
 
     Returns
     -------
@@ -229,7 +249,8 @@ def usable_clips(subclass: str, every: dict[str, U64], known: Mapping[str, int] 
     if mask != ALL_KNOWN:
         remarks.append(f"the bodies of all clips lack joints: {mask.bit_count()} features are learned")
     used = {name: words for name, words in kept.items() if name not in lacking}
-    return TrainingClips(subclass, tuple(used), tuple(used.values()), remarks=tuple(remarks), known=mask)
+    who = tuple(actors[name] for name in used) if actors else ()
+    return TrainingClips(subclass, tuple(used), tuple(used.values()), remarks=tuple(remarks), known=mask, actors=who)
 
 
 def learned_of(
@@ -242,9 +263,9 @@ def learned_of(
 ) -> Learned:
     """Learn a template from clips as `ops.templates.templates.learn` does; features that they lack have no weight."""
     if clips.known == ALL_KNOWN:
-        return learn(kind, clips.words, features, feature_weights, spread, pieces)
+        return learn(kind, clips.words, features, feature_weights, spread, pieces, clips.of_actors)
     weights = np.where(known_bits(clips.known, features), 1.0 if feature_weights is None else feature_weights, 0.0)
-    found = learn(kind, clips.words, features, weights, spread, pieces)
+    found = learn(kind, clips.words, features, weights, spread, pieces, clips.of_actors)
     return replace(found, template=without_unknown(found.template, clips.known))
 
 

@@ -110,6 +110,7 @@ def with_mirrored(
             mirrored=len(one.names),
             source=source,
             takes=own.of_takes + one.of_takes,
+            actors=own.of_actors + one.of_actors,
             known=own.known & int(feature_set.mirrored(np.array([one.known], np.uint64))[0]),
         )
     return [found[name] for name in sorted(found)]

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import math
+import statistics
+from fractions import Fraction
+from itertools import pairwise
+
 from tests.oracles import warping
 
 Column = list[float]
@@ -83,20 +88,63 @@ def rebalance(kind: str, template: Weighted) -> Weighted:
 
 def learn(kind: str, clips: list[list[Column]]) -> tuple[Weighted, list[float]]:
     """Return the class template and the largest relative pair cost before each round and after the last."""
-    templates: list[Weighted] = [(clip, [1.0] * len(clip)) for clip in clips]
+    return _rounds(kind, [(clip, [1.0] * len(clip)) for clip in clips], list(range(len(clips))))
+
+
+def _rounds(kind: str, templates: list[Weighted], references: list[int]) -> tuple[Weighted, list[float]]:
     costs: list[float] = []
-    if len(clips) == 1:
+    if len(templates) == 1:
         return templates[0], [0.0]
     while True:
-        pairs = [(a, b) for a in range(len(clips)) for b in range(len(clips)) if a != b]
-        largest = max(align(kind, templates[a], templates[b])[0] / sum(templates[a][1]) for a, b in pairs)
+        pairs = [(a, b) for a in references for b in range(len(templates)) if a != b]
+        largest = max(
+            align(kind, templates[a], templates[b])[0] / min(sum(templates[a][1]), sum(templates[b][1]))
+            for a, b in pairs
+        )
         costs.append(largest)
         rounds = len(costs) - 1
         if rounds and (largest < 0.005 or abs(largest - costs[-2]) <= 1e-9 or rounds == 10):
             return templates[0], costs
         templates = [
-            rebalance(kind, average(kind, one, templates[:a] + templates[a + 1 :])) for a, one in enumerate(templates)
+            rebalance(kind, average(kind, templates[a], templates[:a] + templates[a + 1 :])) for a in references
         ]
+        references = list(range(len(templates)))
+
+
+def evenly_drawn(lengths: list[int], actors: list[str], count: int) -> list[int]:
+    """Return the middle one of each of `count` equal parts of the clips by actor and length."""
+    row = sorted(range(len(lengths)), key=lambda place: (actors[place], lengths[place], place))
+    count = min(count, len(row))
+    edges = [Fraction(part * len(row), count) for part in range(count + 1)]
+    return sorted(row[math.floor((low + high) / 2)] for low, high in pairwise(edges))
+
+
+def learn_many(
+    kind: str, clips: list[list[Column]], actors: list[str], most: int, references: int
+) -> tuple[Weighted, list[float], list[float]]:
+    """Return the template of a large class, the costs of `learn` and the cost of each clip to the references."""
+    lengths = [len(clip) for clip in clips]
+    drawn = evenly_drawn(lengths, actors, most)
+    of_drawn = evenly_drawn([lengths[i] for i in drawn], [actors[i] for i in drawn], references)
+    every: list[Weighted] = [(clip, [1.0] * len(clip)) for clip in clips]
+    first, costs = _rounds(kind, [every[i] for i in drawn], of_drawn)
+    rest = [every[i] for i in range(len(clips)) if i not in drawn]
+    columns, weights = [list(column) for column in first[0]], [weight * len(drawn) for weight in first[1]]
+    for other in rest:
+        _, path = align(kind, first, other)
+        for k, m in path:
+            share = other[1][m] / sum(1 for _, used in path if used == m)
+            mixed = soft_mean(columns[k], other[0][m], weights[k], share)
+            columns[k] = mixed if kind == "soft" else hard_sum(columns[k], other[0][m])
+            weights[k] += share
+    template = rebalance(kind, (columns, [weight / len(clips) for weight in weights]))
+    compared = 1 if kind == "soft" else len(clips[0][0])
+    clip_costs = []
+    for place, clip in enumerate(every):
+        others = [every[drawn[i]] for i in of_drawn if drawn[i] != place]
+        shares = [2 * align(kind, clip, one)[0] / (len(clip[0]) + len(one[0])) / compared for one in others]
+        clip_costs.append(statistics.median(shares))
+    return template, costs, clip_costs
 
 
 def classical_cost(kind: str, values: list[Column], clip: list[Column]) -> float:

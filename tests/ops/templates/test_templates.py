@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.templates import templates
 from kinedex.ops.templates.averaging import Hard, rebalance
-from kinedex.ops.templates.pairs import Stack, Weighted, all_pairs
+from kinedex.ops.templates.pairs import Paths, Stack, Weighted, all_pairs
 from kinedex.ops.templates.templates import Kind, QuantisedTemplate, Template, learn, learn_soft, quantise
 from kinedex.ops.templates.warping import align
 from kinedex.ops.words import NO_WORD, bits, pack
@@ -24,12 +25,12 @@ KINDS: tuple[Kind, ...] = ("soft", "hard")
 
 
 @st.composite
-def classes_of_clips(draw: st.DrawFn) -> list[Clip]:
-    """Draw one to five clips of the same 1 to 4 features, each made of few runs so that they resemble motion."""
+def classes_of_clips(draw: st.DrawFn, least: int = 1, most: int = 5) -> list[Clip]:
+    """Draw so many clips of the same 1 to 4 features, each made of few runs so that they resemble motion."""
     features = draw(st.integers(1, 4))
     column = st.lists(st.sampled_from([0.0, 1.0]), min_size=features, max_size=features)
     runs = st.lists(st.tuples(column, st.integers(1, 4)), min_size=1, max_size=4)
-    clips = draw(st.lists(runs, min_size=1, max_size=5))
+    clips = draw(st.lists(runs, min_size=least, max_size=most))
     return [[list(values) for values, times in clip for _ in range(times)] for clip in clips]
 
 
@@ -74,6 +75,55 @@ def test_learning_equals_the_naive_twin(clips: list[Clip], kind: Kind):
     assert learned.rounds == len(costs) - 1
     np.testing.assert_allclose(learned.template.values, values, atol=1e-12)
     np.testing.assert_allclose(learned.template.weights, weights, atol=1e-12)
+
+
+@st.composite
+def large_classes(draw: st.DrawFn) -> tuple[list[Clip], list[str]]:
+    """Draw five to nine clips as above, with their actors."""
+    clips: list[Clip] = draw(classes_of_clips(5, 9))
+    return clips, draw(st.lists(st.sampled_from(["ann", "bob"]), min_size=len(clips), max_size=len(clips)))
+
+
+@settings(max_examples=60)
+@given(large_classes(), st.sampled_from(KINDS), st.integers(2, 4), st.integers(2, 4))
+def test_a_large_class_equals_the_naive_twin(
+    many: tuple[list[Clip], list[str]], kind: Kind, most: int, references: int
+):
+    clips, actors = many
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(templates, "MOST_AVERAGED", most)
+        patch.setattr(templates, "REFERENCES", references)
+        learned = learn(kind, [as_words(clip) for clip in clips], len(clips[0][0]), actors=actors)
+        again = learn(kind, [as_words(clip) for clip in clips], len(clips[0][0]), pieces=3, actors=actors)
+    (values, weights), costs, clip_costs = naive.learn_many(kind, clips, actors, most, references)
+    assert learned.costs == pytest.approx(costs, abs=1e-12)
+    assert learned.clip_costs == pytest.approx(clip_costs, abs=1e-12)
+    np.testing.assert_allclose(learned.template.values, values, atol=1e-12)
+    np.testing.assert_allclose(learned.template.weights, weights, atol=1e-12)
+    assert np.array_equal(again.template.values, learned.template.values)
+    assert again.clip_costs == learned.clip_costs
+    if kind == "hard":  # Claim 3.1 holds for the clips that were not drawn, too
+        quantised = quantise(learned.template, 0)
+        assert all(hard_cost(quantised, as_words(clip)) == 0 for clip in clips)
+
+
+def test_a_class_of_eighty_clips_is_averaged_as_a_whole_and_a_larger_one_in_linear_work():
+    rng = np.random.default_rng(0)
+    clips = [np.repeat(np.array([1, 3, 2], np.uint64), rng.integers(1, 5, 3)) for _ in range(162)]
+    cells = []
+
+    def counted(align: object, pieces: object) -> list[Paths]:
+        pieces = list(pieces)
+        cells.append(sum(len(piece.pairs) for piece in pieces))
+        return [align(piece) for piece in pieces]
+
+    for count, first in ((80, 80 * 79 // 2), (81, 8 * 72 + 28), (162, 8 * 72 + 28)):
+        cells.clear()
+        learned = learn("soft", clips[:count], 2, spread=counted, pieces=2)
+        assert cells[0] == first
+        assert count == 80 or sum(cells) <= first + 10 * 28 + 9 * (count - 80)
+        assert len(learned.clip_costs) == count
+        assert len(learned.template) == pytest.approx(np.mean([len(clip) for clip in clips[:count]]), abs=1.5)
 
 
 @given(classes_of_clips(), st.sampled_from(KINDS), st.integers(2, 9))
