@@ -25,6 +25,7 @@ from kinedex.ops.annotation.decoding_kernels import (
     backwards,
     forwards,
     rival_values,
+    summed_anew,
 )
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.templates.templates import Template
@@ -116,8 +117,10 @@ def _offsets(words: U64, usual: F64, decoding: Decoding) -> F64:
     return -log_likelihoods(words, usual, decoding.smoothing) / usual.shape[1]
 
 
-def frames_of(words: U64, usual: F64, decoding: Decoding) -> Frames:
-    """Return the frames of a take, as kernels need them."""
+def frames_of(words: U64 | Frames, usual: F64, decoding: Decoding) -> Frames:
+    """Return the frames of a take, as kernels need them; once where a take is looked at several times."""
+    if isinstance(words, Frames):
+        return words
     vocabulary, codes = np.unique(words, return_inverse=True)
     return Frames(np.ascontiguousarray(words), _offsets(vocabulary, usual, decoding)[codes])
 
@@ -146,11 +149,12 @@ def lay_columns(templates: Sequence[Template], usual: F64, decoding: Decoding) -
 def explain(
     templates: Sequence[Template],
     usual: F64,
-    words: U64,
+    words: U64 | Frames,
     decoding: Decoding,
     ranges: Sequence[I64] | None = None,
     columns: Columns | None = None,
     promising: I64 | None = None,
+    loose: I64 | None = None,
 ) -> list[Explained]:
     """Find the explanation of a take that has the greatest value.
 
@@ -164,8 +168,8 @@ def explain(
         T templates.
     usual : float64 array (K, f)
         The usual postures, see `ops.annotation.background.background`.
-    words : uint64 array (L,)
-        The words of one take.
+    words : uint64 array (L,) or Frames
+        The words of one take, or `frames_of` them.
     decoding : Decoding
     ranges : sequence of int64 array (R, 2), optional
         For each template the half-open ranges that it may explain, ascending and disjoint; None: all frames.
@@ -173,6 +177,9 @@ def explain(
         `lay_columns` of the same, where it is known.
     promising : int64 array (R, 3), optional
         `ops.annotation.promising_ranges` of the same, where they are known: the same explanation is found sooner.
+    loose : int64 array (R, 3), optional
+        `ops.annotation.promising_ranges.loose_ranges` of the same: the same explanation is found sooner, where no
+        ranges are given, and its values are the same to the last bit.
 
     Returns
     -------
@@ -185,14 +192,18 @@ def explain(
     ParameterError
         If the templates have no or different numbers of features.
     """
-    if not templates or not len(words):
-        return []
     frames = frames_of(words, usual, decoding)
+    if not templates or not len(frames.words):
+        return []
     columns = columns or lay_columns(templates, usual, decoding)
-    allowed, changes = _allowed(ranges, len(templates), len(words))
+    allowed, changes = _allowed(ranges, len(templates), len(frames.words))
     if promising is not None:
         allowed, changes = _allowed_and_promising(allowed, changes, promising)
-    value, winner = forwards(frames, columns, decoding.costs, allowed, changes)
+    origins = np.maximum(changes[:-1] - MAX_STEP + 1, 0)
+    if loose is not None:
+        allowed, changes = _allowed_and_promising(allowed, changes, loose)
+        origins = summed_anew(frames.words)[np.maximum(changes[:-1] - MAX_STEP + 1, 0)]
+    value, winner = forwards(frames, columns, decoding.costs, allowed, changes, origins)
     found = backwards(frames, columns, decoding.costs, allowed, value, winner)
     return [
         Explained(int(start), int(stop), int(template), float(value[stop] - value[start]))
@@ -205,7 +216,7 @@ def margins(
     templates: Sequence[Template],
     classes: I64,
     usual: F64,
-    words: U64,
+    words: U64 | Frames,
     decoding: Decoding,
     columns: Columns | None = None,
     promising: I64 | None = None,
@@ -232,7 +243,7 @@ def exclusive_shares(
     templates: Sequence[Template],
     classes: I64,
     usual: F64,
-    words: U64,
+    words: U64 | Frames,
     decoding: Decoding,
     columns: Columns | None = None,
     promising: I64 | None = None,
@@ -248,7 +259,7 @@ def exclusive_shares(
     classes : int64 array (T,)
         The class of each template.
     usual : float64 array (K, f)
-    words : uint64 array (L,)
+    words : uint64 array (L,) or Frames
     decoding : Decoding
     columns : Columns, optional
     promising : int64 array (R, 3), optional

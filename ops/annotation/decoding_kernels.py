@@ -13,6 +13,7 @@ import numba as nb
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.ops.bits import lowest_bit
 from kinedex.ops.words import NO_WORD, U64
 
 F64 = npt.NDArray[np.float64]
@@ -72,7 +73,9 @@ class Costs(NamedTuple):
 
 
 @nb.njit(cache=True, nogil=True)
-def forwards(frames: Frames, columns: Columns, costs: Costs, allowed: Bool, changes: I64) -> tuple[F64, I64]:
+def forwards(
+    frames: Frames, columns: Columns, costs: Costs, allowed: Bool, changes: I64, origins: I64
+) -> tuple[F64, I64]:
     """Return the greatest value of the frames before each frame (kernel).
 
     Parameters
@@ -84,6 +87,8 @@ def forwards(frames: Frames, columns: Columns, costs: Costs, allowed: Bool, chan
         The frames in which each template may be; without frames: everywhere.
     changes : int64 array
         The frames in which `allowed` differs from the frame before, ascending, the first of them 0 and the last L.
+    origins : int64 array
+        For each of them but the last, the frame from which log ratios are summed; two frames before it at the latest.
 
     Returns
     -------
@@ -103,8 +108,26 @@ def forwards(frames: Frames, columns: Columns, costs: Costs, allowed: Bool, chan
                 first = columns.firsts[template]
                 scores[:, first : first + columns.lengths[template]] = -np.inf
             active[template] = now
-        advance(frames, start, stop, columns, costs, active, scores, rows, value, winner)
+        advance(frames, origins[part], start, stop, columns, costs, active, scores, rows, value, winner)
     return value, winner
+
+
+@nb.njit(cache=True, nogil=True)
+def summed_anew(words: U64) -> I64:
+    """Return for each frame of a take the last one in which its log ratios are summed anew (kernel).
+
+    From there on `advance` finds the log ratios that it finds from the beginning of the take, to the last bit.
+    """
+    result = np.zeros(len(words), np.int64)
+    changed, last = _ANEW, 0
+    for frame in range(len(words)):
+        if frame == 0 or words[frame] != words[frame - 1]:
+            if frame == 0 or changed >= _ANEW or words[frame - 1] == NO_WORD:
+                changed, last = 0, frame
+            else:
+                changed += 1
+        result[frame] = last
+    return result
 
 
 @nb.njit(cache=True, nogil=True)
@@ -127,8 +150,12 @@ def rival_values(frames: Frames, columns: Columns, costs: Costs, rivals: Bool, s
     for index in range(len(starts)):
         start, stop = starts[index], stops[index]
         value[start] = 0.0
-        scores[:] = -np.inf
-        advance(frames, start, stop, columns, costs, rivals[index], scores, rows, value, winner)
+        for template in range(len(columns.firsts)):
+            if rivals[index, template]:
+                first = columns.firsts[template]
+                scores[:, first : first + columns.lengths[template]] = -np.inf
+        origin = max(start - MAX_STEP + 1, 0)
+        advance(frames, origin, start, stop, columns, costs, rivals[index], scores, rows, value, winner)
         result[index] = value[stop]
     return result
 
@@ -136,6 +163,7 @@ def rival_values(frames: Frames, columns: Columns, costs: Costs, rivals: Bool, s
 @nb.njit(cache=True, nogil=True)
 def advance(
     frames: Frames,
+    origin: int,
     start: int,
     stop: int,
     columns: Columns,
@@ -151,6 +179,8 @@ def advance(
     Parameters
     ----------
     frames : Frames
+    origin : int
+        The frame from which log ratios are summed.
     start, stop : int
     columns : Columns
     costs : Costs
@@ -166,8 +196,8 @@ def advance(
     spans = _spans(columns, active)
     once = twice = slot = 0
     changed = _ANEW
-    for frame in range(max(start - MAX_STEP + 1, 0), stop):
-        begins = changed == _ANEW and frame <= start
+    for frame in range(origin, stop):
+        begins = frame == origin
         once, twice = slot, once
         if begins or words[frame] != words[frame - 1]:
             slot = 0
@@ -183,7 +213,8 @@ def advance(
                     sum_ratios(here, words[frame], offsets[frame], columns, first)
                 else:
                     before = rows[once, first:end]
-                    change_ratios(here, before, words, offsets, frame, columns.slopes, first)
+                    difference = offsets[frame] - offsets[frame - 1]
+                    change_ratios(here, before, words[frame - 1], words[frame], difference, columns.slopes, first)
         if frame < start:
             continue
         here, last = scores[frame % _RING], scores[(frame - 1) % _RING]
@@ -225,29 +256,56 @@ def _spans(columns: Columns, active: Bool) -> list[tuple[int, int]]:
 @nb.njit(cache=True, nogil=True)
 def sum_ratios(row: F64, word: np.uint64, offset: float, columns: Columns, first: int) -> None:
     """Fill the log ratios of a word in the columns from the first on."""
-    intercepts = columns.intercepts[first : first + len(row)]
+    end = first + len(row)
+    intercepts = columns.intercepts[first:end]
     for n in range(len(row)):
         row[n] = intercepts[n] + offset
-    for bit in range(len(columns.slopes)):
-        if (word >> np.uint64(bit)) & _ONE:
-            slopes = columns.slopes[bit, first : first + len(row)]
+    while word:
+        slope, word = columns.slopes[lowest_bit(word), first:end], word & (word - _ONE)
+        if word:  # two at a time, in the order of the features
+            other, word = columns.slopes[lowest_bit(word), first:end], word & (word - _ONE)
             for n in range(len(row)):
-                row[n] += slopes[n]
+                row[n] = (row[n] + slope[n]) + other[n]
+        else:
+            for n in range(len(row)):
+                row[n] += slope[n]
 
 
 @nb.njit(cache=True, nogil=True)
-def change_ratios(row: F64, before: F64, words: U64, offsets: F64, frame: int, slopes: F64, first: int) -> None:
-    """Fill the log ratios of a frame from those of the frame before."""
-    difference = offsets[frame] - offsets[frame - 1]
+def change_ratios(
+    row: F64, before: F64, old: np.uint64, new: np.uint64, difference: float, slopes: F64, first: int
+) -> None:
+    """Fill the log ratios of a word from those of the word before, in double or single precision.
+
+    Parameters
+    ----------
+    row : float64 or float32 array
+        The results, for the columns from the first on.
+    before : float64 or float32 array
+        Those of the word before.
+    old, new : uint64
+        The word before, and the word.
+    difference : float
+        The offset of the frame less that of the frame before.
+    slopes : float64 or float32 array (f, C)
+    first : int
+    """
+    flipped, end, one = old ^ new, first + len(row), slopes.dtype.type(1.0)
+    if not flipped:
+        for n in range(len(row)):
+            row[n] = before[n] + difference
+        return
+    bit = lowest_bit(flipped)
+    flipped &= flipped - _ONE
+    slope, sign = slopes[bit, first:end], one if (new >> np.uint64(bit)) & _ONE else -one
     for n in range(len(row)):
-        row[n] = before[n] + difference
-    flipped = words[frame] ^ words[frame - 1]
-    for bit in range(len(slopes)):
-        if (flipped >> np.uint64(bit)) & _ONE:
-            sign = 1.0 if (words[frame] >> np.uint64(bit)) & _ONE else -1.0
-            slope = slopes[bit, first : first + len(row)]
-            for n in range(len(row)):
-                row[n] += sign * slope[n]
+        row[n] = (before[n] + difference) + sign * slope[n]
+    while flipped:
+        bit = lowest_bit(flipped)
+        flipped &= flipped - _ONE
+        slope, sign = slopes[bit, first:end], one if (new >> np.uint64(bit)) & _ONE else -one
+        for n in range(len(row)):
+            row[n] += sign * slope[n]
 
 
 @nb.njit(cache=True, nogil=True)
@@ -323,7 +381,10 @@ def _begin(frames: Frames, columns: Columns, costs: Costs, allowed: Bool, value:
             here, last = scores[place + MAX_STEP], scores[place + MAX_STEP - 1]
             if frames.words[frame] == NO_WORD or (allowed.shape[1] > 0 and not allowed[template, frame]):
                 continue
-            sum_ratios(rows[place], frames.words[frame], frames.offsets[frame], columns, first - MAX_STEP)
+            if place > 0 and frames.words[frame] == frames.words[frame - 1] and rows[place - 1, -1] > -np.inf:
+                rows[place] = rows[place - 1]
+            else:
+                sum_ratios(rows[place], frames.words[frame], frames.offsets[frame], columns, first - MAX_STEP)
             now = rows[place, MAX_STEP:]
             once, twice = rows[max(place - 1, 0), MAX_STEP:], rows[max(place - 2, 0), MAX_STEP:]
             step(here[MAX_STEP:], now, once, twice, last, scores[place + 1], scores[place], costs.skip)

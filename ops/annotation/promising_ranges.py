@@ -27,7 +27,7 @@ F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
-_GROUP_COLUMNS, _GROUP_TEMPLATES = 4096, 128
+_GROUP_COLUMNS, _GROUP_TEMPLATES = 1024, 128
 """So many columns or templates, at most, are compared with a take together: what they need stays in the cache."""
 
 _SLACK, _SLACK_COLUMN = 1e-3, 1e-5
@@ -121,6 +121,33 @@ def promising_ranges(groups: Sequence[Group], usual: F64, words: U64, decoding: 
     return np.concatenate(found)
 
 
+def loose_ranges(groups: Sequence[Group], frames: Frames, decoding: Decoding) -> I64:
+    """Return ranges of a take outside of which no path of a template adds anything, whatever is rounded.
+
+    Parameters
+    ----------
+    groups, decoding
+        As in `promising_ranges`.
+    frames : Frames
+        `ops.annotation.decoding.frames_of` the take.
+
+    Returns
+    -------
+    int64 array (R, 3)
+        As of `promising_ranges`, and wider: they come from single precision alone, which takes less time. An
+        explanation within them is the one without restrictions, to the last bit.
+    """
+    found = [np.empty((0, 3), np.int64)]
+    offsets = frames.offsets.astype(np.float32)
+    for group in groups:
+        laid, costs = group.columns, decoding.costs
+        ends, begins = _scan(frames.words, offsets, group.slopes, group.intercepts, laid.firsts, laid.lengths, costs)
+        ranges = _loose(frames, laid, costs, ends, begins)
+        ranges[:, 0] += group.first
+        found.append(ranges)
+    return np.concatenate(found)
+
+
 @nb.njit(cache=True, nogil=True)
 def _scan(
     words: U64, offsets: F32, slopes: F32, intercepts: F32, firsts: I64, lengths: I64, costs: Costs
@@ -163,9 +190,8 @@ def _scan(
                 _sum_single(row, words[frame], offsets[frame], slopes, intercepts)
             else:
                 changed += 1
-                _change_single(
-                    row, rows[once], words[frame - 1], words[frame], offsets[frame] - offsets[frame - 1], slopes
-                )
+                difference = offsets[frame] - offsets[frame - 1]
+                change_ratios(row, rows[once], words[frame - 1], words[frame], difference, slopes, 0)
         last, second = scores[(frame - 1) % 4], scores[(frame - 2) % 4]
         here, third = scores[frame % 4], scores[(frame - 3) % 4]
         step(
@@ -197,23 +223,6 @@ def _sum_single(row: F32, word: np.uint64, offset: np.float32, slopes: F32, inte
             slope = slopes[bit]
             for n in range(len(row)):
                 row[n] += slope[n]
-
-
-@nb.njit(cache=True, nogil=True)
-def _change_single(row: F32, before: F32, old: np.uint64, new: np.uint64, difference: np.float32, slopes: F32) -> None:
-    """Fill the log ratios of a word from those of the word before."""
-    for n in range(len(row)):
-        row[n] = before[n] + difference
-    flipped = old ^ new
-    for bit in range(len(slopes)):
-        if (flipped >> np.uint64(bit)) & _ONE:
-            slope = slopes[bit]
-            if (new >> np.uint64(bit)) & _ONE:
-                for n in range(len(row)):
-                    row[n] += slope[n]
-            else:
-                for n in range(len(row)):
-                    row[n] -= slope[n]
 
 
 @nb.njit(cache=True, nogil=True)
@@ -256,6 +265,31 @@ def _ranges(frames: Frames, columns: Columns, costs: Costs, ends: F32, begins: F
                     size -= 1
             frame = last + 1
     return found[:size].copy()
+
+
+@nb.njit(cache=True, nogil=True)
+def _loose(frames: Frames, columns: Columns, costs: Costs, ends: F32, begins: F32) -> I64:
+    """Return template, start and stop of the loose ranges of all templates (kernel)."""
+    found = np.empty((ends.shape[1] + 1, 3), np.int64)
+    kept = np.empty((0, 3), np.int64)
+    for template in range(len(ends)):
+        slack = np.float32(_SLACK + _SLACK_COLUMN * columns.lengths[template])
+        size, own = 0, ends[template]
+        for frame in range(len(own)):
+            if own[frame] <= -slack:
+                continue
+            if size and frame <= found[size - 1, 2] + columns.lengths[template]:
+                found[size - 1, 2] = frame + 1
+                continue
+            start = _reach(frames, columns, costs, template, frame, own, begins[template], slack)
+            if size and start <= found[size - 1, 2]:
+                found[size - 1, 1] = min(found[size - 1, 1], start)
+            else:
+                found[size, 0], found[size, 1] = template, start
+                size += 1
+            found[size - 1, 2] = frame + 1
+        kept = np.concatenate((kept, found[:size]))
+    return kept
 
 
 @nb.njit(cache=True, nogil=True)
@@ -316,7 +350,9 @@ def _earliest(
         elif frames.words[frame] == frames.words[frame - 1]:
             row[:] = before
         else:
-            change_ratios(row, before, frames.words, frames.offsets, frame, columns.slopes, first)
+            old, new = frames.words[frame - 1], frames.words[frame]
+            difference = frames.offsets[frame] - frames.offsets[frame - 1]
+            change_ratios(row, before, old, new, difference, columns.slopes, first)
             changed += 1
         here, begun = scores[place % 4], starts[place % 4]
         last, last_begun = scores[(place - 1) % 4], starts[(place - 1) % 4]

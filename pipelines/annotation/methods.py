@@ -18,7 +18,8 @@ import numpy.typing as npt
 
 from kinedex.catalog.plugins import Plugins
 from kinedex.ops.annotation.background import background
-from kinedex.ops.annotation.decoding import Decoding, explain, lay_columns, margins
+from kinedex.ops.annotation.decoding import Decoding, explain, frames_of, lay_columns, margins
+from kinedex.ops.annotation.promising_ranges import lay_groups, loose_ranges
 from kinedex.ops.annotation.segment_costs import least_costs
 from kinedex.ops.annotation.segments import Matches, Segment, annotate
 from kinedex.ops.distances.costs import encode
@@ -205,11 +206,14 @@ class BestMethod:
             within = [_ranges_by_take(own, words.offsets) for own in ranges]
         takes, standing_out = [], []
         laid = self.own_words(words)
+        groups = None if promising or within else lay_groups(self.templates, self.usual, self.decoding)
         for take, (start, stop) in enumerate(pairwise(words.offsets.tolist())):
-            own = laid[start:stop]
+            own = frames_of(laid[start:stop], self.usual, self.decoding)
             allowed = None if within is None else [by_take[take] for by_take in within]
             known = None if promising is None else promising[take]
-            found = explain(self.templates, self.usual, own, self.decoding, allowed, columns, known)
+            loose = None if groups is None else loose_ranges(groups, own, self.decoding)
+            found = explain(self.templates, self.usual, own, self.decoding, allowed, columns, known, loose)
+            known = loose if known is None else known
             standing_out.append(
                 margins(
                     found, self.templates, self.class_index, self.usual, own, self.decoding, columns, known

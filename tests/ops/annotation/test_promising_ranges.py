@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from kinedex.ops.annotation import decoding as module
 from kinedex.ops.annotation import promising_ranges as grouping
 from kinedex.ops.annotation.background import background
-from kinedex.ops.annotation.decoding import Decoding, exclusive_shares, explain
-from kinedex.ops.annotation.promising_ranges import lay_groups, promising_ranges
+from kinedex.ops.annotation.decoding import Decoding, exclusive_shares, explain, frames_of
+from kinedex.ops.annotation.promising_ranges import lay_groups, loose_ranges, promising_ranges
 from kinedex.ops.templates.templates import Template
 from kinedex.ops.words import NO_WORD
 from tests.ops.annotation.test_decoding import TEMPLATES, USUAL, WORDS, as_bits, template
@@ -61,6 +61,13 @@ def test_nothing_outside_is_ever_needed(
     assert exclusive_shares(whole, templates, classes, usual, taken, decoding) == pytest.approx(
         exclusive_shares(whole, templates, classes, usual, taken, decoding, promising=promising), abs=1e-6
     )
+    frames = frames_of(taken, usual, decoding)
+    loose = loose_ranges(lay_groups(templates, usual, decoding), frames, decoding)
+    assert explain(templates, usual, frames, decoding, loose=loose) == whole  # to the last bit
+    assert np.array_equal(
+        exclusive_shares(whole, templates, classes, usual, frames, decoding, promising=loose),
+        exclusive_shares(whole, templates, classes, usual, taken, decoding),
+    )
     half = [np.array([[0, len(words) // 2]]) for _ in columns]
     some, limited = (explain(templates, usual, taken, decoding, half, promising=one) for one in (promising, None))
     assert sum(one.value for one in some) == pytest.approx(sum(one.value for one in limited), abs=1e-9)
@@ -101,6 +108,8 @@ def test_a_long_take_is_explained_as_without_them(seed: int, monkeypatch: pytest
     promising = ranges_of(templates, usual, words, decoding)
     share = (promising[:, 2] - promising[:, 1]).sum() / len(words) / len(templates)
     assert 0.0 < share < 0.5
+    loose = loose_ranges(lay_groups(templates, usual, decoding), frames_of(words, usual, decoding), decoding)
+    assert share < (loose[:, 2] - loose[:, 1]).sum() / len(words) / len(templates) < 0.8
     whole = explain(templates, usual, words, decoding)
     assert len(whole) > 5
     classes = np.arange(len(templates)) % 3
@@ -112,6 +121,10 @@ def test_a_long_take_is_explained_as_without_them(seed: int, monkeypatch: pytest
         assert sum(one.value for one in found) == pytest.approx(sum(one.value for one in whole), abs=1e-9)
         some = exclusive_shares(whole, templates, classes, usual, words, decoding, promising=promising)
         assert some == pytest.approx(sure, abs=1e-9)
+        assert explain(templates, usual, words, decoding, loose=loose) == whole
+        assert np.array_equal(
+            exclusive_shares(whole, templates, classes, usual, words, decoding, promising=loose), sure
+        )
 
 
 def test_no_template_or_no_frame_has_no_range() -> None:
