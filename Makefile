@@ -20,6 +20,7 @@ SMALL   ?=
 # One process more than there are cores: tests of processes that wait for each other leave a core free.
 WORKERS ?= $(shell $(PYTHON) -c 'import os; print(len(os.sched_getaffinity(0)) + 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) + 1)')
 NIGHTLY ?=
+CLAIMS  ?=
 # The tests that `make check-kernels` runs with bounds checks.
 BOUNDED ?= not slow
 
@@ -28,7 +29,7 @@ PAGE_SOURCES := $(addprefix $(PAGE)/,package.json package-lock.json vite.config.
 
 PAGE_INDEX := pipelines/explorer/built/index.html
 
-.PHONY: page check-page explore setup demo demo-tracking demo-depth demo-inertial test check-without-data other-duckdb lint types compile-tests check-kernels check-bounds check-plain fuzz attack bench bench-explorer docs links wheel sbom audit lock clean help
+.PHONY: page check-page explore setup demo demo-tracking demo-depth demo-inertial test check-claims check-without-data other-duckdb lint types compile-tests check-kernels check-bounds check-plain fuzz attack bench bench-explorer docs links wheel sbom audit lock clean help
 .DEFAULT_GOAL := help
 # Else what a step that failed has half written would count as made.
 .DELETE_ON_ERROR:
@@ -43,6 +44,7 @@ help:
 	@echo "make explore               the archive in a browser (STORE=dir for your own; the demo's store unless there is one)"
 	@echo "make page                  build the page of kinedex explore"
 	@echo "make test                  lint, types and all tests"
+	@echo "make check-claims          every command that is printed, small benchmarks, attacks and studies (NIGHTLY=1: the whole)"
 	@echo "make fuzz                  broken files against every reader (FUZZ_SECONDS=20 for each, FUZZ_SEED=0)"
 	@echo "make attack                attacks on a store, counted (ATTACK=kills for one, NIGHTLY=1 for all of each)"
 	@echo "make bench                 benchmarks: a table, and JSON in build/bench (SMALL=1: that they run; PARTS=\"reading ranking\")"
@@ -138,6 +140,11 @@ build/other-duckdb/run.stamp: requirements-other-duckdb.lock
 	@touch $@
 
 other-duckdb: build/other-duckdb/run.stamp
+
+# All that is claimed, at a small size: benchmarks, a sample of each attack, every command that is printed, every study.
+# CLAIMS names some of it, as a page, a study or 'make TARGET'; NIGHTLY=1 runs the whole form.
+check-claims: setup
+	$(BIN)/python -m tests.claims $(CLAIMS) $(if $(NIGHTLY),--nightly)
 
 # Once before the workers start, as each would compile all modules for itself; one that fails is reported by the tests.
 compile-tests: setup

@@ -131,18 +131,19 @@ def labels_within(annotator: Annotator, words: TakeWords, manual: Manual) -> str
             counts[annotator.classes[one.class_index]] += within
             sure.setdefault(annotator.classes[one.class_index], []).append(one.margin)
     length = manual.stop - manual.start
+    margins = isinstance(annotator.method, BestMethod)
     parts = []
     for name, count in counts.most_common(3):
         if 20 * count >= length:
             edges = sorted({f"{edge(sure[name]):.1f}" for edge in (min, max)})
-            parts.append(f"{name} {100 * count / length:.0f} %" + (f" ({'–'.join(edges)})" if annotator.row else ""))
+            parts.append(f"{name} {100 * count / length:.0f} %" + (f" ({'–'.join(edges)})" if margins else ""))
     return ", ".join(parts) or "nothing"
 
 
 def worth(annotator: Annotator, words: U64, manual: Manual, chosen: Sequence[int]) -> str:
     """Return the value of the best single segment that templates make of a manual segment, with its entry cost."""
-    row = annotator.row
-    assert row is not None
+    row = annotator.method
+    assert isinstance(row, BestMethod)
     free = replace(row.decoding, entry=0.0)
     found = explain([row.templates[index] for index in chosen], row.usual, words[manual.start : manual.stop], free)
     value = max((one.value for one in found), default=0.0)

@@ -100,8 +100,8 @@ def measured(outcome: Outcome, searched: Searched, features: int) -> Measured | 
     hits = np.zeros(len(words.words), bool)
     kept = np.zeros_like(hits)
     for chosen in outcome.chosen:
-        ranges = hit_ranges(words, chosen.query, features)
-        for take, start, stop in zip(*(part.tolist() for part in ranges), strict=True):
+        takes, ranges = hit_ranges(words, chosen.query, features)
+        for take, (start, stop) in zip(takes.tolist(), ranges.tolist(), strict=True):
             first, end = int(words.offsets[take]), int(words.offsets[take + 1])
             hits[first + start : first + stop] = True
             kept[max(first, first + start - chosen.left) : min(end, first + stop + chosen.right)] = True

@@ -6,15 +6,16 @@ that everything runs as where it is missing.
 
 from __future__ import annotations
 
-import ast
 import os
-from collections.abc import Iterator
+import re
 from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-READERS = ("benchmarks", "studies", "tests")
+_READERS = r"(?:benchmarks|studies|tests)[\w.]*"
 """The packages whose modules look for the folder."""
+
+_IMPORT = re.compile(rf"^\s*(?:import ({_READERS})|from ({_READERS}) import (\([^)]*\)|.*))", re.MULTILINE)
 
 NONE = "none"
 """The value of KINEDEX_SHARED that hides the folder."""
@@ -66,12 +67,7 @@ def _reaches(module: Path, seen: frozenset[Path]) -> bool:
 def _imports(module: Path) -> tuple[str, ...]:
     """Return the modules of the checkout, beside kinedex, that a module imports; names of them may be no modules."""
 
-    def names() -> Iterator[str]:
-        for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Import):
-                yield from (one.name for one in node.names)
-            elif isinstance(node, ast.ImportFrom) and node.module:
-                yield node.module
-                yield from (f"{node.module}.{one.name}" for one in node.names)
-
-    return tuple(name for name in names() if name.split(".")[0] in READERS)
+    found: list[str] = []
+    for plain, origin, names in _IMPORT.findall(module.read_text(encoding="utf-8")):
+        found += [plain] if plain else [origin, *(f"{origin}.{name}" for name in re.findall(r"\w+", names))]
+    return tuple(found)

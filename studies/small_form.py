@@ -1,0 +1,175 @@
+"""The small form of studies: each runs as a program of its own, on small cuts of the data that it takes."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import yaml
+
+from studies.small_data import cut
+
+ROOT = Path(__file__).resolve().parents[1]
+FORMS = Path(__file__).with_name("small_forms.yaml")
+MOST_SECONDS = 300.0
+"""A study that takes longer fails: its small form is not small."""
+
+LAST_LINES = 12
+"""Lines of the output that are shown of a study that failed."""
+
+
+@dataclass(frozen=True)
+class Form:
+    """The small form of a study.
+
+    Attributes
+    ----------
+    run : str
+        The arguments of the program, with names in braces; empty where `reason` is not.
+    needs : tuple of str
+        What must be in the folder of real data.
+    exit : tuple of int
+        The exit codes of success.
+    reason : str
+        Why there is no small form; empty where there is one.
+    """
+
+    run: str = ""
+    needs: tuple[str, ...] = ()
+    exit: tuple[int, ...] = (0,)
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a program: its name, seconds, and "ok", or what is wrong."""
+
+    name: str
+    seconds: float
+    result: str
+
+    @property
+    def failed(self) -> bool:
+        """Whether something is wrong; a study that is left out has not failed."""
+        return self.result != "ok" and not self.result.startswith("left out")
+
+
+def forms() -> dict[str, Form]:
+    """Read the small forms of all studies."""
+    found = yaml.safe_load(FORMS.read_text(encoding="utf-8"))
+    return {
+        name: Form(one.get("run", ""), tuple(one.get("needs", ())), tuple(one.get("exit", (0,))), one.get("not", ""))
+        for name, one in found.items()
+    }
+
+
+@dataclass
+class Bench:
+    """A folder in which small studies run, with the data and the stores that they share.
+
+    Attributes
+    ----------
+    folder : Path
+        The folder; it is new.
+    data : Path
+        The folder of real data; it need not be there.
+    """
+
+    folder: Path
+    data: Path
+    places: dict[str, str] = field(default_factory=dict)
+
+    def prepare(self) -> Iterator[Outcome]:
+        """Make data and stores; the outcomes of the commands that make them."""
+        small, demo = self.folder / "data", self.folder / "demo"
+        small.mkdir(parents=True)
+        cut(self.data, small)
+        queries = small / "queries.json"
+        made = {"data": small, "demo": demo, "archive": self.folder / "demo-archive-2min", "folder": self.folder,
+                "hdm05": self.folder / "hdm05", "folds": self.folder / "folds", "bandai": self.folder / "bandai",
+                "queries": queries if queries.is_file() else ROOT / "configs" / "queries" / "example.yaml"}  # fmt: skip
+        self.places = {name: shlex.quote(str(path)) for name, path in made.items()}
+        yield self.command("kinedex demo", "kinedex demo {demo} --minutes 2")
+        if not self.missing(("hdm05", "cmu")):
+            run = "kinedex run hdm05-cmu --store {hdm05} --set source={data}/hdm05 --set cmu={data}/cmu"
+            yield self.command("kinedex run hdm05-cmu", run)
+        if not self.missing(("hdm05",)):
+            few = "--set learn_keyframes.runs=1 --set learn_keyframes.generations=20"
+            yield self.command(
+                "kinedex run hdm05", f"kinedex run hdm05 --store {{folds}} --set source={{data}}/hdm05 {few}"
+            )
+            yield self.command("kinedex repair", "kinedex repair {folds}")  # which builds the index
+
+    def path(self, name: str) -> Path:
+        """Return a place by its name, or a path below one."""
+        first, _, rest = name.partition("/")
+        return Path(shlex.split(self.places[first])[0]) / rest
+
+    def missing(self, needs: Sequence[str]) -> list[str]:
+        """Return what is not in the folder of real data."""
+        return [name for name in needs if not (self.data / name).is_dir()]
+
+    def study(self, name: str, form: Form) -> Outcome:
+        """Run the small form of a study."""
+        if form.reason:
+            return Outcome(name, 0.0, f"left out: {form.reason}")
+        if missing := self.missing(form.needs):
+            return Outcome(name, 0.0, f"left out: no {', '.join(missing)} in {self.data}")
+        return self.command(name, f"studies.{name} {form.run}", form.exit)
+
+    def command(self, name: str, line: str, codes: Sequence[int] = (0,)) -> Outcome:
+        """Run a module of Python with arguments."""
+        words = shlex.split(line.format(**self.places))
+        environment = {**os.environ, "KINEDEX_STUDIES": str(self.folder / "build"), "COLUMNS": "160"}
+        begin = time.perf_counter()
+        result = ran([sys.executable, "-m", *words], environment, codes)
+        return Outcome(name, time.perf_counter() - begin, result)
+
+
+def ran(words: Sequence[str], environment: Mapping[str, str], codes: Sequence[int]) -> str:
+    """Run a program; return "ok", or what is wrong with the end of its output."""
+    try:
+        done = subprocess.run(
+            words, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            text=True, errors="replace", timeout=MOST_SECONDS, check=False,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return f"took longer than {MOST_SECONDS:g} s"
+    if done.returncode in codes and done.stdout.strip():
+        return "ok"
+    problem = f"exit code {done.returncode}" if done.returncode not in codes else "printed nothing"
+    return "\n".join([problem, *done.stdout.splitlines()[-LAST_LINES:]])
+
+
+def run_small(names: Sequence[str], bench: Bench, show: Callable[[Outcome], None]) -> bool:
+    """Run the small form of studies, one after the other.
+
+    Parameters
+    ----------
+    names : sequence of str
+        The studies; `bandai` makes a store that others need, and runs first.
+    bench : Bench
+        Where they run.
+    show : callable
+        Called with each outcome.
+
+    Returns
+    -------
+    bool
+        Whether all went well.
+    """
+    known, failed = forms(), False
+    for outcome in bench.prepare():
+        show(outcome)
+        failed |= outcome.failed
+    for name in sorted(names, key=lambda one: one != "bandai"):
+        outcome = bench.study(name, known[name])
+        show(outcome)
+        failed |= outcome.failed
+    return not failed

@@ -1,0 +1,72 @@
+"""Runs the commands of pages: by bash, in their order, in a new folder of each page."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from studies.small_form import LAST_LINES, Bench
+from tests.claims.outcomes import Outcome
+from tests.claims.printed import ROOT
+from tests.claims.ways import PageWay
+
+MOST_SECONDS = 240.0
+"""A command that takes longer fails: its form is not small."""
+
+_YAML = re.compile(r"^```yaml\n(.*?)^```", re.DOTALL | re.MULTILINE)
+
+
+def run_page(page: PageWay, bench: Bench, folder: Path) -> Iterator[Outcome]:
+    """Run the commands of a page; after one that fails the others are tried, too.
+
+    Parameters
+    ----------
+    page : PageWay
+        How its commands are run.
+    bench : Bench
+        The prepared folder with data and stores.
+    folder : Path
+        The folder of the page; it is new.
+    """
+    folder.mkdir(parents=True)
+    blocks = _YAML.findall((ROOT / page.name).read_text(encoding="utf-8"))
+    for place, source in page.given.items():
+        to = folder / place
+        to.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copytree(bench.path(source), to)
+    for name, number in page.files.items():
+        (folder / name).write_text(blocks[number], encoding="utf-8")
+    for line in page.first:
+        outcome = _run(f"{page.name}: first", line, line, 0, bench, folder)
+        if outcome.failed:
+            yield outcome
+    for step in page.steps():
+        if step.run:
+            yield _run(f"{page.name}: {step.printed}", step.run, step.way, step.exit, bench, folder)
+
+
+def _run(name: str, line: str, way: str, code: int, bench: Bench, folder: Path) -> Outcome:
+    for key, path in bench.places.items():
+        line = line.replace(f"{{{key}}}", path)
+    programs = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    environment = {**os.environ, "PATH": programs, "COLUMNS": "120", "PYTHONPATH": str(ROOT)}
+    begin = time.perf_counter()
+    try:
+        done = subprocess.run(
+            ["bash", "-ec", line], cwd=folder, env=environment, stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", timeout=MOST_SECONDS,
+            check=False,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return Outcome(name, way, time.perf_counter() - begin, f"took longer than {MOST_SECONDS:g} s")
+    seconds = time.perf_counter() - begin
+    if done.returncode == code:
+        return Outcome(name, way, seconds, "ok")
+    shown = [f"exit code {done.returncode}", f"$ {line}", *done.stdout.splitlines()[-LAST_LINES:]]
+    return Outcome(name, way, seconds, "\n".join(shown))
