@@ -48,7 +48,7 @@ class Form:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a program: its name, seconds, and "ok", or what is wrong."""
+    """The end of a program: its name, seconds, and "ok", or what is wrong."""
 
     name: str
     seconds: float
@@ -56,7 +56,7 @@ class Outcome:
 
     @property
     def failed(self) -> bool:
-        """Whether something is wrong; a study that is left out has not failed."""
+        """True where something is wrong; a study that is left out has not failed."""
         return self.result != "ok" and not self.result.startswith("left out")
 
 

@@ -1,4 +1,4 @@
-"""What became of each claim, and the table of it."""
+"""The outcome of each claim, and the table of all."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LONGEST = 100
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a claim.
+    """The outcome of a claim.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class Outcome:
 
     @property
     def failed(self) -> bool:
-        """Whether something is wrong."""
+        """True where something is wrong."""
         return self.result not in ("ok", "not run")
 
 

@@ -1,4 +1,4 @@
-"""How commands that the project prints are run, as tests/claims/ways.yaml has it."""
+"""Reads tests/claims/ways.yaml: how commands that the project prints are run."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Step:
 
 @dataclass(frozen=True)
 class PageWay:
-    """How the commands of a page are run; the attributes are the keys of ways.yaml."""
+    """A way to run the commands of a page; the attributes are the keys of ways.yaml."""
 
     name: str
     given: Mapping[str, str] = field(default_factory=dict)
