@@ -8,7 +8,6 @@ twelve labels. Both must give the same rows, or nothing is reported.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +21,7 @@ from kinedex.ops.errors import ParameterError
 from kinedex.pipelines.api.new_takes import read
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
+from tests.real_data import SHARED
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -31,7 +31,7 @@ SIZES = sized((25_000, 1_000_000), (1_000, 4_000))
 LABELS, NEIGHBOURS, FRAMES = 12, 10, 20
 TURN_RAD, NOISE_M = 0.15, 0.04
 REAL_CLIPS = sized(40, 2)
-_SHARED = Path(__file__).resolve().parents[2] / "shared" / "data" / "hdm05" / "clips"
+_SHARED = SHARED / "data" / "hdm05" / "clips"
 
 
 def figures(opened: Store) -> Iterator[Figure]:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
-from pathlib import Path
 
 import numba as nb
 import numpy as np
@@ -30,6 +29,7 @@ from kinedex.pipelines.console.terminal import make_console
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.ranking.ranking import rank_takes
 from kinedex.storage.store.store import Store, open_store
+from tests.real_data import SHARED
 
 COLUMNS, FRAMES, WORDS = 60, sized(400_000, 8_000), sized(4_000, 400)
 """The size at which a curve is timed."""
@@ -40,7 +40,7 @@ DELTA, TAU, TOP = 0.1, 0.1, 100
 THREAD_HOURS = sized(10.0, 0.1)
 """The size at which threads are compared."""
 
-HDM05 = Path(__file__).resolve().parents[2] / "shared" / "data" / "hdm05"
+HDM05 = SHARED / "data" / "hdm05"
 RUNS = sized(5, 1)
 
 FEW = sized(4_000, 400)

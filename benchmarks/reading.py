@@ -20,9 +20,10 @@ from kinedex.storage.formats.motion.asf import Skeleton, read_asf
 from kinedex.storage.formats.motion.bvh_parser import parse_bvh
 from kinedex.storage.formats.motion.c3d_markers import parse_c3d
 from kinedex.storage.store.store import Store
+from tests import real_data
 from tests.oracles import features as naive
 
-SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+SHARED = real_data.SHARED / "data"
 JOINED_MB = sized(5.0, 0.3)
 
 

@@ -16,7 +16,6 @@ import sys
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -40,12 +39,13 @@ from kinedex.ops.words import I64, TakeWords
 from kinedex.pipelines.search.bit_slices import sliced_words
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.store import Store
+from tests import real_data
 from tests.oracles import runs as naive_runs
 
 HOURS = sized(4.0, 0.05)
 LARGER = sized((40.0, 400.0), (0.1, 0.2))
 REPEATS = sized(15, 1)
-SHARED = Path(__file__).resolve().parents[2] / "shared" / "reference"
+SHARED = real_data.SHARED / "reference"
 
 F64 = npt.NDArray[np.float64]
 

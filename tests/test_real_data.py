@@ -24,7 +24,7 @@ def test_the_folder_is_beside_the_checkout_unless_the_variable_names_or_hides_it
 def test_one_module_alone_knows_where_real_data_is() -> None:
     named = [
         path.relative_to(ROOT).as_posix()
-        for room in ("tests", "studies")
+        for room in ("tests", "studies", "benchmarks")
         for path in sorted((ROOT / room).rglob("*.py"))
         if re.search(r"parents?(?:\[\d\])?(?:\.parent)* / \"shared\"", path.read_text(encoding="utf-8"))
     ]
