@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from kinedex.ops.errors import StoreError
 from studies import _report
 from studies.__main__ import studies
 from studies.small_form import FORMS, Bench, Form, forms
+from tests.claims.__main__ import Report, Task, command, run_all
 from tests.claims.outcomes import Outcome, table
 from tests.claims.printed import ROOT, Printed, commands, make_targets, pages, printed_in_code, printed_in_page
 from tests.claims.usage import wrong_usage
@@ -119,6 +121,37 @@ def test_a_table_of_outcomes_has_a_line_for_each_and_the_output_of_what_failed()
     assert "| a | as it is | 1.2 | ok |" in text
     assert "exit code 2 |" in text
     assert text.endswith("b | c\nexit code 2\nno such file\n\n2 claims: 1 ok, 0 not run here, 1 failed")
+
+
+def test_tasks_run_after_those_that_they_need_and_one_that_fails_costs_no_other() -> None:
+    order: list[str] = []
+
+    def task(name: str, *after: str) -> Task:
+        def run() -> Iterator[Outcome]:
+            order.append(name)
+            if name == "b":
+                raise ValueError("no b")
+            yield Outcome(name, "", 0.0, "ok")
+
+        return Task(name, run, after)
+
+    report = Report()
+    run_all([task("c", "a", "b"), task("b", "a"), task("a"), task("d", "c")], 2, report)
+    assert order == ["a", "b", "c", "d"]
+    assert {(one.claim, one.failed) for one in report.outcomes} == {
+        ("a", False),
+        ("b", True),
+        ("c", False),
+        ("d", False),
+    }
+
+
+def test_a_command_that_fails_shows_the_end_of_its_output_and_one_that_is_slow_is_ended(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, tmp_path)
+    (failed,) = command("x", {"run": "python -c \"print('its words'); raise SystemExit(3)\""}, bench)
+    assert failed.result == "exit code 3\nits words"
+    (slow,) = command("x", {"run": "python -c 'import time; time.sleep(60)'", "seconds": 0.5}, bench)
+    assert slow.result == "took longer than 0.5 s"
 
 
 def test_every_study_has_a_small_form_or_a_reason_for_none() -> None:
