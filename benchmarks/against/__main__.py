@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from benchmarks.against.commits import FIRST, ROOT, Side, newest_tag, other_side, this_side
+from benchmarks.against.commits import FIRST, ROOT, Side, UnknownCommitError, newest_tag, other_side, this_side
 from benchmarks.against.comparison import Compared, compare, show, value_of, write
 from benchmarks.against.guarded_figures import FILE, Guarded, guarded_figures
 from benchmarks.against.inputs import inputs
@@ -18,6 +18,12 @@ from benchmarks.against.rivals import rival_rows
 from benchmarks.against.turns import DriverError, Measure, Missing, by_turns, measure_once
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.console.terminal import make_console
+
+NEWEST = "newest-tag"
+"""Stands for the newest release before this commit."""
+
+FAILED = "failed: "
+"""The begin of the remark on a figure that could not be measured."""
 
 RESULT = ROOT / "build" / "bench" / "against.json"
 
@@ -35,14 +41,12 @@ def main(words: Sequence[str], measure: Measure = measure_once) -> int:
     """Compare the figures of the named parts, print a table, write it as JSON, and return the exit status."""
     chosen = _arguments(words)
     console = make_console()
-    commit = chosen.commit
-    if commit == "newest-tag":
-        commit = newest_tag() or FIRST
+    commit = (newest_tag() or FIRST) if chosen.commit == NEWEST else chosen.commit
     try:
         figures = guarded_figures(chosen.parts)
         sides = (other_side(commit, lambda line: console.print(line, markup=False)), this_side())
     except KinedexError as fault:
-        if chosen.commit == "newest-tag":
+        if chosen.commit == NEWEST and isinstance(fault, UnknownCommitError):
             console.print(f"nothing is compared: {fault}", markup=False)
             return 0
         print(f"benchmarks.against: {fault}", file=sys.stderr)
@@ -60,9 +64,6 @@ def main(words: Sequence[str], measure: Measure = measure_once) -> int:
     if failed:
         console.print(f"fell or could not be measured: {', '.join(failed)}", markup=False)
     return int(bool(failed))
-
-
-FAILED = "failed: "
 
 
 def _measured(figures: Sequence[Guarded], sides: tuple[Side, Side], files: Path, measure: Measure) -> list[Compared]:
@@ -104,7 +105,7 @@ def _arguments(words: Sequence[str]) -> argparse.Namespace:
     )
     parser.add_argument(
         "commit", metavar="COMMIT",
-        help=f"a commit or tag; newest-tag for the newest release before this one, or {FIRST} while there is none",
+        help=f"a commit or tag; {NEWEST} for the newest release before this one, or {FIRST} while there is none",
     )  # fmt: skip
     parser.add_argument(
         "parts", nargs="*", metavar="PART", help="parts of the list, such as reading and ingest; all unless given"

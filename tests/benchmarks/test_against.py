@@ -6,17 +6,26 @@ import ast
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from benchmarks.against import __main__ as program
-from benchmarks.against import commits
+from benchmarks.against import commits, rivals
 from benchmarks.against.commits import DRIVERS, Side
 from benchmarks.against.comparison import Compared, compare, write
 from benchmarks.against.guarded_figures import guarded_figures
 from benchmarks.against.inputs import lengthened_amc, lengthened_bvh
-from benchmarks.against.turns import DriverError, Measurement, Missing, by_turns, order_of_turns, read_answer
+from benchmarks.against.turns import (
+    DriverError,
+    Measurement,
+    Missing,
+    by_turns,
+    measure_once,
+    order_of_turns,
+    read_answer,
+)
 from kinedex.ops.errors import KinedexError
 
 WORK = ast.parse((DRIVERS / "work.py").read_text(encoding="utf-8"))
@@ -180,6 +189,35 @@ def test_an_unknown_commit_is_an_error_and_no_history_is_none_for_the_newest_tag
     assert "commit 'v0.0.0' is not in the git history" in capsys.readouterr().err
     assert program.main(["newest-tag"], Fake()) == 0
     assert "nothing is compared" in capsys.readouterr().out
+    assert program.main(["newest-tag", "raeding"], Fake()) == 2
+
+
+# ---- other packages --------------------------------------------------------------------------------------
+
+
+def test_packages_that_do_the_same_stand_below_the_figures_and_nothing_falls(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def fake(figure: str, package: str, inputs: Path) -> dict[str, float]:
+        if package == "second":
+            raise DriverError("it took longer than 600 s")
+        return {"seconds": 1.0, "amount": 4.0}
+
+    monkeypatch.setattr(rivals, "_measured", fake)
+    monkeypatch.setattr(rivals.metadata, "version", lambda name: "1.2")
+    monkeypatch.setattr(
+        rivals,
+        "rival_readers",
+        lambda figure, inputs: (inputs, {"first": str, "second": str} if figure == "read_bvh" else {}),
+    )
+    figures = [one for one in guarded_figures(["reading"]) if one.key in ("read_bvh", "read_trc")]
+    rows = [compare(one.figure, one.unit, rounds(1.0), rounds(1.0)) for one in figures]
+    found = rivals.rival_rows(figures, rows, tmp_path)
+    assert [(row.figure, row.other, row.this, row.ratio, row.fell) for row in found] == [
+        ("read a BVH file, beside first 1.2", 4.0, 10.0, 2.5, False),
+        ("read a BVH file, beside second 1.2", None, 10.0, None, False),
+    ]
+    assert found[1].remark == "not compared: it took longer than 600 s"
 
 
 # ---- commits ---------------------------------------------------------------------------------------------
@@ -284,6 +322,21 @@ def test_the_launcher_measures_a_figure_with_a_driver(tmp_path: Path) -> None:
     assert isinstance(found, dict)
     assert found["amount"] == 2.0
     assert 0 < found["seconds"] < 60
+
+
+def test_a_figure_of_this_checkout_is_measured_in_a_process_of_its_own(tmp_path: Path) -> None:
+    here = replace(commits.this_side(), work=tmp_path / "work")
+    found = measure_once(here, "start_help", tmp_path)
+    assert isinstance(found, dict)
+    assert found["amount"] == 1.0
+    assert found["seconds"] > 0
+    assert (tmp_path / "work" / tmp_path.name).is_dir()
+
+
+def test_a_figure_that_fails_says_with_what(tmp_path: Path) -> None:
+    here = replace(commits.this_side(), work=tmp_path / "work")
+    with pytest.raises(DriverError, match=r"read_amc at this ended with status 1: .*long\.amc"):
+        measure_once(here, "read_amc", tmp_path)
 
 
 def test_a_driver_that_lacks_a_part_of_the_work_says_so_and_one_that_raises_fails(tmp_path: Path) -> None:
