@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +19,7 @@ F64 = npt.NDArray[np.float64]
 Velocity = tuple[int, int, float]  # a joint, the joint it is relative to or −1 for the room, and the window
 
 
+@lru_cache(maxsize=256)
 def window_samples(window_ms: float, rate_hz: float) -> int:
     """Return the number of samples in a velocity window, max(1, ceil(w/1000 · rate)), without float noise."""
     return max(1, math.ceil(round(window_ms / 1000.0 * rate_hz, 9)))
@@ -294,4 +296,10 @@ class _Body:
         return np.ascontiguousarray(found, np.float64)
 
     def _joints(self, without: tuple[int, ...] = ()) -> npt.NDArray[np.int64]:
-        return np.array([i for i in range(len(self.positions)) if i not in without], dtype=np.int64)
+        return _others(len(self.positions), without)
+
+
+@lru_cache(maxsize=64)
+def _others(count: int, without: tuple[int, ...]) -> npt.NDArray[np.int64]:
+    """Return the numbers below a count without some of them."""
+    return np.array([i for i in range(count) if i not in without], dtype=np.int64)

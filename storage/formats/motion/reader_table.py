@@ -65,7 +65,7 @@ def reader_of(path: str | Path) -> Reader:
     SourceError
         No reader reads files with this ending.
     """
-    file = Path(path)
+    file = path if isinstance(path, Path) else Path(path)
     readers = _readers_by_ending(tuple(READERS)).get(file.suffix.lower(), ())
     if not readers:
         raise SourceError(file, f"is not read; kinedex reads {', '.join(motion_endings())}")

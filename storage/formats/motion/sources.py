@@ -211,14 +211,15 @@ def scan(root: str | Path) -> Scan:
     entries = list(_entries(root, refused))
     beside = _motion_stems(entries)
     for folder, name in entries:
-        path = readable(_below(root, folder, name))
+        relative = _below(root, folder, name)
+        path = readable(relative)
         stem, ending = os.path.splitext(name)
         kind = sidecars if ending.lower() in SIDECARS and (folder, stem) in beside else kinds.get(ending.lower())
         if kind is None or is_of_system(name):
             passed.append(PassedOver(path, kind_of(name)))
             continue
         try:
-            file = _source_file(root, folder, name)
+            file = _source_file(root, os.path.join(folder, name), relative, path)
             if kind is not motions or is_motion_file(os.path.join(folder, name)):
                 kind.append(file)
             else:
@@ -262,8 +263,7 @@ def _below(root: Path, folder: str, name: str) -> str:
     return os.path.join(folder, name)[len(os.path.join(root, "")) :].replace(os.sep, "/")
 
 
-def _source_file(root: Path, folder: str, name: str) -> SourceFile:
-    path = os.path.join(folder, name)
+def _source_file(root: Path, path: str, relative: str, shown: str) -> SourceFile:
     try:
         found = os.lstat(path)
         if stat.S_ISLNK(found.st_mode):
@@ -278,21 +278,16 @@ def _source_file(root: Path, folder: str, name: str) -> SourceFile:
         raise SourceError(readable(path), f"cannot be read: {fault.strerror}") from None
     if not stat.S_ISREG(found.st_mode):
         raise SourceError(readable(path), "is no file (but a pipe, a device or a socket, or a link to a folder)")
-    relative = _below(root, folder, name)
-    shown = readable(relative)
     return SourceFile(str(root), shown, found.st_size, found.st_mtime_ns, "" if shown == relative else relative)
 
 
 def checksum(path: Path) -> str:
     """Return the SHA-256 of a file, in hexadecimal; a SourceError reports that it cannot be read."""
-    hasher = hashlib.sha256()
     try:
-        with path.open("rb") as file:
-            while block := file.read(1 << 20):
-                hasher.update(block)
+        with path.open("rb", buffering=0) as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as fault:
         raise SourceError(readable(str(path)), f"cannot be read: {fault.strerror}") from fault
-    return hasher.hexdigest()
 
 
 def skeleton_of(motion: SourceFile, skeletons: Iterable[SourceFile]) -> SourceFile:
