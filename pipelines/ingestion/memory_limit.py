@@ -11,6 +11,7 @@ from kinedex.ops.body.resample import feature_rate
 from kinedex.ops.errors import KinedexError, ParameterError, SourceError
 from kinedex.storage.formats.motion.reader import SLOWEST_HZ, MotionFile, ReadSettings, body_bytes
 from kinedex.storage.formats.motion.reader_table import reader_of
+from kinedex.storage.snapshot.parts import ROW_GROUP
 
 PROCESS_BYTES = 300_000_000
 """The memory of a process besides that of a file: Python, libraries, kernels, and frames that wait to be written."""
@@ -63,7 +64,8 @@ def needed_bytes(file: MotionFile, feature_set: FeatureSet, rate_hz: float, sett
         sampled = body_bytes(frames, joints) + 400 * frames
     written = int(frames * rate_hz / rate) + 1
     body = body_bytes(extent.frames, joints)
-    later = body + sampled + max(words_bytes(feature_set.rules) * frames, 3 * written * (12 * joints + 28))
+    waiting = min(written, 4 * ROW_GROUP)  # the others are in the part already
+    later = body + sampled + max(words_bytes(feature_set.rules) * frames, 3 * waiting * (12 * joints + 28))
     return PROCESS_BYTES + max(extent.bytes, later)
 
 

@@ -33,9 +33,10 @@ FULL_BYTES = 32_000_000
 
 @dataclass(frozen=True)
 class _Packed:
-    """The frames of one take on their way into a part: float32 (3 J + 4, T) in the order of the columns, and words."""
+    """Frames of one take, from `first` on, on their way into a part: float32 (3 J + 4, T) as the columns, and words."""
 
     take_id: int
+    first: int
     numbers: npt.NDArray[np.float32]
     words: npt.NDArray[np.uint64]
 
@@ -49,7 +50,9 @@ def _table(takes: Sequence[_Packed], schema: pa.Schema) -> pa.Table:
     parts = iter(numbers)
     columns: list[pa.Array] = [
         pa.array(np.repeat(np.array([take.take_id for take in takes], np.int64), lengths)),
-        pa.array(np.concatenate([np.arange(length, dtype=np.int32) for length in lengths])),
+        pa.array(
+            np.concatenate([np.arange(take.first, take.first + len(take.words), dtype=np.int32) for take in takes])
+        ),
     ]
     for struct in structs:
         fields = [pa.array(next(parts)) for _ in struct]
@@ -135,13 +138,16 @@ class FramesWriter:
         if orientation.shape != (4, len(words)):
             raise ParameterError("orientation", f"of shape (4, {len(words)})", orientation.shape)
         self._follow(take_id)
-        numbers = np.empty((3 * joints + 4, len(words)), np.float32)
-        numbers[:-4].reshape(positions.shape)[:] = positions
-        numbers[-4:] = orientation
-        self._packed.append(_Packed(take_id, numbers, np.array(words, np.uint64)))
-        self._packed_rows += len(words)
-        if self._packed_rows >= ROW_GROUP:
-            self._lay_out()
+        for first in range(0, max(len(words), 1), ROW_GROUP):  # of a long take a second copy would be too much
+            part = slice(first, first + ROW_GROUP)
+            own = np.array(words[part], np.uint64)
+            numbers = np.empty((3 * joints + 4, len(own)), np.float32)
+            numbers[:-4].reshape(joints, 3, len(own))[:] = positions[:, :, part]
+            numbers[-4:] = orientation[:, part]
+            self._packed.append(_Packed(take_id, first, numbers, own))
+            self._packed_rows += len(own)
+            if self._packed_rows >= ROW_GROUP:
+                self._lay_out()
 
     def add_table(self, take_id: int, table: pa.Table) -> None:
         """Add a whole take that is laid out already, its frames in order."""
