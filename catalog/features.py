@@ -11,9 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.catalog.configs import config_path, load_yaml
 from kinedex.catalog.feature_definitions import PRIMITIVES, Feature, WordSet
-from kinedex.catalog.feature_files import FeatureFile, digest_of, feature_of, ground_of, mirror_of, sets_of
 from kinedex.ops.body.feature_rules import JOINTS_OF, Primitive, Rule
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.mirror import rearrange
@@ -287,6 +285,10 @@ def load_feature_set(name_or_path: str | Path = "body40") -> FeatureSet:
     >>> kinedex.load_feature_set().feature("rknee_bent").number
     20
     """
+    # a store holds its features: YAML is read where one is made
+    from kinedex.catalog.configs import config_path, load_yaml
+    from kinedex.catalog.feature_files import FeatureFile, digest_of, feature_of, ground_of, mirror_of, sets_of
+
     located = load_yaml(config_path("features", name_or_path))
     located.mapping()
     parsed = located.model(FeatureFile)

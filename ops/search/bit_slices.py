@@ -172,16 +172,18 @@ def unsliced_words(slices: BitSlices, takes: I64, starts: I64, words: U64, range
     if len(takes) and int(stops.max()) > len(words):
         raise ParameterError("words", f"long enough for {len(takes)} takes", len(words))
     wanted = np.stack([starts, stops], axis=1) if ranges is None else np.ascontiguousarray(ranges, np.int64)
-    _unslice(slices.bits, slices.first, slices.frames, slices.features, takes, starts, wanted, words)
+    # not in the kernel: for numba's own search, it would load SciPy with the kernel
+    nearest = np.searchsorted(wanted[:, 1], starts, side="right")
+    _unslice(slices.bits, slices.first, slices.frames, slices.features, takes, starts, wanted, nearest, words)
 
 
 @njit(cache=True, nogil=True)
-def _unslice(bits, first, frames, features, takes, starts, ranges, words):  # type: ignore[no-untyped-def]
+def _unslice(bits, first, frames, features, takes, starts, ranges, nearest, words):  # type: ignore[no-untyped-def]
     square = np.zeros(BLOCK, np.uint64)
     for place in range(len(takes)):
         take, begin = takes[place], starts[place]
         end = begin + frames[take]
-        low = np.searchsorted(ranges[:, 1], begin, side="right")
+        low = nearest[place]
         done = 0  # blocks before this one have been written
         while low < len(ranges) and ranges[low, 0] < end:
             left, right = max(ranges[low, 0], begin) - begin, min(ranges[low, 1], end) - begin

@@ -23,7 +23,7 @@ def duplicates(
     the view `duplicates`.
     """
     from kinedex.pipelines.console.terminal import Terminal
-    from kinedex.pipelines.engine.runner import new_run_id
+    from kinedex.pipelines.engine.run_id import new_run_id
     from kinedex.pipelines.inspection.duplicates import find_duplicates, save_duplicates
 
     opened = open_for_reading(store, "newest")

@@ -79,7 +79,7 @@ def search(
 
     The result is a table of the intervals that hold hits.
     """
-    from kinedex.pipelines.engine.runner import new_run_id
+    from kinedex.pipelines.engine.run_id import new_run_id
     from kinedex.pipelines.search.explanation import explain_search
     from kinedex.pipelines.search.search import load_query_file, save_hits, search_remarks, search_store
 

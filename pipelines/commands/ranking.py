@@ -28,6 +28,7 @@ from kinedex.pipelines.commands.pages import Pages
 from kinedex.pipelines.commands.store_access import open_for_reading
 
 if TYPE_CHECKING:
+    from kinedex.catalog.queries.keyframe_query import KeyframeQuery
     from kinedex.pipelines.ranking.ranked_hits import Ranking
     from kinedex.pipelines.ranking.store_ranking import StoreRanking
     from kinedex.storage.store.store import Store
@@ -82,7 +83,6 @@ def rank(
     as_json: JsonOption = False,
 ) -> None:
     """Rank the places of an archive by how well templates fit."""
-    from kinedex.catalog.queries.query_files import read_queries
     from kinedex.pipelines.commands.templates import kind_of
     from kinedex.pipelines.ranking.store_ranking import rank_store
     from kinedex.pipelines.templates.stored_templates import template_from_clip
@@ -91,7 +91,7 @@ def rank(
     _check_source(names, every, take, start, stop)
     pages = Pages(html, output, figures)
     opened = open_for_reading(store, at)
-    asked = None if queries is None else read_queries(queries, opened.feature_set, opened.rate_hz)
+    asked = None if queries is None else _read_queries(queries, opened)
     chosen = None if every else names if take is None else [template_from_clip(opened, take, start, stop)]
     begin = time.perf_counter()
     found = rank_store(
@@ -115,6 +115,12 @@ def rank(
     if output is not None:
         print_path(output)
     pages.report()
+
+
+def _read_queries(name: str, store: Store) -> tuple[KeyframeQuery, ...]:
+    from kinedex.catalog.queries.query_files import read_queries
+
+    return read_queries(name, store.feature_set, store.rate_hz)
 
 
 def _show_hits(found: StoreRanking, tau: float, summary: str) -> None:

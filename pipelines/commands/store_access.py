@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Literal
 
 import typer
@@ -36,6 +38,7 @@ def open_for_reading(store: Path, at: str | None, files: Iterable[Path] = ()) ->
     from kinedex.pipelines.console.terminal import is_quiet
     from kinedex.storage.store.store import open_store
 
+    _leave_pandas_out()
     opened = open_store(store, files, _version_of(at))
     shown, newest = opened.manifest.version, opened.newest_version
     if at is None and shown != newest and not is_quiet():
@@ -45,6 +48,30 @@ def open_for_reading(store: Path, at: str | None, files: Iterable[Path] = ()) ->
             err=True,
         )
     return opened
+
+
+def _leave_pandas_out() -> None:
+    """Keep PyArrow from importing pandas, as it does with the first list that it is given, to recognise its objects.
+
+    It takes as long as all else that a command imports. `to_pandas` of a table imports it later all the same.
+    """
+    if "pandas" in sys.modules:
+        return
+    import pyarrow as pa
+
+    absent = _NoPandas()
+    sys.meta_path.insert(0, absent)
+    try:
+        pa.array([])
+    finally:
+        sys.meta_path.remove(absent)
+
+
+class _NoPandas:
+    def find_spec(self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None) -> None:
+        """Refuse pandas."""
+        if fullname == "pandas":
+            raise ModuleNotFoundError(name=fullname)
 
 
 def _version_of(text: str | None) -> int | Literal["newest"] | None:

@@ -5,17 +5,13 @@ from __future__ import annotations
 import json
 import logging
 import os
-import secrets
 import shlex
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
-from typing import Any
-
-import polars as pl
+from typing import TYPE_CHECKING, Any
 
 from kinedex.ops.errors import AcceptError, KinedexError, NewStoreError, Remedy
 from kinedex.pipelines.console.terminal import Terminal
@@ -24,6 +20,7 @@ from kinedex.pipelines.engine.config import Pipeline, load_pipeline
 from kinedex.pipelines.engine.context import Display, StageContext, feature_set_for
 from kinedex.pipelines.engine.executors import Executor, make_executor
 from kinedex.pipelines.engine.plan import FORCED, Planner, Step, make_plan
+from kinedex.pipelines.engine.run_id import new_run_id
 from kinedex.pipelines.engine.run_recorder import RunRecorder
 from kinedex.pipelines.labels.label_takes import UNMATCHED, UnmatchedLabels
 from kinedex.storage.ctrl_c import ctrl_c_in_statements
@@ -36,6 +33,9 @@ from kinedex.storage.store.history import OWN_FIELDS
 from kinedex.storage.store.report_sums import SUMS, file_sums
 from kinedex.storage.store.store import data_frame, open_store
 from kinedex.storage.store.writer import StoreWriter
+
+if TYPE_CHECKING:
+    import polars as pl
 
 _log = logging.getLogger("kinedex.engine")
 
@@ -438,12 +438,3 @@ def _outcome(run: _Run, steps: list[Step]) -> Outcome:
         run.store_path / pages[-1] if pages else None,
         run.resume,
     )
-
-
-def new_run_id() -> str:
-    """Return a short name for one run: the moment in UTC, to 15 microseconds, and two random digits.
-
-    Names of runs that began one after the other are in order.
-    """
-    moment = datetime.now(UTC)
-    return f"{moment:%Y%m%d-%H%M%S}-{moment.microsecond * 65536 // 1_000_000:04x}{secrets.token_hex(1)}"

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import polars as pl
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import KinedexError
@@ -20,6 +19,7 @@ from kinedex.pipelines.ranking.batch_threads import in_threads
 from kinedex.pipelines.ranking.first_thresholds import first_thresholds
 from kinedex.pipelines.ranking.ranked_hits import Hit, RankedTemplate, Ranking
 from kinedex.pipelines.search.not_applied import Applicability, applicability
+from kinedex.storage.snapshot.schemas import sorted_by
 from kinedex.storage.store.store import Store
 
 BATCH_FRAMES = 200_000
@@ -71,12 +71,13 @@ def rank_takes(
         The filter selects no take, or a query does not fit the features of the store.
     """
     begin = time.perf_counter()
-    takes = store.takes(where).sort("take_id")
-    if not takes.height:
+    takes = sorted_by(store.takes_table(where), "take_id")
+    if not takes.num_rows:
         raise KinedexError("no take to rank" + (f": the filter `{where}` selects none" if where else " in this store"))
-    names = dict(takes.select("take_id", "name").iter_rows())
-    batches, threads = list(_batches(takes, store.known)), cores() if workers is None else workers
-    ranked = _Pass(store, names, batches, top, threads)
+    ids, names, frames = (takes.column(name).to_pylist() for name in ("take_id", "name", "frames"))
+    batches = list(_batches(dict(zip(ids, frames, strict=True)), store.known))
+    threads = cores() if workers is None else workers
+    ranked = _Pass(store, dict(zip(ids, names, strict=True)), batches, top, threads)
     bars = first_thresholds(store, batches, templates, tau, top, threads)
     found = ranked.rank(templates, bars, time.perf_counter() - begin)
     unsure = [place for place, bar in enumerate(bars) if bar < tau and not _is_sure(found[place], bar, top)]
@@ -165,9 +166,11 @@ def partly_known(
     return applicability(feature_set, known.values(), {one.name: one.template for one in templates}, queries)
 
 
-def _batches(takes: pl.DataFrame, known: Mapping[int, int]) -> Iterator[tuple[int, tuple[int, ...]]]:
-    """Yield batches of takes that know the same features, each with their mask; whole bodies come first."""
-    frames = dict(takes.select("take_id", "frames").iter_rows())
+def _batches(frames: Mapping[int, int], known: Mapping[int, int]) -> Iterator[tuple[int, tuple[int, ...]]]:
+    """Yield batches of takes that know the same features, each with their mask; whole bodies come first.
+
+    `frames` has the lengths of the takes by their ids.
+    """
     masks = {take_id: known.get(take_id, int(ALL_KNOWN)) for take_id in frames}
     for mask in sorted(set(masks.values()), reverse=True):
         own = [take_id for take_id in frames if masks[take_id] == mask]

@@ -136,7 +136,7 @@ def rank_store(
     given = [one for one in templates or () if not isinstance(one, str)]
     found = choose_templates(store, names, kind, stage) if names or templates is None else []
     ranked, remarks = ranked_templates([*found, *given], delta, queries, strict=templates is not None)
-    known = known_of(store.known, store.takes(where)["take_id"].to_list()) if store.known else {}
+    known = known_of(store.known, store.takes_table(where).column("take_id").to_pylist()) if store.known else {}
     remarks += remarks_on(partly_known(ranked, store.feature_set, known), known)
     ranking = rank_both_sides if mirror else rank_takes
     rankings = ranking(store, ranked, tau, top, where, workers)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.pipelines.engine.digests import hash_of
-from kinedex.pipelines.engine.runner import new_run_id
+from kinedex.pipelines.engine.run_id import new_run_id
 from kinedex.pipelines.reconstruction.frame_remarks import fit_remarks, frame_remarks, remark_sentences
 from kinedex.pipelines.reconstruction.live import LiveTracker
 from kinedex.pipelines.reconstruction.parameters import ReconstructParameters

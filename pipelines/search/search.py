@@ -20,9 +20,8 @@ from kinedex.ops.words import I64
 from kinedex.pipelines.engine.executors import cores
 from kinedex.pipelines.search.bit_slices import sliced_store
 from kinedex.pipelines.search.not_applied import applicability, known_of, remarks_on
-from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.snapshot.schemas import result_schema, sorted_by
 from kinedex.storage.store.store import Store
-from kinedex.storage.store.writer import StoreWriter
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,7 @@ class SearchedTakes:
     @classmethod
     def of_store(cls, store: Store, take_filter: str | None) -> SearchedTakes:
         """Return the takes of a store for which a SQL filter holds, or all of them for None."""
-        takes = _filtered(store, take_filter).sort_by("take_id")
+        takes = sorted_by(_filtered(store, take_filter), "take_id")
         return cls(
             takes.column("take_id").to_numpy().astype(np.int64),
             takes.column("name").to_pylist(),
@@ -210,6 +209,8 @@ def save_hits(store: Store, hits: pa.Table, name: str, run: str) -> pa.Table:
     StoreError
         If another process writes to the store.
     """
+    from kinedex.storage.store.writer import StoreWriter  # no question writes
+
     column = hits.schema.get_field_index("saved_as")
     saved = hits.set_column(column, hits.schema.field(column), pa.repeat(name, hits.num_rows))
     with StoreWriter.open(store.path, store.feature_set, store.rate_hz) as writer:

@@ -8,9 +8,9 @@ from collections import Counter, defaultdict
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import polars as pl
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.ops.errors import KinedexError
@@ -23,6 +23,9 @@ from kinedex.storage.formats.labels.ground_truth import ground_truth_files, read
 from kinedex.storage.formats.labels.segments import ERROR
 from kinedex.storage.snapshot.labels import is_of_limbs
 from kinedex.storage.store.store import Store
+
+if TYPE_CHECKING:
+    import polars as pl
 
 CLIPS, LABELS = "clips", "labels"
 """The sources of examples that are no label files."""
@@ -160,7 +163,7 @@ def training_takes(store: Store, where: str) -> pl.DataFrame:
     """
     takes = store.takes(where)
     if not takes.height:
-        labelled = store.takes().filter(pl.col("class").is_not_null()).height
+        labelled = store.takes()["class"].count()
         raise KinedexError(
             f"no take to learn from: the filter `{where}` selects none of the {store.takes().height} takes, "
             f"{labelled} of which have a class. The class of a take comes from its path, by `patterns` of ingest"
@@ -171,7 +174,7 @@ def training_takes(store: Store, where: str) -> pl.DataFrame:
 def _classified(store: Store, where: str) -> pl.DataFrame:
     """Return the takes that a filter selects; a KinedexError if one has no class."""
     takes = store.takes(where)
-    unlabelled = takes.filter(pl.col("class").is_null())["name"].to_list()
+    unlabelled = takes.filter(takes["class"].is_null())["name"].to_list()
     if unlabelled:
         raise KinedexError(
             f"the filter `{where}` selects {len(unlabelled)} takes to learn from that have no class, such as "

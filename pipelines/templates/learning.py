@@ -7,26 +7,31 @@ from collections import Counter
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-import polars as pl
 import pyarrow as pa
 
 from kinedex.catalog.template_files import NamedTemplate
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.known import known_bits
 from kinedex.ops.templates.derived_templates import without_unknown
-from kinedex.ops.templates.templates import MOST_AVERAGED, REFERENCES, Learned, Spread, Template, learn
+from kinedex.ops.templates.templates import MOST_AVERAGED, REFERENCES, Learned, Spread, learn
 from kinedex.ops.templates.templates import Kind as Kind
 from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
 from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.templates.clip_checks import clip_remarks
 from kinedex.pipelines.templates.examples import Example, example_words, whole_takes
+from kinedex.pipelines.templates.subclass_template import LEARNED as LEARNED
+from kinedex.pipelines.templates.subclass_template import SubclassTemplate as SubclassTemplate
+from kinedex.pipelines.templates.subclass_template import template_of
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
+
+if TYPE_CHECKING:
+    import polars as pl
 
 F64 = npt.NDArray[np.float64]
 
@@ -35,9 +40,6 @@ _TASK_CELLS = 20_000_000
 
 _SPLIT_CELLS = 100_000_000
 """From so many cells on, the rounds of one class are divided among all workers."""
-
-LEARNED = "learned"
-"""This is the origin of a template that was learned from clips of its own class."""
 
 
 @dataclass(frozen=True)
@@ -121,18 +123,6 @@ class TrainingClips:
             known=self.known,
             actors=tuple(self.of_actors[index] for index in chosen),
         )
-
-
-@dataclass(frozen=True)
-class SubclassTemplate:
-    """A template with its provenance: the names of its clips, its origin, and remarks on the clips."""
-
-    subclass: str
-    kind: Kind
-    learned: Learned
-    clips: tuple[str, ...]
-    origin: str = LEARNED
-    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -410,20 +400,6 @@ def read_templates(store: Store, stage: str, kind: Kind) -> list[SubclassTemplat
         has = ", ".join(sorted({row["kind"] for row in rows})) or "none"
         raise KinedexError(f"stage {stage} learned no {kind} templates (it has: {has}); set its `methods`")
     return sorted(found, key=lambda one: one.subclass)
-
-
-def template_of(row: dict[str, Any]) -> SubclassTemplate:
-    """Return the template of a row of the results `templates`."""
-    counts = row["feature_weights"]
-    template = Template(
-        np.array(row["values"]).reshape(row["columns"], row["features"]),
-        np.array(row["weights"]),
-        None if counts is None else np.array(counts),
-    )
-    learned = Learned(template, row["rounds"], tuple(row["costs"]), tuple(row["clip_costs"]))
-    return SubclassTemplate(
-        row["subclass"], row["kind"], learned, tuple(row["clips"]), row["origin"], tuple(row["remarks"])
-    )
 
 
 def run_of(store: Store, stage: str) -> str:

@@ -15,7 +15,7 @@ from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.derived_templates import without_unknown
 from kinedex.ops.templates.templates import Kind, learn, quantise
 from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
-from kinedex.pipelines.templates.learning import SubclassTemplate, template_of
+from kinedex.pipelines.templates.subclass_template import SubclassTemplate, template_of
 from kinedex.storage.snapshot.shown_results import pipeline_of
 from kinedex.storage.store.store import Store
 

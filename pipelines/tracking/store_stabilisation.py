@@ -15,7 +15,7 @@ from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.code_digest import code_digest
 from kinedex.pipelines.engine.context import Display
 from kinedex.pipelines.engine.executors import Executor
-from kinedex.pipelines.engine.runner import new_run_id
+from kinedex.pipelines.engine.run_id import new_run_id
 from kinedex.pipelines.engine.stage import load_stage
 from kinedex.pipelines.recordings.runs import Outcome, Place, renew_index
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips, learn_templates

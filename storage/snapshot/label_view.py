@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from kinedex.catalog.sql.views import VIEWS
 from kinedex.storage.snapshot.labels import current_labels
@@ -24,11 +24,15 @@ def shown_labels(store: Snapshot) -> pa.Table:
     ]
     added = {
         "take_id": pa.array([ids.get(take) for take in takes], pa.int64()),
-        "start_seconds": pc.divide(pc.cast(rows.column("start"), pa.float64()), store.rate_hz),
-        "stop_seconds": pc.divide(pc.cast(rows.column("stop"), pa.float64()), store.rate_hz),
+        "start_seconds": _seconds(rows.column("start"), store.rate_hz),
+        "stop_seconds": _seconds(rows.column("stop"), store.rate_hz),
         "file_changed": pa.array(changed, pa.bool_()),
         "current": pa.array([one in current for one in rows.column("id").to_pylist()], pa.bool_()),
     }
     for name, column in added.items():
         rows = rows.append_column(name, column)
     return rows.select(_COLUMNS).replace_schema_metadata(None)
+
+
+def _seconds(frames: pa.ChunkedArray, rate_hz: float) -> pa.Array:
+    return pa.array(frames.to_numpy().astype(np.float64) / rate_hz, from_pandas=True)  # NaN is null

@@ -8,7 +8,6 @@ from datetime import UTC, datetime
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from kinedex.ops.errors import ParameterError
 from kinedex.storage.formats.labels.segments import ERROR
@@ -17,6 +16,10 @@ from kinedex.storage.snapshot.schemas import LABEL_ORIGINS, LABEL_VERDICTS, labe
 
 def current_labels(rows: pa.Table) -> pa.Table:
     """Return the labels that count: the rows that no other row replaces, without those that only withdraw another."""
+    if not rows.num_rows:
+        return rows
+    import pyarrow.compute as pc  # makes hundreds of functions, which no other question needs
+
     replaced = pc.is_in(rows.column("id"), rows.column("replaces"))
     withdrawn = pc.equal(rows.column("verdict"), "withdrawn")
     return rows.filter(pc.invert(pc.or_(replaced, withdrawn)))

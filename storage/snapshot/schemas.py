@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from operator import le
 from typing import Literal
 
 import pyarrow as pa
@@ -254,13 +255,21 @@ def with_columns(table: pa.Table, schema: pa.Schema) -> pa.Table:
 
     It reads parts that were written before a column existed. Columns that the schema lacks are dropped.
     """
-    columns = [
-        table.column(field.name).cast(field.type)
-        if field.name in table.column_names
-        else pa.nulls(table.num_rows, field.type)
-        for field in schema
-    ]
-    return pa.table(columns, schema=schema)
+    return pa.table([_column(table, field) for field in schema], schema=schema)
+
+
+def _column(table: pa.Table, field: pa.Field) -> pa.ChunkedArray:
+    """Return a column of the table with the type of the field; to convert it loads `pyarrow.compute`."""
+    if field.name not in table.column_names:
+        return pa.chunked_array([pa.nulls(table.num_rows, field.type)])
+    column = table.column(field.name)
+    return column if column.type == field.type else column.cast(field.type)
+
+
+def sorted_by(table: pa.Table, name: str) -> pa.Table:
+    """Return the rows sorted by a column without nulls; to sort loads `pyarrow.compute`, so sorted ones stay."""
+    values = table.column(name).to_pylist()
+    return table if all(map(le, values, values[1:])) else table.sort_by(name)
 
 
 def conform(table: pa.Table, schema: pa.Schema, what: str) -> pa.Table:

@@ -22,7 +22,7 @@ from kinedex.storage.snapshot.labels import current_labels
 from kinedex.storage.snapshot.manifest import Manifest
 from kinedex.storage.snapshot.part_records import ResultPart
 from kinedex.storage.snapshot.parts import read_errors
-from kinedex.storage.snapshot.schemas import labels_schema, result_schema, with_columns
+from kinedex.storage.snapshot.schemas import labels_schema, result_schema, sorted_by, with_columns
 from kinedex.storage.snapshot.shown_results import all_parts, origin_of, pipeline_of, shown_parts
 
 
@@ -66,7 +66,7 @@ class Snapshot:
                 keep = [take not in dropped for take in table.column("take_id").to_pylist()]
                 table = table.filter(pa.array(keep, pa.bool_()))
             tables.append(table)
-        return pa.concat_tables([schema.empty_table(), *tables]).sort_by("name").combine_chunks()
+        return sorted_by(pa.concat_tables([schema.empty_table(), *tables]), "name").combine_chunks()
 
     @cached_property
     def take_ids(self) -> dict[str, int]:

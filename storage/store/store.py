@@ -23,6 +23,7 @@ from kinedex.storage.snapshot.label_journal import journal_rows, read_journals, 
 from kinedex.storage.snapshot.labels import current_labels
 from kinedex.storage.snapshot.manifest import Manifest
 from kinedex.storage.snapshot.manifest_files import read_newest, read_version, versions
+from kinedex.storage.snapshot.schemas import sorted_by, with_columns
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 if TYPE_CHECKING:
@@ -221,7 +222,7 @@ class Store(Snapshot):
                 f"the filter over takes does not work: {where}\n  {duck.first_line(fault)}\n"
                 f"  columns of takes: {', '.join(self.take_rows.column_names)}"
             ) from None
-        return found.cast(self.take_rows.schema).sort_by("name")
+        return sorted_by(with_columns(found, self.take_rows.schema), "name")
 
     def index_path(self) -> Path:
         """Return the DuckDB file of the index of exactly these takes.

@@ -98,7 +98,7 @@ def test_annotations_and_what_runs_a_stage_do_not_count(package: Path, before: d
         ("ops/errors.py", "def did_you_mean(name: str,", "def did_you_mean(name: 'str | None',"),
         ("pipelines/engine/executors.py", "TRIES = 3", "TRIES = 4"),
         ("pipelines/engine/executors.py", "return map(function, items)", "return iter(list(map(function, items)))"),
-        ("pipelines/engine/runner.py", "def new_run_id() -> str:", "def new_run_id() -> str:\n    assert True"),
+        ("pipelines/engine/run_id.py", "def new_run_id() -> str:", "def new_run_id() -> str:\n    assert True"),
         ("pipelines/console/terminal.py", "WIDE = ", "WIDE = 1 + "),
     ):
         undo.append(edited(package / file, lambda text, old=old, new=new: text.replace(old, new, 1)))  # type: ignore[misc]
