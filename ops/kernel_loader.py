@@ -46,7 +46,6 @@ def _change(caching: ModuleType, name: str) -> None:
         rtsys.initialize(context)  # kernels allocate arrays by it
         with self._guard_against_spurious_io_errors():
             return self._load_overload(signature, context)
-        return None
 
     cache.load_overload = load_overload
 

@@ -12,7 +12,7 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind
 from kinedex.pipelines.annotation.parameters import DEFAULT_TAU, AnnotationParameters
 from kinedex.pipelines.annotation.preparation import annotation_classes
-from kinedex.pipelines.templates.learning import SubclassTemplate, template_of
+from kinedex.pipelines.templates.subclass_template import SubclassTemplate, template_of
 from kinedex.storage.snapshot.shown_results import all_parts, pipeline_of, shown_parts
 from kinedex.storage.store.store import Store
 

@@ -1,10 +1,11 @@
-"""Connections to a store: DuckDB with its index attached, and with every view and macro defined."""
+"""Connections to a store: DuckDB with its index attached, and with the views and macros that statements need."""
 
 from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from kinedex.catalog.sql.views import MACROS, VIEWS, Macro, View
@@ -27,7 +28,7 @@ from kinedex.storage.snapshot.parts import part_file
 from kinedex.storage.snapshot.schemas import RESULT_KINDS, frames_schema
 from kinedex.storage.snapshot.shown_results import pipeline_runs
 from kinedex.storage.snapshot.snapshot import Snapshot
-from kinedex.storage.sql.queries import Answer, Unreadable, bounded_query
+from kinedex.storage.sql.queries import Answer, Unreadable, bounded_query, explained
 from kinedex.storage.sql.read_only import UnknownName
 from kinedex.storage.sql.read_parts import check_parts
 from kinedex.storage.sql.result_scans import ALL_VIEWS, result_select
@@ -73,7 +74,7 @@ def connect(store: Snapshot, threads: int | None = None, memory_mb: int | None =
         index = _attach_index(connection, store)
         if index is None:
             _define_failing(connection, store)
-        _define(connection, store, index, complete=True)
+        Definitions(connection, store, index, complete=True).make(NAMES)
     except BaseException:
         connection.close()
         raise
@@ -100,13 +101,13 @@ class Connections:
         self._first = duck.connect()
         try:
             self._index = _attach_index(self._first, store)
-            _define(self._first, store, self._index)
+            first = Definitions(self._first, store, self._index)
             duck.allow_only(self._first, [store.path, *files])
             duck.lock_settings(self._first)
         except BaseException:
             self._first.close()
             raise
-        self._idle = [self._first]
+        self._idle = [first]
         self._taken = 0
         self._closed = False
 
@@ -115,33 +116,32 @@ class Connections:
         """True if the index is attached."""
         return self._index is not None
 
-    def take(self) -> duck.Connection:
+    def take(self) -> Definitions:
         """Lend a connection that nobody else uses until it is given back; not to be called after `close`."""
         with self._lock:
-            connection = self._idle.pop() if self._idle else self._another()
+            lent = self._idle.pop() if self._idle else self._another()
             self._taken += 1
-            return connection
+            return lent
 
-    def _another(self) -> duck.Connection:
+    def _another(self) -> Definitions:
         connection = self._first.cursor()
         try:
             if self.indexed:
                 connection.execute("USE idx")
-            _define(connection, self._store, self._index)
+            return Definitions(connection, self._store, self._index)
         except BaseException:
             connection.close()
             raise
-        return connection
 
-    def give_back(self, connection: duck.Connection) -> bool:
+    def give_back(self, lent: Definitions) -> bool:
         """Take a connection back; return False where none of them must be used again."""
-        if is_abandoned(connection):
+        if is_abandoned(lent.connection):
             # they stay open, since closing the first one closes all, and that would wait for the statement
             _left_open.append(self)
             return False
         with self._lock:
             self._taken -= 1
-            self._idle.append(connection)
+            self._idle.append(lent)
             self._close()
         return True
 
@@ -157,44 +157,84 @@ class Connections:
             self._first.close()
 
 
-def _define(connection: duck.Connection, store: Snapshot, index: Generation | None, *, complete: bool = False) -> None:
-    """Make the views and macros of a connection; `complete` includes the macros over a missing index."""
-    indexed = index is not None
-    try:
+class Definitions:
+    """The views and macros of one connection, each of which is made when a statement first needs it.
+
+    Parameters
+    ----------
+    connection : Connection
+        The connection.
+    store : Snapshot
+        The store.
+    index : Generation or None
+        The record of the attached index.
+    complete : bool, optional
+        Make the macros over a missing index, too.
+    """
+
+    def __init__(
+        self, connection: duck.Connection, store: Snapshot, index: Generation | None, *, complete: bool = False
+    ) -> None:
+        self.connection = connection
+        self._store, self._index, self._complete = store, index, complete
+        self._made: set[str] = set()
         if index is None or index.takes != store.manifest.takes_digest():
             # rows or columns of takes have changed since the index was built, or were not in an older one
-            connection.register("takes", store.take_rows)
-        if not indexed:
+            with self._errors():
+                connection.register("takes", store.take_rows)
+
+    def make(self, names: Iterable[str]) -> None:
+        """Make those of some views and macros that are not there yet; `names` has all that they read themselves."""
+        wanted = set(names) - self._made
+        with self._errors():
+            self._make_stored(wanted)
+            for view in VIEWS:
+                if view.name in wanted and view.origin != "index" and view.body:
+                    _view(self.connection, view.name, view.body)
+            for macro in MACROS:
+                if macro.name in wanted and self._is_made_here(macro):
+                    self.connection.execute(macro.sql(temporary=True))
+        self._made |= wanted
+
+    def _make_stored(self, wanted: set[str]) -> None:
+        """Make views over the files of the store, its labels and its record."""
+        connection, store = self.connection, self._store
+        if "features" in wanted and self._index is None:
             _view(connection, "features", duck.literal_rows(features_table(store.feature_set)))
-        _view(connection, "help", duck.literal_rows(help_table()))
-        # DuckDB reads the columns of a part of each view, but no rows
-        frames = [(part_file(store.path, part.path), part.dropped) for part in store.manifest.frames]
-        _view(connection, "frames", duck.parquet_rows(frames_schema(store.feature_set, store.rate_hz), frames))
-        for kind in RESULT_KINDS:
-            _view(connection, kind, result_select(store, kind))
-        if complete:
-            define_all_views(connection, store, ALL_VIEWS)
-        connection.register("pipeline_runs", pipeline_runs(store.manifest))
-        _define_labels(connection, store)
-        for view in VIEWS:
-            if view.origin != "index" and view.body:
-                _view(connection, view.name, view.body)
+        if "help" in wanted:
+            _view(connection, "help", duck.literal_rows(help_table()))
+        if "frames" in wanted:
+            # DuckDB reads the columns of a part of each view, but no rows
+            frames = [(part_file(store.path, part.path), part.dropped) for part in store.manifest.frames]
+            _view(connection, "frames", duck.parquet_rows(frames_schema(store.feature_set, store.rate_hz), frames))
+        for kind in (*RESULT_KINDS, *sorted(ALL_VIEWS)):
+            if kind in wanted:
+                _view(connection, kind, result_select(store, kind))
+        if "pipeline_runs" in wanted:
+            connection.register("pipeline_runs", pipeline_runs(store.manifest))
+        if "label_history" in wanted:
+            _define_labels(connection, store)
+
+    def _is_made_here(self, macro: Macro) -> bool:
+        """Return whether a macro is not that of the index; an index file of an older kinedex may hold older ones."""
+        index, store = self._index, self._store
         own = index is not None and index.surface == surface(store.feature_set, store.rate_hz)
-        for macro in MACROS:
-            # an index file of an older kinedex may hold older ones
-            if not (own and macro.needs == "index") and (indexed or complete or not _reads_index(macro)):
-                connection.execute(macro.sql(temporary=True))
-    except (duck.Error, UnicodeDecodeError) as fault:
-        # a damaged name of a column may be no UTF-8, and then no message either
-        store.checked.parts(store.manifest.parts)
-        reason = duck.first_line(fault) if isinstance(fault, duck.Error) else str(fault)
-        raise StoreError(f"{store.path}: SQL over this store does not work: {reason}") from None
+        if own and macro.needs == "index":
+            return False
+        return index is not None or self._complete or not _reads_index(macro)
 
-
-def define_all_views(connection: duck.Connection, store: Snapshot, names: Iterable[str]) -> None:
-    """Make those of some views of a connection that show the results of all pipelines, and are not there yet."""
-    for name in sorted(ALL_VIEWS.keys() & set(names)):
-        connection.execute(f"CREATE TEMP VIEW IF NOT EXISTS {name} AS {result_select(store, name)}")
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        """Report a file that is damaged where views cannot be made."""
+        try:
+            yield
+        except (duck.Error, UnicodeDecodeError) as fault:
+            # a damaged name of a column may be no UTF-8, and then no message either
+            self._store.checked.parts(self._store.manifest.parts)
+            reason = duck.first_line(fault) if isinstance(fault, duck.Error) else str(fault)
+            if (outside := explained(reason)) != reason:
+                raise KinedexError(outside) from None
+            raise StoreError(f"{self._store.path}: SQL over this store does not work: {reason}") from None
 
 
 def _define_labels(connection: duck.Connection, store: Snapshot) -> None:
@@ -243,7 +283,7 @@ def _attach_index(connection: duck.Connection, store: Snapshot) -> Generation | 
 
 def run_query(
     store: Snapshot,
-    connection: duck.Connection,
+    lent: Definitions,
     text: str,
     parameters: duck.Parameters,
     *,
@@ -257,7 +297,7 @@ def run_query(
     ----------
     store : Snapshot
         The store of the connection.
-    connection : Connection
+    lent : Definitions
         The connection to run it on.
     text : str
         The query, as in `storage.sql.queries.read_query`.
@@ -274,9 +314,11 @@ def run_query(
         The query is refused, fails, or does not end in time; the message names what is missing or damaged in the
         store.
     """
-    define_all_views(connection, store, check_parts(store, connection, text))
+    lent.make(check_parts(store, lent.connection, text))
     try:
-        return bounded_query(connection, text, parameters, _MACROS, files=files, timeout=timeout, max_rows=max_rows)
+        return bounded_query(
+            lent.connection, text, parameters, _MACROS, files=files, timeout=timeout, max_rows=max_rows
+        )
     except UnknownName as fault:
         raise _explain_unknown(store, fault) from None
     except Unreadable as fault:

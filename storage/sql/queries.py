@@ -95,10 +95,10 @@ def read_query(
             raise Unreadable(message(fault)) from None
         if missing := _MISSING.search(str(fault)):
             raise UnknownName(missing[1], message(fault)) from None
-        raise KinedexError(_explained(message(fault))) from None
+        raise KinedexError(explained(message(fault))) from None
 
 
-def _explained(text: str) -> str:
+def explained(text: str) -> str:
     """Return a message of DuckDB, or one with the way out where a query meets a file outside of the store."""
     if found := _ELSEWHERE.search(text):
         # a file that a link leads to counts by its own place
@@ -122,7 +122,7 @@ def _first_rows(relation: duckdb.DuckDBPyRelation, max_rows: int) -> Answer:
                 return Answer(pa.Table.from_batches(batches, reader.schema), rows, counted=False)
     except OSError as fault:  # Arrow's reader raises DuckDB's errors in this class
         text = message(duckdb.Error(str(fault)))
-        raise (Unreadable(text) if _DAMAGE.match(str(fault)) else KinedexError(_explained(text))) from None
+        raise (Unreadable(text) if _DAMAGE.match(str(fault)) else KinedexError(explained(text))) from None
     finally:
         # a connection with an open result runs no other statement
         reader.close()

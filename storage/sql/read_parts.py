@@ -22,12 +22,15 @@ _BODIES = {view.name: view.body for view in VIEWS if view.body} | {
 }
 _VIEWS = frozenset((*(view.name for view in VIEWS), *ALL_VIEWS))
 
+_LISTS = re.compile(r"\b(SHOW|DESCRIBE|SUMMARIZE|PRAGMA)\b", re.IGNORECASE)
+"""Words of statements that may list the views; where they stand in a literal, only time is lost."""
+
 _read_by: dict[str, frozenset[str]] = {}
 """Views and macros → the names in their bodies, as far as they were needed before."""
 
 
 def check_parts(store: Snapshot, connection: duck.Connection, text: str) -> frozenset[str]:
-    """Check the parts that a statement reads, unless they were checked before, and return the views that it reads.
+    """Check the parts that a statement reads, unless they were checked before, and return what it reads.
 
     Parameters
     ----------
@@ -41,7 +44,7 @@ def check_parts(store: Snapshot, connection: duck.Connection, text: str) -> froz
     Returns
     -------
     frozenset of str
-        Names of the views; of one that may show the columns of any view, all of them.
+        Names of the views and macros; of one that may list views or show the columns of any, all of them.
 
     Raises
     ------
@@ -52,13 +55,16 @@ def check_parts(store: Snapshot, connection: duck.Connection, text: str) -> froz
         names = names_in(connection, text)
     except KinedexError:
         return frozenset()  # `checked` reports why this statement is refused
-    views = _VIEWS & set(_reached(connection, names.tables | names.functions))
+    reached = {
+        name for name in _reached(connection, names.tables | names.functions) if name in _BODIES or name in _VIEWS
+    }
+    views = _VIEWS & reached
     parts = [part for view in sorted(views) for part in parts_of(store, view)]
     if _reads_catalogue(names):
         parts += [part for view in sorted(_VIEWS) for part in _described_by(parts_of(store, view))]
-        views = _VIEWS
+        reached = {*_VIEWS, *_BODIES}
     store.checked.parts(parts)
-    return frozenset(views)
+    return frozenset((*_VIEWS, *_BODIES) if _LISTS.search(text) else reached)
 
 
 def parts_of(store: Snapshot, view: str) -> tuple[Part | ResultPart, ...]:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     import polars as pl
 
     from kinedex.storage import duck
-    from kinedex.storage.sql.connection import Connections
+    from kinedex.storage.sql.connection import Connections, Definitions
     from kinedex.storage.sql.queries import Answer
 
 
@@ -330,13 +330,11 @@ class Store(Snapshot):
         """
         from kinedex.storage.sql.connection import run_query
 
-        with self._connection() as connection:
-            return run_query(
-                self, connection, query, params, files=bool(self._files), timeout=timeout, max_rows=max_rows
-            )
+        with self._connection() as lent:
+            return run_query(self, lent, query, params, files=bool(self._files), timeout=timeout, max_rows=max_rows)
 
     @contextmanager
-    def _connection(self) -> Iterator[duck.Connection]:
+    def _connection(self) -> Iterator[Definitions]:
         """Lend one of the connections of `sql`; nobody else uses it meanwhile."""
         from kinedex.storage.sql.connection import Connections
 
@@ -351,11 +349,11 @@ class Store(Snapshot):
             if known is None:
                 known = Connections(self, self._files)
             self._connections = known
-            connection = known.take()
+            lent = known.take()
         try:
-            yield connection
+            yield lent
         finally:
-            if not known.give_back(connection):
+            if not known.give_back(lent):
                 with self._lock:
                     self._connections = None if self._connections is known else self._connections
 

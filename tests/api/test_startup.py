@@ -15,7 +15,7 @@ NEVER = {
 }
 NO_KERNELS = {"numba", "llvmlite", "scipy"}
 NO_COMPILER = {"scipy.linalg", "numba.np.linalg", "numba.typed.typeddict", "cffi"}
-"""What numba loads to compile a kernel, and not to load a compiled one."""
+"""Modules that numba loads to compile a kernel, and not to load a compiled one."""
 
 QUESTIONS = {
     "takes": (["takes", "store"], NO_KERNELS | {"duckdb", "pyarrow.compute", "yaml"}),

@@ -111,7 +111,7 @@ def test_what_would_write_is_refused(store: Store, tmp_path: Path, query: str) -
 
 def test_settings_of_queries_are_locked_whatever_gets_around_the_words(store: Store, tmp_path: Path) -> None:
     with open_store(store.path) as other, other._connection() as first, other._connection() as second:
-        for connection in (first, second):
+        for connection in (first.connection, second.connection):
             with pytest.raises(duckdb.Error, match="locked"):
                 connection.execute(f"CALL enable_logging(storage = 'file', storage_path = '{tmp_path / 'log'}')")
     assert not (tmp_path / "log").exists()
@@ -147,7 +147,7 @@ def test_a_folder_of_the_store_that_is_a_link_is_opened_by_name(store: Store, tm
 def test_a_name_is_never_a_variable_of_the_program(store: Store) -> None:
     secrets = pa.table({"key": [1]})
     with store._connection() as first, store._connection() as second:
-        for connection in (first, second, store.connect()):
+        for connection in (first.connection, second.connection, store.connect()):
             with pytest.raises(duckdb.CatalogException, match="secrets"):
                 connection.sql("SELECT * FROM secrets")
     with pytest.raises(KinedexError, match="no view or macro is named 'secrets'"):
@@ -318,7 +318,24 @@ def test_a_broken_part_is_named(tmp_path: Path) -> None:
     part = tmp_path / store.manifest.frames[0].path
     part.write_bytes(part.read_bytes()[:-9])
     with pytest.raises(StoreError, match=f"{part.name}: the part is damaged.* `kinedex repair"):
-        store.sql("FROM takes")
+        store.sql("FROM frames")
+    assert store.sql("FROM takes").num_rows == 1, "a statement that does not read the part"
+
+
+def test_views_are_made_when_statements_need_them(store: Store) -> None:
+    def made() -> set[str]:
+        with other._connection() as lent:
+            rows = lent.connection.execute("SELECT view_name FROM duckdb_views() WHERE temporary AND NOT internal")
+            return {name for (name,) in rows.fetchall()}
+
+    with open_store(store.path) as other:
+        other.sql("SELECT count(*) FROM takes")
+        assert not made()
+        other.sql("SELECT count(*) FROM annotated_takes")
+        assert "annotated_takes" in made()
+        assert "metrics" not in made()
+        shown = {row["name"] for row in other.sql("SHOW TABLES").to_pylist()}
+        assert shown == {row["name"] for row in other.connect().sql("SHOW TABLES").to_arrow_table().to_pylist()}
 
 
 def test_ctrl_c_stops_a_query_and_the_store_goes_on(store: Store) -> None:
