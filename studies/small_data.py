@@ -31,6 +31,10 @@ SHORTEST = ("HDM_mm_take04", "hopBothLegs1hops")
 """Take and class of its one label."""
 
 CMU_FRAMES = 600
+CMU_WHOLE = "01_01"
+"""A take of CMU that is kept whole, as what follows its first jumps is judged."""
+
+MOST_FRAMES = 1_000_000
 CONTENT_FILES = 12
 """Files of each content of each data set of Bandai; contents with fewer are left out."""
 
@@ -76,11 +80,14 @@ def _hdm05(data: Path, folder: Path) -> None:
 
 
 def _cmu(data: Path, folder: Path) -> None:
-    takes = sorted((data / "cmu").glob("[0-9]*/*.amc"))
-    for file in takes:
-        _copy_frames(data, folder, file.relative_to(data), CMU_FRAMES)
+    frames = {
+        file: MOST_FRAMES if file.stem == CMU_WHOLE else CMU_FRAMES
+        for file in sorted((data / "cmu").glob("[0-9]*/*.amc"))
+    }
+    for file, most in frames.items():
+        _copy_frames(data, folder, file.relative_to(data), most)
     _copy(data, folder, sorted((data / "cmu").glob("[0-9]*/*.asf")))
-    _copy_labels(data, folder, Path("cmu", "ground_truth.csv"), dict.fromkeys((one.stem for one in takes), CMU_FRAMES))
+    _copy_labels(data, folder, Path("cmu", "ground_truth.csv"), {file.stem: most for file, most in frames.items()})
     # apart from the archive, in which each take is once
     _copy(data / "cmu", folder, sorted((data / "cmu" / "same_take_amc_and_bvh").glob("*")))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -69,6 +70,25 @@ def forms() -> dict[str, Form]:
     }
 
 
+STORES = {
+    "demo": ("", "kinedex demo {demo} --minutes 2"),
+    "hdm05": ("hdm05 cmu", "kinedex run hdm05-cmu --store {hdm05} --set source={data}/hdm05 --set cmu={data}/cmu"),
+    "folds": (
+        "hdm05",
+        "kinedex run hdm05 --store {folds} --set source={data}/hdm05 "
+        "--set learn_keyframes.runs=1 --set learn_keyframes.generations=20",
+        "kinedex repair {folds}",  # which builds the index
+    ),
+}
+"""Store → what must be in the folder of real data, and the commands that make it; the study `bandai` makes another."""
+
+
+def stores_in(text: str) -> set[str]:
+    """Return the stores that stand in braces in a text, or what they bring."""
+    named = set(re.findall(r"\{(\w+)", text))
+    return {"demo" if name == "archive" else name for name in named} & {*STORES, "bandai"}
+
+
 @dataclass
 class Bench:
     """A folder in which small studies run, with the data and the stores that they share.
@@ -85,8 +105,8 @@ class Bench:
     data: Path
     places: dict[str, str] = field(default_factory=dict)
 
-    def prepare(self) -> Iterator[Outcome]:
-        """Make data and stores; the outcomes of the commands that make them."""
+    def begin(self) -> None:
+        """Cut the data, and name the places."""
         small, demo = self.folder / "data", self.folder / "demo"
         small.mkdir(parents=True)
         cut(self.data, small)
@@ -95,16 +115,13 @@ class Bench:
                 "hdm05": self.folder / "hdm05", "folds": self.folder / "folds", "bandai": self.folder / "bandai",
                 "queries": queries if queries.is_file() else ROOT / "configs" / "queries" / "example.yaml"}  # fmt: skip
         self.places = {name: shlex.quote(str(path)) for name, path in made.items()}
-        yield self.command("kinedex demo", "kinedex demo {demo} --minutes 2")
-        if not self.missing(("hdm05", "cmu")):
-            run = "kinedex run hdm05-cmu --store {hdm05} --set source={data}/hdm05 --set cmu={data}/cmu"
-            yield self.command("kinedex run hdm05-cmu", run)
-        if not self.missing(("hdm05",)):
-            few = "--set learn_keyframes.runs=1 --set learn_keyframes.generations=20"
-            yield self.command(
-                "kinedex run hdm05", f"kinedex run hdm05 --store {{folds}} --set source={{data}}/hdm05 {few}"
-            )
-            yield self.command("kinedex repair", "kinedex repair {folds}")  # which builds the index
+
+    def make(self, store: str) -> Iterator[Outcome]:
+        """Make one of `STORES`; the outcomes of the commands that make it."""
+        needs, *lines = STORES[store]
+        if not self.missing(needs.split()):
+            for line in lines:
+                yield self.command(" ".join(line.split()[:3]), line)
 
     def path(self, name: str) -> Path:
         """Return a place by its name, or a path below one."""
@@ -165,10 +182,13 @@ def run_small(names: Sequence[str], bench: Bench, show: Callable[[Outcome], None
         Whether all went well.
     """
     known, failed = forms(), False
-    for outcome in bench.prepare():
-        show(outcome)
-        failed |= outcome.failed
-    for name in sorted(names, key=lambda one: one != "bandai"):
+    bench.begin()
+    needed = set().union(*(stores_in(known[name].run) for name in names))
+    for store in STORES:
+        for outcome in bench.make(store) if store in needed else ():
+            show(outcome)
+            failed |= outcome.failed
+    for name in sorted({*names, *({"bandai"} & needed)}, key=lambda one: (one != "bandai", one)):
         outcome = bench.study(name, known[name])
         show(outcome)
         failed |= outcome.failed

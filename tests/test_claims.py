@@ -13,7 +13,7 @@ from kinedex.ops.errors import StoreError
 from studies import _report
 from studies.__main__ import studies
 from studies.small_form import FORMS, Bench, Form, forms
-from tests.claims.__main__ import Report, Task, command, run_all
+from tests.claims.__main__ import Report, Task, chosen, command, run_all
 from tests.claims.outcomes import Outcome, table
 from tests.claims.printed import ROOT, Printed, commands, make_targets, pages, printed_in_code, printed_in_page
 from tests.claims.usage import wrong_usage
@@ -136,7 +136,9 @@ def test_tasks_run_after_those_that_they_need_and_one_that_fails_costs_no_other(
         return Task(name, run, after)
 
     report = Report()
-    run_all([task("c", "a", "b"), task("b", "a"), task("a"), task("d", "c")], 2, report)
+    todo = [task("c", "a", "b"), task("b", "a"), task("a"), task("d", "c")]
+    assert [one.name for one in chosen(todo, ["b"])] == ["b", "a"]
+    run_all(chosen(todo, []), 2, report)
     assert order == ["a", "b", "c", "d"]
     assert {(one.claim, one.failed) for one in report.outcomes} == {
         ("a", False),

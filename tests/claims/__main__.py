@@ -14,12 +14,12 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from studies.small_form import LAST_LINES, Bench, forms
+from studies.small_form import LAST_LINES, STORES, Bench, forms, stores_in
 from tests.claims.outcomes import Outcome, table
 from tests.claims.pages import run_page
 from tests.claims.printed import ROOT
@@ -83,27 +83,39 @@ def study(name: str, bench: Bench) -> Iterator[Outcome]:
     yield Outcome(f"python -m studies.{name}", way, found.seconds, "not run" if left_out else found.result)
 
 
-def prepared(bench: Bench) -> Iterator[Outcome]:
-    """Make the data and the stores that studies and pages share."""
-    for one in bench.prepare():
+def made(store: str, bench: Bench) -> Iterator[Outcome]:
+    """Make a store that studies and pages share."""
+    for one in bench.make(store):
         yield Outcome(one.name, "on small data, for what follows", one.seconds, one.result)
 
 
 def tasks(bench: Bench, folder: Path, nightly: bool) -> list[Task]:
     """Return everything that is tried, what takes longest first."""
-    found = [Task("prepare", lambda: prepared(bench))]
+    found = [Task(store, lambda s=store: made(s, bench)) for store in STORES]
     for target, form in document()["make"].items():
         chosen = form["nightly"] if nightly and "nightly" in form else form
         if "run" in chosen:
-            after = ("prepare",) if "{" in str(chosen["run"]) else ()
+            after = tuple(stores_in(str(chosen["run"])))
             found.append(Task(f"make {target}", lambda t=target, c=chosen: command(f"make {t}", c, bench), after))
     first = ("bandai", "prior_choice", "depth", "priors")
     for name in sorted(forms(), key=lambda one: (one not in first, one)):
-        after = ("prepare",) if name == "bandai" else ("prepare", "bandai")
+        after = tuple(stores_in(forms()[name].run) - {name})
         found.append(Task(name, lambda n=name: study(n, bench), after))
     for number, page in enumerate(page_ways().values()):
-        found.append(Task(page.name, lambda p=page, n=number: run_page(p, bench, folder / f"page-{n}"), ("prepare",)))
+        after = tuple(stores_in("".join(f"{{{source}}}" for source in page.given.values())))
+        found.append(Task(page.name, lambda p=page, n=number: run_page(p, bench, folder / f"page-{n}"), after))
     return found
+
+
+def chosen(todo: list[Task], names: Sequence[str]) -> list[Task]:
+    """Return the tasks of some names with those that they need; all without names."""
+    needed, by_name = set[str](), {task.name: task for task in todo}
+    waiting = list(names or by_name)
+    while waiting:
+        name = waiting.pop()
+        needed.add(name)
+        waiting += by_name[name].after
+    return [task for task in todo if task.name in needed]
 
 
 def run_all(todo: list[Task], workers: int, report: Report) -> None:
@@ -152,11 +164,11 @@ def main() -> int:
     report = Report()
     with tempfile.TemporaryDirectory() as name:
         bench = Bench(Path(name) / "small", SHARED / "data")
+        bench.begin()
         todo = tasks(bench, Path(name), given.nightly)
         if unknown := set(given.names) - {task.name for task in todo}:
             parser.error(f"nothing is called {', '.join(sorted(unknown))}")
-        needed = {*given.names, "prepare", "bandai"}
-        run_all([task for task in todo if not given.names or task.name in needed], given.workers, report)
+        run_all(chosen(todo, given.names), given.workers, report)
     print(f"\n{table(report.outcomes)}, {(time.perf_counter() - report.begin) / 60:.1f} minutes")
     return 1 if any(one.failed for one in report.outcomes) else 0
 
