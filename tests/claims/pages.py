@@ -34,6 +34,10 @@ def run_page(page: PageWay, bench: Bench, folder: Path) -> Iterator[Outcome]:
     folder : Path
         The folder of the page; it is new.
     """
+    if page.takes_real_data and not bench.data.is_dir():
+        ways = [step for step in page.steps() if step.run]
+        yield from (Outcome(f"{page.name}: {one.printed}", f"no {bench.data}", 0.0, "not run") for one in ways)
+        return
     folder.mkdir(parents=True)
     blocks = _YAML.findall((ROOT / page.name).read_text(encoding="utf-8"))
     for place, source in page.given.items():

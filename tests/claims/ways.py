@@ -54,6 +54,13 @@ class PageWay:
     reasons: Mapping[str, str] = field(default_factory=dict)
     tests: str = ""
 
+    @property
+    def takes_real_data(self) -> bool:
+        """True where the page is run with real data, and is not run where there is none."""
+        texts = (*self.first, *self.words.values(), *self.instead.values())
+        given = any(source.startswith(("data/", "bandai")) for source in self.given.values())
+        return given or any("{data}" in text for text in texts)
+
     def steps(self) -> list[Step]:
         """Return the steps of the commands in blocks, in their order."""
         return [self._step(one.line) for one in printed_in_page(self.name) if one.form == "block"]
