@@ -17,7 +17,7 @@ import yaml
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import TEMPORARY, FileSums, sync_file, write_errors
 from kinedex.storage.index.builder import build_index
-from kinedex.storage.index.generations import INDEX_VERSION, current_generation, generations, read_generation
+from kinedex.storage.index.generations import current_generation, generations
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
 from kinedex.storage.provenance import kinedex_version, running_command
 from kinedex.storage.remedies import upgrade_with_damage
@@ -91,7 +91,7 @@ def upgrade(
     written again with these as columns. Takes, their ids, results and records of stages stay valid, so that no stage
     runs again because of it. All of it becomes visible in one step, as a new version. A killed upgrade goes on where it
     was when it is run again. The index stays, too, unless the files of indexes have changed since: then it is built
-    again at the end, also by the next upgrade where this one was killed before.
+    again before the new version is published.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def upgrade(
     root = Path(store)
     manifest = read_newest(root)
     if manifest.format_version == FORMAT_VERSION:
-        return Upgrade(FORMAT_VERSION, manifest.version, index_built=not dry_run and _built_outdated(root, manifest))
+        return Upgrade(FORMAT_VERSION, manifest.version)
     if dry_run:
         columns, again = _group_columns(root, manifest, ())
         return _summary(manifest, manifest.version, columns, again, ())
@@ -136,29 +136,19 @@ def upgrade(
             )
         columns, again = _group_columns(root, manifest, damaged)
         made = _upgraded(root, manifest, sums, columns, again)
+        # before the version is there, so that no reader and no kill finds it without its index
+        built = not damaged and bool(generations(root)) and current_generation(root, made) is None
+        if built:
+            build_index(Snapshot(root, made), wait=wait)
         publish(root, made)
         (root / FOLDER / PROGRESS).unlink(missing_ok=True)
-    done = _summary(manifest, made.version, columns, again, damaged)
-    if damaged or not generations(root) or current_generation(root, made) is not None:
-        return done
-    build_index(Snapshot(root, made))
-    return replace(done, index_built=True)
-
-
-def _built_outdated(root: Path, manifest: Manifest) -> bool:
-    """Build the index again if no generation can be read by this kinedex, and return whether that was so."""
-    records = [read_generation(folder) for folder in generations(root)]
-    if not records or any(record is not None and record.index_version >= INDEX_VERSION for record in records):
-        return False
-    build_index(Snapshot(root, manifest))
-    return True
+    return replace(_summary(manifest, made.version, columns, again, damaged), index_built=built)
 
 
 def summary(store: str | Path, done: Upgrade, *, dry_run: bool = False) -> list[str]:
     """Describe an upgrade in lines of text."""
     if done.before == FORMAT_VERSION:
-        rest = "; the index, which this kinedex cannot read, was built again" if done.index_built else ": nothing to do"
-        return [f"{store} has format {FORMAT_VERSION} already{rest}"]
+        return [f"{store} has format {FORMAT_VERSION} already: nothing to do"]
     columns = f"; takes get the columns {', '.join(done.columns)}" if done.columns else ""
     parts = f"{done.parts} parts of {shown_bytes(done.bytes)}"
     if dry_run:

@@ -18,12 +18,14 @@ import yaml
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import sync_file
 from kinedex.storage.index.builder import build_index
+from kinedex.storage.index.generations import current_generation
+from kinedex.storage.snapshot.manifest import Manifest
 from kinedex.storage.snapshot.manifest_files import read_newest, versions
 from kinedex.storage.snapshot.schemas import FORMAT_VERSION, RESULT_KINDS
 from kinedex.storage.store import upgrade as upgrading
 from kinedex.storage.store.garbage_collection import collect
 from kinedex.storage.store.store import open_store
-from kinedex.storage.store.upgrade import PROGRESS, summary, upgrade
+from kinedex.storage.store.upgrade import PROGRESS, upgrade
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter
 from tests.storage.made_up import BODY, add
@@ -174,21 +176,21 @@ def test_an_index_of_an_older_kinedex_is_built_again(old: Path) -> None:
     assert open_store(old).sql("SELECT count(*) > 0 AS found FROM word_runs").to_pylist() == [{"found": True}]
 
 
-def test_an_upgrade_killed_before_its_index_builds_it_next_time(old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def dies(_: object) -> None:
+def test_the_new_version_has_its_index_from_the_first_moment(old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def dies(path: Path, made: Manifest) -> None:
+        assert current_generation(path, made) is not None
         raise _Killed
 
+    before = answers(old)
     with monkeypatch.context() as patched:
-        patched.setattr(upgrading, "build_index", dies)
+        patched.setattr(upgrading, "publish", dies)
         with pytest.raises(_Killed):
             upgrade(old)
-    assert upgrade(old, dry_run=True).index_built is False
-    done = upgrade(old)
-    assert (done.before, done.version, done.index_built) == (4, 22, True)
-    (line,) = summary(old, done)
-    assert line == f"{old} has format 4 already; the index, which this kinedex cannot read, was built again"
-    assert verify(open_store(old)) == []
+    assert read_newest(old).format_version == 3
+    assert answers(old) == before
+    assert [str(one) for one in verify(open_store(old)) if one.fault] == []
     assert not upgrade(old).index_built
+    assert verify(open_store(old)) == []
 
 
 def test_a_dry_run_changes_nothing(old: Path) -> None:
