@@ -46,7 +46,7 @@ help:
 	@echo "make test                  lint, types and all tests"
 	@echo "make check-claims          every command that is printed, small benchmarks, attacks and studies (NIGHTLY=1: the whole)"
 	@echo "make fuzz                  broken files against every reader (FUZZ_SECONDS=20 for each, FUZZ_SEED=0)"
-	@echo "make attack                attacks on a store, counted (ATTACK=kills for one, NIGHTLY=1 for all of each)"
+	@echo "make attack                attacks on a store, counted in a table (ATTACK=kills for one, NIGHTLY=1 for all of each)"
 	@echo "make bench                 benchmarks: a table, and JSON in build/bench (SMALL=1: that they run; PARTS=\"reading ranking\")"
 	@echo "make bench AGAINST=COMMIT  what may not fall, beside another commit or tag, by turns (PARTS=\"reading ingest\")"
 	@echo "make bench-explorer        times of the explorer in Chromium (DATA=dir: with the motion files of a folder, five times)"

@@ -1,43 +1,32 @@
-"""`python -m tests.attacks`: all attacks, with a table of counts, and JSON in build/attack."""
+"""`python -m tests.attacks`: all attacks, with a table at the end, and JSON in build/attack.
+
+An attack that raises has failed, with its traceback, and the others go on. Sizes: `--sample` tries a few cases of each
+attack (two minutes for all on two cores), without an option each tries hundreds (15 to 20 minutes), `--nightly` has no
+bound.
+"""
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import shutil
 import sys
-import tempfile
-import time
-from dataclasses import asdict
-from pathlib import Path
 
-from tests.attacks import bombs, flips, fuzz, kills, names, power_loss, races, sql_writes
-from tests.attacks.outcome import Attack, Options, Outcome
-
-ATTACKS: dict[str, Attack] = {
-    "sql": sql_writes.run,
-    "bombs": bombs.run,
-    "flips": flips.run,
-    "kills": kills.run,
-    "power": power_loss.run,
-    "races": races.run,
-    "fuzz": fuzz.run,
-    "names": names.run,
-}
-"""All attacks by name, in the order in which they run."""
-
-FOLDER = Path("build") / "attack"
+from tests.attacks.outcome import Options, Outcome
+from tests.attacks.runs import ATTACKS, FOLDER, results
 
 MOST_SHOWN = 20
 
 
 def main() -> int:
-    """Run the attacks; return 1 if any of them succeeded."""
-    parser = argparse.ArgumentParser(prog="python -m tests.attacks", description=__doc__)
+    """Run the attacks; return 1 if any of them succeeded or raised."""
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.attacks", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("attacks", nargs="*", metavar="ATTACK", help=f"of {', '.join(ATTACKS)}; all unless given")
     parser.add_argument("--seed", type=int, default=0, help="the same seed makes the same cases")
-    parser.add_argument("--nightly", action="store_true", help="the full size, which takes hours")
+    size = parser.add_mutually_exclusive_group()
+    size.add_argument("--sample", dest="size", action="store_const", const="sample", help="a few cases of each")
+    size.add_argument("--nightly", dest="size", action="store_const", const="nightly", help="takes hours")
     parser.add_argument("--case", help="repeat this one case of the one attack that is given")
     given = parser.parse_args()
     unknown = [name for name in given.attacks if name not in ATTACKS]
@@ -45,39 +34,23 @@ def main() -> int:
         parser.error(f"no attack '{unknown[0]}'; known: {', '.join(ATTACKS)}")
     if given.case is not None and len(given.attacks) != 1:
         parser.error("--case needs the name of one attack")
-    options = Options(given.seed, given.nightly, given.case)
+    options = Options(given.seed, given.size or "ordinary", given.case)
     FOLDER.mkdir(parents=True, exist_ok=True)
-    failed = [name for name in given.attacks or ATTACKS if run(name, options).failures]
-    print(f"succeeded: {', '.join(failed)}" if failed else "no attack succeeded")
-    return int(bool(failed))
+    found = {}
+    for name, outcome, seconds in results(given.attacks or list(ATTACKS), options):
+        found[name] = outcome, seconds
+        _show(name, outcome, options)
+    print(table(found, options))
+    return int(any(outcome.failures for outcome, _ in found.values()))
 
 
-def run(name: str, options: Options) -> Outcome:
-    """Run one attack, print its table, and write it to build/attack."""
-    begin = time.perf_counter()
-    with tempfile.TemporaryDirectory(prefix="kinedex-attack-", dir=_quick_disk()) as folder:
-        outcome = ATTACKS[name](Path(folder), options)
-    seconds = time.perf_counter() - begin
-    _show(name, outcome, seconds, options)
-    written = {
-        "attack": name, "seed": options.seed, "nightly": options.nightly, "seconds": round(seconds, 1),
-        "counts": outcome.counts, "failures": [asdict(failure) for failure in outcome.failures],
-    }  # fmt: skip
-    (FOLDER / f"{name}.json").write_text(json.dumps(written, indent=1) + "\n", encoding="utf-8")
-    return outcome
-
-
-def _quick_disk() -> str | None:
-    """Return the folder of a disk in memory, if there is a large one: no attack depends on a real disk."""
-    memory = Path("/dev/shm")
-    return str(memory) if memory.is_dir() and shutil.disk_usage(memory).free > 4 << 30 else None
-
-
-def _show(name: str, outcome: Outcome, seconds: float, options: Options) -> None:
-    print(f"{name:36} {'':>9} {seconds:7.0f} s, {len(outcome.failures)} failures")
+def _show(name: str, outcome: Outcome, options: Options) -> None:
+    print(name)
     for kind, count in outcome.counts.items():
         print(f"  {kind:34} {count:9,}")
     for failure in outcome.failures[:MOST_SHOWN]:
+        if not failure.case:
+            print(failure.problem.rstrip())
         print(f"  FAILED {failure.problem.strip().splitlines()[-1][:300]}\n    {command(name, failure.case, options)}")
     if len(outcome.failures) > MOST_SHOWN:
         print(f"  … and {len(outcome.failures) - MOST_SHOWN} more in {FOLDER / name}.json")
@@ -85,9 +58,20 @@ def _show(name: str, outcome: Outcome, seconds: float, options: Options) -> None
 
 
 def command(name: str, case: str, options: Options) -> str:
-    """Return the command that repeats one case."""
-    nightly = " --nightly" if options.nightly else ""
-    return f"{os.path.relpath(sys.executable)} -m tests.attacks {name} --seed {options.seed}{nightly} --case '{case}'"
+    """Return the command that repeats one case, or the whole attack where it raised."""
+    size = "" if options.size == "ordinary" else f" --{options.size}"
+    again = f" --case '{case}'" if case else ""
+    return f"{os.path.relpath(sys.executable)} -m tests.attacks {name} --seed {options.seed}{size}{again}"
+
+
+def table(found: dict[str, tuple[Outcome, float]], options: Options) -> str:
+    """Return the table of all attacks: cases, failures and seconds."""
+    listed = [(name, *found[name]) for name in ATTACKS if name in found]
+    rows = [(name, outcome.cases, len(outcome.failures), seconds) for name, outcome, seconds in listed]
+    rows.append(("all", *(sum(column) for column in list(zip(*rows, strict=True))[1:])))
+    lines = [f"{options.size} size, seed {options.seed}", f"{'attack':8} {'cases':>9} {'failures':>9} {'seconds':>8}"]
+    lines += [f"{name:8} {cases:9,} {failures:9,} {seconds:8.0f}" for name, cases, failures, seconds in rows]
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":

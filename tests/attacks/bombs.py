@@ -6,9 +6,12 @@ import io
 import struct
 import subprocess
 import sys
+import tempfile
 import zipfile
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from random import Random
 
 import numpy as np
 
@@ -24,6 +27,9 @@ ROOT = Path(__file__).resolve().parents[2]
 SECONDS = 300
 """A bomb may take so long on a loaded machine, the start of a process included."""
 
+JOBS, SAMPLE = 2, 8
+"""Bombs at the same time, and in a sample."""
+
 PROGRAM = """
 import sys
 from pathlib import Path
@@ -34,10 +40,13 @@ from kinedex.storage.formats.labels.formats import FORMATS, read_labels
 from kinedex.storage.formats.motion.reader_table import read_body
 from tests.fuzz.depth_files import check_npz, check_pcd, check_ply, check_png
 from tests.large_files import peak_mb
-path = Path(sys.argv[1])
+path, harmless = Path(sys.argv[1]), sys.argv[2:]
 DEPTH = {"pcd": check_pcd, "ply": check_ply, "png": check_png, "npz": check_npz}
 joints = load_feature_set().joints
 mappings = load_mappings("auto", joints)
+# the libraries and kernels that any file of points needs take 72 MB, which are not the bomb's
+read_body(Path(harmless[0]), None, mappings, joints)
+check_pcd(Path(harmless[1]))
 before = peak_mb()
 ending = path.suffix[1:]
 try:
@@ -265,27 +274,37 @@ def most_mb(size: int) -> float:
 
 def run(folder: Path, options: Options) -> Outcome:
     """Let a process read each bomb; it must end in a body, in labels or in an error, in time and within its memory."""
+    names = [name for name in BOMBS if options.case in (None, name)]
+    if options.size == "sample" and options.case is None:
+        names = Random(options.seed).sample(names, SAMPLE)
+    (folder / "harmless.bvh").write_bytes(_bvh(2))
+    (folder / "harmless.pcd").write_bytes(_zeros(3))
     outcome = Outcome()
-    for name, (ending, make) in BOMBS.items():
-        if options.case not in (None, name):
-            continue
-        data = make()
-        path = folder / (ending if "." in ending else f"bomb.{ending}")
+    with ThreadPoolExecutor(JOBS) as pool:
+        for name, (how, problem) in zip(names, pool.map(lambda name: _read(folder, name), names), strict=True):
+            outcome.cases += 1
+            outcome.count(how)
+            if problem:
+                outcome.fail(name, problem)
+    return outcome
+
+
+def _read(folder: Path, name: str) -> tuple[str, str]:
+    """Let a process read a bomb; return how it ended, and the problem."""
+    ending, make = BOMBS[name]
+    data = make()
+    with tempfile.TemporaryDirectory(dir=folder) as place:
+        path = Path(place, ending if "." in ending else f"bomb.{ending}")
         path.write_bytes(data)
-        (folder / "x.asf").write_bytes(_many_bones() if ending == "many.amc" else human_asf().encode())
-        command = [sys.executable, "-c", PROGRAM, str(path)]
+        path.with_name("x.asf").write_bytes(_many_bones() if ending == "many.amc" else human_asf().encode())
+        harmless = [str(folder / f"harmless.{kind}") for kind in ("bvh", "pcd")]
+        command = [sys.executable, "-c", PROGRAM, str(path), *harmless]
         try:
             done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=SECONDS, check=False)
         except subprocess.TimeoutExpired:
-            outcome.fail(name, f"takes more than {SECONDS} s")
-            continue
-        outcome.count("bombs")
-        if done.returncode:
-            outcome.fail(name, f"ends with {done.returncode}: {done.stderr[-300:]}")
-            continue
-        how, peak = done.stdout.split()
-        outcome.count(how)
-        if float(peak) > most_mb(len(data)):
-            outcome.fail(name, f"takes {float(peak):.0f} MB, more than {most_mb(len(data)):.0f}")
-        path.unlink()
-    return outcome
+            return "hung", f"takes more than {SECONDS} s"
+    if done.returncode:
+        return "crashed", f"ends with {done.returncode}: {done.stderr[-300:]}"
+    how, peak = done.stdout.split()
+    most = most_mb(len(data))
+    return how, f"takes {float(peak):.0f} MB, more than {most:.0f}" if float(peak) > most else ""

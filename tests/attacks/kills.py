@@ -29,8 +29,11 @@ from tests.attacks.warm_workers import Kernel, Workers, asked, compiled, load_ke
 from tests.attacks.works import WORKS, Work
 from tests.attacks.written_content import contents, reports
 
-ORDINARY, NIGHTLY = 300, 1200
-"""Numbers of kills."""
+KILLS = {"sample": 18, "ordinary": 300, "nightly": 1200}
+"""The number of kills of each size."""
+
+SAMPLED = ("later ingest", "gc", "upgrade")
+"""The works that a sample kills."""
 
 PHASES = {
     "manifest": "commit", "frames": "frames parts", "takes": "takes parts", "lock": "opening",
@@ -83,7 +86,8 @@ def run(folder: Path, options: Options) -> Outcome:
     """Kill every work, as often in each of its phases."""
     if not available():
         return Outcome({"skipped, calls can be watched on Linux on x86-64 alone": 1})
-    return attack(folder, options.seed, NIGHTLY if options.nightly else ORDINARY, only=options.case)
+    works = SAMPLED if options.size == "sample" else tuple(WORKS)
+    return attack(folder, options.seed, KILLS[options.size], works, only=options.case)
 
 
 def attack(
@@ -131,6 +135,7 @@ def attack(
             if problem:
                 outcome.fail(f"{name}:{moment}", f"{name}, killed in {label or 'no phase'}: {problem}")
     order = {"kills": 0, **{name: place for place, name in enumerate(works, 1)}}
+    outcome.cases = outcome.counts["kills"]
     outcome.counts = dict(sorted(outcome.counts.items(), key=lambda item: order[item[0].partition(":")[0]]))
     return outcome
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 
 @dataclass(frozen=True)
@@ -15,14 +16,15 @@ class Options:
     ----------
     seed : int
         The same seed makes the same cases.
-    nightly : bool
-        True for the full size; the ordinary sizes of all attacks together take at most 15 minutes on two cores.
+    size : {"sample", "ordinary", "nightly"}
+        How many cases: a few of each attack, two minutes for all attacks on two cores; as many as `make attack` tries;
+        or what a night has time for.
     case : str or None
         The one case to repeat, as a failure names it; None for all of them.
     """
 
     seed: int = 0
-    nightly: bool = False
+    size: Literal["sample", "ordinary", "nightly"] = "ordinary"
     case: str | None = None
 
 
@@ -36,10 +38,11 @@ class Failure:
 
 @dataclass
 class Outcome:
-    """The outcome of an attack: counts by kind or phase, in the order of the table, and the failures."""
+    """The outcome of an attack: counts by kind or phase, in the order to show them, failures, and number of cases."""
 
     counts: dict[str, int] = field(default_factory=dict)
     failures: list[Failure] = field(default_factory=list)
+    cases: int = 0
 
     def count(self, kind: str, number: int = 1) -> None:
         """Add to a count."""

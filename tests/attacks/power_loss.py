@@ -96,6 +96,9 @@ WORKS = {
 }
 """The programs that make the store, and the program that is traced, of each work."""
 
+SAMPLED, EVERY = ("upgrade",), 10
+"""The works of a sample, which crash after each step whose number is a multiple of this."""
+
 CALLS = (
     "open,openat,creat,write,pwrite64,writev,pwritev,lseek,rename,renameat,renameat2,unlink,unlinkat,fsync,fdatasync,"
     "ftruncate,truncate,mkdir,mkdirat,rmdir,link,linkat,fallocate,copy_file_range,sendfile"
@@ -367,16 +370,19 @@ def run(folder: Path, options: Options) -> Outcome:
         return Outcome({"skipped, there is no strace on this machine": 1})
     total = Outcome({"crash points": 0, "disks": 0, "before": 0, "after": 0})
     chosen, _, step = (options.case or "").partition(":")
-    for work in WORKS:
+    sample = options.size == "sample" and options.case is None
+    for work in SAMPLED if sample else WORKS:
         if chosen not in ("", work):
             continue
         (folder / work).mkdir()
         only = int(step) if step else None
-        outcome = attack(folder / work, work, options.seed, several=6 if options.nightly else 1, only=only)
+        several = 6 if options.size == "nightly" else 1
+        outcome = attack(folder / work, work, options.seed, several, every=EVERY if sample else 1, only=only)
         for kind, number in outcome.counts.items():
             total.count(kind, number)
             total.count(f"{work}: {kind}", number)
         total.failures += outcome.failures
+    total.cases = total.counts["disks"]
     return total
 
 

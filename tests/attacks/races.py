@@ -46,9 +46,13 @@ MIX = "feature_set = 'mix'"
 BUSY = re.compile(r"is being written by process \d+ on ")
 
 
+ROUNDS = {"sample": (4, 1), "ordinary": (60, 6), "nightly": (600, 40)}
+"""Commits while readers read, and races for a new store, of each size."""
+
+
 def run(folder: Path, options: Options) -> Outcome:
     """Run the races of ordinary size, or the long ones of a night; a case is "reads", or "new store 3"."""
-    commits, rounds = (600, 40) if options.nightly else (60, 6)
+    commits, rounds = ROUNDS[options.size]
     return attack(folder, options.seed, commits=commits, rounds=rounds, case=options.case)
 
 
@@ -79,6 +83,7 @@ def attack(folder: Path, seed: int = 0, *, commits: int, rounds: int, case: str 
     for number in range(rounds):
         if case in (None, f"new store {number}"):
             _race_for_a_new_store(folder / f"new{number}", number, outcome)
+    outcome.cases = sum(count for kind, count in outcome.counts.items() if kind.startswith(("reads", "races")))
     return outcome
 
 

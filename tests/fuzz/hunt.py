@@ -19,7 +19,7 @@ from functools import lru_cache
 from multiprocessing.connection import Connection
 from pathlib import Path
 from random import Random
-from typing import Literal
+from typing import Any, Literal
 
 from tests.fuzz.mutations import mutate
 from tests.fuzz.structure import change_structure
@@ -137,11 +137,21 @@ def _seeds(target: Target) -> dict[str, bytes]:
     return target.seeds()
 
 
+@lru_cache(maxsize=1)
+def _processes() -> Any:
+    """Return the way to start children: forked from a process that has imported all readers, where systems can."""
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["tests.fuzz.hunt", "kinedex.storage.formats.motion.reader_table"])
+    return context
+
+
 class _Child:
     """A process that reads one mutant after the other; it is ended where one takes too long."""
 
     def __init__(self, target: Target, mutator: Mutator, seed: int, first: int, last: int | None) -> None:
-        context = multiprocessing.get_context("spawn")
+        context = _processes()
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(
             target=_read_mutants, args=(theirs, target, mutator, seed, first, last), daemon=True
@@ -210,7 +220,6 @@ def _read_mutants(pipe: Connection, target: Target, mutator: Mutator, seed: int,
     place = Path(tempfile.mkdtemp(prefix="kinedex-fuzz-"))
     with suppress(BrokenPipeError, KeyboardInterrupt):
         try:
-            warnings.simplefilter("error", RuntimeWarning)
             for key, data in target.seeds().items():
                 outcome = attempt(target, place / f"seed{target.ending}", data)
                 if outcome != "read":
@@ -240,7 +249,9 @@ def attempt(target: Target, path: Path, data: bytes) -> str:
     """Read one file and return "read", "refused", or the traceback of an unexpected error."""
     path.write_bytes(data)
     try:
-        return "read" if target.read(path) else "refused"
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", RuntimeWarning)
+            return "read" if target.read(path) else "refused"
     except Exception:
         return traceback.format_exc()
     finally:
