@@ -56,4 +56,13 @@ logged_at    TIMESTAMP WITH TIME ZONE    when""",
         "SELECT source, line, message FROM ingest_log ORDER BY source, line",
         stages="ingest read_imu",
     ),
+    result_view(
+        "known_failures",
+        "Files that failed when a run was told to remember it (`--known-failures remember`).",
+        """file    VARCHAR    the file
+checksum    VARCHAR    hash of its content, and of that of another file that is at fault
+error    VARCHAR    kind of error; UnmatchedLabels of a label file whose labels match no take
+reason    VARCHAR    the fault, and the way out""",
+        "SELECT file, reason FROM known_failures ORDER BY file",
+    ),
 )

@@ -20,7 +20,7 @@ ALL = "all_"
 SOURCE_KINDS = ("skeleton_files", "source_files", "ingest_log")
 """Results that belong to a source folder, whichever pipeline has ingested it."""
 
-SAVED_KINDS = ("hits", "duplicates")
-"""Results that a command stores, and no pipeline makes."""
+SAVED_KINDS = ("hits", "duplicates", "known_failures")
+"""Results that belong to no pipeline: all of them are shown."""
 
 RESULT_VIEWS = (*ANNOTATION_VIEWS, *TRACKING_VIEWS, *DEPTH_VIEWS, *INERTIAL_VIEWS, *KEYFRAME_VIEWS, *ARCHIVE_VIEWS)

@@ -15,6 +15,8 @@ _RUN = {
     "report": "path of the report, or null",
     "excluded_files": "number of source files that the ingest excluded (exit code 3 where there are any)",
     "unmatched_labels": f"{_UNMATCHED} (exit code 3 where there are any)",
+    "files": "source files that are `new`, `changed` or `gone` since the run before, those that `failed`, and those "
+    "`accepted` by `--known-failures remember`, each of these with `file` and `reason`",
     "metrics": "rows of the view `metrics` with the scope `pooled`, one for each evaluation",
 }
 
@@ -80,7 +82,7 @@ DOCUMENTS: dict[str, dict[str, str]] = {
             "unmatched_labels": _UNMATCHED,
             "labels": "the new rows, with the columns of a label and without those that the view adds",
         }
-        for name in ("import", "add", "remove", "accept", "reject")
+        for name in ("import", "add", "change", "remove", "accept", "reject")
     },
     "labels list": {**_STORE, "labels": "rows of the view `labels`, or of `label_history`"},
     "inspect": {
@@ -206,6 +208,101 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         "open_versions": "for each version that stays because readers have it open its `version` and the number of "
         "`processes`, null where the system does not tell",
     },
+    "init": {
+        "source": "the argument DIR",
+        "patterns": "for each proposed regular expression its `pattern` and the number of `paths` that it was made of",
+        "paths": "number of motion files",
+        "matched": "number of those that a pattern fits",
+        "file": "path of the pipeline that was written, or null",
+    },
+    "synth": {
+        "directory": "the argument DIR",
+        "made": "false where the archive was there already",
+        "actors": "names of the actors",
+        "classes": "names of the classes of motion",
+        "clips": "number of training clips",
+        "takes": "number of long takes",
+        "clip_minutes": "minutes of the clips",
+        "take_minutes": "minutes of the takes",
+        "frames": "number of source frames",
+        "labels": "number of labelled segments of the takes",
+        "bytes": "size of all files",
+    },
+    "sql": {
+        **_STORE,
+        "columns": "names of the columns; the second of two equal ones, x, is x_1",
+        "rows": "the rows, as objects",
+        "row_count": "number of rows, also of those beyond `--limit`",
+    },
+    "sql --path": {**_STORE, "path": "path of the database file"},
+    "report compare": {
+        "format": "kinedex comparison 1",
+        "comparisons": "for each pair of evaluations what the file of `--output FILE.json` has",
+    },
+    "labels export": {
+        **_STORE,
+        "files": "paths of the files",
+        "takes": "number of takes in them",
+        "segments": "number of their segments",
+        "by": "who labelled or annotated them",
+        "rejected": "number of annotations that are left out, since a person has rejected them",
+        "renamed": "take → name of its file, where they differ",
+        "excluded": "takes whose names the format would not give back",
+    },
+    "labels read": {"files": "the arguments FILE", "segments": "the segments of all files"},
+    "labels diff": {
+        "before": "the argument BEFORE",
+        "after": "the argument AFTER",
+        "differences": "for each segment its `change`, its edges and classes before and after, and their `unit`",
+        "remarks": "what was excluded, and why",
+    },
+    "template list": {**_STORE, "templates": "for each template what `--format json` shows"},
+    "template show": {
+        **_STORE,
+        "class": "the argument CLASS",
+        "kind": "soft or hard",
+        "about": "where the template comes from, in words",
+        "features": "names of the features",
+        "values": "for each column of the template the value of every feature, from 0 to 1",
+        "file": "path of the file that was written, or null",
+    },
+    "template diff": {
+        **_STORE,
+        "classes": "both arguments CLASS",
+        "kind": "soft or hard",
+        "delta": "threshold of wildcards",
+        "lines": "the contradictions, in words",
+        "file": "path of the picture, or null",
+    },
+    **{
+        f"{group} from-clip": {
+            **_STORE,
+            "name": f"name of the {group}",
+            "yaml": "the text of its file",
+            "file": "path of the file that was written, or null",
+        }
+        for group in ("template", "query")
+    },
+    "keyframes learn": _RUN,
+    "keyframes show": {
+        **_STORE,
+        "stage": "stage that learned them",
+        "queries": "for each query what `--format json` has",
+    },
+    "keyframes export": {
+        **_STORE,
+        "stage": "stage that learned them",
+        "queries": "number of queries",
+        "yaml": "the text of the query file",
+        "file": "path of the file that was written, or null",
+    },
+    "mapping new": {
+        "motion_file": "the argument FILE",
+        "file": "path of the mapping that was written",
+        "yaml": "its text",
+    },
+    "mapping add": {**_STORE, "kept": "for each mapping its `name` and `file`"},
+    "mapping remove": {**_STORE, "removed": "name of the mapping"},
     "version": {
         "versions": "version of kinedex and of its libraries",
         "path": "folder of the package that runs",

@@ -179,6 +179,42 @@ def labels_kept(store: Store, takes: Sequence[str] = (), where: str | None = Non
     ]
 
 
+def classes_of_takes(store: Store, takes: Sequence[str] = (), where: str | None = None) -> list[TakeLabels]:
+    """Return the class that each take has of its path or a table, as one label of all of its frames.
+
+    Parameters
+    ----------
+    store : Store
+        The store to read.
+    takes : sequence of str
+        The names of the takes to return; all that have a class unless given.
+    where : str, optional
+        A SQL filter over the columns of takes.
+
+    Raises
+    ------
+    KinedexError
+        A take has no class, or none has.
+    """
+    rows = store.takes(where).filter(pl.col("class").is_not_null()).sort("name")
+    unknown = sorted(set(takes) - set(rows["name"]))
+    if unknown:
+        raise KinedexError(f"'{unknown[0]}' is no take with a class{did_you_mean(unknown[0], rows['name'])}")
+    if not rows.height:
+        raise KinedexError(
+            f"{store.path}: no take of these has a class; the class of a take comes from its path, by `patterns` of "
+            "ingest (`kinedex init DIR` proposes some), or from a table of metadata"
+        )
+    return [
+        TakeLabels(
+            row["name"], float(row["source_rate_hz"]), int(row["source_frames"]),
+            (Label(row["class"], 0, int(row["source_frames"])),), store.manifest.created,
+        )
+        for row in rows.iter_rows(named=True)
+        if not takes or row["name"] in takes
+    ]  # fmt: skip
+
+
 def _label(one: dict[str, object], take: dict[str, object]) -> Label:
     rates = float(str(take["source_rate_hz"])), float(str(take["rate_hz"])), int(str(take["source_frames"]))
     start, stop = (source_frame(int(str(one[name])), *rates) for name in ("start", "stop"))

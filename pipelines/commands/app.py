@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
 FAILED, LEFT_OUT, TIMED_OUT, INTERRUPTED = 1, 3, 124, 130
-"""Exit codes: failed; done, but the ingest excluded source files; `--timeout` ended it; Ctrl-C stopped it."""
+"""Exit codes: failed; done, but source files or labels were excluded; `--timeout` ended it; Ctrl-C stopped it."""
 
 _CODES = {"TimeLimitError": TIMED_OUT}
 """Class of an error → exit code, where it is not `FAILED`."""
@@ -152,7 +152,7 @@ app = typer.Typer(
     name="kinedex",
     cls=Program,
     help="A motion archive that can be queried: motion in, SQL and reports out.",
-    epilog="Exit codes: 0 done, 1 failed, 2 usage, 3 some files excluded, 124 too long, 130 by Ctrl-C.",
+    epilog="Exit codes: 0 done, 1 failed, 2 usage, 3 some data excluded, 124 too long, 130 by Ctrl-C.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # rich takes longer to import than all of kinedex that the help needs
@@ -269,6 +269,11 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
             code = _CODES.get(type(fault).__name__, FAILED)
             print_error(str(fault), type(fault).__name__, code, as_json, fault.remedy)
             raise typer.Exit(code) from None
+        except typer.BadParameter as fault:
+            if not as_json:
+                raise
+            print_error(fault.format_message(), "UsageError", fault.exit_code, as_json)
+            raise typer.Exit(fault.exit_code) from None
         except KeyboardInterrupt as fault:
             with suppress(ValueError):  # not the main thread
                 signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -14,7 +14,7 @@ from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.engine.executors import cores
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
-from kinedex.pipelines.synth.archive import write_archive
+from kinedex.pipelines.synth.archive import Summary, write_archive
 from kinedex.storage.snapshot.manifest_files import versions
 from kinedex.storage.store.store import open_store
 
@@ -120,7 +120,7 @@ def run_tracking_demo(store: Path, minutes: float, executor: str, workers: int |
         "recordings": str(recordings / "recordings.yaml"),
         "train": f"class IS NOT NULL AND actor <> '{FILMED}'",
     }
-    return run_pipeline("stabilise", store, assignments=settings, **common)
+    return run_settled("stabilise", store, settings, common)
 
 
 def run_depth_demo(store: Path, minutes: float, executor: str, workers: int | None, console: Console) -> Outcome:
@@ -163,7 +163,33 @@ def run_depth_demo(store: Path, minutes: float, executor: str, workers: int | No
         "recordings": str(recordings / RECORDINGS),
         "pose_database.where": f"class IS NOT NULL AND actor <> '{FILMED}'",
     }
-    return run_pipeline("reconstruct", store, assignments=settings, **common)
+    return run_settled("reconstruct", store, settings, common)
+
+
+def run_settled(pipeline: str, store: Path, settings: Mapping[str, str], run: Mapping[str, Any]) -> Outcome:
+    """Run a pipeline that makes takes of recordings, and again, so that its index has these takes.
+
+    Parameters
+    ----------
+    pipeline : str
+        Name of the pipeline.
+    store : Path
+        Directory of the store.
+    settings : mapping of str to str
+        Its settings, as `--set` gives them.
+    run : mapping of str to any
+        Executor, workers and terminal, as for `run_pipeline`.
+
+    Returns
+    -------
+    Outcome
+        That of the first run; a later one with the same settings has nothing to do.
+    """
+    outcome = run_pipeline(pipeline, store, assignments=settings, **run)
+    if outcome.ran:
+        run["terminal"].heading("the same again, with the takes of the recordings in the index")
+        run_pipeline(pipeline, store, assignments=settings, **run)
+    return outcome
 
 
 def ingest_archive(store: Path, minutes: float, console: Console, run: Mapping[str, Any]) -> Path:
@@ -230,7 +256,7 @@ def recordings_folder(store: Path, minutes: float) -> Path:
 
 def make_archive(
     directory: Path, minutes: float, actors: int, seed: int, workers: int | None, console: Console
-) -> None:
+) -> Summary:
     """Make a synthetic archive, or finish one that was interrupted, and print what it holds.
 
     Raises
@@ -247,3 +273,4 @@ def make_archive(
     console.print(f"    {summary}", markup=False)
     took = f"made in {time.perf_counter() - begin:.0f} s" if summary.made else "made before"
     console.print(f"    {took}", markup=False)
+    return summary

@@ -10,7 +10,8 @@ import typer
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.app import RUN, command
-from kinedex.pipelines.commands.output import print_message, print_path
+from kinedex.pipelines.commands.options import JsonOption
+from kinedex.pipelines.commands.output import print_json, print_message, print_path
 
 if TYPE_CHECKING:
     from kinedex.pipelines.ingestion.pattern_proposal import Proposal
@@ -24,6 +25,7 @@ def init(
         typer.Option("--output", "-o", metavar="FILE", help="Pipeline to write (.yaml); none unless given."),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over an existing file.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Propose patterns for the names of motion files, as a pipeline.
 
@@ -45,8 +47,12 @@ def init(
     paths = [motion.path for motion in found.motions]
     proposals = propose(paths)
     fitting = matched(proposals, paths)
-    _print(proposals, fitting, len(paths))
     root = Path(found.motions[0].root)
+    if as_json:
+        patterns = [{"pattern": one.pattern, "paths": len(one.layout.paths)} for one in proposals]
+        print_json({"source": source, "patterns": patterns, "paths": len(paths), "matched": fitting, "file": output})
+    else:
+        _print(proposals, fitting, len(paths))
     if output is None:
         again = shlex.join(["kinedex", "init", str(source), "-o", "my.yaml"])
         print_message(f"nothing was written; {again} writes a pipeline")
@@ -54,7 +60,8 @@ def init(
     text = draft(proposals, root, len(paths), fitting, shlex.quote(str(output)))
     with write_errors(output), whole_file(output) as path:
         path.write_text(text, encoding="utf-8")
-    print_path(output)
+    if not as_json:
+        print_path(output)
 
 
 def _print(proposals: list[Proposal], fitting: int, count: int) -> None:

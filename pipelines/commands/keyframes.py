@@ -14,6 +14,7 @@ from kinedex.pipelines.commands.options import (
     ExecutorOption,
     ForceOption,
     FormatOption,
+    JsonOption,
     OutputOption,
     SchedulerOption,
     SetOption,
@@ -22,7 +23,7 @@ from kinedex.pipelines.commands.options import (
     WorkersOption,
     assignments_of,
 )
-from kinedex.pipelines.commands.output import print_message, show_outcome, show_table
+from kinedex.pipelines.commands.output import print_json, print_message, show_outcome, show_table
 from kinedex.pipelines.commands.store_access import open_for_reading
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ def learn(
     scheduler: SchedulerOption = None,
     force: ForceOption = None,
     wait: WaitOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Learn a keyframe query for each class.
 
@@ -66,7 +68,7 @@ def learn(
         pipeline, store, assignments=assignments_of(assign), executor=executor, workers=workers, scheduler=scheduler,
         force=frozenset(force or ()), wait_seconds=wait or 0.0,
     )  # fmt: skip
-    show_outcome(outcome, store)
+    show_outcome(outcome, store, as_json)
 
 
 @command(of=keyframes)
@@ -77,6 +79,7 @@ def show(
     form: FormatOption = "table",
     output: OutputOption = None,
     at: AtOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Show learned queries and how well they separate the training clips.
 
@@ -89,6 +92,9 @@ def show(
     opened = open_for_reading(store, at)
     found = _stored(opened, name, pipeline)
     table = overview(found.outcomes, opened.feature_set, found.classes)
+    if as_json:
+        print_json({"store": store, "stage": found.stage, "queries": table})
+        return
     if form != "table" or output is not None:
         show_table(table, form, output)
         return
@@ -107,6 +113,7 @@ def export(
         Path | None, typer.Option("--output", "-o", help="File to write (.yaml); standard output unless given.")
     ] = None,
     at: AtOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Write learned queries as a query file, to edit and to search with."""
     from kinedex.catalog.queries.query_writer import write_queries
@@ -119,11 +126,14 @@ def export(
     found = _stored(opened, name, pipeline)
     queries = [query for one in found.outcomes for query in keyframe_queries(one, opened.feature_set, found.classes)]
     text = write_queries(queries, opened.feature_set)
-    if output is None:
+    if output is not None:
+        write_page(text, output)
+    if as_json:
+        print_json({"store": store, "stage": found.stage, "queries": len(queries), "yaml": text, "file": output})
+    elif output is None:
         print(text, end="")
-        return
-    write_page(text, output)
-    print_message(f"{len(queries)} queries written to {output}")
+    else:
+        print_message(f"{len(queries)} queries written to {output}")
 
 
 def _stored(store: Store, classes: list[str] | None, pipeline: str | None) -> StoredQueries:

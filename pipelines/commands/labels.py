@@ -10,14 +10,15 @@ import typer
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.app import ASK, command, group
-from kinedex.pipelines.commands.options import AtOption, FormatOption, OutputOption, StorePath, WhereOption
-from kinedex.pipelines.commands.output import show_table
+from kinedex.pipelines.commands.options import AtOption, FormatOption, JsonOption, OutputOption, StorePath, WhereOption
+from kinedex.pipelines.commands.output import print_json, show_table
 from kinedex.pipelines.commands.store_access import open_for_reading
 from kinedex.pipelines.console.escapes import visible
 
 if TYPE_CHECKING:
     from kinedex.storage.formats.labels.formats import Written
     from kinedex.storage.formats.labels.segments import TakeLabels
+    from kinedex.storage.store.store import Store
 
 labels = group("labels", "Keep the labels of people; write and read label files.", ASK)
 
@@ -51,42 +52,66 @@ def export(
     limbs: Annotated[
         bool, typer.Option("--limbs", help="Write the runs in which sensors find limbs wrong in place of annotations.")
     ] = False,
+    classes: Annotated[
+        bool, typer.Option("--classes", help="Write the class of each take, as paths or tables give it, for all of it.")
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
     at: AtOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Write annotations as label files, one per take or one for all.
 
     Annotations that a person has rejected are left out.
     """
-    from kinedex.pipelines.annotation.labels import annotate_stage, labels_kept, labels_of
-    from kinedex.pipelines.inertial.limb_error_labels import limb_error_labels, limb_error_stage
     from kinedex.storage.formats.labels.formats import write_labels
 
+    options = [name for name, on in (("--labels", kept), ("--limbs", limbs), ("--classes", classes)) if on]
+    if len(options) > 1:
+        raise typer.BadParameter(f"choose one of {' and '.join(options)}")
+    if (kept or classes) and stage is not None:
+        raise typer.BadParameter(f"labels are of no stage: give --stage or {options[0]}")
     opened = open_for_reading(store, at)
-    if kept and stage is not None:
-        raise typer.BadParameter("labels are of no stage: give --stage or --labels")
-    if kept and limbs:
-        raise typer.BadParameter("choose one of --labels and --limbs")
-    if limbs:
-        chosen = limb_error_stage(opened, stage)
-        found, by, rejected = limb_error_labels(opened, chosen, take or (), where), f"found wrong by {chosen}", 0
-    elif kept:
-        found, by, rejected = labels_kept(opened, take or (), where), "labelled by people", 0
-    else:
-        chosen = annotate_stage(opened, stage)
-        annotations = labels_of(opened, chosen, take or (), where)
-        found, by, rejected = annotations.takes, f"annotated by {chosen}", annotations.rejected
-    if kept and not found:
-        raise KinedexError(f"{store}: no take has a label; `kinedex labels --help` shows how labels come in")
+    found, by, rejected = _segments(opened, next(iter(options), None), stage, take or (), where)
     written = write_labels(found, form, output, force=force)
-    _print_export(found, written, output, by, rejected)
+    inside = [one for one in found if one.take not in written.excluded]
+    if as_json:
+        print_json(
+            {
+                "store": store, "files": written.paths, "takes": len(inside),
+                "segments": sum(len(one.labels) for one in inside), "by": by, "rejected": rejected,
+                "renamed": written.renamed, "excluded": written.excluded,
+            }
+        )  # fmt: skip
+        return
+    _print_export(inside, written, output, by, rejected)
 
 
-def _print_export(found: Sequence[TakeLabels], written: Written, output: str, by: str, rejected: int) -> None:
+def _segments(
+    store: Store, option: str | None, stage: str | None, takes: Sequence[str], where: str | None
+) -> tuple[Sequence[TakeLabels], str, int]:
+    """Return what an option exports, the annotations of a stage for None: its takes, its origin, what was rejected."""
+    from kinedex.pipelines.annotation.labels import annotate_stage, classes_of_takes, labels_kept, labels_of
+    from kinedex.pipelines.inertial.limb_error_labels import limb_error_labels, limb_error_stage
+
+    if option == "--limbs":
+        chosen = limb_error_stage(store, stage)
+        return limb_error_labels(store, chosen, takes, where), f"found wrong by {chosen}", 0
+    if option == "--classes":
+        return classes_of_takes(store, takes, where), "by the classes of takes", 0
+    if option == "--labels":
+        found = labels_kept(store, takes, where)
+        if not found:
+            raise KinedexError(f"{store.path}: no take has a label; `kinedex labels --help` shows how labels come in")
+        return found, "labelled by people", 0
+    chosen = annotate_stage(store, stage)
+    annotations = labels_of(store, chosen, takes, where)
+    return annotations.takes, f"annotated by {chosen}", annotations.rejected
+
+
+def _print_export(inside: Sequence[TakeLabels], written: Written, output: str, by: str, rejected: int) -> None:
     from kinedex.pipelines.console.wording import counted, few
 
     paths = written.paths
-    inside = [one for one in found if one.take not in written.excluded]
     place = str(paths[0]) if len(paths) == 1 else f"{len(paths)} files in {output}"
     count = sum(len(one.labels) for one in inside)
     print(visible(f"{counted(count, 'segment')} of {counted(len(inside), 'take')}, {by}: {place}"))
@@ -110,6 +135,7 @@ def read(
     ],
     form: FormatOption = "table",
     output: OutputOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Show the segments of label files as they are read for ground truth."""
     import pyarrow as pa
@@ -137,7 +163,11 @@ def read(
     text, number = pa.string(), pa.float64()
     kinds = {"take": text, "class": text, "start": number, "stop": number, "unit": text, "where": text}
     kinds |= {"limb": text, "annotator": text}
-    show_table(known_columns(rows, pa.schema(list(kinds.items()))), form, output)
+    table = known_columns(rows, pa.schema(list(kinds.items())))
+    if as_json:
+        print_json({"files": files, "segments": table})
+    else:
+        show_table(table, form, output)
 
 
 @command(of=labels)
@@ -151,6 +181,7 @@ def diff(
     every: Annotated[bool, typer.Option("--all", help="Show segments that are the same, too.")] = False,
     form: FormatOption = "table",
     output: OutputOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Show which segments of label files a person changed.
 
@@ -159,6 +190,9 @@ def diff(
     from kinedex.pipelines.labels.label_files import label_differences
 
     found = label_differences(before, after, None if store is None else open_for_reading(store, None), every=every)
+    if as_json:
+        print_json({"before": before, "after": after, "differences": found.rows, "remarks": found.remarks})
+        return
     for remark in found.remarks:
         typer.echo(visible(remark), err=True)
     show_table(found.rows, form, output)

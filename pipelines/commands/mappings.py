@@ -25,6 +25,7 @@ def new(
         Path | None, typer.Option(metavar="DIR", help="Source root; the ASF of an AMC file is looked for up to it.")
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Write a skeleton mapping for a motion file, to be edited.
 
@@ -40,6 +41,9 @@ def new(
         output.write_text(text, encoding="utf-8")
     except OSError as fault:
         raise KinedexError(f"{output}: cannot be written: {fault.strerror}") from None
+    if as_json:
+        print_json({"motion_file": file, "file": output, "yaml": text})
+        return
     print(visible(f"{output}: edit it, and check it by `kinedex inspect {file} --skeleton {output}`"))
 
 
@@ -50,6 +54,7 @@ def add(
         list[Path], typer.Argument(metavar="FILES...", help="Mappings or vocabularies (.yaml), or folders of them.")
     ],
     wait: WaitOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Keep mappings of your own in a store.
 
@@ -66,6 +71,9 @@ def add(
         for own, file in found:
             writer.put_mapping(own.name, file.text)
         writer.commit()
+    if as_json:
+        print_json({"store": store, "kept": [{"name": own.name, "file": file.path} for own, file in found]})
+        return
     for own, file in found:
         print(visible(f"{own.name}: kept in {store} ({file.path})"))
     print("The next ingest reads the files of their formats again.")
@@ -99,6 +107,7 @@ def remove(
     store: StorePath,
     name: Annotated[str, typer.Argument(help="Name of the mapping, as `kinedex mapping list STORE` prints it.")],
     wait: WaitOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Remove a mapping from a store.
 
@@ -114,4 +123,7 @@ def remove(
             raise KinedexError(f"{store}: it keeps no mapping '{name}'{did_you_mean(name, known)}")
         writer.put_mapping(name, None)
         writer.commit()
-    print(visible(f"{name}: removed from {store}"))
+    if as_json:
+        print_json({"store": store, "removed": name})
+    else:
+        print(visible(f"{name}: removed from {store}"))

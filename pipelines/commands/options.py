@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -13,6 +13,7 @@ from kinedex.pipelines.commands.output import print_message
 from kinedex.pipelines.motion_pages import FIGURES as FIGURES
 
 if TYPE_CHECKING:
+    from kinedex.pipelines.engine.config import KnownFailures
     from kinedex.storage.lock import Wait
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="Directory of the store.")]
@@ -62,6 +63,14 @@ MaxMemoryOption = Annotated[
 ]
 AcceptOption = Annotated[
     bool, typer.Option("--accept", help="Let the run take values, such as classes, away from takes of the store.")
+]
+KnownFailuresOption = Annotated[
+    str | None,
+    typer.Option(
+        "--known-failures",
+        metavar="WORD",
+        help="remember: the store keeps failures, and only new ones end with 3; report: all do, as unless given.",
+    ),
 ]
 WhereOption = Annotated[
     str | None, typer.Option(help="SQL filter over the columns of takes, for instance \"actor = 'bk'\".")
@@ -155,6 +164,13 @@ def assignments_of(pairs: list[str] | None) -> dict[str, str]:
             raise KinedexError(f"--set {pair}: expected NAME=VALUE")
         result[name] = value
     return result
+
+
+def known_failures_of(word: str | None) -> KnownFailures | None:
+    """Return the word of `--known-failures`; a `BadParameter` for another one."""
+    if word not in (None, "report", "remember"):
+        raise typer.BadParameter(f"--known-failures {word}: expected remember or report")
+    return cast("KnownFailures | None", word)
 
 
 def interval_of(text: str) -> tuple[int, int]:

@@ -14,7 +14,7 @@ import typer
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.app import LEFT_OUT
 from kinedex.pipelines.console.escapes import visible, visible_lines
-from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.console.wording import counted, few
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -45,6 +45,9 @@ def is_for_people(form: str, output: Path | None) -> bool:
     """Return whether `show_table` will print a table on a terminal."""
     return form == "table" and output is None and sys.stdout.isatty()
 
+
+FEW = 10
+"""Number of failures that the end of a run shows in full."""
 
 ROWS = 200
 """Number of rows that a terminal shows unless another is asked for; how many more there are is reported."""
@@ -134,6 +137,7 @@ def show_outcome(outcome: Outcome, store: Path, as_json: bool = False, *, repeat
                 "report": outcome.report,
                 "excluded_files": outcome.left_out,
                 "unmatched_labels": [one.as_json() for one in outcome.unmatched],
+                "files": _files(outcome),
                 "metrics": _pooled_metrics(outcome),
             }
         )
@@ -144,16 +148,40 @@ def show_outcome(outcome: Outcome, store: Path, as_json: bool = False, *, repeat
         )
     if not as_json and outcome.report is not None:
         console.print(f"report: {outcome.report}", style="bold", markup=False)
-    if outcome.left_out and not as_json:
-        console.print(
-            f"{counted(outcome.left_out, 'source file')} excluded; list them: "
-            f'kinedex sql {shlex.quote(str(store))} "SELECT * FROM ingest_log"',
-            markup=False,
-        )
     if not as_json:
-        for one in outcome.unmatched:
-            console.print(str(one), markup=False)
+        for line in _file_lines(outcome) if outcome.remembers else _failure_lines(outcome, store):
+            console.print(visible_lines(line), markup=False)
     if not as_json and repeat:
         console.print(f"again, where something changed: {outcome.command}", markup=False)
-    if outcome.left_out or outcome.unmatched:
+    if outcome.has_failures:
         raise typer.Exit(LEFT_OUT)
+
+
+def _failure_lines(outcome: Outcome, store: Path) -> list[str]:
+    """Return lines about excluded files and labels that match no take."""
+    lines = [str(one) for one in outcome.unmatched]
+    if outcome.left_out:
+        listed = f'kinedex sql {shlex.quote(str(store))} "SELECT * FROM ingest_log"'
+        lines.insert(0, f"{counted(outcome.left_out, 'source file')} excluded; list them: {listed}")
+    return lines
+
+
+def _file_lines(outcome: Outcome) -> list[str]:
+    """Return lines about the source files of a run that remembers failures, each kind with its files."""
+    files = outcome.files
+    failed = [f"failed: {one.reason}" for one in files.failed[:FEW]]
+    if len(files.failed) > FEW:
+        failed.append(f"failed: {len(files.failed) - FEW:,} more (view known_failures)")
+    kinds = {"new": files.new, "changed": files.changed, "gone": files.gone}
+    kinds |= {"accepted, since they failed before": tuple(one.file for one in files.accepted)}
+    return [f"{counted(len(paths), 'file')} {kind}: {few(paths)}" for kind, paths in kinds.items() if paths] + failed
+
+
+def _files(outcome: Outcome) -> dict[str, object]:
+    """Return the source files of a run as JSON has them."""
+    files = outcome.files
+    failures = {
+        kind: [{"file": one.file, "reason": one.reason} for one in some]
+        for kind, some in (("failed", files.failed), ("accepted", files.accepted))
+    }
+    return {"new": files.new, "changed": files.changed, "gone": files.gone, **failures}

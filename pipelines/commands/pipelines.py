@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +15,7 @@ from kinedex.pipelines.commands.options import (
     ExecutorOption,
     ForceOption,
     JsonOption,
+    KnownFailuresOption,
     MaxMemoryOption,
     MetadataOption,
     PipelineArgument,
@@ -25,6 +27,7 @@ from kinedex.pipelines.commands.options import (
     WaitOption,
     WorkersOption,
     assignments_of,
+    known_failures_of,
 )
 from kinedex.pipelines.commands.output import print_json, show_outcome
 
@@ -98,6 +101,7 @@ def run(
     force: ForceOption = None,
     max_memory: MaxMemoryOption = None,
     accept: AcceptOption = False,
+    known_failures: KnownFailuresOption = None,
     wait: WaitOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -113,6 +117,7 @@ def run(
     outcome = run_pipeline(
         pipeline, store, assignments=assignments, executor=executor, workers=workers, scheduler=scheduler,
         force=frozenset(force or ()), wait_seconds=wait or 0.0, accept=accept,
+        known_failures=known_failures_of(known_failures),
     )  # fmt: skip
     show_outcome(outcome, store, as_json)
 
@@ -182,6 +187,7 @@ def ingest(
     scheduler: SchedulerOption = None,
     max_memory: MaxMemoryOption = None,
     accept: AcceptOption = False,
+    known_failures: KnownFailuresOption = None,
     wait: WaitOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -205,6 +211,7 @@ def ingest(
     outcome = run_pipeline(
         "ingest", store, assignments=assignments, executor=executor, workers=workers, scheduler=scheduler,
         wait_seconds=wait or 0.0, accept=accept,
+        known_failures=known_failures_of(known_failures),
     )  # fmt: skip
     show_outcome(outcome, store, as_json)
 
@@ -216,9 +223,12 @@ def synth(
     actors: Annotated[int, typer.Option(min=2, help="Number of actors.")] = 5,
     seed: Annotated[int, typer.Option(help="Seed; the same seed makes the same bytes.")] = 2026,
     workers: WorkersOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Make a synthetic archive of ASF/AMC files with ground truth."""
     from kinedex.pipelines.commands.demo import make_archive
     from kinedex.pipelines.console.terminal import message_console
 
-    make_archive(directory, minutes, actors, seed, workers, message_console())
+    made = make_archive(directory, minutes, actors, seed, workers, message_console())
+    if as_json:
+        print_json({**asdict(made), "directory": directory})

@@ -177,6 +177,7 @@ def from_clip(
         Path | None, typer.Option("--output", "-o", help="File to write; standard output unless given.")
     ] = None,
     at: AtOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Propose a keyframe query for an example, as YAML to be edited."""
     from kinedex.pipelines.search.query_proposal import propose_query
@@ -185,8 +186,11 @@ def from_clip(
     opened = open_for_reading(store, at)
     first, last = clip_range(opened, take, start, stop)
     text = propose_query(opened, take, first, last, name=name, keyframes=keyframes)
-    if output is None:
-        print(text, end="")
-    else:
+    if output is not None:
         output.write_text(text, encoding="utf-8")
+    if as_json:
+        print_json({"store": store, "name": name, "yaml": text, "file": output})
+    elif output is not None:
         print_path(output)
+    else:
+        print(text, end="")

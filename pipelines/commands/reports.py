@@ -9,6 +9,8 @@ import typer
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.commands.app import RUN, command, group
+from kinedex.pipelines.commands.options import JsonOption
+from kinedex.pipelines.commands.output import print_json
 from kinedex.pipelines.console.escapes import visible
 
 report = group("report", "Compare evaluations.", RUN)
@@ -33,6 +35,7 @@ def compare(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Write to this file: .md, .html or .json.")
     ] = None,
+    as_json: JsonOption = False,
 ) -> None:
     """List the classes and takes that improved or got worse from A to B.
 
@@ -54,12 +57,14 @@ def compare(
         typer.echo(visible(remark), err=True)
     found = pairs(ours, theirs, split)
     comparisons = without_repeats([compared(one, other, _names(a, b, one.name, other.name)) for one, other in found])
-    if output is None:
+    if as_json:
+        print_json(content(comparisons))
+    elif output is None:
         for one in comparisons:
             make_console().print(rich_comparison(one))
-    elif output.suffix == ".json":
+    if output is not None and output.suffix == ".json":
         write_page(json_text(content(comparisons)), output)
-    else:
+    elif output is not None:
         write_page(page(comparisons) if output.suffix == ".html" else markdown(comparisons), output)
 
 

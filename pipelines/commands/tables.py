@@ -84,12 +84,13 @@ def sql(
     form: FormatOption = "table",
     output: OutputOption = None,
     at: AtOption = None,
+    as_json: JsonOption = False,
 ) -> None:  # fmt: skip
     """Ask the store in SQL (DuckDB), read-only. `SELECT * FROM help` lists the views and macros."""
     if path:
         if query is not None or file is not None:
             raise KinedexError("--path prints the path of the database file and runs no SQL: give no statement")
-        _print_database(open_for_reading(store, at))
+        _print_database(open_for_reading(store, at), as_json)
         return
     from kinedex.pipelines.console.hidden_rows import hidden_rows_hints
     from kinedex.pipelines.console.sql_prompt import rows_line, run_prompt
@@ -99,18 +100,20 @@ def sql(
         raise KinedexError("give the SQL as an argument or with --file, not both")
     if file is not None:
         query = _statement_of(file)
-    for folder in allow_files or ():
-        if not folder.is_dir():
-            raise KinedexError(f"--allow-files {folder}: no such folder")
+    if missing := [folder for folder in allow_files or () if not folder.is_dir()]:
+        raise KinedexError(f"--allow-files {missing[0]}: no such folder")
     opened = open_for_reading(store, at, allow_files or ())
     _bound_memory()
-    if limit is None and (is_for_people(form, output) or (query is None and sys.stdin.isatty())):
-        limit = ROWS
-    if query is None and sys.stdin.isatty():
+    prompts = query is None and sys.stdin.isatty() and not as_json
+    limit = ROWS if limit is None and not as_json and (is_for_people(form, output) or prompts) else limit
+    if prompts:
         run_prompt(opened, make_console(), timeout=timeout, max_rows=limit or None)
         return
     query = sys.stdin.read() if query is None else query
     found = opened.answer(query, timeout=timeout, max_rows=limit or None)
+    if as_json:
+        _print_rows(store, found.table, found.rows)
+        return
     show_table(found.table, form, output)
     for hint in hidden_rows_hints(opened, query, found.rows):
         print(visible(hint), file=sys.stderr)
@@ -118,10 +121,21 @@ def sql(
         print(f"{rows_line(found)}; --limit 0 shows all", file=sys.stderr)
 
 
-def _print_database(store: Store) -> None:
+def _print_rows(store: Path, table: pa.Table, count: int) -> None:
+    from kinedex.pipelines.console.tables import distinct_names
+
+    names = distinct_names(table.column_names)
+    print_json({"store": store, "columns": names, "rows": table.rename_columns(names), "row_count": count})
+
+
+def _print_database(store: Store, as_json: bool) -> None:
     from kinedex.storage.store.database_file import write_database
 
-    print_path(write_database(store))
+    path = write_database(store)
+    if as_json:
+        print_json({"store": store.path, "path": path})
+    else:
+        print_path(path)
 
 
 def _bound_memory() -> None:

@@ -15,12 +15,13 @@ from kinedex.pipelines.commands.options import (
     FiguresOption,
     FormatOption,
     HtmlOption,
+    JsonOption,
     KindOption,
     OutputOption,
     StageOption,
     StorePath,
 )
-from kinedex.pipelines.commands.output import print_message, print_path, show_table
+from kinedex.pipelines.commands.output import print_json, print_message, print_path, show_table
 from kinedex.pipelines.commands.pages import Pages
 from kinedex.pipelines.commands.store_access import open_for_reading
 from kinedex.pipelines.console.escapes import visible
@@ -46,12 +47,16 @@ def list_(
     form: FormatOption = "table",
     output: OutputOption = None,
     at: AtOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """List the templates of a store."""
     from kinedex.pipelines.templates.stored_templates import stored_templates, templates_overview
 
     opened = open_for_reading(store, at)
     table = templates_overview(opened, delta, stage)
+    if as_json:
+        print_json({"store": store, "templates": table})
+        return
     plain = form == "table" and output is None
     show_table(
         table.drop_columns(["stage", "remarks"] if one_stage(table) else ["remarks"]) if plain else table, form, output
@@ -78,6 +83,7 @@ def show(
     html: HtmlOption = None,
     figures: FiguresOption = FIGURES,
     at: AtOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Show a template: every feature over time.
 
@@ -94,22 +100,27 @@ def show(
     pages = Pages(html, None, figures)
     opened = open_for_reading(store, at)
     one = choose_template(opened, name, kind_of(kind), stage)
-    console = make_console()
-    if output is None:
+    if output is None and not as_json:
+        console = make_console()
         for line in template_lines(one, opened.feature_set, delta, opened.rate_hz, console.width):
             console.print(visible(line), markup=False)
-    elif output.suffix.lower() in (".yaml", ".yml", ".csv"):
+    elif output is not None and output.suffix.lower() in (".yaml", ".yml", ".csv"):
         write_template(
             NamedTemplate(name, one.learned.template, heading(one, opened.rate_hz)), opened.feature_set, output
         )
-    else:
+    elif output is not None:
         note = heading(one, opened.rate_hz).split(": ", 1)[1]
         figure = template_figure(one.learned.template, name, note, delta, opened.feature_set, opened.rate_hz)
         write_figure(figure, output)
-    if output is not None:
+    if output is not None and not as_json:
         print_path(output)
     pages.write_template(opened, one, delta)
     pages.report()
+    if as_json:
+        features = [feature.name for feature in opened.feature_set.features]
+        values = one.learned.template.values.round(6).tolist()
+        about = {"class": name, "kind": kind, "about": heading(one, opened.rate_hz), "features": features}
+        print_json({"store": store, **about, "values": values, "file": output})
 
 
 @command(of=template)
@@ -125,6 +136,7 @@ def diff(
         typer.Option("--output", "-o", help="Figure to write (.svg, .png); text unless given."),
     ] = None,
     at: AtOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """List the features in which two templates contradict each other."""
     from kinedex.ops.templates.derived_templates import contrast
@@ -139,13 +151,17 @@ def diff(
     one, other = (choose_template(opened, name, kind_of(kind), stage).learned.template for name in names)
     found = contrast(one, other, delta)
     lines = list(contrast_lines(names, found, opened.feature_set, opened.rate_hz))
-    if output is None:
+    if output is not None:
+        about = (names, found, delta, lines[0], opened.feature_set, opened.rate_hz)
+        write_figure(contrast_figure(one, other, *about), output)
+    if as_json:
+        print_json({"store": store, "classes": names, "kind": kind, "delta": delta, "lines": lines, "file": output})
+    elif output is not None:
+        print_path(output)
+    else:
         console = make_console()
         for line in lines:
             console.print(visible(line), markup=False)
-        return
-    write_figure(contrast_figure(one, other, names, found, delta, lines[0], opened.feature_set, opened.rate_hz), output)
-    print_path(output)
 
 
 @command(of=template, name="from-clip")
@@ -161,6 +177,7 @@ def from_clip(
         Path | None, typer.Option("--output", "-o", help="File to write (.yaml, .csv); standard output unless given.")
     ] = None,
     at: AtOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Make a template from one example: a take or an interval of it. `learn_templates.template_files` reads it."""
     from kinedex.catalog.template_files import write_yaml
@@ -169,11 +186,15 @@ def from_clip(
 
     opened = open_for_reading(store, at)
     made = template_from_clip(opened, take, start, stop, name or take)
-    if output is None:
-        print(write_yaml([made], opened.feature_set), end="")
-        return
-    write_template(made, opened.feature_set, output)
-    print_path(output)
+    if output is not None:
+        write_template(made, opened.feature_set, output)
+    text = write_yaml([made], opened.feature_set)
+    if as_json:
+        print_json({"store": store, "name": made.name, "yaml": text, "file": output})
+    elif output is not None:
+        print_path(output)
+    else:
+        print(text, end="")
 
 
 def one_stage(table: pa.Table) -> bool:

@@ -7,7 +7,9 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+from kinedex.pipelines.console.wording import duration
 
 _log = logging.getLogger("kinedex.progress")
 
@@ -29,11 +31,19 @@ class PulseStep:
     name: str
     total: int | None = None
     done: int = 0
+    begun: float = field(default_factory=time.monotonic)
 
     def text(self, seconds: float) -> str:
-        """Return the line about the step after so many seconds."""
+        """Return the line about the step, in work that has taken so many seconds."""
         count = "" if self.total is None else f"{self.done:,} of {self.total:,}, "
-        return f"{self.name}: {count}{seconds:.0f} s so far"
+        left = self.seconds_left(time.monotonic())
+        return f"{self.name}: {count}{seconds:.0f} s so far" + (f", about {duration(left)} left" if left else "")
+
+    def seconds_left(self, now: float) -> float | None:
+        """Return the seconds that the rest takes if it goes on as until now; None before anything is done."""
+        if self.total is None or not 0 < self.done < self.total:
+            return None
+        return (now - self.begun) * (self.total - self.done) / self.done
 
 
 class Pulse:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import textwrap
 from collections.abc import Iterable, Iterator
 from typing import Any
@@ -20,6 +21,7 @@ from rich.text import Text
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.console.escapes import visible, visible_text
 from kinedex.pipelines.console.json_text import json_text, json_value
+from kinedex.pipelines.console.wording import counted, few
 from kinedex.storage.formats.csv_cells import csv_line
 
 FORMATS = ("table", "csv", "json", "parquet")
@@ -30,14 +32,33 @@ TALL = 4
 _LINES = {b"lines": b"yes"}
 """Metadata of a column whose texts are broken into lines."""
 
+FEW_ROWS, MANY_COLUMNS = 5, 8
+"""Tables with more rows and at least so many columns show the first columns alone where a terminal is too narrow."""
+
 _TRIED = 200  # number of rows that the choice looks at
+
+_CAP = 60
+"""Most characters that a column is padded to in a file or a pipe, and that it counts for in a terminal."""
+
+_NARROWEST = 4
+"""Fewest characters that a column of a terminal needs, with the space between two."""
+
+_LEAST = 3
+"""With fewer columns that fit, each row is a block."""
+
+_EARLY = ("name", "take", "actor", "class", "subclass", "start", "stop")
+"""Columns that people look for before all others."""
+
+_LATE = re.compile(r"(^|_)(id|run|checksum|recipe|root|source|mtime|bytes|fingerprint)(_|$)")
+"""Names of columns that people read last."""
 
 
 class Shown:
     """An Arrow table that rich prints in the form that fits its place; no value is ever cut.
 
     In a file or a pipe a row is one line, however long. In a terminal, columns share the width and long values are
-    wrapped; where rows then have more than `TALL` lines on average, each row is a block with a line for every column.
+    wrapped. Where rows then have more than `TALL` lines on average, each row is a block with a line for every column;
+    of many rows with many columns, those columns that people read first are a table, and a line below names the others.
 
     Parameters
     ----------
@@ -54,28 +75,62 @@ class Shown:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Print the table in the form that fits."""
         if console.soft_wrap and not console.is_terminal:
-            rows = _texts(self._table, self._null)
-            if rows and all(_is_plain(text) for row in (self._table.column_names, *rows) for text in row):
-                yield from _plain_lines(self._table, rows)
-                return
-            whole = rich_table(self._table, null=self._null)
-            yield from console.render(whole, options.update_width(_natural_width(whole, console, options)))
-        elif self._is_tall(console, options):
+            yield Segment("".join(f"{line.rstrip()}\n" for line in self._piped(console, options)))
+        elif not self._is_tall(console, options):
+            yield rich_table(self._table, null=self._null)
+        elif (fitting := _fitting(self._table, self._null, options.max_width)) is not None:
+            yield rich_table(self._table.select(fitting), null=self._null)
+            others = [name for name in self._table.column_names if name not in fitting]
+            remark = (
+                f"{counted(len(others), 'more column')} that would not fit: {few(list(map(visible, others)))}; choose "
+                "columns, or --format json has all"
+            )
+            yield Text(textwrap.fill(remark, options.max_width))
+        else:
             for number, row in enumerate(_texts(self._table, self._null), 1):
                 yield Text(f"row {number:,}", style="bold")
                 yield pairs(zip(self._table.column_names, row, strict=True))
-        else:
-            yield rich_table(self._table, null=self._null)
+
+    def _piped(self, console: Console, options: ConsoleOptions) -> Iterator[str]:
+        """Yield the lines of a file or a pipe."""
+        rows = _texts(self._table, self._null)
+        if rows and all(_is_plain(text) for row in (self._table.column_names, *rows) for text in row):
+            yield from _plain_lines(self._table, rows)
+            return
+        whole = rich_table(self._table, null=self._null)
+        for line in console.render_lines(whole, options.update_width(_natural_width(whole, console, options))):
+            yield "".join(segment.text for segment in line)
 
     def _is_tall(self, console: Console, options: ConsoleOptions) -> bool:
         tried = self._table.slice(0, _TRIED)
         if not tried.num_rows or not tried.num_columns:
             return False
+        if tried.num_columns * _NARROWEST > options.max_width:
+            return True  # rich would lay out columns without any width
         with_rows, without = (
             len(console.render_lines(rich_table(part), options, pad=False)) for part in (tried, tried.slice(0, 0))
         )
         lines: int = with_rows - without
         return lines > TALL * int(tried.num_rows)
+
+
+def _fitting(table: pa.Table, null: str, width: int) -> list[str] | None:
+    """Return the columns that people read first, as many as fit, in the table's order; None where blocks are better.
+
+    Blocks are better for few rows, and where hardly any column fits. Keys, checksums and places come after all others.
+    """
+    names = table.column_names
+    if table.num_rows <= FEW_ROWS or len(names) < MANY_COLUMNS or len(set(names)) < len(names):
+        return None
+    rows = _texts(table.slice(0, _TRIED), null)
+    widths = {name: min(_CAP, max(map(cell_len, (name, *cells)))) for name, *cells in zip(names, *rows, strict=True)}
+    chosen, left = set[str](), width
+    for name in sorted(names, key=lambda name: -1 if name in _EARLY else bool(_LATE.search(name))):
+        left -= widths[name] + 3
+        if left < 0:
+            break
+        chosen.add(name)
+    return [name for name in names if name in chosen] if len(chosen) >= _LEAST else None
 
 
 def wrapped(table: pa.Table, column: str, width: int) -> pa.Table:
@@ -152,10 +207,13 @@ def _is_plain(text: str) -> bool:
     return text.isprintable() and text == text.strip()
 
 
-def _plain_lines(table: pa.Table, rows: list[list[str]]) -> Iterator[Segment]:
-    """Yield the lines of `rich_table` at its natural width; rich itself needs some 70 times as long."""
+def _plain_lines(table: pa.Table, rows: list[list[str]]) -> Iterator[str]:
+    """Yield the lines of `rich_table` at its natural width; rich itself needs some 70 times as long.
+
+    No column is padded beyond `_CAP` characters: what stands behind a longer text is moved to the right.
+    """
     names = table.column_names
-    widths = [max(cell_len(text) for text in column) for column in zip(names, *rows, strict=True)]
+    widths = [min(_CAP, max(cell_len(text) for text in column)) for column in zip(names, *rows, strict=True)]
     right = [_is_number(field.type) for field in table.schema]
 
     def line(texts: list[str]) -> str:
@@ -163,11 +221,13 @@ def _plain_lines(table: pa.Table, rows: list[list[str]]) -> Iterator[Segment]:
             " " * (width - cell_len(text)) + text if number else text + " " * (width - cell_len(text))
             for text, width, number in zip(texts, widths, right, strict=True)
         )
-        return " " + "   ".join(cells) + " "
+        return " " + "   ".join(cells)
 
-    length = sum(widths) + 3 * len(widths) - 1
-    rule = " " + "─" * (length - 2) + " "
-    yield Segment("\n".join([" " * length, line(names), rule, *map(line, rows), " " * length]) + "\n")
+    yield ""
+    yield line(names)
+    yield " " + "─" * (sum(widths) + 3 * len(widths) - 3)
+    yield from map(line, rows)
+    yield ""
 
 
 def _is_number(kind: pa.DataType) -> bool:
@@ -219,10 +279,10 @@ def encode(table: pa.Table, form: str) -> bytes:
         import pyarrow.parquet as pq
 
         sink = io.BytesIO()
-        pq.write_table(table.rename_columns(_distinct(table.column_names)), sink)
+        pq.write_table(table.rename_columns(distinct_names(table.column_names)), sink)
         return sink.getvalue()
     if form == "json":
-        names = _distinct(table.column_names)
+        names = distinct_names(table.column_names)
         return json_text([dict(zip(names, row, strict=True)) for row in _rows(table)]).encode()
     if form == "csv":
         rows = ([_nested(value) if isinstance(value, dict | list) else value for value in row] for row in _rows(table))
@@ -247,7 +307,7 @@ def _values(name: str, column: pa.ChunkedArray) -> list[Any]:
     return values
 
 
-def _distinct(names: list[str]) -> list[str]:
+def distinct_names(names: list[str]) -> list[str]:
     """Return the names with _1, _2, … appended to repeated ones."""
     taken = set(names)
     seen: set[str] = set()

@@ -90,7 +90,7 @@ class Progress:
     """One progress bar; a context manager. Where the output is no terminal, lines report it every now and then."""
 
     def __init__(self, console: Console, pulse: Pulse, description: str, total: int | None) -> None:
-        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
         from rich.progress import Progress as Bars
 
         self._bars = Bars(
@@ -98,6 +98,7 @@ class Progress:
             BarColumn(bar_width=30),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
+            *(() if total is None else (TextColumn("left"), TimeRemainingColumn())),
             console=console,
             transient=True,
             disable=console.quiet or not console.is_terminal,

@@ -27,3 +27,14 @@ def digits(value: float | None) -> str:
 def counted(number: int, noun: str, plural: str | None = None) -> str:
     """Return a count with its noun: "1 take", "2,000 takes"."""
     return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
+
+
+def duration(seconds: float) -> str:
+    """Return a length of time in the two largest units that it has: "40 s", "3 min 20 s", "2 h 5 min"."""
+    whole = max(1, round(seconds))
+    if whole < 60:
+        return f"{whole} s"
+    minutes, rest = divmod(whole, 60)
+    if minutes < 60:
+        return f"{minutes} min {rest} s" if minutes < 10 and rest else f"{minutes} min"
+    return f"{minutes // 60} h {minutes % 60} min"

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -17,6 +18,10 @@ from kinedex.ops.local_paths import refuse_addresses
 from kinedex.pipelines.engine.stage import STAGES, Input, Stage, load_stage
 
 _SETTING = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")
+
+
+KnownFailures = Literal["report", "remember"]
+"""Every run reports all failures, or the store remembers them and a run reports those that are new."""
 
 
 class _StageEntry(BaseModel):
@@ -31,6 +36,7 @@ class _PipelineFile(BaseModel):
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")
     description: str = ""
     settings: dict[str, Any] = {}
+    known_failures: KnownFailures = "report"
     stages: dict[str, _StageEntry | None] = Field(min_length=1)
 
 
@@ -74,6 +80,7 @@ class Pipeline:
     description: str
     stages: tuple[PipelineStage, ...] = field(default_factory=tuple)
     text: str = ""
+    known_failures: KnownFailures = "report"
 
     def stage(self, name: str) -> PipelineStage:
         """Return a stage by its name; a KinedexError names the nearest one."""
@@ -110,7 +117,16 @@ class _Given:
         try:
             return parse_yaml(self.value, self.place).data
         except ConfigError as fault:
-            raise KinedexError(f"{self.shown}: {fault.reason}; quote it") from None
+            raise KinedexError(f"{self.shown}: {fault.reason}; {self._quotes()}") from None
+
+    def _quotes(self) -> str:
+        """Return the way out of a text of `--set` that is no YAML."""
+        if '"' not in self.value or "\\" not in self.value:
+            return "quote it"
+        single = self.value.replace("'", "''").replace('"', "'")
+        text = f"{self.name}={single}"
+        shown = shlex.quote(text) if set('$`"!') & set(text) else f'"{text}"'
+        return f"in double quotes YAML reads a backslash as the begin of a code; use single ones: --set {shown}"
 
 
 def _plain(value: Any) -> Any:
@@ -180,7 +196,8 @@ class _PipelineReader:
             self._assign(one)
         stages = [self._stage(name) for name in self._entries]
         text = read_text(self._located.path)
-        return Pipeline(self._file.name, self._located.path, self._file.description, _ordered(stages), text)
+        file = self._file
+        return Pipeline(file.name, self._located.path, file.description, _ordered(stages), text, file.known_failures)
 
     def _assign(self, one: _Given) -> None:
         stage, dot, key = one.name.partition(".")

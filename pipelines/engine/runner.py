@@ -8,7 +8,7 @@ import os
 import shlex
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Any
 from kinedex.ops.errors import AcceptError, KinedexError, NewStoreError, Remedy
 from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.console.wording import few
-from kinedex.pipelines.engine.config import Pipeline, load_pipeline
+from kinedex.pipelines.engine.config import KnownFailures, Pipeline, load_pipeline
 from kinedex.pipelines.engine.context import Display, StageContext, feature_set_for
 from kinedex.pipelines.engine.executors import Executor, make_executor
+from kinedex.pipelines.engine.known_failures import SourceFiles, source_files, source_state
 from kinedex.pipelines.engine.plan import FORCED, Planner, Step, make_plan
 from kinedex.pipelines.engine.run_id import new_run_id
 from kinedex.pipelines.engine.run_recorder import RunRecorder
@@ -67,6 +68,10 @@ class Outcome:
         The page of the last stage that writes one.
     command : str or None
         The command that runs the same again; None for a call without `assignments`.
+    files : SourceFiles
+        The source files that are new, changed or gone, and those that failed.
+    remembers : bool
+        True where the store remembers failures, so that known ones are accepted.
     """
 
     pipeline: Pipeline
@@ -78,6 +83,13 @@ class Outcome:
     unmatched: tuple[UnmatchedLabels, ...]
     report: Path | None
     command: str | None = None
+    files: SourceFiles = field(default_factory=SourceFiles)
+    remembers: bool = False
+
+    @property
+    def has_failures(self) -> bool:
+        """True where files failed or labels match no take; of remembered failures only new ones count."""
+        return bool(self.files.failed) if self.remembers else bool(self.left_out or self.unmatched)
 
     @cached_property
     def metrics(self) -> pl.DataFrame:
@@ -124,6 +136,7 @@ def run_pipeline(
     force: Iterable[str] = (),
     wait_seconds: float = 0.0,
     accept: bool = False,
+    known_failures: KnownFailures | None = None,
     terminal: Display | None = None,
 ) -> Outcome:
     """Run the stages of a pipeline that have not been done yet.
@@ -153,6 +166,9 @@ def run_pipeline(
         `COMMIT_SECONDS` between its stages and to commit.
     accept : bool, optional
         True lets a stage take values away from takes; by default it refuses, and reports which.
+    known_failures : {"report", "remember"}, optional
+        "remember" keeps failures in the store, so that a later run reports new ones alone; that of the pipeline unless
+        given.
     terminal : Display, optional
         Shows messages and progress; standard output by default.
 
@@ -185,6 +201,8 @@ def run_pipeline(
     record = _pipeline_record(pipeline, assignments or settings or {})
     history = RunRecorder(store_path, pipeline, record)
     run = _Run(pipeline, store_path, pool, terminal, resume, wait, record, history, accept)
+    remember = (known_failures or pipeline.known_failures) == "remember"
+    before = source_state(open_store(store_path, at="newest") if versions(store_path) else None, pipeline)
     steps: list[Step] = []
     try:
         pool.check(store_path)
@@ -203,7 +221,11 @@ def run_pipeline(
     except KeyboardInterrupt:
         # all is done and recorded: only the workers were waited for
         pool.abort()
-    return _outcome(run, steps)
+    outcome = _outcome(run, steps)
+    files = source_files(
+        store_path, pipeline, before, outcome.unmatched, remember=remember, run=record.run, wait=run.begun().wait
+    )
+    return replace(outcome, files=files, remembers=remember)
 
 
 def _make_current(run: _Run) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import html
+import shlex
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
@@ -148,10 +149,14 @@ class LaterRoutes(BaseRoute):
 
 def require_page(built: Path = BUILT) -> None:
     """Raise a KinedexError if the page has not been built, as in a checkout."""
-    if not (built / "index.html").is_file():
-        raise KinedexError(
-            f"{built}: the page of the explorer has not been built", remedy=Remedy("run `make page`", ("make", "page"))
-        )
+    if (built / "index.html").is_file():
+        return
+    checkout = built.resolve().parents[2]
+    missing = f"{built}: the page of the explorer has not been built"
+    if not (checkout / "Makefile").is_file():
+        raise KinedexError(f"{missing}, and this is no checkout that could build it; install kinedex again")
+    command = ("make", "-C", str(checkout), "page")
+    raise KinedexError(missing, remedy=Remedy(f"`{shlex.join(command)}` builds it, in a minute or two", command))
 
 
 async def _too_long(_request: Request, _fault: Exception) -> Response:

@@ -223,7 +223,8 @@ def diagrams(trials: Sequence[Row], names: tuple[str, str]) -> list[Diagram]:
             lines.append(_line("second" if place == 0 else "first", words, row))
             average = row["average_precision"]
             texts.append(
-                f"{words}: AP {average:.2f}, {row['ranked']} of {row['relevant']} found, {row['kept']:.0%} kept"
+                f"{words}: AP {average:.2f}, {row['found']} of {row['relevant']} found below τ and {row['ranked']} at "
+                f"any rank, {row['kept']:.0%} kept"
             )
         if lines:
             text = f"precision and recall of {label}: " + "; ".join(texts)

@@ -82,14 +82,15 @@ def _shown(trials: Sequence[Trial]) -> Table:
     table = Table(
         box=box.SIMPLE_HEAD, pad_edge=False, title="rankings by stiffness of the queries", title_justify="left"
     )
-    for column in ("gaps", "classes", "kept", "to find", "ranked", "mean AP"):
+    for column in ("gaps", "classes", "kept", "to find", "found below τ", "at any rank", "mean AP"):
         table.add_column(column, justify="left" if column == "gaps" else "right")
     for variant in dict.fromkeys(trial.variant for trial in trials):
         own = [trial for trial in trials if trial.variant == variant and (not asked or trial.judged.label in asked)]
         total = sum(trial.judged.total for trial in own)
+        found = sum(trial.judged.found for trial in own)
         ranked = sum(sum(trial.judged.relevant) for trial in own)
         average = mean_average_precision([trial.judged for trial in own])
         shown = "–" if math.isnan(average) else f"{average:.3f}"
         kept = sum(trial.kept for trial in own) / len(own)
-        table.add_row(variant, str(len(own)), f"{kept:.1%}", str(total), str(ranked), shown)
+        table.add_row(variant, str(len(own)), f"{kept:.1%}", str(total), str(found), str(ranked), shown)
     return table

@@ -51,7 +51,7 @@ def test_precision_is_drawn_over_recall_up_to_the_last_right_rank() -> None:
     everywhere, written = diagram.lines
     assert everywhere.path == f"M{SIZE / 2:.1f} 0.0L{SIZE / 2:.1f} {SIZE / 2:.1f}L{SIZE:.1f} {SIZE / 3:.1f}"
     assert written.dot == (SIZE, 0)
-    assert "as written: AP 1.00, 2 of 2 found, 20% kept" in diagram.description
+    assert "as written: AP 1.00, 2 of 2 found below τ and 2 at any rank, 20% kept" in diagram.description
 
 
 def test_variants_are_counted_over_classes_with_queries() -> None:

@@ -11,6 +11,7 @@ from rich.console import Console
 
 from kinedex.pipelines.console import pulse
 from kinedex.pipelines.console.terminal import Terminal
+from kinedex.pipelines.console.wording import duration
 
 
 @pytest.fixture
@@ -68,3 +69,24 @@ def test_a_message_puts_the_next_line_off_and_a_long_step_has_few() -> None:
     now = beat._spoken
     assert beat._due(now) == pytest.approx(pulse.FIRST_SECONDS, abs=1)
     assert beat._due(now - 3600) == pytest.approx(pulse.SHARE * 3600, abs=1)
+
+
+def test_a_counted_step_reports_the_time_that_is_left() -> None:
+    step = pulse.PulseStep("reading takes", 400)
+    step.begun -= 100
+    assert step.seconds_left(step.begun + 100) is None
+    assert step.text(120) == "reading takes: 0 of 400, 120 s so far"
+    step.done = 100
+    assert step.seconds_left(step.begun + 100) == pytest.approx(300)
+    assert step.text(120) == "reading takes: 100 of 400, 120 s so far, about 5 min left"
+    step.done = 400
+    assert step.text(120) == "reading takes: 400 of 400, 120 s so far"
+    assert pulse.PulseStep("index").text(120) == "index: 120 s so far"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0.2, "1 s"), (59, "59 s"), (60, "1 min"), (200, "3 min 20 s"), (1234, "20 min"), (7500, "2 h 5 min")],
+)
+def test_durations_have_two_units_at_most(seconds: float, text: str) -> None:
+    assert duration(seconds) == text

@@ -138,7 +138,7 @@ def test_a_long_line_that_is_said_goes_on_below_between_two_words_in_a_terminal_
             "header": [None, "q", ""],
         },
         {"": ["", "", ""], "b": [True, None, False]},
-        {"x" * 300: ["y" * 500], "z": [[1, 2]]},
+        {"x" * 30: ["y" * 50], "z": [[1, 2]]},
         {"two\nlines": ["a\nb", "c"], "n": [1, 2]},
     ],
 )
@@ -153,3 +153,29 @@ def test_a_table_in_a_pipe_has_the_lines_that_rich_lays_out(
     plain = text()
     monkeypatch.setattr(tables, "_is_plain", lambda text: False)
     assert plain == text()
+
+
+def test_a_long_text_in_a_pipe_pads_no_other_row() -> None:
+    table = pa.table({"n": [1, 22], "message": ["y" * 3000, "short"], "end": ["a", "b"]})
+    lines = shown(table, 160, terminal=False)
+    assert max(len(line) for line in lines if "y" not in line) < 90
+    assert [line.split() for line in lines[1:]] == [
+        ["n", "message", "end"], ["─" * 71], ["1", "y" * 3000, "a"], ["22", "short", "b"], [],
+    ]  # fmt: skip
+
+
+WIDE = pa.table({"take_id": range(9), "name": ["a name"] * 9, **{f"column_{n}": ["some text"] * 9 for n in range(20)}})
+
+
+def test_a_wide_table_on_a_terminal_has_the_first_columns_and_names_the_others() -> None:
+    lines = shown(WIDE, 80, terminal=True)
+    assert lines[1].split() == ["name", "column_0", "column_1", "column_2", "column_3", "column_4"]
+    assert len([line for line in lines if "a name" in line]) == 9
+    remark = " ".join(" ".join(lines).split())
+    assert "16 more columns that would not fit: take_id, column_5, column_6" in remark
+    assert remark.endswith("choose columns, or --format json has all")
+    assert all(len(line) <= 80 for line in lines)
+    assert shown(WIDE.slice(0, 2), 80, terminal=True)[0] == "row 1"  # few rows are blocks, which have everything
+    assert shown(WIDE, 400, terminal=True)[1].split()[0] == "take_id"
+    many = pa.table({f"c{n}": ["x"] * 9 for n in range(60)})  # each would have no width at all
+    assert shown(many, 80, terminal=True)[1].split()[:2] == ["c0", "c1"]

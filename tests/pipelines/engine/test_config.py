@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -185,3 +186,24 @@ def test_stages_that_need_each_other_are_refused(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(type(load_stage("ingest")), "inputs", {"index": Input("index")})
     with pytest.raises(KinedexError, match="the stages index, ingest need each other"):
         load_pipeline(write(tmp_path, GOOD), {"source": "x"})
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        (r'["\d+_(?P<actor>\w+)"]', [r"\d+_(?P<actor>\w+)"]),
+        (r'["it is \d$"]', [r"it is \d$"]),
+        (r'["(?P<x>\d)", "y"]', [r"(?P<x>\d)", "y"]),
+    ],
+)
+def test_a_backslash_in_double_quotes_is_told_to_stand_in_single_ones(text: str, value: list[str]) -> None:
+    with pytest.raises(KinedexError, match="use single ones: --set ") as fault:
+        load_pipeline("ingest", {"source": "x", "ingest.patterns": text})
+    assert "quote it" not in str(fault.value)
+    words = shlex.split(str(fault.value).rpartition("--set ")[2])
+    name, _, way_out = words[0].partition("=")
+    assert (len(words), name) == (1, "ingest.patterns")
+    params = load_pipeline("ingest", {"source": "x", name: way_out}).stage("ingest").params
+    assert params.patterns == value  # type: ignore[attr-defined]
+    with pytest.raises(KinedexError, match="quote it"):
+        load_pipeline("ingest", {"source": "x", "ingest.patterns": "[a: b: c"})

@@ -195,8 +195,12 @@ def test_other_machines_are_let_in_with_a_warning_alone(capsys: pytest.CaptureFi
 
 
 def test_a_checkout_without_the_page_names_the_command_that_builds_it(tmp_path: Path) -> None:
-    with pytest.raises(KinedexError, match="make page"):
-        require_page(tmp_path)
+    built = tmp_path / "pipelines" / "explorer" / "built"
+    with pytest.raises(KinedexError, match="no checkout that could build it; install kinedex again"):
+        require_page(built)
+    (tmp_path / "Makefile").write_text("page:\n")
+    with pytest.raises(KinedexError, match=f"`make -C {tmp_path} page` builds it"):
+        require_page(built)
 
 
 HEAPS = """

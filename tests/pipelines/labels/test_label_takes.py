@@ -125,3 +125,20 @@ def test_a_run_ends_with_the_labels_that_match_no_take(capsys: pytest.CaptureFix
 
 def test_a_file_whose_takes_are_all_there_has_no_such_labels() -> None:
     assert unmatched_labels([LabelFile("a.csv", ("x",), ())], ["x", "y"]) == ()
+
+
+def test_classes_of_file_names_are_exported_as_labels_without_sql(source: Path, tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    pattern = "ingest.patterns=['a/(?P<class>01)_']"
+    assert kinedex("ingest", store, source, "--executor", "serial", "--set", pattern).exit_code == 0
+    for form in ("csv", "eaf"):
+        done = kinedex("labels", "export", store, "--classes", "--format", form, "-o", tmp_path / form)
+        assert done.exit_code == 0
+        assert "1 segment of 1 take, by the classes of takes" in done.stdout
+        (segment,) = read_labels(tmp_path / form / f"01_01.{form}").segments
+        assert (segment.take, segment.label) == ("01_01", "01")
+        assert segment.source_frames(120) == (0, 160)
+    done = kinedex("labels", "export", store, "--classes", "--take", "02_02", "-o", tmp_path / "none")
+    assert (done.exit_code, "'02_02' is no take with a class" in done.stderr) == (1, True)
+    done = kinedex("labels", "export", store, "--classes", "--stage", "annotate", "-o", tmp_path / "none")
+    assert (done.exit_code, "give --stage or --classes" in done.stderr) == (2, True)

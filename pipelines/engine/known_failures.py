@@ -1,0 +1,179 @@
+"""Failures of a run that are known from runs before: the store remembers them, so that only new ones count."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pyarrow as pa
+
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.engine.config import Pipeline
+from kinedex.pipelines.labels.label_takes import UnmatchedLabels
+from kinedex.storage.formats.motion.sources import checksum
+from kinedex.storage.lock import Wait
+from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.store.store import Store, open_store
+from kinedex.storage.store.writer import StoreWriter
+
+KIND, STAGE = "known_failures", "known_failures"
+"""The kind of results, and the last part of the stage that they are stored under."""
+
+
+@dataclass(frozen=True)
+class FailedFile:
+    """A file that could not be read, or whose labels match no take.
+
+    Attributes
+    ----------
+    file : str
+        The path of the file; for a person of a file of several, of that file.
+    checksum : str
+        Hash of all that the failure depends on: the content of the file, and of another one that is at fault; empty
+        where a file cannot be opened.
+    error : str
+        The kind of error.
+    reason : str
+        The message.
+    """
+
+    file: str
+    checksum: str
+    error: str
+    reason: str
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """The file, its content and the kind of error: a failure that agrees in them is the same one."""
+        return self.file, self.checksum, self.error
+
+
+@dataclass(frozen=True)
+class SourceFiles:
+    """The changes of source files that a run of a pipeline has seen.
+
+    Attributes
+    ----------
+    new, changed, gone : tuple of str
+        Paths of files that were not there in the run before, that have another content, and that are there no more.
+    failed : tuple of FailedFile
+        The files that failed; where failures are remembered, those that did not fail in the same way before.
+    accepted : tuple of FailedFile
+        The files that fail as they did when the store remembered them.
+    """
+
+    new: tuple[str, ...] = ()
+    changed: tuple[str, ...] = ()
+    gone: tuple[str, ...] = ()
+    failed: tuple[FailedFile, ...] = ()
+    accepted: tuple[FailedFile, ...] = ()
+
+
+@dataclass(frozen=True)
+class SourceState:
+    """The source files of a pipeline as its last ingest saw them: path → hash of the content, None if refused."""
+
+    files: dict[str, str | None] = field(default_factory=dict)
+
+
+def source_state(store: Store | None, pipeline: Pipeline) -> SourceState:
+    """Return the source files of a pipeline as its last ingest saw them."""
+    if store is None:
+        return SourceState()
+    seen: dict[str, str | None] = {}
+    for stage in (one for one in pipeline.stages if one.uses == "ingest"):
+        for row in store.result("source_files", stage=f"{pipeline.name}/{stage.name}").to_pylist():
+            if row["outcome"] in ("in", "refused"):
+                seen[f"{row['source_root']}/{row['source']}"] = None
+    if seen:
+        for row in store.take_rows.select(["source_root", "source", "checksum"]).to_pylist():
+            place = f"{row['source_root']}/{row['source']}"
+            if place in seen:
+                seen[place] = row["checksum"]
+    return SourceState(seen)
+
+
+def source_files(
+    store_path: Path,
+    pipeline: Pipeline,
+    before: SourceState,
+    unmatched: Iterable[UnmatchedLabels],
+    *,
+    remember: bool,
+    run: str,
+    wait: Wait,
+) -> SourceFiles:
+    """Compare the source files of a pipeline with those before the run, and its failures with those remembered.
+
+    Parameters
+    ----------
+    store_path : Path
+        The directory of the store, as the run has left it.
+    pipeline : Pipeline
+        The pipeline.
+    before : SourceState
+        Its source files before the run.
+    unmatched : iterable of UnmatchedLabels
+        The labels that match no take.
+    remember : bool
+        Keep the failures of this run in the store in place of those of the run before.
+    run : str
+        Id of the pipeline run.
+    wait : Wait
+        The time to wait for another writer.
+    """
+    store = open_store(store_path, at="newest")
+    then, now = before.files, source_state(store, pipeline).files
+    failures = tuple(dict.fromkeys([*_failed(store, pipeline), *map(_unmatched, unmatched)]))
+    known = _remembered(store, pipeline) if remember else frozenset[tuple[str, str, str]]()
+    failed = tuple(one for one in failures if one.key not in known)
+    if remember and (failed or len(known) > len(failures)):
+        with StoreWriter.open(store_path, store.feature_set, store.rate_hz, wait) as writer:
+            writer.put_results(KIND, _table(failures), stage=f"{pipeline.name}/{STAGE}", run=run)
+            writer.commit()
+    return SourceFiles(
+        tuple(sorted(now.keys() - then.keys())),
+        tuple(sorted(file for file in now.keys() & then.keys() if now[file] != then[file])),
+        tuple(sorted(then.keys() - now.keys())),
+        failed,
+        tuple(one for one in failures if one.key in known),
+    )
+
+
+def _failed(store: Store, pipeline: Pipeline) -> Iterator[FailedFile]:
+    """Yield the source files that the stages of a pipeline could not read."""
+    for stage in pipeline.stages:
+        root = getattr(stage.params, "root", None) if stage.uses == "ingest" else None
+        for row in store.result("ingest_log", stage=f"{pipeline.name}/{stage.name}").to_pylist():
+            file = f"{root}/{row['source']}" if root is not None else row["file"]
+            yield FailedFile(file, _checksum(file, row["file"]), row["error"], row["message"])
+
+
+def _unmatched(one: UnmatchedLabels) -> FailedFile:
+    return FailedFile(one.file, _checksum(one.file, *one.takes), "UnmatchedLabels", str(one))
+
+
+def _checksum(file: str, *more: str) -> str:
+    """Return the hash of a file; of other files' contents and of names, where there are some, as well."""
+    parts = [_content(file), *(_content(one) or one for one in more if one != file)]
+    return parts[0] if len(parts) == 1 else hashlib.sha256("\0".join(parts).encode()).hexdigest()
+
+
+def _content(file: str) -> str:
+    with suppress(KinedexError, ValueError):  # it is gone, or its name is none that the system knows
+        return checksum(Path(file))
+    return ""
+
+
+def _remembered(store: Store, pipeline: Pipeline) -> frozenset[tuple[str, str, str]]:
+    rows = store.result(KIND, stage=f"{pipeline.name}/{STAGE}").to_pylist()
+    return frozenset((row["file"], row["checksum"], row["error"]) for row in rows)
+
+
+def _table(failures: Iterable[FailedFile]) -> pa.Table:
+    schema = result_schema(KIND).remove(0)  # `run` is written by the store
+    rows = [{"file": one.file, "checksum": one.checksum, "error": one.error, "reason": one.reason} for one in failures]
+    return pa.Table.from_pylist(rows, schema=schema)
