@@ -55,8 +55,12 @@ def test_the_commands_of_the_unit_run(home: Path) -> None:
     unit = configparser.ConfigParser()
     unit.optionxform = str  # type: ignore[assignment, method-assign]
     unit.read_string(block("ini", "[Service]"))
-    for key in ("ExecStart", "ExecStartPost"):
-        done = run(unit["Service"][key], home)
+    (line,) = re.findall(r"^    kinedex (ingest .*)$", PAGE, re.MULTILINE)
+    for command in (
+        f"{home}/.venv/bin/kinedex {line}",
+        *(unit["Service"][key] for key in ("ExecStart", "ExecStartPost")),
+    ):
+        done = run(command, home)
         assert done.returncode == 0, done.stderr
     timer = configparser.ConfigParser()
     timer.read_string(block("ini", "[Timer]"))
