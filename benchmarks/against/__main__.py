@@ -72,16 +72,20 @@ def _measured(figures: Sequence[Guarded], sides: tuple[Side, Side], files: Path,
     for done, one in enumerate(figures):
         left = f", some {(time.monotonic() - began) / done * (len(figures) - done) / 60:.1f} min left" if done else ""
         print(f"[{done + 1}/{len(figures)}] {one.figure}{left}", flush=True)
-        try:
-            other, this = by_turns(sides, one.key, files, one.rounds, measure)
-        except DriverError as fault:
-            rows.append(Compared(one.figure, one.unit, remark=f"{FAILED}{fault}"))
-            continue
-        if isinstance(other, list) and isinstance(this, list):
-            rows.append(compare(one.figure, one.unit, other, this))
-        else:
-            rows.append(_one_sided(one, sides, (other, this)))
+        rows.append(_compared(one, sides, files, measure))
+        print(f"    {rows[-1].outcome}", flush=True)
+        write(rows, RESULT)  # so that a run that is interrupted leaves what it measured
     return rows
+
+
+def _compared(one: Guarded, sides: tuple[Side, Side], files: Path, measure: Measure) -> Compared:
+    try:
+        other, this = by_turns(sides, one.key, files, one.rounds, measure)
+    except DriverError as fault:
+        return Compared(one.figure, one.unit, remark=f"{FAILED}{fault}")
+    if isinstance(other, list) and isinstance(this, list):
+        return compare(one.figure, one.unit, other, this)
+    return _one_sided(one, sides, (other, this))
 
 
 def _one_sided(one: Guarded, sides: tuple[Side, Side], found: Sequence[object]) -> Compared:

@@ -45,6 +45,18 @@ class Compared:
     fell: bool = False
     remark: str = ""
 
+    @property
+    def spread(self) -> str:
+        """Return low and high as text."""
+        return f"{self.low:.2f} to {self.high:.2f}" if self.low is not None and self.high is not None else "–"
+
+    @property
+    def outcome(self) -> str:
+        """Return the ratio with its spread, or why there is none, as text."""
+        if self.ratio is None:
+            return self.remark
+        return f"{self.ratio:.2f} ({self.spread}){' FELL' if self.fell else ''}"
+
 
 def value_of(measured: dict[str, float], unit: str) -> float:
     """Return a measurement in a figure's unit: MB of memory, seconds, or a rate."""
@@ -77,10 +89,9 @@ def show(rows: Iterable[Compared], other: str) -> Table:
     for column in ("figure", "unit", other, "this", "ratio", "low to high", ""):
         table.add_column(column, justify="left" if column in ("figure", "unit", "") else "right", no_wrap=column != "")
     for row in rows:
-        spread = f"{row.low:.2f} to {row.high:.2f}" if row.low is not None and row.high is not None else "–"
         ratio = f"{row.ratio:.2f}" if row.ratio is not None else "–"
         table.add_row(
-            row.figure, row.unit, _shown(row.other), _shown(row.this), ratio, spread,
+            row.figure, row.unit, _shown(row.other), _shown(row.this), ratio, row.spread,
             "FELL" if row.fell else row.remark,
         )  # fmt: skip
     return table

@@ -175,6 +175,19 @@ def test_a_figure_that_fails_keeps_no_other_from_being_measured(compared: Path) 
     assert ratios == [None] + [1.0] * (len(guarded_figures(["startup"])) - 1)
 
 
+def test_an_interrupted_run_leaves_what_it_measured(compared: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    class Interrupted(Fake):
+        def __call__(self, measured: Side, figure: str, inputs: Path) -> Measurement:
+            if figure == "start_sql":
+                raise KeyboardInterrupt
+            return super().__call__(measured, figure, inputs)
+
+    with pytest.raises(KeyboardInterrupt):
+        program.main(["old", "startup"], Interrupted(old=2.0, this=1.0))
+    assert [row["ratio"] for row in json.loads(compared.read_text())] == [2.0, 2.0]
+    assert capsys.readouterr().out.count("2.00 (2.00 to 2.00)") == 2
+
+
 def test_an_unknown_part_is_wrong_usage(compared: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert program.main(["old", "raeding"], Fake()) == 2
     assert "did you mean 'reading'?" in capsys.readouterr().err
