@@ -1,7 +1,12 @@
-"""Start-up: seconds of a whole process, from its start to its end, for the import and for four commands."""
+"""Start-up: seconds of a whole process, from its start to its end, beside the import of the libraries that it needs.
+
+All processes take turns, round after round, so that a machine that slows down slows all of them; the figures are
+medians. A question of tables needs numpy, PyArrow and DuckDB, a search of motion polars and numba as well.
+"""
 
 from __future__ import annotations
 
+import os
 import statistics
 import subprocess
 import sys
@@ -11,26 +16,38 @@ from collections.abc import Iterator
 from benchmarks.harness import Figure, sized
 from kinedex.storage.store.store import Store
 
-RUNS = sized(7, 1)
+RUNS = sized(11, 1)
+
+TABLES = "import numpy, pyarrow, duckdb"
+MOTION = f"{TABLES}, polars, numba"
 
 
 def figures(store: Store) -> Iterator[Figure]:
-    """Time the best of some runs of each process, beside their median."""
-    python = [sys.executable]
+    """Time processes by turns, each beside the import of the libraries that it is compared with."""
+    path, (take, take_id) = str(store.path), next(iter(store.take_ids.items()))
+    stop = str(min(store.take_frames[take_id], 30))
+    kinedex = [sys.executable, "-m", "kinedex"]
     processes = {
-        "python -c pass": [*python, "-c", "pass"],
-        "import kinedex": [*python, "-c", "import kinedex"],
-        "kinedex --help": [*python, "-m", "kinedex", "--help"],
-        "kinedex takes": [*python, "-m", "kinedex", "takes", str(store.path)],
-        "kinedex sql": [*python, "-m", "kinedex", "sql", str(store.path), "SELECT count(*) FROM takes"],
-        "kinedex search": [*python, "-m", "kinedex", "search", str(store.path), "example"],
+        TABLES: [sys.executable, "-c", TABLES],
+        MOTION: [sys.executable, "-c", MOTION],
+        "import kinedex": [sys.executable, "-c", "import kinedex"],
+        "kinedex --help": [*kinedex, "--help"],
+        "kinedex takes": [*kinedex, "takes", path],
+        "kinedex sql": [*kinedex, "sql", path, "SELECT count(*) FROM takes"],
+        "kinedex search": [*kinedex, "search", path, "example"],
+        "kinedex rank": [*kinedex, "rank", path, "--take", take, "--start", "0", "--stop", stop, "--top", "10"],
     }
-    for name, command in processes.items():
-        times = []
-        for _ in range(RUNS + 1):
+    # as installed, with bytecode; the first round fills its caches, and those of files and kernels
+    environment = {name: text for name, text in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    times: dict[str, list[float]] = {name: [] for name in processes}
+    for _ in range(RUNS + 1):
+        for name, command in processes.items():
             begin = time.perf_counter()
-            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-            times.append(time.perf_counter() - begin)
-        # the first run fills the caches of files and of bytecode
-        median = statistics.median(times[1:])
-        yield Figure(f"start-up: {name}", 1, "processes", min(times[1:]), f"the median of {RUNS} runs", median)
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment)
+            times[name].append(time.perf_counter() - begin)
+    median = {name: statistics.median(found[1:]) for name, found in times.items()}
+    for name in processes:
+        if name not in (TABLES, MOTION):
+            beside = MOTION if name in ("kinedex search", "kinedex rank") else TABLES
+            text = f"{beside}: {median[name] / median[beside]:.2f} of it"
+            yield Figure(f"start-up: {name}", 1, "processes", median[name], text, median[beside])
