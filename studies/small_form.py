@@ -183,7 +183,7 @@ def run_small(names: Sequence[str], bench: Bench, show: Callable[[Outcome], None
     """
     known, failed = forms(), False
     bench.begin()
-    needed = set().union(*(stores_in(known[name].run) for name in names))
+    needed = set[str]().union(*(stores_in(known[name].run) for name in names))
     for store in STORES:
         for outcome in bench.make(store) if store in needed else ():
             show(outcome)

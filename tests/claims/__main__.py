@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from studies.small_form import LAST_LINES, STORES, Bench, forms, stores_in
@@ -91,19 +92,19 @@ def made(store: str, bench: Bench) -> Iterator[Outcome]:
 
 def tasks(bench: Bench, folder: Path, nightly: bool) -> list[Task]:
     """Return everything that is tried, what takes longest first."""
-    found = [Task(store, lambda s=store: made(s, bench)) for store in STORES]
+    found = [Task(store, partial(made, store, bench)) for store in STORES]
     for target, form in document()["make"].items():
-        chosen = form["nightly"] if nightly and "nightly" in form else form
-        if "run" in chosen:
-            after = tuple(stores_in(str(chosen["run"])))
-            found.append(Task(f"make {target}", lambda t=target, c=chosen: command(f"make {t}", c, bench), after))
+        way = form["nightly"] if nightly and "nightly" in form else form
+        if "run" in way:
+            after = tuple(stores_in(str(way["run"])))
+            found.append(Task(f"make {target}", partial(command, f"make {target}", way, bench), after))
     first = ("bandai", "prior_choice", "depth", "priors")
     for name in sorted(forms(), key=lambda one: (one not in first, one)):
         after = tuple(stores_in(forms()[name].run) - {name})
-        found.append(Task(name, lambda n=name: study(n, bench), after))
+        found.append(Task(name, partial(study, name, bench), after))
     for number, page in enumerate(page_ways().values()):
         after = tuple(stores_in("".join(f"{{{source}}}" for source in page.given.values())))
-        found.append(Task(page.name, lambda p=page, n=number: run_page(p, bench, folder / f"page-{n}"), after))
+        found.append(Task(page.name, partial(run_page, page, bench, folder / f"page-{number}"), after))
     return found
 
 
