@@ -236,8 +236,7 @@ def _one_root(file: MotionFile) -> bool:
 def _offsets_apart(motion: _Motion) -> frozenset[int]:
     """Return the nodes whose position channels do not hold their OFFSET, but what is added to it: nearly nothing."""
     nodes, offsets = motion.file.nodes, motion.file.offsets
-    with np.errstate(over="ignore"):  # a bone beyond all measure is refused later
-        lengths = np.sqrt((offsets * offsets).sum(axis=1)).tolist()
+    lengths = np.sqrt((offsets * offsets).sum(axis=1)).tolist()
     moved = {
         i: [step.column for step in node.steps if step.kind >= kinematics.MOVE_X]
         for i, node in enumerate(nodes)

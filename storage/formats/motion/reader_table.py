@@ -6,6 +6,8 @@ import os
 from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
+
 from kinedex.catalog.plugins import Plugins
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError
@@ -114,7 +116,8 @@ def read_body(
     SourceError
         The file cannot be read; the error names the file and the place of the first fault.
     """
-    return reader_of(path).read(MotionFile(path, skeleton, data, person), mappings, joints, settings)
+    with np.errstate(over="ignore"):  # numbers beyond all measure are refused with a message; numpy would warn as well
+        return reader_of(path).read(MotionFile(path, skeleton, data, person), mappings, joints, settings)
 
 
 def persons_of(file: MotionFile, mappings: Mappings) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -17,6 +18,7 @@ from kinedex.storage.formats.motion import reader_table
 from kinedex.storage.formats.motion.reader import Body, MotionFile, Reader, ReadSettings
 from kinedex.storage.formats.motion.reader_table import motion_endings, read_body, reader_of
 from kinedex.storage.formats.motion.sources import scan
+from tests.bvh_files import bvh_text, dance, mixamo
 
 JOINTS = load_feature_set().joints
 
@@ -70,3 +72,14 @@ def test_built_in_readers_have_the_known_endings(tmp_path: Path) -> None:
     assert {".amc", ".bvh", ".c3d", ".npz", ".trc", ".csv", ".npy"} <= set(motion_endings())
     with pytest.raises(SourceError, match=r"a\.xyz: is not read; kinedex reads \.amc, \.bvh"):
         reader_of(tmp_path / "a.xyz")
+
+
+def test_numbers_beyond_all_measure_are_refused_without_warnings_of_numpy(tmp_path: Path) -> None:
+    text = bvh_text(mixamo(), dance(mixamo(), 2))
+    place = text.index("OFFSET", text.index("JOINT"))
+    path = tmp_path / "far.bvh"
+    path.write_text(f"{text[:place]}OFFSET 1e200 0 0{text[text.index(chr(10), place) :]}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(SourceError):
+            read_body(path, None, load_mappings("auto", JOINTS), JOINTS)
