@@ -17,21 +17,13 @@ from kinedex.ops.local_paths import refuse_addresses
 from kinedex.pipelines.commands.app import COMMON_OPTIONS, NO_PATHS
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.config import load_pipeline
+from tests.every_command import commands
 
 ADDRESS = "s3://bucket/takes"
 SENTENCE = (
     "s3://bucket/takes: kinedex reads and writes files of this machine alone; copy the data to a folder, or mount it "
     "as one, and give the path of that"
 )
-
-
-def commands(of: typer.Typer = app, words: str = "") -> Iterator[tuple[str, Callable[..., None]]]:
-    for one in of.registered_commands:
-        assert one.callback is not None
-        yield f"{words} {one.name or one.callback.__name__}".strip(), one.callback
-    for group in of.registered_groups:
-        assert group.typer_instance is not None
-        yield from commands(group.typer_instance, f"{words} {group.typer_instance.info.name}".strip())
 
 
 def command_parameters() -> list[Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import json
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from kinedex.pipelines.stages.evaluate import Evaluate
 from kinedex.pipelines.stages.learn_templates import LearnTemplates
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.store import open_store
+from tests.every_command import commands
 from tests.pipelines.archives import write_archive
 from tests.pipelines.labelled import Line, labelled_line
 
@@ -28,15 +28,6 @@ NO_RESULT = {"explore"}
 
 OTHER_STAGES = {"track", "stabilise", "reconstruct", "simulate imu"}
 """Commands whose documents are those of `run`, or have one line for each frame."""
-
-
-def commands(of: typer.Typer = app, words: str = "") -> Iterator[tuple[str, Callable[..., None]]]:
-    for one in of.registered_commands:
-        assert one.callback is not None
-        yield f"{words} {one.name or one.callback.__name__}".strip(), one.callback
-    for group in of.registered_groups:
-        assert group.typer_instance is not None
-        yield from commands(group.typer_instance, f"{words} {group.typer_instance.info.name}".strip())
 
 
 def test_every_command_has_json_and_a_document() -> None:
