@@ -57,14 +57,19 @@ help:
 	@echo "make lock                  resolve the dependencies anew (needs uv)"
 	@echo "make clean                 remove what make has built, .venv included"
 
+# What the first search and the demo call is compiled beside the installation of what only developers need.
+COMPILE_KERNELS := $(BIN)/python -m kinedex.pipelines.engine.kernel_compilation
+
 # ---- environment -----------------------------------------------------------------------------------------
 $(VENV)/run.stamp: requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "kinedex needs Python 3.11 or newer; say which with make PYTHON=python3.x")'
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "installing the locked packages into $(VENV) ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --require-hashes -r requirements-dev.lock
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
-	@$(BIN)/python -m compileall -qq -j 0 $(VENV)/lib || true # on all cores; pip would use one
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --require-hashes -r requirements.lock
+	@{ $(COMPILE_KERNELS) || true; } & \
+	{ $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --require-hashes -r requirements-dev.lock && \
+	    $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e . && \
+	    { $(BIN)/python -m compileall -qq -j 0 $(VENV)/lib || true; }; } || { wait; exit 1; }; wait # pip would use one core
 	@touch $@
 
 setup: $(VENV)/run.stamp

@@ -13,6 +13,7 @@ from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.engine.executors import cores
+from kinedex.pipelines.engine.kernel_compilation import KernelCompilation
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
 from kinedex.pipelines.synth.archive import Summary, write_archive
 from kinedex.storage.snapshot.manifest_files import versions
@@ -71,7 +72,11 @@ def run_demo(
     refuse_other_takes(store, data or archive_folder(store, minutes))
     if data is None:
         data = archive_folder(store, minutes)
+        kernels = None if data.exists() or executor == "serial" else KernelCompilation(workers)
         make_archive(data, minutes, ACTORS, SEED, workers, console)
+        if kernels is not None and not kernels.is_done:
+            with Terminal(console).progress("compiling kernels"):
+                kernels.wait()
         settings["classes"] = "synthetic"
     settings["source"] = str(data)
     console.print(f"store: {store}", markup=False)
