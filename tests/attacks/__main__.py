@@ -1,8 +1,7 @@
 """`python -m tests.attacks`: all attacks, with a table at the end, and JSON in build/attack.
 
 An attack that raises has failed, with its traceback, and the others go on. Sizes: `--sample` tries a few cases of each
-attack (two minutes for all on two cores), without an option each tries hundreds (15 to 20 minutes), `--nightly` has no
-bound.
+attack (about two minutes of CPU for all), without an option each tries hundreds, and `--nightly` takes hours.
 """
 
 from __future__ import annotations

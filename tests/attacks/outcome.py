@@ -17,8 +17,7 @@ class Options:
     seed : int
         The same seed makes the same cases.
     size : {"sample", "ordinary", "nightly"}
-        How many cases: a few of each attack, two minutes for all attacks on two cores; as many as `make attack` tries;
-        or what a night has time for.
+        How many cases: a few of each attack; as many as `make attack` tries; or what a night has time for.
     case : str or None
         The one case to repeat, as a failure names it; None for all of them.
     """
