@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from kinedex.ops.kernel_list import listed_calls
+from kinedex.pipelines.engine import kernel_compilation
 from kinedex.pipelines.engine.kernel_compilation import KernelCompilation, balanced
 from tests.plain_python import PLAIN
 
@@ -30,11 +31,18 @@ def test_every_listed_call_is_compiled_by_one_process(parts: int) -> None:
     assert sum(map(len, files)) == len(set().union(*files)), "kernels of one file call each other"
 
 
-def test_processes_that_compile_come_to_an_end() -> None:
+def test_processes_that_compile_come_to_an_end(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    calls = [call for call in listed_calls() if ".primitives.norm(" in call or "_count_word_runs(" in call]
+    assert len(calls) == 2
+    monkeypatch.setattr(kernel_compilation, "listed_calls", lambda: ["kinedex.ops.bits.gone(int64)", *calls])
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+
     running = KernelCompilation(workers=2)
     running.wait()
 
     assert running.is_done
+    compiled = {file.name.partition("-")[0] for file in tmp_path.rglob("*.nbc")}
+    assert PLAIN or compiled >= {"primitives.norm", "runs._count_word_runs"}
 
 
 @pytest.mark.slow
