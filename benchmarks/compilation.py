@@ -48,7 +48,7 @@ def main(words: Sequence[str]) -> int:
             print(f"the list, compiled before, {time.monotonic() - began:.1f} s with the start of its processes:")
             show(events, 0)
         began = time.monotonic()
-        events = watched([asked.command] if asked.command else _usual(root), root / "c", environment)
+        events = watched([asked.command] if asked.command else _usual(root, asked.write), root / "c", environment)
         print(f"{' '.join(asked.command) or 'demo, search, rank'}, {time.monotonic() - began:.1f} s in all:")
         show(events, asked.most)
     calls = list(dict.fromkeys(event["request"] for event in events if "request" in event))
@@ -62,12 +62,12 @@ def main(words: Sequence[str]) -> int:
     return int(bool(missing))
 
 
-def _usual(root: Path) -> list[list[str]]:
-    """Return the commands of the first minutes."""
+def _usual(root: Path, alone: bool) -> list[list[str]]:
+    """Return the commands of the first minutes; alone, nothing but what they call themselves is compiled."""
     program = [sys.executable, "-m", "kinedex"]
     store = str(root / "store")
     return [
-        [*program, "demo", store, "--minutes", "3"],
+        [*program, "demo", store, "--minutes", "3", *(["--executor", "serial"] if alone else [])],
         [*program, "search", store, "example"],
         [*program, "rank", store, "--all"],
     ]
