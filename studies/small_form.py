@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import shlex
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,15 +13,13 @@ from pathlib import Path
 
 import yaml
 
+from studies.bounded_process import run_bounded
 from studies.small_data import cut
 
 ROOT = Path(__file__).resolve().parents[1]
 FORMS = Path(__file__).with_name("small_forms.yaml")
 MOST_SECONDS = 300.0
 """A study that takes longer fails: its small form is not small."""
-
-LAST_LINES = 12
-"""Lines of the output that are shown of a study that failed."""
 
 
 @dataclass(frozen=True)
@@ -151,17 +148,12 @@ class Bench:
 
 def ran(words: Sequence[str], environment: Mapping[str, str], codes: Sequence[int]) -> str:
     """Run a program; return "ok", or what is wrong with the end of its output."""
-    try:
-        done = subprocess.run(
-            words, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-            text=True, errors="replace", timeout=MOST_SECONDS, check=False,
-        )  # fmt: skip
-    except subprocess.TimeoutExpired:
+    ended = run_bounded(words, ROOT, environment, MOST_SECONDS)
+    if ended.code is None:
         return f"took longer than {MOST_SECONDS:g} s"
-    if done.returncode in codes and done.stdout.strip():
-        return "ok"
-    problem = f"exit code {done.returncode}" if done.returncode not in codes else "printed nothing"
-    return "\n".join([problem, *done.stdout.splitlines()[-LAST_LINES:]])
+    if ended.code not in codes:
+        return ended.problem(f"exit code {ended.code}")
+    return "ok" if ended.output.strip() else "printed nothing"
 
 
 def run_small(names: Sequence[str], bench: Bench, show: Callable[[Outcome], None]) -> bool:

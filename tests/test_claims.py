@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import pytest
 from kinedex.ops.errors import StoreError
 from studies import _report
 from studies.__main__ import studies
+from studies.bounded_process import run_bounded
 from studies.small_form import FORMS, Bench, Form, forms
 from tests.claims.__main__ import Report, Task, chosen, command, run_all
 from tests.claims.outcomes import Outcome, table
@@ -183,3 +186,22 @@ def test_the_list_of_studies_is_printed_and_an_unknown_one_is_refused() -> None:
 def test_studies_report_errors_of_kinedex_in_one_message(capsys: pytest.CaptureFixture[str]) -> None:
     _report(StoreError, StoreError("s: the index is missing"), None)
     assert capsys.readouterr().err == "python -m studies: s: the index is missing\n"
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="reads /proc")
+def test_a_program_that_takes_too_long_ends_with_what_it_started(tmp_path: Path) -> None:
+    script = "sleep 600 & echo $! > child; wait"
+    assert run_bounded(["bash", "-c", script], tmp_path, os.environ, 1.0).code is None
+    child = int((tmp_path / "child").read_text(encoding="utf-8"))
+    deadline = time.monotonic() + 60
+    while _runs(child) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert not _runs(child)
+
+
+def _runs(process: int) -> bool:
+    try:
+        state = Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0]
+    except FileNotFoundError:
+        return False
+    return state != "Z"

@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import os
 import shlex
-import subprocess
 import sys
 import tempfile
 import threading
@@ -20,7 +19,9 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from studies.small_form import LAST_LINES, STORES, Bench, forms, stores_in
+from kinedex.pipelines.engine.executors import cores
+from studies.bounded_process import run_bounded
+from studies.small_form import STORES, Bench, forms, stores_in
 from tests.claims.outcomes import Outcome, table
 from tests.claims.pages import run_page
 from tests.claims.printed import ROOT
@@ -63,17 +64,12 @@ def command(name: str, form: Mapping[str, object], bench: Bench) -> Iterator[Out
     bound = float(str(form.get("seconds", 300)))
     begin = time.perf_counter()
     environment = {**os.environ, "COLUMNS": "120"}
-    try:
-        done = subprocess.run(
-            words, cwd=ROOT, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT, text=True, errors="replace", timeout=bound, check=False,
-        )  # fmt: skip
-    except subprocess.TimeoutExpired:
-        yield Outcome(name, line, bound, f"took longer than {bound:g} s")
-        return
-    ended = "ok" if done.returncode == 0 else f"exit code {done.returncode}"
-    shown = [] if done.returncode == 0 else done.stdout.splitlines()[-LAST_LINES:]
-    yield Outcome(name, line, time.perf_counter() - begin, "\n".join([ended, *shown]))
+    ended = run_bounded(words, ROOT, environment, bound)
+    if ended.code is None:
+        result = f"took longer than {bound:g} s"
+    else:
+        result = "ok" if ended.code == 0 else ended.problem(f"exit code {ended.code}")
+    yield Outcome(name, line, time.perf_counter() - begin, result)
 
 
 def study(name: str, bench: Bench) -> Iterator[Outcome]:
@@ -160,7 +156,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.claims", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help="a page, a study, or 'make TARGET'; all by default")
     parser.add_argument("--nightly", action="store_true", help="the whole form of what has one")
-    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)), help="tasks beside each other")
+    parser.add_argument("--workers", type=int, default=cores(), help="tasks beside each other")
     given = parser.parse_args()
     report = Report()
     with tempfile.TemporaryDirectory() as name:

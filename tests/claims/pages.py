@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import re
 import shutil
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from studies.small_form import LAST_LINES, Bench
+from studies.bounded_process import run_bounded
+from studies.small_form import Bench
 from tests.claims.outcomes import Outcome
 from tests.claims.printed import ROOT
 from tests.claims.ways import PageWay
@@ -61,16 +61,11 @@ def _run(name: str, line: str, way: str, code: int, bench: Bench, folder: Path) 
     programs = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     environment = {**os.environ, "PATH": programs, "COLUMNS": "120", "PYTHONPATH": str(ROOT)}
     begin = time.perf_counter()
-    try:
-        done = subprocess.run(
-            ["bash", "-ec", line], cwd=folder, env=environment, stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", timeout=MOST_SECONDS,
-            check=False,
-        )  # fmt: skip
-    except subprocess.TimeoutExpired:
-        return Outcome(name, way, time.perf_counter() - begin, f"took longer than {MOST_SECONDS:g} s")
-    seconds = time.perf_counter() - begin
-    if done.returncode == code:
-        return Outcome(name, way, seconds, "ok")
-    shown = [f"exit code {done.returncode}", f"$ {line}", *done.stdout.splitlines()[-LAST_LINES:]]
-    return Outcome(name, way, seconds, "\n".join(shown))
+    ended = run_bounded(["bash", "-ec", line], folder, environment, MOST_SECONDS)
+    if ended.code is None:
+        result = f"took longer than {MOST_SECONDS:g} s"
+    elif ended.code != code:
+        result = ended.problem(f"exit code {ended.code}\n$ {line}")
+    else:
+        result = "ok"
+    return Outcome(name, way, time.perf_counter() - begin, result)
