@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -37,6 +38,28 @@ class ProgressBar(Protocol):
 
     def advance(self, n: int = 1) -> None:
         """Move the bar by n."""
+
+
+Progress = Callable[[str, int], ProgressBar]
+"""Function of a description and a number of steps that returns a progress bar."""
+
+
+class _NoBar:
+    """A progress bar that nobody sees."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def advance(self, n: int = 1) -> None:
+        """Move nothing."""
+
+
+def no_progress(_description: str, _total: int) -> ProgressBar:
+    """Return a progress bar that nobody sees."""
+    return _NoBar()
 
 
 class Display(Protocol):

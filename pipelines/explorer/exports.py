@@ -21,7 +21,7 @@ import numpy as np
 from pydantic import Field
 
 from kinedex.ops.errors import ConflictError, KinedexError
-from kinedex.pipelines.engine.context import ProgressBar
+from kinedex.pipelines.engine.context import no_progress
 from kinedex.pipelines.explorer.addresses import Question, get, post
 from kinedex.pipelines.explorer.answers import NotFoundError
 from kinedex.pipelines.explorer.hits import take_condition
@@ -79,23 +79,6 @@ class ExportQuestion(Question):
     hits: Annotated[tuple[Hit, ...], Field(max_length=MOST_HITS)] = ()
     folder: Annotated[str, Field(max_length=4000)] | None = None
     planned: str | None = None
-
-
-class _Silent:
-    """A progress bar that nobody sees."""
-
-    def __enter__(self) -> _Silent:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-    def advance(self, n: int = 1) -> None:
-        """Move nothing."""
-
-
-def _silent(_description: str, _total: int) -> ProgressBar:
-    return _Silent()
 
 
 def export_facts(archive: Archive, _request: Request) -> Row:
@@ -221,7 +204,7 @@ def plan_export(archive: Archive, asked: ExportQuestion, _request: Request) -> R
     folder = folder_of(archive, asked.folder) if asked.folder and asked.folder.strip() else None
     if what.kind == "sql":
         store.answer(str(what.name), timeout=SQL_SECONDS)
-    plan = planned(store, what, how, _silent)
+    plan = planned(store, what, how, no_progress)
     with archive.kernels:
         sizes = estimated_bytes(store, how, plan)
     rows, record = _records(store, what, how, plan)

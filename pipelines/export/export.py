@@ -9,10 +9,11 @@ from typing import Any
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.engine.context import Progress
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.export.folder import Folder, Written
 from kinedex.pipelines.export.metadata import Facts, data_set_text, metadata_rows, metadata_text, split_facts
-from kinedex.pipelines.export.plan import Progress, planned
+from kinedex.pipelines.export.plan import planned
 from kinedex.pipelines.export.request import How, What
 from kinedex.pipelines.export.work import Done, Job, batches_of_jobs, write_batch
 from kinedex.storage.store.store import Store

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ import numpy as np
 from kinedex.ops.distances.near_duplicates import F32, motion_outline, near_duplicates
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.console.wording import counted, few
-from kinedex.pipelines.engine.context import ProgressBar
+from kinedex.pipelines.engine.context import Progress
 from kinedex.pipelines.export.choice import at_most_per_class, balanced_clips, split_clips
 from kinedex.pipelines.export.clips import Clip, clips_of, with_names, with_twins
 from kinedex.pipelines.export.forms import form_named
@@ -29,9 +29,6 @@ from kinedex.storage.store.store import Store
 
 if TYPE_CHECKING:
     from kinedex.catalog.skeletons.mappings import Mappings
-
-Progress = Callable[[str, int], ProgressBar]
-"""Function of a description and a number of steps that returns a progress bar."""
 
 
 @dataclass(frozen=True)

@@ -12,16 +12,14 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import xxhash
-from rich.console import Console
 
 from kinedex.ops.duplicates.alignments import find_alignments
 from kinedex.ops.duplicates.same_motion import NEARLY_ALL, local_poses, same_motion
 from kinedex.ops.duplicates.word_agreement import plausible
 from kinedex.ops.search.runs import word_runs
 from kinedex.ops.words import TakeWords
-from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.console.wording import counted
-from kinedex.pipelines.engine.context import Display
+from kinedex.pipelines.engine.context import Display, Progress, no_progress
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.snapshot.snapshot import Snapshot
@@ -68,7 +66,7 @@ def find_duplicates(store: Snapshot, display: Display) -> pa.Table:
         so one take of each group has no row.
     """
     rows, kept = _same_files(store)
-    rows += _same_motions(store, kept, display)
+    rows += _same_motions(store, kept, display.progress)
     rows.sort(key=lambda row: (row["take"], row["of_take"], row["start"]))
     schema = result_schema("duplicates")
     return pa.Table.from_pylist(rows, schema=schema.remove(schema.get_field_index("run")))
@@ -89,7 +87,7 @@ def hold_one_motion(store: Snapshot, names: Sequence[str]) -> bool:
     lengths = [store.take_frames[store.take_id(name)] for name in names]
     if min(lengths) < NEARLY_ALL * max(lengths):
         return False
-    rows = _same_motions(store, list(names), Terminal(Console(quiet=True)))
+    rows = _same_motions(store, list(names), no_progress)
     whole = [
         row
         for row in rows
@@ -143,15 +141,15 @@ def _same_files(store: Snapshot) -> tuple[list[dict[str, Any]], list[str]]:
     return found, list(first.values())
 
 
-def _same_motions(store: Snapshot, names: list[str], display: Display) -> list[dict[str, Any]]:
+def _same_motions(store: Snapshot, names: list[str], progress: Progress) -> list[dict[str, Any]]:
     """Return the rows of takes, of those given, that hold the same motion."""
     words = store.words([store.take_id(name) for name in names])
     named = {take_id: name for name, take_id in store.take_ids.items()}
     ordered = [named[take_id] for take_id in words.take_ids.tolist()]
-    found = _candidates(store, words, display)
+    found = _candidates(store, words, progress)
     poses = _Poses(store)
     best: dict[tuple[str, str, bool], dict[str, Any]] = {}
-    with display.progress("comparing takes", len(found)) as bar:
+    with progress("comparing takes", len(found)) as bar:
         for group in _blocks(found, words.frames * len(store.feature_set.joints) * 12):
             poses.hold({ordered[take] for one, two, *_ in group for take in (one, two)})
             for one, two, shift, image in group:
@@ -164,13 +162,13 @@ def _same_motions(store: Snapshot, names: list[str], display: Display) -> list[d
     return list(best.values())
 
 
-def _candidates(store: Snapshot, words: TakeWords, display: Display) -> list[Candidate]:
+def _candidates(store: Snapshot, words: TakeWords, progress: Progress) -> list[Candidate]:
     """Return the alignments that can be of one motion, as far as words tell, in order of the takes."""
     runs = word_runs(words.words, words.offsets)
     mirrored = store.feature_set.mirrored if store.feature_set.mirror else lambda _: None
     run_images, images = mirrored(runs.word), mirrored(words.words)
     found: list[Candidate] = []
-    with display.progress("comparing words", len(words)) as bar:
+    with progress("comparing words", len(words)) as bar:
         done = 0
         for block in find_alignments(runs, run_images):
             kept = plausible(words.words, words.offsets, images, block, store.rate_hz)

@@ -179,7 +179,7 @@ def test_a_segment_beyond_its_take_is_named_with_both_lengths():
 
 def test_unknown_takes_are_listed_and_an_error_only_where_no_take_is_known():
     segments = [manual("a", "kick", 0, 40), manual("q", "kick", 0, 40)]
-    assert "does not have: q" in place(segments, takes("a"), ["a"], CLASSES).remarks[0]
+    assert place(segments, takes("a"), ["a"], CLASSES).remarks == ("truth.csv: 1 of 2 labels matches no take: q",)
     with pytest.raises(KinedexError, match=r"no take is named 'take_11'; did you mean 'take_1'"):
         place([manual("take_11", "kick", 0, 40)], takes("take_1"), ["take_1"], CLASSES)
     with pytest.raises(KinedexError, match="none of its takes was annotated"):
