@@ -18,7 +18,6 @@ SEVERAL: dict[str, tuple[int, str]] = {
     "kinedex.ops.distances.costs.fill_bounds": (2, "bounds of long templates need more than a byte"),
     "kinedex.ops.templates.averaging.add_others": (2, "clips are numbers or words"),
     "kinedex.ops.templates.pairs.align_pairs": (2, "clips are numbers or words"),
-    "kinedex.ops.templates.warping.trace_back": (2, "a table of its own, or a part of a larger one"),
 }
 """Listed kernels with more signatures than one: how many, and why."""
 

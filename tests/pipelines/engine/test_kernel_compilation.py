@@ -56,7 +56,11 @@ def test_a_demo_a_search_and_a_ranking_call_no_kernels_beside_the_list(tmp_path:
         "KINEDEX_COMPILATIONS": str(recorded),
     }
     store = str(tmp_path / "store")
-    for words in (["demo", store, "--minutes", "1"], ["search", store, "example"], ["rank", store, "--all"]):
+    for words in (
+        ["demo", store, "--minutes", "1", "--executor", "serial"],
+        ["search", store, "example"],
+        ["rank", store, "--all"],
+    ):
         done = subprocess.run(
             [sys.executable, "-m", "kinedex", *words], env=environment, capture_output=True, text=True, timeout=600
         )
