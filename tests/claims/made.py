@@ -20,6 +20,12 @@ def features(path: Path) -> None:
     path.write_text(text.replace("name: body40", "name: my-features") + "".join(f"  {line}\n" for line in lines))
 
 
+def keyframes(path: Path) -> None:
+    """Write the copy of keyframes.yaml that docs/keyframe-learning.md has its reader make."""
+    text = config_path("pipelines", "keyframes").read_text(encoding="utf-8")
+    path.write_text(re.sub(r"^name: .*$", f"name: {path.stem}", text, count=1, flags=re.MULTILINE), encoding="utf-8")
+
+
 def duets(path: Path) -> None:
     """Write a folder with a BVH file of two persons."""
     path.mkdir()
@@ -27,4 +33,4 @@ def duets(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    {"features": features, "duets": duets}[sys.argv[1]](Path(sys.argv[2]))
+    {"features": features, "keyframes": keyframes, "duets": duets}[sys.argv[1]](Path(sys.argv[2]))
