@@ -317,8 +317,11 @@ class Fit:
                 f"{what}{did_you_mean(node, self.places, _ALIKE)}{way_out}",
             )
 
-    def apply(self, positions: F64, joints: tuple[str, ...]) -> F64:
-        """Return the named joints (len(joints), 3, T), Y up, from the positions (nodes, 3, T) of all nodes."""
+    def apply(self, positions: F64, joints: tuple[str, ...], out: F64 | None = None) -> F64:
+        """Return the named joints (len(joints), 3, T), Y up, from the positions (nodes, 3, T) of all nodes.
+
+        They are put into `out` where it is given.
+        """
         tracks: dict[str, F64] = {}
         frames, axes = positions.shape[2], self.mapping.axes
         plain = bool((axes == np.eye(3)).all())
@@ -330,10 +333,13 @@ class Fit:
                 if not lost.any():
                     break
                 tracks[joint] = np.where(lost, self._track(other, positions, tracks, hand), tracks[joint])
-        result = np.stack([tracks[joint] for joint in joints])
-        if not plain:
-            result = np.einsum("ab,jbt->jat", axes, result)
-        return np.ascontiguousarray(result)
+        result = np.empty((len(joints), 3, frames)) if out is None else out
+        if plain:
+            for place, joint in enumerate(joints):
+                result[place] = tracks[joint]
+        else:
+            result[:] = np.einsum("ab,jbt->jat", axes, np.stack([tracks[joint] for joint in joints]))
+        return result
 
     def _track(self, mix: Mix, positions: F64, tracks: Mapping[str, F64], hand: float) -> F64:
         if mix.node is not None:

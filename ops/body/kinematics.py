@@ -112,7 +112,7 @@ def forward(
             if step.column >= channels.shape[1]:
                 raise ParameterError(f"channel of '{node.name}'", f"below {channels.shape[1]}", step.column)
     channels = np.ascontiguousarray(channels, dtype=np.float64)
-    needed = _needed(nodes, range(len(nodes)) if wanted is None else (*wanted, oriented))
+    needed = _needed(nodes, tuple(range(len(nodes))) if wanted is None else (*wanted, oriented))
     near = channels.size == 0 or bool(channels.min() >= -LARGEST and channels.max() <= LARGEST)
     positions = np.empty((len(nodes), 3, channels.shape[0]))
     positions[~needed] = np.nan
@@ -153,7 +153,8 @@ def _chain(nodes: tuple[Node, ...]) -> _Chain:
     )
 
 
-def _needed(nodes: tuple[Node, ...], wanted: Iterable[int]) -> npt.NDArray[np.bool_]:
+@lru_cache(maxsize=16)
+def _needed(nodes: tuple[Node, ...], wanted: tuple[int, ...]) -> npt.NDArray[np.bool_]:
     """Return the nodes that are wanted or lie between a wanted node and the root."""
     needed = np.zeros(len(nodes), dtype=np.bool_)
     for index in wanted:

@@ -109,7 +109,7 @@ def motion_faults(positions: F64, joints: tuple[str, ...], rate_hz: float, valid
     lost = 1.0 - float(valid.mean()) if len(valid) else UNKNOWN
     if not valid.any() or positions.shape[2] < 4:
         return MotionFaults(invalid_share=lost)
-    known = [bool(np.isfinite(joint).all()) for joint in positions[:, :, valid.argmax()]]
+    known = np.isfinite(positions[:, :, valid.argmax()]).all(axis=1).tolist()
     soles, limbs, above, legs = _parts(tuple(joints), tuple(known))
     lag = max(1, round(rate_hz * LAG_S))
     slide, contact, penetration, flight = _ground(positions, valid, soles, rate_hz)

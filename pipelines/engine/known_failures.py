@@ -89,7 +89,7 @@ def source_state(store: Store | None, pipeline: Pipeline) -> SourceState:
             if row["outcome"] in ("in", "refused"):
                 seen[f"{row['source_root']}/{row['source']}"] = None
     if seen:
-        for row in store.take_rows.select(["source_root", "source", "checksum"]).to_pylist():
+        for row in store.take_columns("source_root", "source", "checksum").to_pylist():
             place = f"{row['source_root']}/{row['source']}"
             if place in seen:
                 seen[place] = row["checksum"]

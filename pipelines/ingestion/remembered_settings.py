@@ -34,7 +34,7 @@ def _settings_of(root: str, store: Store) -> dict[str, Any]:
     gone = [former for former in sources if not os.path.isdir(former)]
     if not gone:
         return {}
-    rows = store.take_rows.select(["source_root", "source"]).to_pylist()
+    rows = store.take_columns("source_root", "source").to_pylist()
     for former in sorted(gone, key=lambda former: sources[former].recorded, reverse=True):
         if any(os.path.isfile(os.path.join(root, row["source"])) for row in rows if row["source_root"] == former):
             return sources[former].settings

@@ -124,8 +124,9 @@ def copies_line(store: Snapshot) -> str | None:
 
 def _same_files(store: Snapshot) -> tuple[list[dict[str, Any]], list[str]]:
     """Return the rows of copies of files, and the names of the takes that remain."""
-    rows = store.take_rows
-    persons = rows.column("person").to_pylist() if "person" in rows.column_names else [None] * rows.num_rows
+    several = ("person",) if "person" in store.manifest.takes_schema.names else ()
+    rows = store.take_columns("name", "take_id", "checksum", *several)
+    persons = rows.column("person").to_pylist() if several else [None] * rows.num_rows
     columns = (rows.column(name).to_pylist() for name in ("name", "take_id", "checksum"))
     facts = list(zip(*columns, persons, strict=True))
     files = Counter((checksum, person) for _, _, checksum, person in facts)

@@ -170,8 +170,9 @@ def _describe(
     moved = {row["take_id"]: row for row in plan.restated}
     rows = [moved.get(row["take_id"], row) for row in writer.store.take_rows.to_pylist()]
     read = [row for row in rows if row["format"] not in RECORDED_FORMATS and row["take_id"] not in dropped]
-    here = [row for row in read if row["source_root"] == params.root]
-    joined = metadata.join(here, params.root, writer.columns)
+    root = params.root
+    here = [row for row in read if row["source_root"] == root]
+    joined = metadata.join(here, root, writer.columns)
     changed = [
         row | ({"recipe": plan.recipes[row["source"]]} if row["source"] in plan.unchanged else {})
         for row in descriptions(params, joined).changed(here, writer.columns)
@@ -181,7 +182,7 @@ def _describe(
         context.say(line)
     if changed:
         context.say(f"{counted(len(changed), 'take')} described anew by patterns or metadata; no file was read for it")
-    if (beside := lies_in_source(params.root, params.tables)) is not None:
+    if (beside := lies_in_source(root, params.tables)) is not None:
         context.say(f"{beside} is not used: `--set ingest.metadata={shlex.quote(beside)}` joins its columns to takes")
 
 
@@ -313,10 +314,10 @@ def _report_read(context: StageContext, names: Collection[str]) -> None:
     if not names:
         return
     store = context.open()
-    columns = (store.take_rows.column(column).to_pylist() for column in ("name", "warnings"))
-    rows = [(name, warnings) for name, warnings in zip(*columns, strict=True) if name in names]
+    columns = store.take_columns("name", "warnings").columns
+    rows = zip(*(column.to_pylist() for column in columns), strict=True)
     # paths that match no pattern are reported before files are read
-    found = {name: [one for one in warnings if one != NO_PATTERN] for name, warnings in rows}
+    found = {name: [one for one in warnings if one != NO_PATTERN] for name, warnings in rows if name in names}
     warned = {name: warnings for name, warnings in found.items() if warnings}
     if warned:
         first, warnings = next(iter(warned.items()))

@@ -255,14 +255,14 @@ def with_columns(table: pa.Table, schema: pa.Schema) -> pa.Table:
 
     It reads parts that were written before a column existed. Columns that the schema lacks are dropped.
     """
-    return pa.table([_column(table, field) for field in schema], schema=schema)
+    there = dict(zip(table.column_names, table.columns, strict=True))
+    return pa.table([_column(there.get(field.name), field, table.num_rows) for field in schema], schema=schema)
 
 
-def _column(table: pa.Table, field: pa.Field) -> pa.ChunkedArray:
-    """Return a column of the table with the type of the field; to convert it loads `pyarrow.compute`."""
-    if field.name not in table.column_names:
-        return pa.chunked_array([pa.nulls(table.num_rows, field.type)])
-    column = table.column(field.name)
+def _column(column: pa.ChunkedArray | None, field: pa.Field, rows: int) -> pa.ChunkedArray:
+    """Return a column with the type of the field, nulls for none; to convert it loads `pyarrow.compute`."""
+    if column is None:
+        return pa.chunked_array([pa.nulls(rows, field.type)])
     return column if column.type == field.type else column.cast(field.type)
 
 
@@ -289,16 +289,18 @@ def conform(table: pa.Table, schema: pa.Schema, what: str) -> pa.Table:
     StoreError
         A column is missing, unknown, or does not convert; the message names it.
     """
-    missing = [name for name in schema.names if name not in table.column_names]
+    names, there = schema.names, table.column_names
+    missing = [name for name in names if name not in there]
     if missing:
         raise StoreError(f"{what}: missing column {', '.join(missing)}")
-    extra = [name for name in table.column_names if name not in schema.names]
+    extra = [name for name in there if name not in names]
     if extra:
-        raise StoreError(f"{what}: no column '{extra[0]}'{did_you_mean(extra[0], schema.names)}")
+        raise StoreError(f"{what}: no column '{extra[0]}'{did_you_mean(extra[0], names)}")
     columns = []
     for field in schema:
         try:
-            columns.append(table.column(field.name).cast(field.type))
+            column = table.column(field.name)
+            columns.append(column if column.type == field.type else column.cast(field.type))
         except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as fault:
             reason = str(fault).splitlines()[0]
             raise StoreError(f"{what}: column {field.name} must be {field.type}: {reason}") from None

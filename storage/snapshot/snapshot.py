@@ -25,6 +25,9 @@ from kinedex.storage.snapshot.parts import read_errors
 from kinedex.storage.snapshot.schemas import labels_schema, result_schema, sorted_by, with_columns
 from kinedex.storage.snapshot.shown_results import all_parts, origin_of, pipeline_of, shown_parts
 
+_FEW_ROWS = 20_000
+"""A part of no more rows is read by one thread: to hand its columns to others takes longer than to read them."""
+
 
 class Snapshot:
     """One version of a store, read-only: manifest and parts, without index and SQL.
@@ -57,10 +60,22 @@ class Snapshot:
     @cached_property
     def take_rows(self) -> pa.Table:
         """The rows of all live takes, sorted by name."""
-        schema = self.manifest.takes_schema
+        return self._read_takes(self.manifest.takes_schema)
+
+    def take_columns(self, *names: str) -> pa.Table:
+        """Return some columns of `take_rows`; the others are not read for it."""
+        if "take_rows" in vars(self):
+            return self.take_rows.select(names)
+        whole = self.manifest.takes_schema
+        needed = dict.fromkeys(("take_id", "name", *names))
+        schema = pa.schema([whole.field(name) for name in needed], whole.metadata)
+        return self._read_takes(schema, schema.names).select(names)
+
+    def _read_takes(self, schema: pa.Schema, names: Sequence[str] | None = None) -> pa.Table:
+        """Return the rows of all live takes, sorted by name: the columns of a schema, of which only these are read."""
         tables = []
         for part in self.manifest.takes:
-            table = _read_part(self.checked.part(part), schema)
+            table = _read_part(self.checked.part(part), schema, names)
             if part.dropped:
                 dropped = set(part.dropped)
                 keep = [take not in dropped for take in table.column("take_id").to_pylist()]
@@ -93,8 +108,13 @@ class Snapshot:
         return masks
 
     def _pairs(self, key: str, value: str) -> dict[Any, Any]:
-        columns = (self.take_rows.column(name).to_pylist() for name in (key, value))
+        columns = (self._keys.column(name).to_pylist() for name in (key, value))
         return dict(zip(*columns, strict=True))
+
+    @cached_property
+    def _keys(self) -> pa.Table:
+        """The columns that nearly every question needs."""
+        return self.take_columns("take_id", "name", "frames", "checksum")
 
     def take_id(self, name: str) -> int:
         """Return the id of a take by its name.
@@ -267,11 +287,12 @@ def _with_origin(rows: pa.Table, origin: Mapping[str, str | None]) -> pa.Table:
     return rows.replace_schema_metadata(None)
 
 
-def _read_part(file: Path, schema: pa.Schema) -> pa.Table:
-    """Read a part; columns that an older kinedex did not write are null."""
+def _read_part(file: Path, schema: pa.Schema, columns: Sequence[str] | None = None) -> pa.Table:
+    """Read a part, or some of its columns; those that an older kinedex did not write are null."""
     # not pq.read_table, which loads pyarrow.dataset: that takes longer than reading a small part
     with read_errors(file), pq.ParquetFile(file) as opened:
-        return with_columns(opened.read(), schema)
+        rows = opened.read(columns, use_threads=opened.metadata.num_rows > _FEW_ROWS)
+    return with_columns(rows, schema)
 
 
 def _known_rows(file: Path) -> list[tuple[int, int]]:

@@ -104,7 +104,7 @@ def posed(
             if stop > motion.frames:
                 break
             found, turned[:, at:stop] = kinematics.forward(nodes, part, oriented, fit.nodes)
-            positions[:, :, at:stop] = fit.apply(found, joints)
+            fit.apply(found, joints, positions[:, :, at:stop])
             at = stop
     if at != motion.frames:
         raise changed(motion.path)

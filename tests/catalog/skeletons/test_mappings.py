@@ -165,7 +165,12 @@ def test_joints_are_nodes_and_fixed_combinations_in_our_axes(tmp_path: Path) -> 
     )  # fmt: skip
     nodes = nodes_of("bandai") | {"Spine": 90}
     places = np.random.default_rng(0).normal(size=(91, 3, 4))
-    found = dict(zip(JOINTS, load_skeleton(own, JOINTS).apply("x", nodes, places, JOINTS), strict=True))
+    mapping = load_skeleton(own, JOINTS)
+    joints = mapping.apply("x", nodes, places, JOINTS)
+    found = dict(zip(JOINTS, joints, strict=True))
+    room = np.empty((*joints.shape[:2], 9))
+    assert mapping.fit(nodes).apply(places, JOINTS, room[:, :, 2:6]).base is room
+    np.testing.assert_array_equal(room[:, :, 2:6], joints)
 
     def ours(node: str) -> np.ndarray:
         x, y, z = places[nodes[node]]

@@ -60,6 +60,19 @@ def test_declared_columns_are_columns_everywhere(path: Path) -> None:
     assert verify(store) == []
 
 
+def test_some_columns_of_takes_are_read_without_the_others(path: Path) -> None:
+    whole = open_store(path, at="newest").take_rows
+    some = open_store(path, at="newest")
+    for names in (("mass",), ("style", "name", "known"), ("warnings", "take_id")):
+        assert some.take_columns(*names).equals(whole.select(names))
+    assert some.take_ids == {"aa_old": 1, "bb_new": 2, "cc_new": 3}
+    assert "take_rows" not in vars(some)
+    with StoreWriter.open(path, BODY) as writer:
+        writer.drop_takes([2])
+        writer.commit()
+    assert open_store(path, at="newest").take_columns("style").column("style").to_pylist() == [None, "sad"]
+
+
 def test_a_column_that_is_declared_after_the_index_is_seen_at_once(path: Path) -> None:
     with StoreWriter.open(path, BODY) as writer:
         writer.declare_columns({"tags": TakeColumn("VARCHAR[]", "metadata")})
