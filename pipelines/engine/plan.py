@@ -94,10 +94,13 @@ class Planner:
             reason = _gone(stage, store, record)
         if reason is None:
             reason = self._upstream(stage, reading)
-        if reason is not None:
-            self._running.add(stage.name)
-        step = Step(stage, parts, record, reason, reading.what if reading else "")
-        self._fingerprints[stage.name] = step.fingerprint
+        return self.follow(Step(stage, parts, record, reason, reading.what if reading else ""))
+
+    def follow(self, step: Step) -> Step:
+        """Take over the step of the next stage from a plan that was made just now."""
+        if step.reason is not None:
+            self._running.add(step.stage.name)
+        self._fingerprints[step.stage.name] = step.fingerprint
         return step
 
     def done(self, step: Step) -> Step:

@@ -191,7 +191,7 @@ def run_pipeline(
     loaded = load_pipeline(name_or_path, assignments, settings)
     planner = Planner(loaded, store_path, force)
     pipeline = planner.pipeline
-    make_plan(loaded, store_path, force)  # reports faults in files before any work is done
+    plan = make_plan(loaded, store_path, force)  # reports faults in files before any work is done
     pool = make_executor(executor, workers, scheduler)
     resume = None
     if assignments is not None:
@@ -208,7 +208,8 @@ def run_pipeline(
         pool.check(store_path)
         with ctrl_c_in_statements():
             for number in range(len(pipeline.stages)):
-                steps.append(_take_step(run, planner, number))
+                # nothing is done before the first stage that could change its step
+                steps.append(_take_step(run, planner, number, plan[number] if number == 0 else None))
                 run = run if steps[-1].reason is None else run.begun()
             _make_current(run)
     except BaseException as fault:
@@ -256,10 +257,10 @@ def _makes_results(pipeline: Pipeline) -> bool:
     return makes_results(stage.uses for stage in pipeline.stages)
 
 
-def _take_step(run: _Run, planner: Planner, number: int) -> Step:
-    """Run a stage, or skip it, and report which."""
+def _take_step(run: _Run, planner: Planner, number: int, planned: Step | None) -> Step:
+    """Run a stage, or skip it, and report which; its step is found anew unless it is given."""
     stage = run.pipeline.stages[number]
-    step = planner.step(stage)
+    step = planner.step(stage) if planned is None else planner.follow(replace(planned, stage=stage))
     text = f"[{number + 1}/{len(run.pipeline.stages)}] {stage.name}: {_status(step)}"
     _log.info("%s", text, extra=_fields(run, stage.name, event="start" if step.reason else "skip", reason=step.reason))
     run.terminal.heading(text)

@@ -169,6 +169,9 @@ class Metadata:
             lines.
         """
         result = Joined()
+        if not self.tables and not self.sidecars:
+            result.without = [row["name"] for row in rows]
+            return result
         takes = _Takes(rows, root)
         exact: dict[int, dict[str, tuple[MetadataRow, Any]]] = {}
         patterns: list[tuple[MetadataRow, re.Pattern[str]]] = []

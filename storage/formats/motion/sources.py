@@ -208,32 +208,27 @@ def scan(root: str | Path) -> Scan:
     passed: list[PassedOver] = []
     sidecars: list[SourceFile] = []
     kinds = dict.fromkeys(UNREAD, unread) | {".asf": skeletons} | dict.fromkeys(motion_endings(), motions)
-    entries = list(_entries(root, refused))
-    beside = _motion_stems(entries)
-    for folder, name in entries:
-        relative = _below(root, folder, name)
+    entries = [(folder, name, os.path.splitext(name)) for folder, name in _entries(root, refused)]
+    moving = set(motion_endings())
+    beside = {(folder, stem) for folder, _, (stem, ending) in entries if ending.lower() in moving}
+    above = len(os.path.join(root, ""))
+    for folder, name, (stem, ending) in entries:
+        place = os.path.join(folder, name)
+        relative = place[above:].replace(os.sep, "/")
         path = readable(relative)
-        stem, ending = os.path.splitext(name)
         kind = sidecars if ending.lower() in SIDECARS and (folder, stem) in beside else kinds.get(ending.lower())
         if kind is None or is_of_system(name):
             passed.append(PassedOver(path, kind_of(name)))
             continue
         try:
-            file = _source_file(root, os.path.join(folder, name), relative, path)
-            if kind is not motions or is_motion_file(os.path.join(folder, name)):
+            file = _source_file(root, place, relative, path)
+            if kind is not motions or is_motion_file(place):
                 kind.append(file)
             else:
                 passed.append(PassedOver(path, NO_MOTION))
         except SourceError as fault:
             refused.append(Refused(path, fault))
     return Scan(tuple(motions), tuple(skeletons), tuple(unread), tuple(refused), tuple(passed), tuple(sidecars))
-
-
-def _motion_stems(entries: Iterable[tuple[str, str]]) -> set[tuple[str, str]]:
-    """Return folder and name without ending of every entry that has the ending of a motion file."""
-    endings = set(motion_endings())
-    parts = ((folder, os.path.splitext(name)) for folder, name in entries)
-    return {(folder, stem) for folder, (stem, ending) in parts if ending.lower() in endings}
 
 
 def _entries(root: Path, refused: list[Refused]) -> Iterator[tuple[str, str]]:
@@ -256,11 +251,6 @@ def _entries(root: Path, refused: list[Refused]) -> Iterator[tuple[str, str]]:
 
 
 _BRING_IN = "copy what it leads to into the source, or ingest that folder as a source of its own"
-
-
-def _below(root: Path, folder: str, name: str) -> str:
-    """Return the path of an entry relative to the root, with /."""
-    return os.path.join(folder, name)[len(os.path.join(root, "")) :].replace(os.sep, "/")
 
 
 def _source_file(root: Path, path: str, relative: str, shown: str) -> SourceFile:
