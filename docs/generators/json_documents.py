@@ -79,7 +79,7 @@ DOCUMENTS: dict[str, dict[str, str]] = {
             "`without errors`, `rejected` or `removed`",
             "known": "number of decisions that the store had already",
             "remarks": "what was excluded, and why",
-            "unmatched_labels": _UNMATCHED,
+            "unmatched_labels": f"{_UNMATCHED} (exit code 3 where there are any)",
             "labels": "the new rows, with the columns of a label and without those that the view adds",
         }
         for name in ("import", "add", "change", "remove", "accept", "reject")
@@ -255,6 +255,7 @@ DOCUMENTS: dict[str, dict[str, str]] = {
         "after": "the argument AFTER",
         "differences": "for each segment its `change`, its edges and classes before and after, and their `unit`",
         "remarks": "what was excluded, and why",
+        "unmatched_labels": f"{_UNMATCHED} (with --store; exit code 3 where there are any)",
     },
     "template list": {**_STORE, "templates": "for each template what `--format json` shows"},
     "template show": {

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.commands.app import ASK, command, group
+from kinedex.pipelines.commands.app import ASK, LEFT_OUT, command, group
 from kinedex.pipelines.commands.options import AtOption, FormatOption, JsonOption, OutputOption, StorePath, WhereOption
 from kinedex.pipelines.commands.output import print_json, show_table
 from kinedex.pipelines.commands.store_access import open_for_reading
@@ -191,10 +191,14 @@ def diff(
 
     found = label_differences(before, after, None if store is None else open_for_reading(store, None), every=every)
     if as_json:
-        print_json({"before": before, "after": after, "differences": found.rows, "remarks": found.remarks})
-        return
+        lost = [one.as_json() for one in found.unmatched]
+        known = {"differences": found.rows, "remarks": found.remarks, "unmatched_labels": lost}
+        print_json({"before": before, "after": after, **known})
+        raise typer.Exit(LEFT_OUT if lost else 0)
     for remark in found.remarks:
         typer.echo(visible(remark), err=True)
     show_table(found.rows, form, output)
     if found.unit == "source frames" and found.rows.num_rows and form == "table" and output is None:
         typer.echo("frames of source files; --store STORE shows those of the store, as `labels list` does", err=True)
+    if found.unmatched:
+        raise typer.Exit(LEFT_OUT)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Protocol, Self, TypeVar
 
 import pyarrow as pa
 from pydantic import BaseModel
@@ -19,6 +19,9 @@ from kinedex.pipelines.engine.executors import Executor
 from kinedex.storage.lock import NO_WAIT, Wait
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
+
+if TYPE_CHECKING:
+    from kinedex.pipelines.labels.label_takes import UnmatchedLabels
 
 Parameters = TypeVar("Parameters", bound=BaseModel)
 
@@ -73,6 +76,13 @@ class Display(Protocol):
 
     def show(self, table: RenderableType) -> None:
         """Show a table, or anything else that rich can render."""
+
+    def report_unmatched(self, found: Iterable[UnmatchedLabels]) -> None:
+        """Record labels of files that match no take: the run names them at its end, and exits with 3.
+
+        Every stage that reads label files reports them; their remarks are shown by the stage itself.
+        """
+        self.unmatched.extend(found)
 
     def progress(self, description: str, total: int | None = None) -> ProgressBar:
         """Return a progress bar."""
@@ -136,6 +146,8 @@ class StageContext:
         All is to be done again, whatever was done before (`--force`).
     wait : Wait
         The time to wait for another writer.
+    unmatched : list of UnmatchedLabels
+        The labels of files that match no take, as far as the stage has reported them.
     """
 
     store_path: Path
@@ -151,6 +163,7 @@ class StageContext:
     code: str = ""
     anew: bool = False
     wait: Wait = NO_WAIT
+    unmatched: list[UnmatchedLabels] = field(default_factory=list)
 
     def params_of(self, role: str, kind: type[Parameters]) -> Parameters:
         """Return the parameters of the stage that plays a role."""
@@ -188,6 +201,13 @@ class StageContext:
             for kind, table in tables.items():
                 writer.put_results(kind, table, stage=self.key(), run=self.run)
             writer.commit()
+
+    def report_unmatched(self, found: Iterable[UnmatchedLabels]) -> None:
+        """Record labels of files that match no take: the run names them at its end, and exits with 3.
+
+        Every stage that reads label files reports them; their remarks are shown by the stage itself.
+        """
+        self.unmatched.extend(found)
 
     def progress(self, description: str, total: int | None = None) -> ProgressBar:
         """Return a progress bar, to be used in a `with` statement."""

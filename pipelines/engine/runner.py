@@ -23,7 +23,7 @@ from kinedex.pipelines.engine.known_failures import SourceFiles, source_files, s
 from kinedex.pipelines.engine.plan import FORCED, Planner, Step, make_plan
 from kinedex.pipelines.engine.run_id import new_run_id
 from kinedex.pipelines.engine.run_recorder import RunRecorder
-from kinedex.pipelines.labels.label_takes import UNMATCHED, UnmatchedLabels
+from kinedex.pipelines.labels.label_takes import UnmatchedLabels, recorded_unmatched, unmatched_summary
 from kinedex.storage.ctrl_c import ctrl_c_in_statements
 from kinedex.storage.lock import Wait
 from kinedex.storage.provenance import kinedex_version, running_command
@@ -318,7 +318,7 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> StageRecord:
                     writer.commit()
             context = replace(context, wait=run.begun().wait)
         with run.terminal.during(stage.name):
-            summary = stage.kind.run(context, stage.params)
+            summary = stage.kind.run(context, stage.params) | unmatched_summary(context.unmatched)
         seconds = time.perf_counter() - begin
         record = _record(replace(context, wait=run.begun().wait), planner.done(step), summary, seconds, run)
     except KinedexError as fault:
@@ -448,7 +448,6 @@ def _outcome(run: _Run, steps: list[Step]) -> Outcome:
         for step in steps
         if step.record is not None
     }
-    unmatched = [found for one in summaries.values() for found in one.get(UNMATCHED, ())]
     pages = [name for one in summaries.values() for name in one.get("files", ()) if name.endswith(".html")]
     return Outcome(
         run.pipeline,
@@ -457,7 +456,7 @@ def _outcome(run: _Run, steps: list[Step]) -> Outcome:
         tuple(step.stage.name for step in steps if step.reason is None),
         summaries,
         sum(int(one.get("left_out", 0)) for one in summaries.values()),
-        tuple({found["file"]: UnmatchedLabels.of_json(found) for found in unmatched}.values()),
+        recorded_unmatched(summaries.values()),
         run.store_path / pages[-1] if pages else None,
         run.resume,
     )

@@ -130,7 +130,7 @@ def compare_methods(context: StageContext, plan: Plan) -> Study | None:
     folds: dict[str, list[Fold]] = {}
     for split in params.splits:
         try:
-            folds[split.name] = _folds(plan, split, known)
+            folds[split.name] = _folds(context, plan, split, known)
         except NoFoldsError as fault:
             if plan.annotated is None:
                 raise
@@ -187,7 +187,7 @@ def _known(context: StageContext, params: ComparisonParameters, store: Store) ->
     return StudyMaterial(store, classes, learned_with, {}, learner)
 
 
-def _folds(plan: Plan, split: Split, known: StudyMaterial) -> list[Fold]:
+def _folds(context: StageContext, plan: Plan, split: Split, known: StudyMaterial) -> list[Fold]:
     """Make the folds of a split."""
     store, group = known.store, plan.params.divide_by
     material = training_material(store, known.learned_with.model_copy(update={"where": split.train}))
@@ -206,7 +206,9 @@ def _folds(plan: Plan, split: Split, known: StudyMaterial) -> list[Fold]:
             raise KinedexError(
                 f"split '{split.name}' has takes of its own, whose ground_truth must be given, not 'none'"
             )
-        return ground_truth(store, truth, takes, known.classes)
+        found = ground_truth(store, truth, takes, known.classes)
+        context.report_unmatched(found.unmatched)
+        return found
 
     return make_folds(split, Material(material.takes, tuple(material.clips), tested, known.classes, place, group))
 

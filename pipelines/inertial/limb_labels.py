@@ -12,6 +12,7 @@ from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
 from kinedex.pipelines.annotation.labels import source_frame
 from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.inertial.limb_error_tables import JudgedLimb
+from kinedex.pipelines.labels.label_takes import UnmatchedLabels, on_takes, unmatched_labels
 from kinedex.storage.formats.labels.ground_truth import read_ground_truth
 from kinedex.storage.formats.labels.segments import ERROR, LabelFile, ManualSegment
 from kinedex.storage.snapshot.labels import is_of_limbs
@@ -35,12 +36,15 @@ class LimbLabels:
     looked_at : dict of str to set of str
         Annotator → the takes that they looked at: all that a file of theirs names.
     remarks : list of str
-        Labels that were excluded.
+        Labels that were excluded, and those that belong to several takes.
+    unmatched : tuple of UnmatchedLabels
+        The labels of files that match no take.
     """
 
     segments: dict[tuple[str, str, str], list[ManualSegment]] = field(default_factory=dict)
     looked_at: dict[str, set[str]] = field(default_factory=dict)
     remarks: list[str] = field(default_factory=list)
+    unmatched: tuple[UnmatchedLabels, ...] = ()
 
     @property
     def annotators(self) -> list[str]:
@@ -48,11 +52,13 @@ class LimbLabels:
         return sorted(self.looked_at)
 
 
-def read_limb_labels(paths: Iterable[Path]) -> LimbLabels:
+def read_limb_labels(store: Store, paths: Iterable[Path]) -> LimbLabels:
     """Read labels of limb errors from label files.
 
     Parameters
     ----------
+    store : Store
+        The store of the takes that the files name.
     paths : iterable of Path
         CSV or JSON files with `limb`, or files of ELAN with a tier for each limb.
 
@@ -62,8 +68,7 @@ def read_limb_labels(paths: Iterable[Path]) -> LimbLabels:
         A file is damaged or of a format without limbs, or a label of the class error names no limb, or one that does
         not exist.
     """
-    labels = LimbLabels()
-    others: set[str] = set()
+    files: list[LabelFile] = []
     for path in paths:
         form = WITHOUT_LIMBS.get(path.suffix.lower())
         if form is not None:
@@ -71,7 +76,11 @@ def read_limb_labels(paths: Iterable[Path]) -> LimbLabels:
                 path, f"{form} has no place for the limb of a label; use CSV or JSON with `limb`, or ELAN with tiers "
                 "named after limbs, such as lshank or A1:lshank"
             )  # fmt: skip
-        others |= _add(labels, read_ground_truth(path))
+        files.append(read_ground_truth(path))
+    files, remarks = on_takes(store, files)
+    unmatched = unmatched_labels(files, store.take_ids)
+    labels = LimbLabels(remarks=[*remarks, *map(str, unmatched)], unmatched=unmatched)
+    others = set[str]().union(*(_add(labels, file) for file in files))
     if others:
         labels.remarks.append(f"labels of other classes than {ERROR} are excluded: {few(sorted(others))}")
     return labels
@@ -184,6 +193,7 @@ def unused_labels(labels: LimbLabels, judged: Collection[tuple[str, str]], takes
         The takes that are judged.
     """
     named = {take for looked_at in labels.looked_at.values() for take in looked_at}
+    named -= {take for one in labels.unmatched for take in one.takes}
     limbs = sorted(
         {f"{take} {limb}" for _, take, limb in labels.segments if take in takes and (take, limb) not in judged}
     )

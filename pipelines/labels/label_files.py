@@ -9,6 +9,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.labels.label_takes import UnmatchedLabels
 from kinedex.pipelines.labels.segments import Difference, Segment, differences, placed_files
 from kinedex.storage.formats.labels.formats import FORMATS, read_labels
 from kinedex.storage.formats.labels.segments import LabelFile
@@ -65,11 +66,14 @@ class Differences:
         The unit of all rows: "frames" of the store's rate, "source frames" or "seconds".
     remarks : tuple of str
         Takes and segments that were excluded.
+    unmatched : tuple of UnmatchedLabels
+        The labels that match no take of the store, file by file.
     """
 
     rows: pa.Table
     unit: str
     remarks: tuple[str, ...] = ()
+    unmatched: tuple[UnmatchedLabels, ...] = ()
 
 
 def label_differences(before: Path, after: Path, store: Store | None = None, *, every: bool = False) -> Differences:
@@ -92,10 +96,12 @@ def label_differences(before: Path, after: Path, store: Store | None = None, *, 
     """
     files = [label_files([path]) for path in (before, after)]
     remarks: list[str] = []
+    unmatched: list[UnmatchedLabels] = []
     if store is not None:
         placed = [placed_files(store, side) for side in files]
         old, new = (list(side.segments) for side in placed)
         unit, remarks = "frames", [remark for side in placed for remark in side.remarks]
+        unmatched = [one for side in placed for one in side.unmatched]
     else:
         units = {one.in_seconds for side in files for file in side for one in file.segments}
         if len(units) > 1:
@@ -114,7 +120,7 @@ def label_differences(before: Path, after: Path, store: Store | None = None, *, 
         unit = "seconds" if True in units else "source frames"
     found = differences(old, new, _SECONDS if unit == "seconds" else 0.0)
     rows = [_row(one, unit) for one in found if every or one.change != "same"]
-    return Differences(known_columns(rows, _SCHEMA), unit, tuple(dict.fromkeys(remarks)))
+    return Differences(known_columns(rows, _SCHEMA), unit, tuple(dict.fromkeys(remarks)), tuple(unmatched))
 
 
 def known_columns(rows: list[dict[str, object]], schema: pa.Schema) -> pa.Table:

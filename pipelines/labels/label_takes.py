@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -14,7 +14,7 @@ from kinedex.storage.snapshot.schemas import RECORDED_FORMATS
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 UNMATCHED = "unmatched_labels"
-"""The key of labels that match no take in the summary of a stage."""
+"""The key of labels that match no take in the summary of a stage, and in what commands print as JSON."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +50,21 @@ class UnmatchedLabels:
     def of_json(cls, known: dict[str, Any]) -> UnmatchedLabels:
         """Return what `as_json` gave."""
         return cls(known["file"], known["labels"], known["of"], tuple(known["takes"]))
+
+
+def unmatched_summary(found: Iterable[UnmatchedLabels]) -> dict[str, object]:
+    """Return labels that match no take as a stage records them, once for each file; nothing where there are none.
+
+    Every stage that reads label files adds this to its summary, and the run then ends as one that has lost something.
+    """
+    by_file = {one.file: one.as_json() for one in found}
+    return {UNMATCHED: list(by_file.values())} if by_file else {}
+
+
+def recorded_unmatched(summaries: Iterable[Mapping[str, Any]]) -> tuple[UnmatchedLabels, ...]:
+    """Return the labels that match no take of the summaries of stages, once for each file."""
+    recorded = (one for summary in summaries for one in summary.get(UNMATCHED, ()))
+    return tuple({one["file"]: UnmatchedLabels.of_json(one) for one in recorded}.values())
 
 
 def unmatched_labels(files: Iterable[LabelFile], known: Collection[str]) -> tuple[UnmatchedLabels, ...]:
@@ -94,18 +109,18 @@ def on_takes(store: Snapshot, files: Sequence[LabelFile]) -> tuple[list[LabelFil
     files : list of LabelFile
         The files with the names of takes.
     remarks : list of str
-        Names that stand for several takes, and those that fit takes of different motion and stay as they are.
+        Names that stand for several takes, those that are one take's and fit others as well, and those that fit takes
+        of different motion and stay as they are.
     """
-    rows = [row for row in _rows(store) if row["format"] not in RECORDED_FORMATS]
-    known = {str(row["name"]) for row in _rows(store)}
-    absent = {take for file in files for take in file.takes} - known
-    if not absent:
-        return list(files), []
+    rows = _rows(store)
+    named = {take for file in files for take in file.takes}
+    exact = named & {str(row["name"]) for row in rows}
     fitting: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    for row in rows:
+    for row in (row for row in rows if row["format"] not in RECORDED_FORMATS):
         names = {person_name(name, row["person"] or "") for name in file_names("stem", str(row["source"]))}
-        for name in names & absent:
+        for name in names & named:
             fitting[name].append(row)
+    others = {name: [row for row in fitting.pop(name, []) if row["name"] != name] for name in exact}
     same = _of_one_motion(store, fitting)
     chosen = {name: [str(row["name"]) for row in found] for name, found in fitting.items() if name in same}
     remarks = [
@@ -114,12 +129,21 @@ def on_takes(store: Snapshot, files: Sequence[LabelFile]) -> tuple[list[LabelFil
         if len(takes) > 1
     ]
     remarks += [
-        f"'{name}' fits takes of different motion, {few([str(row['name']) for row in found])}: labels of it belong to "
+        f"labels of '{name}' belong to the take of this name alone, not to {_takes(found)}, whose files are named so"
+        for name, found in sorted(others.items())
+        if found
+    ]
+    remarks += [
+        f"'{name}' fits takes of different motion, {_takes(found)}: labels of it belong to "
         "none of them until the file names one of these"
         for name, found in fitting.items()
         if name not in same
     ]
     return [_renamed(file, chosen) for file in files], remarks
+
+
+def _takes(rows: Iterable[dict[str, Any]]) -> str:
+    return few([str(row["name"]) for row in rows])
 
 
 def _rows(store: Snapshot) -> list[dict[str, Any]]:

@@ -29,7 +29,6 @@ from kinedex.pipelines.evaluation.label_files import (
     not_labelled,
     with_own_classes,
 )
-from kinedex.pipelines.labels.label_takes import UNMATCHED
 from kinedex.pipelines.templates.learning import run_of
 from kinedex.storage.store.store import Store
 
@@ -80,6 +79,7 @@ class Evaluate(Stage[GroundTruthParameters]):
         remarks = [*annotation.summary.get("remarks", ()), *truth.remarks]
         about = {"pipeline": context.pipeline, "annotate": annotated.model_dump(mode="json"), "remarks": remarks}
         write_metrics(report, evaluation, context.run, **about)
+        context.report_unmatched(truth.unmatched)
         for remark in truth.remarks:
             context.say(remark)
         few = len(truth.takes) <= MOST_TAKES_SHOWN
@@ -92,7 +92,6 @@ class Evaluate(Stage[GroundTruthParameters]):
         return {
             "evaluated_takes": len(truth.takes),
             "segments": len(truth.segments),
-            UNMATCHED: [one.as_json() for one in truth.unmatched],
             "files": [report.relative_to(context.store_path).as_posix()],
             **measures(counts),
         }

@@ -66,6 +66,7 @@ class EvaluateLimbErrors(Stage[EvaluateLimbErrorsParameters]):
         """Count frames and segments of limbs against every annotator, and store the metrics."""
         store = context.open()
         labels = self._labels(context, store, params)
+        context.report_unmatched(labels.unmatched)
         if not labels.looked_at:
             empty = {kind: result_table(kind, (), context.run) for kind in (METRICS, LABELS)}
             context.put_results(**empty)
@@ -96,12 +97,12 @@ class EvaluateLimbErrors(Stage[EvaluateLimbErrorsParameters]):
     def _labels(self, context: StageContext, store: Store, params: EvaluateLimbErrorsParameters) -> LimbLabels:
         """Return the labels of the files that are named, of simulated annotators, or those that the store keeps."""
         if params.ground_truth is not None:
-            return read_limb_labels(_label_files(store, params.ground_truth))
+            return read_limb_labels(store, _label_files(store, params.ground_truth))
         if "broken" not in context.inputs:
             return stored_limb_labels(store)
         stage = store.manifest.stages[context.key(context.inputs["broken"])]
         written = [context.store_path / str(name) for name in stage.summary.get("files", ())]
-        return read_limb_labels(path for path in written if path.name.endswith(SIMULATED))
+        return read_limb_labels(store, (path for path in written if path.name.endswith(SIMULATED)))
 
 
 def _label_files(store: Store, pattern: str) -> list[Path]:

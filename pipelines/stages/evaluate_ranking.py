@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import polars as pl
 from pydantic import BaseModel, ConfigDict, Field
@@ -13,7 +13,6 @@ from kinedex.ops.templates.templates import Kind, quantise
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.labels.label_takes import UNMATCHED
 from kinedex.pipelines.ranking.ranked_hits import RankedTemplate
 from kinedex.pipelines.ranking.ranking import rank_takes
 from kinedex.pipelines.ranking.ranking_evaluation import (
@@ -78,7 +77,7 @@ class EvaluateRanking(Stage[Params]):
         store = context.open()
         summary: dict[str, object] = {"tau": params.tau, "delta": params.delta}
         judged: list[Judged] = []
-        in_takes, summary[UNMATCHED] = _takes(context, store, params)
+        in_takes = _takes(context, store, params)
         for what, found in (("takes", in_takes), ("clips", _clips(context, store, params))):
             if found:
                 title = {"takes": "hits in takes against ground truth", "clips": "clips that were not learned from"}[
@@ -91,18 +90,18 @@ class EvaluateRanking(Stage[Params]):
         return summary
 
 
-def _takes(context: StageContext, store: Store, params: Params) -> tuple[list[Judged], list[dict[str, Any]]]:
-    """Judge the ranking of takes by each class, with all hits; the second result is the labels that match no take."""
+def _takes(context: StageContext, store: Store, params: Params) -> list[Judged]:
+    """Judge the ranking of takes by each class, with all hits."""
     if params.ground_truth == NONE:
-        return [], []
+        return []
     learned = read_templates(store, context.key(context.inputs["templates"]), params.templates)
     truth = read_truth(store, params.ground_truth, params.where, [one.subclass for one in learned])
+    context.report_unmatched(truth.unmatched)
     for remark in truth.remarks:
         context.say(remark)
     searched = [RankedTemplate(one.subclass, quantise(one.learned.template, params.delta)) for one in learned]
     rankings = rank_takes(store, searched, 1.0, None, f"({params.where}) AND {names_filter(truth.takes)}")
-    judged = [judge_hits(one.name, one.hits, truth.segments, params.tau) for one in rankings]
-    return judged, [one.as_json() for one in truth.unmatched]
+    return [judge_hits(one.name, one.hits, truth.segments, params.tau) for one in rankings]
 
 
 def _clips(context: StageContext, store: Store, params: Params) -> list[Judged]:

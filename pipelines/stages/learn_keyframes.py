@@ -37,14 +37,15 @@ class LearnKeyframes(Stage[KeyframeParameters]):
     def run(self, context: StageContext, params: KeyframeParameters) -> dict[str, object]:
         """Learn and store the queries and all runs; runs that were finished before are not done again."""
         store = context.open()
-        found, remarks = examples_of(store, params)
-        clips, rejected = example_clips(store, found), rejected_examples(store, params)
+        found = examples_of(store, params)
+        context.report_unmatched(found.unmatched)
+        clips, rejected = example_clips(store, found.examples), rejected_examples(store, params)
         if len(clips) < 2 and not rejected:
             raise KinedexError(
                 f"keyframe queries tell classes apart, so clips of at least two are needed; the filter "
                 f"`{params.where}` selects those of {clips[0].subclass} only"
             )
-        for remark in [*remarks, *(f"{one.subclass}: {remark}" for one in clips for remark in one.remarks)]:
+        for remark in [*found.remarks, *(f"{one.subclass}: {remark}" for one in clips for remark in one.remarks)]:
             context.say(remark)
         wanted = training_sets(clips, load_classes(params.classes, [one.subclass for one in clips]), rejected)
         bare = [one.subclass for one in wanted if not one.negatives]

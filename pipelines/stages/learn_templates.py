@@ -39,6 +39,7 @@ class LearnTemplates(Stage[TemplateParameters]):
         store = context.open()
         material = training_material(store, params)
         clips = material.clips
+        context.report_unmatched(material.unmatched)
         for remark in material.remarks:
             context.say(remark)
         if material.unused:

@@ -67,6 +67,7 @@ class VaryStiffness(Stage[Params]):
             [NamedTemplate(one.subclass, one.learned.template) for one in learned], params.delta, queries
         )
         truth = read_truth(store, params.ground_truth, params.where, [one.subclass for one in learned])
+        context.report_unmatched(truth.unmatched)
         takes = f"({params.where}) AND {names_filter(truth.takes)}"
         trials = run_trials(
             store, searched, truth.segments, takes, params.stiffness, params.tau, context.executor.workers

@@ -18,6 +18,7 @@ from kinedex.ops.templates.templates import MOST_AVERAGED
 from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
 from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.engine.digests import Reading
+from kinedex.pipelines.labels.label_takes import UnmatchedLabels
 from kinedex.pipelines.labels.segments import placed_files
 from kinedex.storage.formats.labels.ground_truth import ground_truth_files, read_ground_truth
 from kinedex.storage.formats.labels.segments import ERROR
@@ -102,10 +103,29 @@ class Example:
         return self.take if whole else f"{self.take}[{self.start}:{self.stop}]"
 
 
-def examples_of(store: Store, params: ExampleParameters, *, required: bool = True) -> tuple[list[Example], list[str]]:
-    """Return the examples that parameters choose, and remarks on labels that are excluded.
+@dataclass(frozen=True)
+class ChosenExamples:
+    """The examples that parameters choose.
 
-    An interval that several sources give for one class is one example. Rejected intervals come last.
+    Attributes
+    ----------
+    examples : list of Example
+        The examples, rejected intervals last.
+    remarks : list of str
+        Labels that are excluded.
+    unmatched : tuple of UnmatchedLabels
+        The labels of files that match no take.
+    """
+
+    examples: list[Example]
+    remarks: list[str]
+    unmatched: tuple[UnmatchedLabels, ...]
+
+
+def examples_of(store: Store, params: ExampleParameters, *, required: bool = True) -> ChosenExamples:
+    """Return the examples that parameters choose.
+
+    An interval that several sources give for one class is one example.
 
     Parameters
     ----------
@@ -123,6 +143,7 @@ def examples_of(store: Store, params: ExampleParameters, *, required: bool = Tru
     """
     found: list[Example] = []
     remarks: list[str] = []
+    unmatched: tuple[UnmatchedLabels, ...] = ()
     if CLIPS in params.examples:
         some = required and params.only_clips
         found += whole_takes(training_takes(store, params.where) if some else _classified(store, params.where))
@@ -131,7 +152,7 @@ def examples_of(store: Store, params: ExampleParameters, *, required: bool = Tru
         if LABELS in params.examples:
             labelled, remarks = _labelled(store, takes)
             found += labelled
-        of_files, unused = _of_files(store, takes, params.patterns)
+        of_files, unused, unmatched = _of_files(store, takes, params.patterns)
         found += of_files
         remarks += unused
     once: dict[tuple[bool, str, str], Example] = {}
@@ -143,7 +164,7 @@ def examples_of(store: Store, params: ExampleParameters, *, required: bool = Tru
             f"no example to learn from: `examples` are {', '.join(params.examples)}, `where` is `{params.where}`, "
             f"`labels_where` is `{params.labels_where}`; `kinedex labels list {store.path}` shows the labels"
         )
-    return sorted(chosen, key=lambda one: not one.positive), remarks
+    return ChosenExamples(sorted(chosen, key=lambda one: not one.positive), remarks, unmatched)
 
 
 def training_takes(store: Store, where: str) -> pl.DataFrame:
@@ -211,10 +232,12 @@ def _labelled(store: Store, takes: pl.DataFrame) -> tuple[list[Example], list[st
     return found, remarks
 
 
-def _of_files(store: Store, takes: pl.DataFrame, patterns: Sequence[str]) -> tuple[list[Example], Sequence[str]]:
-    """Return the segments of label files as examples, and remarks on those that are excluded."""
+def _of_files(
+    store: Store, takes: pl.DataFrame, patterns: Sequence[str]
+) -> tuple[list[Example], Sequence[str], tuple[UnmatchedLabels, ...]]:
+    """Return the segments of label files as examples, remarks on those that are excluded, and those of no take."""
     if not patterns:
-        return [], ()
+        return [], (), ()
     rows = {str(row[0]): row[1:] for row in takes.select("name", "take_id", "frames").iter_rows()}
     placed = placed_files(store, [read_ground_truth(path) for path in _files(store, patterns)])
     found = [
@@ -222,7 +245,7 @@ def _of_files(store: Store, takes: pl.DataFrame, patterns: Sequence[str]) -> tup
         for one in placed.segments
         if one.take in rows and not (one.label == ERROR and one.limb)
     ]
-    return found, placed.remarks
+    return found, placed.remarks, placed.unmatched
 
 
 def _files(store: Store, patterns: Sequence[str]) -> list[Path]:
@@ -313,7 +336,7 @@ def examples_read(store: Store, params: ExampleParameters) -> Reading:
     KinedexError
         A filter does not work, a label file or the takes cannot be read.
     """
-    found, _ = examples_of(store, params, required=False)
+    found = examples_of(store, params, required=False).examples
     counts = Counter(one.label for one in found if one.positive)
     actors = dict(store.takes().select("name", "actor").iter_rows())
     hasher = hashlib.sha256(f"{store.feature_set.digest} {store.rate_hz!r}".encode())

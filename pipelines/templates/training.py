@@ -14,6 +14,7 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind
 from kinedex.pipelines.engine.file_parameters import NamesFile
+from kinedex.pipelines.labels.label_takes import UnmatchedLabels
 from kinedex.pipelines.templates.examples import ExampleParameters, examples_of
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips, as_subclass_template, example_clips
 from kinedex.pipelines.templates.recipes import (
@@ -67,12 +68,15 @@ class TrainingMaterial:
         Subclasses with examples whose templates come from files.
     remarks : list of str
         Labels that were excluded.
+    unmatched : tuple of UnmatchedLabels
+        The labels of files that match no take.
     """
 
     takes: pl.DataFrame
     clips: list[TrainingClips]
     unused: list[str]
     remarks: list[str]
+    unmatched: tuple[UnmatchedLabels, ...]
 
 
 def training_material(store: Store, params: TemplateParameters) -> TrainingMaterial:
@@ -90,12 +94,14 @@ def training_material(store: Store, params: TemplateParameters) -> TrainingMater
     KinedexError
         There is no example and no template comes from a file, or a take has no class.
     """
-    examples, remarks = examples_of(store, params, required=not params.template_files)
+    found = examples_of(store, params, required=not params.template_files)
+    examples = found.examples
     given = {one.name for _, one in templates_of_files(params.template_files, store.feature_set)}
     clips = with_mirrored(example_clips(store, examples), params.mirror, store.feature_set)
     takes = store.takes().filter(pl.col("take_id").is_in({one.take_id for one in examples}))
     unused = sorted(given.intersection(one.label for one in examples))
-    return TrainingMaterial(takes, [one for one in clips if one.subclass not in given], unused, remarks)
+    clips = [one for one in clips if one.subclass not in given]
+    return TrainingMaterial(takes, clips, unused, found.remarks, found.unmatched)
 
 
 def completed(

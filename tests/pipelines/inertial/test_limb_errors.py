@@ -19,6 +19,7 @@ from kinedex.pipelines.commands.app import LEFT_OUT
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.inertial.limb_tables import limb_table, stored_limbs
+from kinedex.pipelines.labels.label_takes import unmatched_summary
 from kinedex.pipelines.stages.calibrate_sensors import CalibrateSensors
 from kinedex.pipelines.stages.evaluate_limb_errors import EvaluateLimbErrors
 from kinedex.pipelines.stages.evaluate_track import EvaluateTrack
@@ -156,7 +157,8 @@ elsewhere,error,0,10,lshank,ann A1
 
 def evaluate(folder: Path, **params: object) -> dict[str, object]:
     place = dataclasses.replace(stage_context(folder, "evaluate_limb_errors"), uses="evaluate_limb_errors")
-    return EvaluateLimbErrors().run(place, EvaluateLimbErrors.parameters(**params))
+    done = EvaluateLimbErrors().run(place, EvaluateLimbErrors.parameters(**params))
+    return done | unmatched_summary(place.unmatched)
 
 
 def metrics(folder: Path, where: str) -> dict[str, Any]:
@@ -168,7 +170,9 @@ def metrics(folder: Path, where: str) -> dict[str, Any]:
 def test_labels_are_counted_by_limb_group_and_annotator(judged: Path, tmp_path: Path) -> None:
     (tmp_path / "labels.csv").write_text(LABELS)
     done = evaluate(judged, ground_truth=str(tmp_path / "labels.csv"), printed="chapter7")
-    assert done == {"evaluated_takes": 2, "labels": 3, "annotators": ["ann A1", "ann A2"]}
+    unmatched = [{"file": str(tmp_path / "labels.csv"), "labels": 1, "of": 5, "takes": ["elsewhere"]}]
+    counts = {"evaluated_takes": 2, "labels": 3, "annotators": ["ann A1", "ann A2"]}
+    assert done == {**counts, "unmatched_labels": unmatched}
     one = metrics(judged, "name = 'legs' AND detector = 'sensors' AND annotator = 'ann A1' AND tau_deg = 45")
     assert (one["p1"], one["r1"], one["f2"], one["printed_p1"], one["printed_r1"]) == (1.0, 1.0, 1.0, 0.65, 0.91)
     two = metrics(judged, "name = 'lshank' AND detector = 'sensors' AND annotator = 'ann A2' AND tau_deg = 45")
@@ -241,7 +245,7 @@ def test_labels_of_the_store_count_as_those_of_their_file(judged: Path, tmp_path
     result = CliRunner().invoke(app, ["labels", "import", str(tmp_path / "store"), str(file)])
     assert result.exit_code == LEFT_OUT, result.output
     assert "1 of 5 labels matches no take: elsewhere" in result.output
-    assert evaluate(tmp_path) == by_file
+    assert evaluate(tmp_path) == {name: value for name, value in by_file.items() if name != "unmatched_labels"}
     found = open_store(tmp_path / "store", at="newest")
     assert found.result("limb_error_metrics").equals(expected)
     assert EvaluateLimbErrors().reading(params, found).digest != before

@@ -8,6 +8,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+import yaml
 from typer.testing import CliRunner, Result
 
 from kinedex.catalog.classes import load_classes
@@ -16,11 +17,22 @@ from kinedex.pipelines.commands.output import show_outcome
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.runner import Outcome
 from kinedex.pipelines.evaluation.label_files import GroundTruthParameters, ground_truth
-from kinedex.pipelines.labels.label_takes import UnmatchedLabels, on_takes, unmatched_labels
+from kinedex.pipelines.labels.label_takes import (
+    UNMATCHED,
+    UnmatchedLabels,
+    on_takes,
+    recorded_unmatched,
+    unmatched_labels,
+    unmatched_summary,
+)
+from kinedex.pipelines.stages.annotate import Annotate
+from kinedex.pipelines.stages.evaluate import Evaluate
+from kinedex.pipelines.stages.learn_templates import LearnTemplates
 from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.formats.labels.segments import LabelFile
 from kinedex.storage.store.store import open_store
 from tests.pipelines.archives import write_archive
+from tests.pipelines.labelled import labelled_line
 
 TRUTH = """take,class,start,stop
 01_01,jump,0,40
@@ -92,6 +104,18 @@ def test_a_label_of_takes_of_different_motion_belongs_to_none(source: Path) -> N
     assert UnmatchedLabels.of_json(json.loads(json.dumps(found.as_json()))) == found
 
 
+def test_a_label_of_a_take_that_has_the_name_itself_is_not_given_to_later_copies(source: Path) -> None:
+    ingested(source)
+    copied(source)
+    store = open_store(ingested(source), at="newest")
+    assert sorted(store.take_ids) == ["01_01", "02_02", "b/01_01"]
+    (file,), remarks = on_takes(store, [read_labels(source / "labels.csv")])
+    assert file.takes == ("01_01", "02_02", "03_03")
+    assert remarks == [
+        "labels of '01_01' belong to the take of this name alone, not to b/01_01, whose files are named so"
+    ]
+
+
 def test_takes_named_by_paths_are_found_by_the_names_of_their_files(source: Path) -> None:
     store = source.parent / "store"
     done = kinedex("ingest", store, source, "--executor", "serial", "--set", "ingest.name=path")
@@ -121,6 +145,44 @@ def test_a_run_ends_with_the_labels_that_match_no_take(capsys: pytest.CaptureFix
         show_outcome(outcome, tmp_path)
     assert getattr(ended.value, "exit_code", None) == 3
     assert "/data/ground_truth.csv: 12 of 15 labels match no take: 01_01" in capsys.readouterr().out
+
+
+def test_every_stage_that_reads_label_files_reports_labels_that_match_no_take(tmp_path: Path) -> None:
+    line = labelled_line(tmp_path)
+    file = tmp_path / "archive" / "ground_truth.csv"
+    file.write_text(f"{file.read_text()}elsewhere,walk,0,40\n")
+    lost = [{"file": str(file), "labels": 1, "of": 5, "takes": ["elsewhere"]}]
+    done = [
+        line.run(LearnTemplates, examples=["clips", "**/ground_truth.csv"]),
+        line.run(Annotate, where="class IS NULL"),
+        line.run(Evaluate),
+        line.leave_out(),
+    ]
+    assert [one.get(UNMATCHED) for one in done] == [lost, None, lost, lost]
+    (recorded,) = recorded_unmatched(done)
+    assert unmatched_summary([recorded, recorded]) == {UNMATCHED: lost}
+
+
+def test_a_run_that_learns_from_a_label_file_ends_with_3_where_labels_match_no_take(source: Path) -> None:
+    (source / "labels.csv").write_text(TRUTH.replace("02_02,jump,8,48", "02_02,turn,8,88\n02_02,jump,88,120"))
+    stages = {"ingest": {"source": str(source)}, "index": {}, "learn_templates": {"examples": ["labels.csv"]}}
+    content = {"name": "learn", "stages": {name: {"params": params} for name, params in stages.items()}}
+    pipeline, store = source.parent / "learn.yaml", source.parent / "store"
+    pipeline.write_text(yaml.safe_dump(content, sort_keys=False))
+    for stages_run in (3, 0):  # the second run does nothing, and ends in the same way
+        done = kinedex("run", pipeline, "--store", store, "--executor", "serial", "--json")
+        found = json.loads(done.stdout)
+        assert (done.exit_code, len(found["ran"])) == (3, stages_run), done.stderr
+        assert [one["takes"] for one in found["unmatched_labels"]] == [["03_03"]]
+
+
+def test_differences_in_a_store_count_labels_that_match_no_take(source: Path) -> None:
+    store, file = ingested(source), source / "labels.csv"
+    done = kinedex("labels", "diff", file, file, "--store", store, "--json")
+    assert (done.exit_code, len(json.loads(done.stdout)["unmatched_labels"])) == (3, 2)
+    done = kinedex("labels", "diff", file, file, "--store", store)
+    assert (done.exit_code, "1 of 4 labels matches no take: 03_03" in done.stderr) == (3, True)
+    assert kinedex("labels", "diff", file, file).exit_code == 0
 
 
 def test_a_file_whose_takes_are_all_there_has_no_such_labels() -> None:

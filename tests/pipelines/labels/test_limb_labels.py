@@ -99,7 +99,7 @@ def test_labels_of_limbs_are_ground_truth_and_no_examples_of_a_motion(store: Pat
     assert found.looked_at == {"A1": {"a_take01", "b_take01", "c_take01"}, "A2": {"a_take01", "b_take01", "c_take01"}}
     spans = {key: [(one.start, one.stop) for one in own] for key, own in found.segments.items()}
     assert spans["A1", "a_take01", "rhand"] == [(20, 60)]
-    examples, _ = examples_of(opened, ExampleParameters(examples=["labels", str(file)]))
+    examples = examples_of(opened, ExampleParameters(examples=["labels", str(file)])).examples
     assert {one.label for one in examples} == {"walk"}
     run("labels", "add", store, "a_take01", "error", 0, 5, "--limb", "left arm")
     with pytest.raises(KinedexError, match=r"no limb is named 'left arm'.*`kinedex labels remove"):

@@ -73,14 +73,15 @@ def test_an_interval_that_several_sources_name_is_one_example(line: Line) -> Non
     label(line, "cat_take01", "walk", 5, 25)
     label(line, "ann_walk_001", "walk", 0, 16)  # the whole clip
     files = ["clips", "labels", "**/ground_truth.csv"]
-    found, remarks = examples_of(opened(line), ExampleParameters(examples=files))
+    chosen = examples_of(opened(line), ExampleParameters(examples=files))
+    found, remarks = chosen.examples, chosen.remarks
     assert remarks == []
     names = [(one.name, one.label) for one in found]
     assert len(names) == len(set(names)) == len(CLIPS) + 4
     assert ("cat_take01[5:25]", "walk") in names
     assert ("cat_take01", "walk") not in names
     some = ExampleParameters(examples=files, labels_where="actor = 'bob'")
-    assert {one.take for one in examples_of(opened(line), some)[0] if one.source != "clip"} == {"bob_take01"}
+    assert {one.take for one in examples_of(opened(line), some).examples if one.source != "clip"} == {"bob_take01"}
 
 
 def test_an_invalid_end_of_an_interval_is_cut_off_as_that_of_a_clip(tmp_path: Path) -> None:
@@ -89,7 +90,7 @@ def test_an_invalid_end_of_an_interval_is_cut_off_as_that_of_a_clip(tmp_path: Pa
     words[:2] = np.iinfo(np.uint64).max
     line = Line(write_store(tmp_path / "store", [{**take, "words": words}]))
     label(line, "cat", "walk", 0, 20)
-    (clips,) = example_clips(opened(line), examples_of(opened(line), ExampleParameters(examples=["labels"]))[0])
+    (clips,) = example_clips(opened(line), examples_of(opened(line), ExampleParameters(examples=["labels"])).examples)
     assert np.array_equal(clips.words[0], motion("walk")[2:])
     assert clips.names == ("cat[0:20]",)
     assert "cut off: cat[0:20]" in clips.remarks[0]
@@ -99,7 +100,8 @@ def test_labels_that_do_not_fit_their_take_are_reported(line: Line) -> None:
     label(line, "cat_take01", "walk", 5, 25, checksum="ff" * 32)
     label(line, "cat_take01", "walk", 5, 5000)
     label(line, "nobody", "walk", 0, 9)
-    found, remarks = examples_of(opened(line), ExampleParameters(examples=["labels"]))
+    chosen = examples_of(opened(line), ExampleParameters(examples=["labels"]))
+    found, remarks = chosen.examples, chosen.remarks
     assert [one.name for one in found] == ["cat_take01[5:25]"]
     assert remarks == [
         "labels beyond the end of their take, excluded: cat_take01[5:5000]",
@@ -139,7 +141,7 @@ def test_a_rejected_interval_is_negative_for_its_class_alone(line: Line) -> None
     label(line, "cat_take01", "walk", 40, 60, verdict="negative", origin="accepted")
     label(line, "cat_take01", "walk", 50, 59)  # the rejected one was cut badly
     assert len(rejected_examples(opened(line), params)) == 1
-    clips = example_clips(store, examples_of(store, params)[0])
+    clips = example_clips(store, examples_of(store, params).examples)
     plain = {one.subclass: one for one in training_sets(clips, load_classes("own", list(POSES)))}
     shown = {one.subclass: one for one in training_sets(clips, load_classes("own", list(POSES)), [rejected])}
     assert len(shown["walk"].negatives) == len(plain["walk"].negatives) + 1
@@ -182,7 +184,7 @@ def test_folds_exclude_intervals_by_the_takes_that_they_are_of(line: Line) -> No
     label(line, "bob_take01", "wave", 0, 24)
     label(line, "cat_take01", "walk", 5, 25)
     store = opened(line)
-    clips = example_clips(store, examples_of(store, ExampleParameters(examples=["clips", "labels"]))[0])
+    clips = example_clips(store, examples_of(store, ExampleParameters(examples=["clips", "labels"])).examples)
     (waves,) = (one for one in clips if one.subclass == "wave")
     assert "bob_take01[0:24]" in waves.names
     assert "bob_take01[0:24]" not in waves.without({"bob_take01"}).names
