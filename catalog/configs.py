@@ -8,13 +8,13 @@ import re
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import yaml
-from pydantic import BaseModel, ValidationError
+from pydantic import AfterValidator, BaseModel, Field, ValidationError
 
 from kinedex.catalog.yaml_nodes import MOST_BYTES, MOST_DIGITS, composed, too_large
-from kinedex.ops.errors import ConfigError, did_you_mean
+from kinedex.ops.errors import ConfigError, KinedexError, did_you_mean
 from kinedex.ops.local_paths import refuse_addresses
 
 KINDS = {
@@ -39,6 +39,18 @@ _UNION_TYPE = re.compile(r"literal\[.*\]|(?:constrained-)?(?:float|int|str)|list
 
 Key = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
+
+
+def _of_this_machine(path: str) -> str:
+    try:
+        refuse_addresses(path)
+    except KinedexError as fault:
+        raise ValueError(str(fault)) from None  # `Located.model` adds file, line and key
+    return path
+
+
+LocalPath = Annotated[str, Field(min_length=1), AfterValidator(_of_this_machine)]
+"""A path, or a pattern of paths, in a file: an address with a scheme such as s3:// is refused."""
 
 
 @lru_cache(maxsize=1)

@@ -10,7 +10,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from kinedex.catalog.configs import Located, load_yaml
+from kinedex.catalog.configs import LocalPath, Located, load_yaml
 from kinedex.catalog.depth_cameras import FASTEST_HZ
 from kinedex.ops.errors import ConfigError, did_you_mean
 
@@ -65,13 +65,13 @@ class DepthEntry(BaseModel):
     """
 
     model_config = ConfigDict(extra="forbid")
-    depth: str = Field(min_length=1)
-    camera: str | None = Field(None, min_length=1)
-    background: str | None = Field(None, min_length=1)
+    depth: LocalPath
+    camera: LocalPath | None = None
+    background: LocalPath | None = None
     rate_hz: float | None = Field(None, gt=0, le=FASTEST_HZ, allow_inf_nan=False)
     depth_unit_m: float | None = Field(None, gt=0, le=1, allow_inf_nan=False)
     body: str | None = Field(None, min_length=1)
-    truth: str | None = Field(None, min_length=1)
+    truth: LocalPath | None = None
     truth_pose: WorldPose | None = None
     markers: dict[str, str] = {}
 

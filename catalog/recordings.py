@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from kinedex.catalog.configs import Located, load_yaml
+from kinedex.catalog.configs import LocalPath, Located, load_yaml
 from kinedex.ops.errors import ConfigError, did_you_mean
 
 ESTIMATE = "estimate"
@@ -56,20 +56,20 @@ class CameraRecording(BaseModel):
     """
 
     model_config = ConfigDict(extra="forbid")
-    cameras: str | None = Field(None, min_length=1)
-    keypoints: str | None = Field(None, min_length=1)
-    silhouettes: str | None = Field(None, min_length=1)
+    cameras: LocalPath | None = None
+    keypoints: LocalPath | None = None
+    silhouettes: LocalPath | None = None
     track: str | None = Field(None, min_length=1)
     rate_hz: float | None = Field(None, gt=0, le=10_000, allow_inf_nan=False)
     up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
     unit: Literal["m", "cm", "mm", "in"] | None = None
     size: tuple[Annotated[int, Field(gt=0, le=100_000)], Annotated[int, Field(gt=0, le=100_000)]] | None = None
-    keypoint_set: str | None = Field(None, min_length=1)
+    keypoint_set: LocalPath | None = None
     person: Annotated[str, BeforeValidator(lambda value: str(value) if type(value) is int else value)] = "largest"
     body: str = Field(ESTIMATE, min_length=1)
     offsets: dict[str, Annotated[int, Field(ge=-1_000_000, le=1_000_000)]] = {}
     cuts: list[Annotated[int, Field(ge=0)]] = []
-    truth: str | None = Field(None, min_length=1)
+    truth: LocalPath | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import typer
+import yaml
 from typer.testing import CliRunner
 
 import kinedex
-from kinedex.ops.errors import KinedexError
+from kinedex.catalog.configs import parse_yaml
+from kinedex.catalog.depth_recordings import load_depth_recordings
+from kinedex.catalog.queries.query_reader import referred_path
+from kinedex.catalog.recordings import load_recordings
+from kinedex.ops.errors import ConfigError, KinedexError, SourceError
 from kinedex.ops.local_paths import refuse_addresses
 from kinedex.pipelines.commands.app import COMMON_OPTIONS, NO_PATHS
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.config import load_pipeline
+from kinedex.storage.formats.depth.frame_files import find_frames
 from tests.every_command import commands
 
 ADDRESS = "s3://bucket/takes"
@@ -118,6 +125,73 @@ def test_nothing_is_made_in_the_present_folder(
 def test_a_pipeline_in_python_refuses_an_address() -> None:
     with pytest.raises(KinedexError, match="files of this machine alone"):
         load_pipeline("ingest", None, {"source": ADDRESS})
+
+
+CAMERAS = {"rate_hz": 60, "cameras": "calib.toml", "keypoints": "pose/*.json"}
+DEPTH = {"depth": "frames/*.png"}
+PIPELINE = "name: mine\nstages:\n  ingest:\n    params:\n      source: {source}\n      metadata: [{metadata}]\n"
+QUERY = "name: kicks\nsequence:\n  - file: {file}\n    query: kick\n"
+
+
+@pytest.mark.parametrize(
+    ("given", "key", "load"),
+    [(CAMERAS, key, load_recordings) for key in ("cameras", "keypoints", "silhouettes", "keypoint_set", "truth")]
+    + [(DEPTH, key, load_depth_recordings) for key in ("depth", "camera", "background", "truth")],
+)  # fmt: skip
+def test_files_named_in_recordings_are_refused_with_their_line(
+    given: dict[str, object], key: str, load: Callable[[Path], object], tmp_path: Path
+) -> None:
+    file = tmp_path / "recordings.yaml"
+    file.write_text(yaml.safe_dump({"recordings": {"walk": given | {key: ADDRESS}}}, sort_keys=False))
+    line = 1 + next(n for n, one in enumerate(file.read_text().splitlines()) if ADDRESS in one)
+    with pytest.raises(ConfigError, match=re.escape(SENTENCE)) as refused:
+        load(file)
+    assert (refused.value.line, refused.value.key) == (line, f"recordings.walk.{key}")
+
+
+@pytest.mark.parametrize(("source", "metadata", "line"), [(ADDRESS, "a.csv", 5), ("here", ADDRESS, 6)])
+def test_paths_in_pipeline_files_are_refused_with_their_line(
+    source: str, metadata: str, line: int, tmp_path: Path
+) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text(PIPELINE.format(source=f'"{source}"', metadata=f'"{metadata}"'))
+    with pytest.raises(ConfigError, match=re.escape(SENTENCE)) as refused:
+        load_pipeline(str(file))
+    assert refused.value.line == line
+
+
+def test_settings_of_pipeline_files_are_refused_unless_another_value_is_given(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    text = PIPELINE.format(source='"${source}"', metadata="a.csv")
+    file.write_text(f'settings:\n  source: "{ADDRESS}"\n{text}')
+    with pytest.raises(ConfigError, match=re.escape(SENTENCE)) as refused:
+        load_pipeline(str(file))
+    assert refused.value.line == 2
+    load_pipeline(str(file), {"source": str(tmp_path)})
+
+
+@pytest.mark.parametrize("pattern", ["s3://bucket/takes/*.csv", "gs://b/**/ground_truth.csv"])
+def test_patterns_of_ground_truth_are_refused(pattern: str, tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    stages = "stages:\n  ingest: {params: {source: here}}\n  learn_templates: {}\n  annotate: {}\n"
+    file.write_text(f'name: mine\n{stages}  evaluate:\n    params:\n      ground_truth: "{pattern}"\n')
+    with pytest.raises(ConfigError, match="files of this machine alone") as refused:
+        load_pipeline(str(file))
+    assert refused.value.line == 8
+
+
+def test_query_files_refuse_an_address_of_another_one(tmp_path: Path) -> None:
+    located = parse_yaml(QUERY.format(file=f'"{ADDRESS}.yaml"'), tmp_path / "q.yaml")
+    with pytest.raises(ConfigError, match="files of this machine alone") as refused:
+        referred_path(located, f"{ADDRESS}.yaml", "sequence", 0, "file")
+    assert refused.value.line == 3
+
+
+def test_lists_of_depth_frames_refuse_an_address(tmp_path: Path) -> None:
+    (tmp_path / "depth.txt").write_text(f"# time file\n0.5 {ADDRESS}.png\n")
+    with pytest.raises(SourceError, match="files of this machine alone") as refused:
+        find_frames(tmp_path, "depth.txt")
+    assert refused.value.line == 2
 
 
 @pytest.mark.parametrize("text", ["gs://b/x", "http://a.b/x.amc", "HTTPS://a", "x://y", "abfs+ssl://c@d/e"])

@@ -14,7 +14,8 @@ from kinedex.catalog.mirror import mirrored
 from kinedex.catalog.queries.gap_entries import read_gap
 from kinedex.catalog.queries.keyframe_entries import Chain, ChainEntry, read_chain
 from kinedex.catalog.queries.keyframe_query import Gap, KeyframeQuery
-from kinedex.ops.errors import ConfigError, did_you_mean
+from kinedex.ops.errors import ConfigError, KinedexError, did_you_mean
+from kinedex.ops.local_paths import refuse_addresses
 
 MOST_CHAINS = 64
 """The most chains of keyframes that one query may stand for: alternatives within sequences multiply."""
@@ -73,6 +74,10 @@ def referred_path(located: Located, name: str, *key: str | int) -> Path:
     ConfigError
         If there is no such file, with the line of the reference.
     """
+    try:
+        refuse_addresses(name)
+    except KinedexError as fault:
+        raise located.error(str(fault), *key) from None
     path = Path(name).expanduser()
     if "/" in name or path.suffix in (".yaml", ".yml", ".json"):
         name = str(located.path.parent / path)

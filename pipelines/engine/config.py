@@ -194,6 +194,8 @@ class _PipelineReader:
         """Fill in what is given, and check everything."""
         for one in given:
             self._assign(one)
+        for name in self._settings.keys() - {one.name for one in given}:
+            self._refuse_addresses(self._settings[name], "settings", name)
         stages = [self._stage(name) for name in self._entries]
         text = read_text(self._located.path)
         file = self._file
@@ -239,6 +241,8 @@ class _PipelineReader:
         kind = self._kind(name)
         key = ("stages", name, "params")
         entry = self._entries[name].params
+        for option, value in entry.items():
+            self._refuse_addresses(value, *key, option)
         params = {option: self._fill(value, (*key, option)) for option, value in entry.items()}
         given = self._overrides.get(name, {})
         fields = kind.parameters.model_fields
@@ -254,6 +258,13 @@ class _PipelineReader:
         unset = {option for option in fields if option not in params}
         unset |= {option for option, value in entry.items() if option not in given and self._is_default(value)}
         return PipelineStage(name, kind, self._inputs(name, kind), filled, frozenset(unset))
+
+    def _refuse_addresses(self, value: Any, *key: str) -> None:
+        """Refuse an address in the file itself, with its line."""
+        try:
+            refuse_addresses(value)
+        except KinedexError as fault:
+            raise self._located.error(str(fault), *key) from None
 
     def _is_default(self, value: Any) -> bool:
         """Return whether a value of the file is a setting of a shipped pipeline that nobody has given."""

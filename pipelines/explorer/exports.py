@@ -21,6 +21,7 @@ import numpy as np
 from pydantic import Field
 
 from kinedex.ops.errors import ConflictError, KinedexError
+from kinedex.ops.local_paths import refuse_addresses
 from kinedex.pipelines.engine.context import no_progress
 from kinedex.pipelines.explorer.addresses import Question, get, post
 from kinedex.pipelines.explorer.answers import NotFoundError
@@ -126,6 +127,7 @@ def folder_of(archive: Archive, text: str) -> Path:
     KinedexError
         It is not absolute, lies in the store or around it, or holds files that no export has written.
     """
+    refuse_addresses(text.strip())
     folder = Path(text.strip()).expanduser()
     if not folder.is_absolute() or "\0" in text:
         raise KinedexError(f"folder {text.strip()!r}: expected an absolute path, such as {Path.home() / 'clips'}")

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field
 
 from kinedex.ops.errors import ConflictError, KinedexError
+from kinedex.ops.local_paths import refuse_addresses
 from kinedex.pipelines.annotation.labels import annotate_stage, labels_kept, labels_of
 from kinedex.pipelines.explorer.addresses import Question, post
 from kinedex.pipelines.explorer.same import command_line
@@ -99,6 +100,7 @@ def import_files(archive: Archive, asked: ImportQuestion, _request: Request) -> 
 
 def _files(asked: FilesQuestion) -> tuple[list[LabelFile], str]:
     """Read the files, and return them with a checksum of what they state."""
+    refuse_addresses(asked.paths)
     paths = [Path(one).expanduser() for one in asked.paths]
     missing = next((path for path in paths if not path.exists()), None)
     if missing is not None:
@@ -167,6 +169,7 @@ def export_files(archive: Archive, asked: ExportQuestion, _request: Request) -> 
     else:
         annotations = labels_of(store, annotate_stage(store, asked.stage), asked.takes, where)
         takes, rejected = annotations.takes, annotations.rejected
+    refuse_addresses(asked.folder)
     folder = Path(asked.folder).expanduser()
     single = folder.suffix.lower().removeprefix(".") in FORMATS and not folder.is_dir()
     place = str(folder) if single else f"{folder}/"

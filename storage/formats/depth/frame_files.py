@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.ops.errors import SourceError
+from kinedex.ops.errors import KinedexError, SourceError
+from kinedex.ops.local_paths import refuse_addresses
 from kinedex.storage.formats.cameras.file_patterns import MOST_FILES, find_files
 from kinedex.storage.formats.depth.png import frame_number
 from kinedex.storage.formats.small_files import read_bytes
@@ -214,6 +215,10 @@ def _listed(path: Path) -> FrameFiles:
             time = np.nan
         if len(words) != 2 or not 0 <= time <= 1e12:
             raise SourceError(path, f"expected a time in seconds and a file, got {line[:80]!r}", line=number)
+        try:
+            refuse_addresses(words[1])
+        except KinedexError as fault:
+            raise SourceError(path, str(fault), line=number) from None
         place = Path(words[1])
         if place.is_absolute() or ".." in place.parts or "\0" in words[1]:
             raise SourceError(path, f"{words[1][:80]!r} must be a path below the folder of this list", line=number)

@@ -157,6 +157,7 @@ def test_folders_are_new_and_outside_of_the_store(connect: Connect, store: Path,
         (tmp_path, "is not empty"),
         (tmp_path / "mine.txt", "is a file"),
         ("clips", "absolute"),
+        ("s3://bucket/clips", "files of this machine alone"),
         ("", "missing"),
     ]:
         answer = client.post("/api/export", json={"folder": str(folder)})

@@ -290,6 +290,11 @@ def test_files_are_shown_before_they_are_taken_in(page: Page, tmp_path: Path) ->
         "/api/labels/export", {"what": "labels", "folder": str(folder)}, status=400
     )["error"]["message"]  # fmt: skip
     page.post("/api/labels/read", {"paths": [str(tmp_path / "none.eaf")]}, status=400)
+    for route, elsewhere in (
+        ("/api/labels/read", {"paths": ["s3://bucket/labels.eaf"]}),
+        ("/api/labels/export", {"what": "labels", "folder": "s3://bucket/labels"}),
+    ):
+        assert "files of this machine alone" in page.post(route, elsewhere, status=400)["error"]["message"]
 
 
 def test_a_server_that_only_reads_records_nothing(connect: Connect, annotated: Path, tmp_path: Path) -> None:
