@@ -271,10 +271,10 @@ def make_archive(
     """
     begin = time.perf_counter()
     console.print(f"synthetic archive of {minutes:g} minutes in {directory}", style="bold", markup=False)
-    with Terminal(console).progress("writing files") as progress:
-        summary = write_archive(
-            directory, minutes=minutes, actors=actors, seed=seed, jobs=workers or cores(), progress=progress.advance
-        )
+    summary = write_archive(
+        directory, minutes=minutes, actors=actors, seed=seed, progress=Terminal(console).progress,
+        jobs=workers or cores(),
+    )  # fmt: skip
     console.print(f"    {summary}", markup=False)
     took = f"made in {time.perf_counter() - begin:.0f} s" if summary.made else "made before"
     console.print(f"    {took}", markup=False)

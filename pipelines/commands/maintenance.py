@@ -179,12 +179,14 @@ def finding_document(one: Finding) -> dict[str, object]:
 @command(MAINTAIN)
 def verify(store: StorePath, as_json: JsonOption = False) -> None:
     """Check the files of a store against its manifest, and the index."""
+    from kinedex.pipelines.console.terminal import Terminal
     from kinedex.storage.remedies import repair
     from kinedex.storage.store.store import open_store
     from kinedex.storage.store.verification import verify as check
 
     opened = open_store(store, at="newest")
-    findings = check(opened)
+    with Terminal().progress("checking parts", len(opened.manifest.parts)) as bar:
+        findings = check(opened, bar.advance)
     parts, takes = len(opened.manifest.parts), len(opened.manifest.live_takes)
     faults = sum(finding.fault for finding in findings)
     if as_json:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import pyarrow as pa
@@ -11,6 +11,7 @@ import pyarrow as pa
 from kinedex.catalog.queries.keyframe_query import SAME_FRAME, Gap, KeyframeQuery
 from kinedex.ops.evaluation.ranking_metrics import precision_recall
 from kinedex.ops.search.gaps import UNBOUNDED, nominal_gap
+from kinedex.pipelines.engine.context import ProgressBar
 from kinedex.pipelines.evaluation.ground_truth import Manual
 from kinedex.pipelines.ranking.ranked_hits import RankedTemplate
 from kinedex.pipelines.ranking.ranking import rank_takes
@@ -80,7 +81,8 @@ def run_trials(
     takes: str,
     stiffnesses: Sequence[float],
     tau: float,
-    workers: int | None = None,
+    workers: int,
+    progress: Callable[[str, int], ProgressBar],
 ) -> list[Trial]:
     """Rank takes to the last hit in all frames, within the hits of the queries as written, and with other stiffnesses.
 
@@ -98,8 +100,10 @@ def run_trials(
         Each in [0, 1], for all gaps of all queries.
     tau : float
         The threshold of recall.
-    workers : int, optional
-        The number of threads; that of the cores unless given.
+    workers : int
+        The number of threads.
+    progress : callable
+        Function of a description and a number of steps that returns a progress bar.
     """
     variants: list[tuple[str, float | None, list[RankedTemplate]]] = [
         (EVERYWHERE, None, [replace(one, queries=()) for one in searched])
@@ -110,11 +114,14 @@ def run_trials(
         for value in stiffnesses:
             rigid = [replace(one, queries=tuple(stiffened(each, value) for each in one.queries)) for one in asked]
             variants.append((f"{value:g}", value, rigid))
-    return [
-        Trial(name, value, judge_hits(ranking.name, ranking.hits, truth, tau), ranking.kept)
-        for name, value, templates in variants
-        for ranking in rank_takes(store, templates, 1.0, None, takes, workers)
-    ]
+    trials = []
+    with progress("stiffnesses", len(variants)) as bar:
+        for name, value, templates in variants:
+            for ranking in rank_takes(store, templates, 1.0, None, takes, workers):
+                judged = judge_hits(ranking.name, ranking.hits, truth, tau)
+                trials.append(Trial(name, value, judged, ranking.kept))
+            bar.advance()
+    return trials
 
 
 def trial_rows(trials: Sequence[Trial], run: str) -> pa.Table:

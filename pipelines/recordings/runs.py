@@ -12,6 +12,7 @@ import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.console.wording import counted
+from kinedex.pipelines.engine.context import ProgressBar, StageContext
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.recordings.recorded_takes import (
     RecordedTake,
@@ -43,6 +44,8 @@ class Place:
         Spreads recordings and takes over workers.
     say : callable
         Shows a line.
+    progress : callable
+        Function of a description and a number of steps that returns a progress bar.
     code : str
         A hash of the sources that run, for reuse; empty for none.
     anew : bool
@@ -53,8 +56,16 @@ class Place:
     run: str
     executor: Executor
     say: Callable[[str], None]
+    progress: Callable[[str, int], ProgressBar]
     code: str = ""
     anew: bool = False
+
+    @classmethod
+    def of(cls, context: StageContext) -> Place:
+        """Return the place of a stage."""
+        return cls(
+            context.key(), context.run, context.executor, context.say, context.progress, context.code, context.anew
+        )
 
     def reusable(self, store: Store, kind: str, key: str) -> dict[str, str]:
         """Return the values of a column of earlier rows of this stage with their fingerprints."""
@@ -165,18 +176,21 @@ def run_tasks(
     if len(unchanged) < len(tasks) and not are_kernels_compiled():
         place.say(COMPILING)
     faults: list[str] = []
-    for finished in place.executor.map(partial(_attempt, work), [one for one in tasks if one.take not in unchanged]):
-        if isinstance(finished, str):
-            faults.append(finished)
-            continue
-        ids = put_takes(writer, [finished.take])
-        for name, table in finished.tables.items():
-            put_beside(
-                writer, name, [table], stage=place.stage, run=place.run, column="take_id", gone=list(ids.values())
-            )
-        writer.commit()
-        for line in finished.lines:
-            place.say(line)
+    fresh = [one for one in tasks if one.take not in unchanged]
+    with place.progress("takes", len(fresh)) as bar:
+        for finished in place.executor.map(partial(_attempt, work), fresh):
+            bar.advance()
+            if isinstance(finished, str):
+                faults.append(finished)
+                continue
+            ids = put_takes(writer, [finished.take])
+            for name, table in finished.tables.items():
+                put_beside(
+                    writer, name, [table], stage=place.stage, run=place.run, column="take_id", gone=list(ids.values())
+                )
+            writer.commit()
+            for line in finished.lines:
+                place.say(line)
     if faults:
         raise KinedexError("\n".join([*faults, *([_rest(len(tasks) - len(faults))] if len(tasks) > 1 else [])]))
     return Outcome([one.take for one in tasks], unchanged)

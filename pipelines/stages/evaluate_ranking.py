@@ -106,27 +106,34 @@ def _takes(context: StageContext, store: Store, params: Params) -> list[Judged]:
 
 def _clips(context: StageContext, store: Store, params: Params) -> list[Judged]:
     """Judge the rankings of the clips of each fold, by templates of the others."""
+    folds = _folds(store, params)
     judged: list[Judged] = []
-    features = len(store.feature_set.features)
-    for fold in _folds(store, params):
-        training = store.takes(f"({params.clips}) AND ({fold.learn})")
-        ranked = store.takes(f"({params.clips}) AND ({fold.rank})").sort("take_id")
-        if not training.height or not ranked.height:
-            context.say(f"{fold.name}: {training.height} clips to learn from, {ranked.height} to rank; excluded")
-            continue
-        clips = training_clips(store, training)
-        templates = {
-            one.subclass: quantise(one.learned.template, params.delta)
-            for group in learn_templates(clips, [params.templates], features, context.executor)
-            for one in group
-        }
-        costs = clip_costs(templates, store.words(ranked["take_id"].to_list()))
-        labels, names = ranked["class"].to_list(), ranked["name"].to_list()
-        missing = sorted(set(labels) - set(templates))
-        if missing:
-            context.say(f"{fold.name}: no clips of others, so no template: {', '.join(missing)}")
-        judged += [judge_clips(fold.name, label, costs[label], labels, names, params.tau) for label in templates]
+    with context.progress("folds", len(folds)) as bar:
+        for fold in folds:
+            judged += _clips_of(fold, context, store, params)
+            bar.advance()
     return judged
+
+
+def _clips_of(fold: Fold, context: StageContext, store: Store, params: Params) -> list[Judged]:
+    """Judge the rankings of the clips of one fold."""
+    training = store.takes(f"({params.clips}) AND ({fold.learn})")
+    ranked = store.takes(f"({params.clips}) AND ({fold.rank})").sort("take_id")
+    if not training.height or not ranked.height:
+        context.say(f"{fold.name}: {training.height} clips to learn from, {ranked.height} to rank; excluded")
+        return []
+    clips, features = training_clips(store, training), len(store.feature_set.features)
+    templates = {
+        one.subclass: quantise(one.learned.template, params.delta)
+        for group in learn_templates(clips, [params.templates], features, context.executor)
+        for one in group
+    }
+    costs = clip_costs(templates, store.words(ranked["take_id"].to_list()))
+    labels, names = ranked["class"].to_list(), ranked["name"].to_list()
+    missing = sorted(set(labels) - set(templates))
+    if missing:
+        context.say(f"{fold.name}: no clips of others, so no template: {', '.join(missing)}")
+    return [judge_clips(fold.name, label, costs[label], labels, names, params.tau) for label in templates]
 
 
 def _folds(store: Store, params: Params) -> Sequence[Fold]:

@@ -39,7 +39,7 @@ class Index(Stage[Params]):
         """Build the index of the store's takes, unless it is up to date."""
         store = context.open()
         before = current_generation(store.path, store.manifest)
-        generation = build_index(store, params.threads, params.memory_mb, wait=context.wait)
+        generation = build_index(store, params.threads, params.memory_mb, wait=context.wait, progress=context.progress)
         record = read_generation(generation)
         assert record is not None
         built = 0 if generation == before else record.built_frames

@@ -30,7 +30,7 @@ class Observe(Stage[ObserveParameters]):
 
     def run(self, context: StageContext, params: ObserveParameters) -> dict[str, object]:
         """Read the recordings that are new or changed, each committed whole."""
-        place = Place(context.key(), context.run, context.executor, context.say, context.code, context.anew)
+        place = Place.of(context)
         with context.writer() as writer:
             done = observe(writer, params, place)
         if done.unchanged:

@@ -97,11 +97,12 @@ class ReadImu(Stage[ReadImuParameters]):
         self, context: StageContext, tasks: Sequence[ReadTask], unchanged: set[str], failures: list[Failure]
     ) -> int:
         """Read recordings and put their rows; those of the unchanged ones stay, all others go. Return their number."""
-        with context.writer() as writer:
+        with context.writer() as writer, context.progress("recordings", len(tasks)) as bar:
             gone = set(_fingerprints(writer.store, context.key())) - unchanged
             waiting: list[ReadRows] = []
             samples = done = 0
             for read in context.executor.map(read_rows, list(tasks)):
+                bar.advance()
                 failures.extend(read.failures)
                 if read.tables:
                     waiting.append(read)

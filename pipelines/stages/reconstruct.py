@@ -38,7 +38,7 @@ class Reconstruct(Stage[ReconstructParameters]):
 
     def run(self, context: StageContext, params: ReconstructParameters) -> dict[str, object]:
         """Reconstruct the recordings that are new or changed, each committed whole."""
-        place = Place(context.key(), context.run, context.executor, context.say, context.code, context.anew)
+        place = Place.of(context)
         with context.writer() as writer:
             done = reconstruct(writer, params, context.key(context.inputs["poses"]), place)
         renew_index(context.store_path, context.wait)

@@ -44,7 +44,7 @@ class Stabilise(Stage[StabiliseParameters]):
 
     def run(self, context: StageContext, params: StabiliseParameters) -> dict[str, object]:
         """Stabilise the takes that are new or changed, each committed whole."""
-        place = Place(context.key(), context.run, context.executor, context.say, context.code, context.anew)
+        place = Place.of(context)
         tracks = context.key(context.inputs["tracks"])
         with context.writer() as writer:
             store = writer.store

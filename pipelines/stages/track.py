@@ -36,7 +36,7 @@ class Track(Stage[TrackParameters]):
 
     def run(self, context: StageContext, params: TrackParameters) -> dict[str, object]:
         """Track the recordings that are new or changed, each committed whole."""
-        place = Place(context.key(), context.run, context.executor, context.say, context.code, context.anew)
+        place = Place.of(context)
         observed = context.params_of("recordings", ObserveParameters)
         names = observed.only or list(load_recordings(observed.recordings).recordings)
         with context.writer() as writer:

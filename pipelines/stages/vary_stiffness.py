@@ -70,7 +70,8 @@ class VaryStiffness(Stage[Params]):
         context.report_unmatched(truth.unmatched)
         takes = f"({params.where}) AND {names_filter(truth.takes)}"
         trials = run_trials(
-            store, searched, truth.segments, takes, params.stiffness, params.tau, context.executor.workers
+            store, searched, truth.segments, takes, params.stiffness, params.tau, context.executor.workers,
+            context.progress,
         )  # fmt: skip
         context.terminal.show(_shown(trials))
         context.put_results(precision_recall=trial_rows(trials, context.run))

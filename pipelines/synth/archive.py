@@ -6,6 +6,7 @@ import csv
 import io
 import json
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -16,6 +17,7 @@ from kinedex.ops.synth.actors import Actor, actor_name, cast
 from kinedex.ops.synth.motions import MOTIONS
 from kinedex.ops.synth.performance import RATE_HZ, Performance, perform_clip, perform_take
 from kinedex.ops.synth.solve import columns
+from kinedex.pipelines.engine.context import ProgressBar
 from kinedex.pipelines.engine.executors import cores, make_executor
 from kinedex.storage.disk import whole_file
 from kinedex.storage.formats.motion.acclaim_writer import Dialect, write_amc, write_asf
@@ -107,7 +109,7 @@ def write_archive(
     minutes: float = 30.0,
     actors: int = 5,
     seed: int = DEFAULT_SEED,
-    progress: Callable[[int], object] | None = None,
+    progress: Callable[[str, int], ProgressBar] | None = None,
     jobs: int | None = None,
     clip_minutes: float | None = None,
 ) -> Summary:
@@ -128,7 +130,7 @@ def write_archive(
     seed : int
         Seed of all random numbers.
     progress : callable or None
-        Function that is called with the number of files just written.
+        Function of a description and the number of files that returns a progress bar.
     jobs : int or None
         Number of worker processes; one per core for None.
     clip_minutes : float or None
@@ -167,10 +169,11 @@ def write_archive(
     executor = make_executor("processes", min(jobs or cores(), max(1, len(tasks) // 8)))
     written: list[_Written] = []
     try:
-        for result in executor.map(partial(_perform, str(folder), seed), tasks):
-            written.append(result)
-            if progress is not None:
-                progress(1)
+        with nullcontext() if progress is None else progress("writing files", len(tasks)) as bar:
+            for result in executor.map(partial(_perform, str(folder), seed), tasks):
+                written.append(result)
+                if bar is not None:
+                    bar.advance()
     finally:
         executor.close()
     bytes_written += _write_ground_truth(folder / "takes" / "ground_truth.csv", written)

@@ -97,7 +97,7 @@ def stabilise_stored(
     opened = open_store(path, at="newest")
     require_takes(opened, takes)
     code = code_digest(type(load_stage("stabilise")))  # as the pipeline has it
-    place = Place(STAGE, new_run_id(), executor, terminal.say, code, anew)
+    place = Place(STAGE, new_run_id(), executor, terminal.say, terminal.progress, code, anew)
     with StoreWriter.open(path, opened.feature_set, opened.rate_hz, wait) as writer:
         archive = store_archive(writer.store, params, executor)
         done = stabilise(writer, params, tracker, list(dict.fromkeys(takes)), archive, place)

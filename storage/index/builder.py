@@ -9,10 +9,11 @@ import uuid
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import xxhash
 
@@ -58,6 +59,17 @@ SPARE_BYTES = 4_000_000
 _AHEAD = 4
 """Most shards that are made while one is being stored, on any number of cores: each takes some 100 MB."""
 
+
+class Counter(Protocol):
+    """Whatever shows how much is done."""
+
+    def advance(self, n: int = 1) -> object:
+        """Count n more."""
+
+
+Progress = Callable[[str, int], AbstractContextManager[Counter]]
+"""Function of a description and a number of steps that shows them within a `with` statement."""
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -68,6 +80,7 @@ def build_index(
     memory_mb: int | None = None,
     shard_frames: int = SHARD_FRAMES,
     wait: Wait = NO_WAIT,
+    progress: Progress | None = None,
 ) -> Path:
     """Build and publish the index of a store's live takes, unless it exists already.
 
@@ -87,6 +100,8 @@ def build_index(
         Number of frames from which a shard is full.
     wait : Wait, optional
         The time to wait for another build to finish.
+    progress : callable, optional
+        Shows how many of the frames that are indexed anew are stored.
 
     Returns
     -------
@@ -113,7 +128,7 @@ def build_index(
         try:
             with write_errors(building):
                 building.mkdir()
-                _build(store, building, threads, memory_mb, shard_frames)
+                _build(store, building, threads, memory_mb, shard_frames, progress)
                 os.rename(building, generation)
                 sync_folder(folder)
         finally:
@@ -188,7 +203,14 @@ class _Start:
     whole_bytes_per_frame: float | None = None
 
 
-def _build(store: Snapshot, folder: Path, threads: int | None, memory_mb: int | None, shard_frames: int) -> None:
+def _build(
+    store: Snapshot,
+    folder: Path,
+    threads: int | None,
+    memory_mb: int | None,
+    shard_frames: int,
+    progress: Progress | None,
+) -> None:
     """Write the files of a new generation into a folder."""
     began = time.perf_counter()
     file = folder / FILE
@@ -208,7 +230,9 @@ def _build(store: Snapshot, folder: Path, threads: int | None, memory_mb: int | 
             tables.clear(connection)
         _delete(connection, store, work, start)
         _link(work.kept, start.generation, folder)
-        fresh = _insert(connection, store, work, start, folder, threads)
+        frames = sum(part.rows - part.dropped_rows for parts in work.fresh for part in parts)
+        with nullcontext() if progress is None else progress("frames", frames) as bar:
+            fresh = _insert(connection, store, work, start, folder, threads, bar)
         tables.describe(connection, store, anew=start.surface != surface)
         rows = tables.count(connection)
         valid = tables.valid_frames(connection)
@@ -331,7 +355,13 @@ def _link(kept: Iterable[Shard], before: Path | None, folder: Path) -> None:
 
 
 def _insert(
-    connection: duck.Connection, store: Snapshot, work: ShardPlan, start: _Start, folder: Path, threads: int | None
+    connection: duck.Connection,
+    store: Snapshot,
+    work: ShardPlan,
+    start: _Start,
+    folder: Path,
+    threads: int | None,
+    bar: Counter | None,
 ) -> tuple[Shard, ...]:
     """Make the new shards, several at a time, and store them in their order; bit slices go into files beside."""
     features = len(store.feature_set.features)
@@ -347,13 +377,16 @@ def _insert(
     before = max((shard.number for shard in (*start.shards, *start.lost)), default=0)
     fresh: list[Shard] = []
     workers = min(_AHEAD, threads or os.cpu_count() or 1, len(work.fresh))
-    for shard, rows in _ahead(make, enumerate(work.fresh, before + 1), workers):
+    made = _ahead(make, enumerate(work.fresh, before + 1), workers)
+    for (shard, rows), parts in zip(made, work.fresh, strict=True):
         if fresh:
             # a single transaction would hold more memory: 1.6 GB instead of 0.7 at 400 hours
             connection.execute("COMMIT")
             connection.execute("BEGIN")
         tables.insert(connection, shard.number, rows)
         fresh.append(shard)
+        if bar is not None:
+            bar.advance(sum(part.rows - part.dropped_rows for part in parts))
     return tuple(fresh)
 
 

@@ -6,7 +6,7 @@ import hashlib
 import os
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -92,7 +92,7 @@ class Finding:
         return f"{self.file}: {self.problem}; {self.remedy.text}"
 
 
-def verify(store: Snapshot) -> list[Finding]:
+def verify(store: Snapshot, checked: Callable[[], object] = lambda: None) -> list[Finding]:
     """Check everything that a version of a store records about its files.
 
     These are every part's size, checksum, row count, schema, takes and order of rows; that the frames of every take
@@ -105,13 +105,15 @@ def verify(store: Snapshot) -> list[Finding]:
     ----------
     store : Snapshot
         The version to check.
+    checked : callable, optional
+        Function that is called after each part that was read.
 
     Returns
     -------
     list of Finding
         The problems, empty for a sound store. `kinedex repair` is the remedy of all but notes on earlier repairs.
     """
-    return _Verification(store).findings()
+    return _Verification(store, checked).findings()
 
 
 def damaged_frames(store: Snapshot) -> list[Part]:
@@ -128,8 +130,9 @@ def damaged_frames(store: Snapshot) -> list[Part]:
 class _Verification:
     """One verification of a version of a store."""
 
-    def __init__(self, store: Snapshot) -> None:
+    def __init__(self, store: Snapshot, checked: Callable[[], object]) -> None:
         self.store = store
+        self.checked = checked
         self.manifest = store.manifest
         self.is_current = store.manifest.format_version == FORMAT_VERSION
         # a store of an older format is not repaired
@@ -212,6 +215,7 @@ class _Verification:
     def _file(self, kind: Kind, part: AnyPart, schema: pa.Schema) -> list[Finding]:
         """Check a part as a file: size, checksum, number of rows, schema."""
         problem = _file_problem(self.store.path / part.path, part, schema)
+        self.checked()
         takes = part.live if isinstance(part, Part) else ()
         return [self._found(kind, part.path, problem, takes=takes)] if problem else []
 

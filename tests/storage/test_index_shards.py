@@ -73,6 +73,36 @@ def stores(batches: Path, tmp_path: Path) -> dict[str, Store]:
     return found
 
 
+class Bar:
+    """A progress bar that keeps what it was told."""
+
+    def __init__(self) -> None:
+        self.steps = list[tuple[str, int]]()
+        self.advanced = list[int]()
+
+    def __call__(self, description: str, steps: int) -> Bar:
+        self.steps.append((description, steps))
+        return self
+
+    def __enter__(self) -> Bar:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def advance(self, n: int = 1) -> None:
+        self.advanced.append(n)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_build_shows_how_many_of_the_new_frames_are_stored(batches: Path, tmp_path: Path, threads: int) -> None:
+    shutil.copytree(batches, tmp_path / "store")
+    store, bar = open_store(tmp_path / "store", at="newest"), Bar()
+    build_index(store, threads=threads, shard_frames=FEW, progress=bar)
+    assert bar.steps == [("frames", says(store).built_frames)]
+    assert len(bar.advanced) == len(says(store).shards) > 1
+    assert sum(bar.advanced) == says(store).built_frames
+
+
 def test_answers_are_the_same_for_one_shard_and_for_many(stores: dict[str, Store]) -> None:
     assert len(says(stores["one"]).shards) == 1
     assert len(says(stores["many"]).shards) >= 5

@@ -5,13 +5,17 @@ from __future__ import annotations
 import csv
 import hashlib
 from collections import Counter
+from functools import partial
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from kinedex.catalog.classes import load_classes
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.ops.synth.motions import MOTIONS
+from kinedex.pipelines.console.pulse import Pulse
+from kinedex.pipelines.console.terminal import Progress
 from kinedex.pipelines.synth.archive import Summary, write_archive
 from kinedex.storage.formats.motion.amc import read_amc
 from kinedex.storage.formats.motion.asf import read_asf
@@ -95,11 +99,14 @@ def test_a_complete_archive_is_left_as_it_is_and_a_begun_one_is_finished(
     class Killed(Exception):
         pass
 
-    def stop(_: int) -> None:
-        raise Killed
+    class Bar(Progress):
+        def advance(self, n: int = 1) -> None:
+            raise Killed
 
+    console = Console(quiet=True)
+    bars = partial(Bar, console, Pulse(console.print))
     with pytest.raises(Killed):
-        write_archive(tmp_path / "begun", minutes=1.0, seed=4, jobs=1, progress=stop)
+        write_archive(tmp_path / "begun", minutes=1.0, seed=4, jobs=1, progress=bars)
     assert write_archive(tmp_path / "begun", minutes=1.0, seed=4, jobs=1).made
     assert digests(tmp_path / "begun") == before
 

@@ -38,6 +38,9 @@ def problems(store: Store) -> str:
 
 def test_a_sound_store_has_no_findings(store: Store) -> None:
     assert problems(store) == ""
+    checked = list[None]()
+    assert verify(store, lambda: checked.append(None)) == []
+    assert len(checked) == len(store.manifest.parts)
 
 
 def test_a_cut_off_a_changed_and_a_missing_part_are_found(store: Store) -> None:
