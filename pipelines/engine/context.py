@@ -77,13 +77,6 @@ class Display(Protocol):
     def show(self, table: RenderableType) -> None:
         """Show a table, or anything else that rich can render."""
 
-    def report_unmatched(self, found: Iterable[UnmatchedLabels]) -> None:
-        """Record labels of files that match no take: the run names them at its end, and exits with 3.
-
-        Every stage that reads label files reports them; their remarks are shown by the stage itself.
-        """
-        self.unmatched.extend(found)
-
     def progress(self, description: str, total: int | None = None) -> ProgressBar:
         """Return a progress bar."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import pyarrow as pa
@@ -11,7 +11,7 @@ import pyarrow as pa
 from kinedex.catalog.queries.keyframe_query import SAME_FRAME, Gap, KeyframeQuery
 from kinedex.ops.evaluation.ranking_metrics import precision_recall
 from kinedex.ops.search.gaps import UNBOUNDED, nominal_gap
-from kinedex.pipelines.engine.context import ProgressBar
+from kinedex.pipelines.engine.context import Progress
 from kinedex.pipelines.evaluation.ground_truth import Manual
 from kinedex.pipelines.ranking.ranked_hits import RankedTemplate
 from kinedex.pipelines.ranking.ranking import rank_takes
@@ -82,7 +82,7 @@ def run_trials(
     stiffnesses: Sequence[float],
     tau: float,
     workers: int,
-    progress: Callable[[str, int], ProgressBar],
+    progress: Progress,
 ) -> list[Trial]:
     """Rank takes to the last hit in all frames, within the hits of the queries as written, and with other stiffnesses.
 
@@ -116,10 +116,10 @@ def run_trials(
             variants.append((f"{value:g}", value, rigid))
     trials = []
     with progress("stiffnesses", len(variants)) as bar:
-        for name, value, templates in variants:
+        for name, stiffness, templates in variants:
             for ranking in rank_takes(store, templates, 1.0, None, takes, workers):
                 judged = judge_hits(ranking.name, ranking.hits, truth, tau)
-                trials.append(Trial(name, value, judged, ranking.kept))
+                trials.append(Trial(name, stiffness, judged, ranking.kept))
             bar.advance()
     return trials
 

@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.console.wording import counted
-from kinedex.pipelines.engine.context import ProgressBar, StageContext
+from kinedex.pipelines.engine.context import Progress, StageContext
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.recordings.recorded_takes import (
     RecordedTake,
@@ -56,7 +56,7 @@ class Place:
     run: str
     executor: Executor
     say: Callable[[str], None]
-    progress: Callable[[str, int], ProgressBar]
+    progress: Progress
     code: str = ""
     anew: bool = False
 

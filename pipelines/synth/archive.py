@@ -5,8 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable
-from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -17,7 +15,7 @@ from kinedex.ops.synth.actors import Actor, actor_name, cast
 from kinedex.ops.synth.motions import MOTIONS
 from kinedex.ops.synth.performance import RATE_HZ, Performance, perform_clip, perform_take
 from kinedex.ops.synth.solve import columns
-from kinedex.pipelines.engine.context import ProgressBar
+from kinedex.pipelines.engine.context import Progress, no_progress
 from kinedex.pipelines.engine.executors import cores, make_executor
 from kinedex.storage.disk import whole_file
 from kinedex.storage.formats.motion.acclaim_writer import Dialect, write_amc, write_asf
@@ -109,7 +107,7 @@ def write_archive(
     minutes: float = 30.0,
     actors: int = 5,
     seed: int = DEFAULT_SEED,
-    progress: Callable[[str, int], ProgressBar] | None = None,
+    progress: Progress = no_progress,
     jobs: int | None = None,
     clip_minutes: float | None = None,
 ) -> Summary:
@@ -129,7 +127,7 @@ def write_archive(
         Number of actors, 1 to 600.
     seed : int
         Seed of all random numbers.
-    progress : callable or None
+    progress : callable
         Function of a description and the number of files that returns a progress bar.
     jobs : int or None
         Number of worker processes; one per core for None.
@@ -169,11 +167,10 @@ def write_archive(
     executor = make_executor("processes", min(jobs or cores(), max(1, len(tasks) // 8)))
     written: list[_Written] = []
     try:
-        with nullcontext() if progress is None else progress("writing files", len(tasks)) as bar:
+        with progress("writing files", len(tasks)) as bar:
             for result in executor.map(partial(_perform, str(folder), seed), tasks):
                 written.append(result)
-                if bar is not None:
-                    bar.advance()
+                bar.advance()
     finally:
         executor.close()
     bytes_written += _write_ground_truth(folder / "takes" / "ground_truth.csv", written)
