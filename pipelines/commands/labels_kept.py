@@ -196,6 +196,8 @@ def list_(
     elif form == "table" and output is None:
         few = ["take", "class", "start", "stop", "limb", "verdict", "origin", "annotator", "note", "id"]
         show_table(found.select([*few, *(["current"] if history else [])]), form, output)
+        if not found.num_rows:
+            print_message(f"no label of {table.num_rows:,} fits" if table.num_rows else "the store has no labels")
     else:
         show_table(found, form, output)
 

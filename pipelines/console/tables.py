@@ -32,10 +32,13 @@ TALL = 4
 _LINES = {b"lines": b"yes"}
 """Metadata of a column whose texts are broken into lines."""
 
-FEW_ROWS, MANY_COLUMNS = 5, 8
+FEW_ROWS, MANY_COLUMNS = 5, 7
 """Tables with more rows and at least so many columns show the first columns alone where a terminal is too narrow."""
 
 _TRIED = 200  # number of rows that the choice looks at
+
+_HEAD, _FOOT = 2, 2
+"""Lines above the rule of a table whose names fit, and those around its rows: the rule, and an empty one at the end."""
 
 _CAP = 60
 """Most characters that a column is padded to in a file or a pipe, and that it counts for in a terminal."""
@@ -57,8 +60,9 @@ class Shown:
     """An Arrow table that rich prints in the form that fits its place; no value is ever cut.
 
     In a file or a pipe a row is one line, however long. In a terminal, columns share the width and long values are
-    wrapped. Where rows then have more than `TALL` lines on average, each row is a block with a line for every column;
-    of many rows with many columns, those columns that people read first are a table, and a line below names the others.
+    wrapped. Where rows then have more than `TALL` lines on average, or names of columns are broken in a table of few
+    rows or many columns, each row is a block with a line for every column; of many rows with many columns, those
+    columns that people read first are a table, and a line below names the others.
 
     Parameters
     ----------
@@ -107,11 +111,12 @@ class Shown:
             return False
         if tried.num_columns * _NARROWEST > options.max_width:
             return True  # rich would lay out columns without any width
-        with_rows, without = (
-            len(console.render_lines(rich_table(part), options, pad=False)) for part in (tried, tried.slice(0, 0))
-        )
-        lines: int = with_rows - without
-        return lines > TALL * int(tried.num_rows)
+        lines = console.render_lines(rich_table(tried), options, pad=False)
+        texts = ["".join(segment.text for segment in line).strip() for line in lines]
+        rule = next(number for number, text in enumerate(texts) if text and not text.strip("─"))
+        if rule > _HEAD and (self._table.num_rows <= FEW_ROWS or self._table.num_columns >= MANY_COLUMNS):
+            return True  # names of columns are broken
+        return len(texts) - rule - _FOOT > TALL * int(tried.num_rows)
 
 
 def _fitting(table: pa.Table, null: str, width: int) -> list[str] | None:

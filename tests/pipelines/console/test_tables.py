@@ -179,3 +179,17 @@ def test_a_wide_table_on_a_terminal_has_the_first_columns_and_names_the_others()
     assert shown(WIDE, 400, terminal=True)[1].split()[0] == "take_id"
     many = pa.table({f"c{n}": ["x"] * 9 for n in range(60)})  # each would have no width at all
     assert shown(many, 80, terminal=True)[1].split()[:2] == ["c0", "c1"]
+
+
+@pytest.mark.parametrize("rows", [1, 40])
+def test_names_of_columns_are_not_broken_on_a_narrow_terminal(rows: int) -> None:
+    columns = {"name": ["a_take_of_some_length_001"], "class": ["armCirclesRight"], "clip": ["001"], "state": ["done"]}
+    columns |= {"started_at": ["2026-11-27T17:02:36Z"], "source_rate_hz": ["120"], "results": ["newest version"]}
+    lines = shown(pa.table({name: cells * rows for name, cells in columns.items()}), 80, terminal=True)
+    if rows == 1:
+        assert lines[0] == "row 1"
+        assert any(line.split() == ["source_rate_hz", "120"] for line in lines)
+    else:
+        assert lines[1].split()[:3] == ["name", "class", "clip"]
+        assert "would not fit" in "\n".join(lines)
+    assert all(len(line) <= 80 for line in lines)

@@ -176,6 +176,14 @@ def test_a_run_that_learns_from_a_label_file_ends_with_3_where_labels_match_no_t
         assert [one["takes"] for one in found["unmatched_labels"]] == [["03_03"]]
 
 
+def test_a_list_without_labels_says_so(source: Path) -> None:
+    store = ingested(source)
+    assert kinedex("labels", "list", store).stdout.splitlines()[-1] == "the store has no labels"
+    assert kinedex("labels", "import", store, source / "labels.csv").exit_code == 3
+    done = kinedex("labels", "list", store, "--class", "hop")
+    assert done.stdout.splitlines()[-1] == "no label of 3 fits"
+
+
 def test_differences_in_a_store_count_labels_that_match_no_take(source: Path) -> None:
     store, file = ingested(source), source / "labels.csv"
     done = kinedex("labels", "diff", file, file, "--store", store, "--json")
