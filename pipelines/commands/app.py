@@ -27,6 +27,7 @@ from kinedex.pipelines.commands.command_list import RUN as RUN
 from kinedex.pipelines.commands.command_list import SEARCH as SEARCH
 from kinedex.pipelines.commands.command_list import TRACK as TRACK
 from kinedex.pipelines.console.escapes import json_escaped, visible_lines
+from kinedex.pipelines.console.plain_values import convert_plain_values
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -68,6 +69,11 @@ class HelpPage(TyperGroup):
                 formatter.write_dl(rows)
                 formatter.dedent()
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the options of the group."""
+        convert_plain_values(self.get_params(ctx))
+        return super().parse_args(ctx, args)
+
     def listed(self) -> list[tuple[str, Any]]:
         """Return the commands for the help, with their names."""
         return list(self.commands.items())
@@ -83,6 +89,7 @@ class Command(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments and options of the command."""
+        convert_plain_values(self.get_params(ctx))
         with _UsageErrors(args):
             return super().parse_args(ctx, args)
 
