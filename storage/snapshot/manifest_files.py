@@ -13,20 +13,17 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from pydantic import TypeAdapter, ValidationError
-
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import TEMPORARY, sync_folder, write_errors
 from kinedex.storage.remedies import repair, upgrade
 from kinedex.storage.snapshot.manifest import Manifest
+from kinedex.storage.snapshot.plain_records import record_of
 from kinedex.storage.snapshot.schemas import FORMAT_VERSION, READ_VERSIONS
 
 FOLDER = "manifest"
 
 _NAME = re.compile(r"^(\d{6,})\.json$")
-
-_ADAPTER: TypeAdapter[Manifest] = TypeAdapter(Manifest)
 
 _FEATURE_SETS: dict[str, FeatureSet] = {}  # by their digests: versions share one, whose `encoded` is made once
 
@@ -82,14 +79,24 @@ def read_version(store: Path, version: int) -> Manifest:
     path = manifest_path(store, version)
     content = _content(path)
     try:
-        manifest = _ADAPTER.validate_python(content)
-    except ValidationError as fault:
-        first = fault.errors(include_url=False)[0]
-        raise _damaged(path, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from None
+        manifest = record_of(Manifest, content)
+    except (ValueError, OverflowError):
+        manifest = _validated(path, content)
     if manifest.version != version:
         raise _damaged(path, f"it names version {manifest.version}")
     known = _FEATURE_SETS.setdefault(manifest.feature_set.digest, manifest.feature_set)
     return replace(manifest, feature_set=known) if known == manifest.feature_set else manifest
+
+
+def _validated(path: Path, content: dict[str, Any]) -> Manifest:
+    """Return the manifest, or raise an error that names the value at fault; pydantic takes long to import."""
+    from pydantic import TypeAdapter, ValidationError
+
+    try:
+        return TypeAdapter(Manifest).validate_python(content)
+    except ValidationError as fault:
+        first = fault.errors(include_url=False)[0]
+        raise _damaged(path, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from None
 
 
 def require_current_format(store: Path, manifest: Manifest) -> None:

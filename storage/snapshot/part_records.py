@@ -8,8 +8,6 @@ from functools import cached_property
 from itertools import chain
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator
-
 MOST_TAKES = 100_000_000
 """More takes than a part may name: a wrong manifest must not fill the memory."""
 
@@ -35,7 +33,20 @@ def _from_ranges(value: object) -> tuple[int, ...]:
     return tuple(chain.from_iterable(range(start, stop) for start, stop in value))
 
 
-TakeIds = Annotated[tuple[int, ...], BeforeValidator(_from_ranges)]
+class _Ranges:
+    """The form of take ids in a manifest: ranges."""
+
+    read = staticmethod(_from_ranges)
+
+    @staticmethod
+    def __get_pydantic_core_schema__(source: Any, handler: Any) -> Any:
+        """Return the validator of pydantic, which a manifest at fault needs alone."""
+        from pydantic_core import core_schema
+
+        return core_schema.no_info_before_validator_function(_from_ranges, handler(source))
+
+
+TakeIds = Annotated[tuple[int, ...], _Ranges()]
 
 
 @dataclass(frozen=True)
