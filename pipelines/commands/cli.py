@@ -7,6 +7,8 @@ import sys
 from contextlib import suppress
 
 from kinedex.pipelines.commands.app import app
+from kinedex.pipelines.commands.command_list import ASK, COMMANDS, SEARCH
+from kinedex.pipelines.console.collection import put_off_collection
 from kinedex.pipelines.console.escapes import escape_streams
 
 __all__ = ["app", "main"]
@@ -15,6 +17,8 @@ __all__ = ["app", "main"]
 def main() -> None:
     """Run the console command `kinedex`; its output is UTF-8, on Windows too."""
     escape_streams()
+    if sys.argv[1:2] and sys.argv[1] in COMMANDS and COMMANDS[sys.argv[1]].panel in (ASK, SEARCH):
+        put_off_collection()
     try:
         app(prog_name="kinedex")  # whichever file started it
     except SystemExit as end:
