@@ -5,11 +5,13 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Iterator, Mapping
-from functools import lru_cache
-from importlib.metadata import EntryPoint, entry_points
-from typing import Generic, TypeVar
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from kinedex.ops.errors import KinedexError, did_you_mean
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint  # takes long to import, and most processes load no part
 
 Part = TypeVar("Part")
 
@@ -43,7 +45,7 @@ class Plugins(Generic[Part]):
     def __init__(self, group: str, noun: str, built_in: Mapping[str, str]) -> None:
         self.group = group
         self.noun = noun
-        self._built_in = {name: EntryPoint(name, value, group) for name, value in built_in.items()}
+        self._places = dict(built_in)
 
     def __contains__(self, name: object) -> bool:
         return name in self._all()
@@ -91,6 +93,12 @@ class Plugins(Generic[Part]):
         """Return where a part is, "module:object"."""
         return self._all()[name].value
 
+    @cached_property
+    def _built_in(self) -> dict[str, EntryPoint]:
+        from importlib.metadata import EntryPoint
+
+        return {name: EntryPoint(name, value, self.group) for name, value in self._places.items()}
+
     def _all(self) -> dict[str, EntryPoint]:
         return self._built_in | {
             name: found for name, found in _installed(self.group, tuple(sys.path)).items() if self._is_free(found)
@@ -109,6 +117,8 @@ class Plugins(Generic[Part]):
 @lru_cache(maxsize=32)
 def _installed(group: str, path: tuple[str, ...]) -> dict[str, EntryPoint]:
     """Return the entry points of a group; of two with one name the first on the path counts."""
+    from importlib.metadata import entry_points
+
     found: dict[str, EntryPoint] = {}
     for point in entry_points(group=group):
         other = found.setdefault(point.name, point)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.configs import Located, load_yaml, read_text, scalar
 from kinedex.catalog.features import FeatureSet
+from kinedex.catalog.named_template import NamedTemplate as NamedTemplate
 from kinedex.ops.errors import ConfigError, KinedexError
 from kinedex.ops.templates.templates import Template
 
@@ -23,15 +23,6 @@ F64 = npt.NDArray[np.float64]
 WILDCARD = 0.5
 _LETTERS = {"0": 0.0, "1": 1.0, "*": WILDCARD}
 _WEIGHT = "weight"
-
-
-@dataclass(frozen=True)
-class NamedTemplate:
-    """A template with its name, which is the subclass that it represents."""
-
-    name: str
-    template: Template
-    description: str = ""
 
 
 def read_templates(path: str | Path, feature_set: FeatureSet) -> tuple[NamedTemplate, ...]:

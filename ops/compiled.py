@@ -89,14 +89,19 @@ def _below(root: Path, folder: Path) -> Path:
 def _state(package: Path, former: State) -> State:
     """Return the state of the sources; contents are read only where size or time have changed."""
     found: State = {}
-    for folder, folders, names in os.walk(package):
-        folders[:] = [name for name in folders if name != "__pycache__"]
-        for file in (Path(folder, name) for name in names if name.endswith(".py")):
-            name, about = file.relative_to(package).as_posix(), file.stat()
-            size, time, text = former.get(name, (-1, -1, ""))
-            if (size, time) != (about.st_size, about.st_mtime_ns):
-                text = hashlib.sha256(file.read_bytes()).hexdigest()
-            found[name] = (about.st_size, about.st_mtime_ns, text)
+    folders = [""]
+    for below in folders:
+        with os.scandir(package / below) as entries:
+            for entry in entries:
+                name = f"{below}{entry.name}"
+                if entry.name.endswith(".py"):
+                    about = entry.stat()
+                    size, time, text = former.get(name, (-1, -1, ""))
+                    if (size, time) != (about.st_size, about.st_mtime_ns):
+                        text = hashlib.sha256((package / name).read_bytes()).hexdigest()
+                    found[name] = (about.st_size, about.st_mtime_ns, text)
+                elif entry.name != "__pycache__" and entry.is_dir(follow_symlinks=False):
+                    folders.append(f"{name}/")
     return found
 
 

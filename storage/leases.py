@@ -17,8 +17,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from filelock import lock_descriptor
-
 from kinedex.ops.errors import StoreError
 from kinedex.storage.snapshot.manifest_files import manifest_path, versions
 
@@ -103,6 +101,8 @@ def without_readers(store: Path, version: int) -> Iterator[bool]:
         else:
             yield True
         return
+    from filelock import lock_descriptor  # a reader takes no exclusive lock
+
     descriptor = _open_to_lock(path)
     if descriptor is None:
         yield True

@@ -8,8 +8,8 @@ from math import floor
 
 import pyarrow as pa
 
+from kinedex.catalog.named_template import NamedTemplate
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
-from kinedex.catalog.template_files import NamedTemplate
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind, quantise
 from kinedex.pipelines.console.wording import few

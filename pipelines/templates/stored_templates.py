@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.catalog.template_files import NamedTemplate, read_templates
+from kinedex.catalog.named_template import NamedTemplate
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.derived_templates import without_unknown
 from kinedex.ops.templates.templates import Kind, learn, quantise
@@ -148,6 +148,8 @@ def choose_templates(
 
 def template_of_file(path: Path, features: FeatureSet) -> NamedTemplate:
     """Return the one template of a template file; a KinedexError where it holds several."""
+    from kinedex.catalog.template_files import read_templates  # most templates are those of the store
+
     found = read_templates(path, features)
     if len(found) > 1:
         raise KinedexError(f"{path} holds {len(found)} templates; leave one in it: {', '.join(t.name for t in found)}")

@@ -21,7 +21,6 @@ from typing import Any
 
 import pyarrow as pa
 import xxhash
-from filelock import lock_descriptor, unlock_descriptor
 
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import sync_folder, write_errors
@@ -150,6 +149,8 @@ def _files(store: Path) -> list[Path]:
 @contextmanager
 def _locked(path: Path) -> Iterator[int | None]:
     """Open and lock a file, which is made where it is missing; None where another process has locked it."""
+    from filelock import lock_descriptor, unlock_descriptor  # a reader locks nothing
+
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
     try:
         try:

@@ -45,23 +45,25 @@ _GAP = rf"(?:[ \t\r\n\f\v]|{_COMMENT})"
 _NAME = r'(?:[A-Za-z_]\w*|"(?:[^"]|"")+")'
 _COLUMN = rf"{_NAME}(?:{_GAP}*\.{_GAP}*{_NAME})*"
 _AGGREGATE = rf"(?P<{{group}}>\w+){_GAP}*\({_GAP}*(?:\*|{_COLUMN})?{_GAP}*\)(?:{_GAP}+AS{_GAP}+{_NAME})?"
-_EXPLAIN = re.compile(
+_EXPLAIN = (
     rf"{_GAP}*EXPLAIN(?={_GAP}|\()"
     rf"(?P<analyze>{_GAP}+ANALYZE(?={_GAP}|\())?"
     rf"(?:{_GAP}*\({_GAP}*(?P<options>(?:ANALYZE|FORMAT)(?:[ \t\r\n]|\w|,)*)\))?"
-    r"(?P<query>.*)",
-    re.IGNORECASE | re.DOTALL | re.ASCII,
+    r"(?P<query>.*)"
 )
-_PRAGMA = re.compile(
-    rf"{_GAP}*PRAGMA{_GAP}+(?P<name>\w+){_GAP}*(?:\({_GAP}*(?P<value>'(?:[^']|'')*'|\w+){_GAP}*\))?{_GAP}*;?{_GAP}*",
-    re.IGNORECASE | re.ASCII,
+_PRAGMA = (
+    rf"{_GAP}*PRAGMA{_GAP}+(?P<name>\w+){_GAP}*(?:\({_GAP}*(?P<value>'(?:[^']|'')*'|\w+){_GAP}*\))?{_GAP}*;?{_GAP}*"
 )
-_PIVOT = re.compile(
+_PIVOT = (
     rf"{_GAP}*PIVOT{_GAP}+(?P<source>{_NAME}){_GAP}+ON{_GAP}+{_COLUMN}(?:{_GAP}*,{_GAP}*{_COLUMN})*"
     rf"(?:{_GAP}+USING{_GAP}+{_AGGREGATE.format(group='first')}(?:{_GAP}*,{_GAP}*{_AGGREGATE.format(group='second')})?)?"
-    rf"(?:{_GAP}+GROUP{_GAP}+BY{_GAP}+{_COLUMN}(?:{_GAP}*,{_GAP}*{_COLUMN})*)?{_GAP}*;?{_GAP}*",
-    re.IGNORECASE | re.ASCII,
+    rf"(?:{_GAP}+GROUP{_GAP}+BY{_GAP}+{_COLUMN}(?:{_GAP}*,{_GAP}*{_COLUMN})*)?{_GAP}*;?{_GAP}*"
 )
+
+
+def _match(pattern: str, text: str) -> re.Match[str] | None:
+    """Match a whole statement; patterns are compiled when they are first needed, since most statements need none."""
+    return re.fullmatch(pattern, text, re.IGNORECASE | re.DOTALL | re.ASCII)
 
 
 class UnknownName(KinedexError):
@@ -151,11 +153,11 @@ def names_in(connection: duckdb.DuckDBPyConnection, text: str) -> Names:
     KinedexError
         The statement has no tree, so that `checked` refuses it as well.
     """
-    if explained := _EXPLAIN.fullmatch(text):
+    if explained := _match(_EXPLAIN, text):
         return names_in(connection, explained["query"])
-    if _PRAGMA.fullmatch(text):
+    if _match(_PRAGMA, text):
         return Names(frozenset(("pragma",)), frozenset(), frozenset())
-    if pivot := _PIVOT.fullmatch(text):
+    if pivot := _match(_PIVOT, text):
         return Names(frozenset((pivot["source"].strip('"').lower(),)), frozenset(), frozenset())
     nodes = list(_nodes(_tree(connection, text)))
     tables, functions = (
@@ -248,7 +250,7 @@ def _refuse_blanks(text: str) -> None:
 
 
 def _explained(connection: duckdb.DuckDBPyConnection, text: str, macros: Iterable[str], files: bool) -> str:
-    parts = _EXPLAIN.fullmatch(text)
+    parts = _match(_EXPLAIN, text)
     if parts is None:
         raise _refused("an EXPLAIN of another form")
     query = checked(connection, parts["query"], macros, files=files)
@@ -262,7 +264,7 @@ def _explained(connection: duckdb.DuckDBPyConnection, text: str, macros: Iterabl
 
 
 def _pragma(text: str) -> str:
-    parts = _PRAGMA.fullmatch(text)
+    parts = _match(_PRAGMA, text)
     if parts is None or parts["name"].lower() not in _PRAGMAS:
         raise KinedexError(f"only these PRAGMAs are allowed: {', '.join(sorted(_PRAGMAS))}")
     value = f"({parts['value']})" if parts["value"] else ""
@@ -270,7 +272,7 @@ def _pragma(text: str) -> str:
 
 
 def _pivot(connection: duckdb.DuckDBPyConnection, text: str, macros: frozenset[str]) -> str:
-    parts = _PIVOT.fullmatch(text)
+    parts = _match(_PIVOT, text)
     if parts is None:
         raise KinedexError(
             "only queries that read are allowed, and a PIVOT inside a query, or over one, is checked only with its "

@@ -186,7 +186,7 @@ def test_without_locks_versions_are_read_and_collected_by_number(path: Path, mon
     replaced(path, 2)
     store = open_store(path, at=2)
     monkeypatch.setattr(leases.fcntl, "flock", no_locks)
-    monkeypatch.setattr(leases, "lock_descriptor", no_locks)
+    monkeypatch.setattr("filelock.lock_descriptor", no_locks)
     assert everything(open_store(path))["hits"] == 1
     assert open_versions(path) == []
     assert store.manifest.version == 2
