@@ -57,10 +57,10 @@ def message_console() -> Console:
 
 def _console(*, stderr: bool, quiet: bool) -> Console:
     file = unescaped(sys.stderr if stderr else sys.stdout)
-    console = EscapingConsole(highlight=False, soft_wrap=True, file=file, quiet=quiet)
+    console = EscapingConsole(highlight=False, emoji=False, soft_wrap=True, file=file, quiet=quiet)
     if console.is_terminal:
         return console
-    return EscapingConsole(highlight=False, soft_wrap=True, file=file, quiet=quiet, width=WIDE)
+    return EscapingConsole(highlight=False, emoji=False, soft_wrap=True, file=file, quiet=quiet, width=WIDE)
 
 
 class EscapingConsole(Console):

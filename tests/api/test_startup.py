@@ -11,7 +11,7 @@ import pytest
 
 NEVER = {
     *("kinedex.pipelines.engine.runner", "kinedex.storage.store.writer", "dask", "distributed", "starlette"),
-    *("pandas", "polars", "pyarrow.dataset", "jinja2", "ezc3d", "filelock", "typer._adapters"),
+    *("pandas", "polars", "pyarrow.dataset", "jinja2", "ezc3d", "filelock", "typer._adapters", "rich._emoji_codes"),
 }
 NO_VALIDATORS = {"pydantic", "annotated_types"}
 NO_KERNELS = {"numba", "llvmlite", "scipy"}
