@@ -109,8 +109,8 @@ def motion_faults(positions: F64, joints: tuple[str, ...], rate_hz: float, valid
     lost = 1.0 - float(valid.mean()) if len(valid) else UNKNOWN
     if not valid.any() or positions.shape[2] < 4:
         return MotionFaults(invalid_share=lost)
-    known = np.isfinite(positions[:, :, valid.argmax()]).all(axis=1).tolist()
-    soles, limbs, above, legs = _parts(tuple(joints), tuple(known))
+    known = np.all(np.isfinite(positions[:, :, valid.argmax()]), axis=1)
+    soles, limbs, above, legs = _parts(tuple(joints), tuple(known.tolist()))
     lag = max(1, round(rate_hz * LAG_S))
     slide, contact, penetration, flight = _ground(positions, valid, soles, rate_hz)
     return MotionFaults(
