@@ -21,7 +21,7 @@ from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
 
 if TYPE_CHECKING:
-    from kinedex.pipelines.labels.label_takes import UnmatchedLabels
+    from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels
 
 Parameters = TypeVar("Parameters", bound=BaseModel)
 

@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.config import Pipeline
-from kinedex.pipelines.labels.label_takes import UnmatchedLabels
+from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels
 from kinedex.storage.formats.motion.sources import checksum
 from kinedex.storage.lock import Wait
 from kinedex.storage.snapshot.schemas import result_schema

@@ -12,7 +12,8 @@ from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
 from kinedex.pipelines.annotation.labels import source_frame
 from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.inertial.limb_error_tables import JudgedLimb
-from kinedex.pipelines.labels.label_takes import UnmatchedLabels, on_takes, unmatched_labels
+from kinedex.pipelines.labels.label_takes import on_takes
+from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels, unmatched_labels
 from kinedex.storage.formats.labels.ground_truth import read_ground_truth
 from kinedex.storage.formats.labels.segments import ERROR, LabelFile, ManualSegment
 from kinedex.storage.snapshot.labels import is_of_limbs

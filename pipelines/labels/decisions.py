@@ -14,8 +14,8 @@ from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.annotation.labels import annotate_stage
 from kinedex.pipelines.annotation.tables import annotated_takes
 from kinedex.pipelines.console.wording import few
-from kinedex.pipelines.labels.label_takes import UnmatchedLabels
 from kinedex.pipelines.labels.segments import Difference, Segment, differences, placed_files
+from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels
 from kinedex.storage.formats.labels.segments import LabelFile
 from kinedex.storage.snapshot.schemas import labels_schema
 from kinedex.storage.store.decisions import record_labels

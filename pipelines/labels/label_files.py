@@ -9,8 +9,8 @@ from pathlib import Path
 import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.labels.label_takes import UnmatchedLabels
 from kinedex.pipelines.labels.segments import Difference, Segment, differences, placed_files
+from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels
 from kinedex.storage.formats.labels.formats import FORMATS, read_labels
 from kinedex.storage.formats.labels.segments import LabelFile
 from kinedex.storage.formats.labels.tables import OPTIONAL

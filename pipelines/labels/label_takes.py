@@ -1,94 +1,17 @@
-"""The takes of a store that label files speak of, by the names in the files, and the labels that match no take."""
+"""The takes of a store that label files speak of, by the names in the files."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
-from kinedex.pipelines.console.wording import counted, few
+from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.ingestion.take_names import file_names, person_name
 from kinedex.storage.formats.labels.segments import LabelFile
 from kinedex.storage.snapshot.schemas import RECORDED_FORMATS
 from kinedex.storage.snapshot.snapshot import Snapshot
-
-UNMATCHED = "unmatched_labels"
-"""The key of labels that match no take in the summary of a stage, and in what commands print as JSON."""
-
-
-@dataclass(frozen=True)
-class UnmatchedLabels:
-    """The labels of a file that match no take of a store.
-
-    Attributes
-    ----------
-    file : str
-        The label file.
-    labels : int
-        The number of its labels that match no take; a take without a segment counts as one label.
-    of : int
-        The number of all of its labels.
-    takes : tuple of str
-        The names in the file that are no take's.
-    """
-
-    file: str
-    labels: int
-    of: int
-    takes: tuple[str, ...]
-
-    def __str__(self) -> str:
-        verb = "matches" if self.labels == 1 else "match"
-        return f"{self.file}: {self.labels:,} of {counted(self.of, 'label')} {verb} no take: {few(self.takes)}"
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the attributes as JSON has them."""
-        return {**asdict(self), "takes": list(self.takes)}
-
-    @classmethod
-    def of_json(cls, known: dict[str, Any]) -> UnmatchedLabels:
-        """Return what `as_json` gave."""
-        return cls(known["file"], known["labels"], known["of"], tuple(known["takes"]))
-
-
-def unmatched_summary(found: Iterable[UnmatchedLabels]) -> dict[str, object]:
-    """Return labels that match no take as a stage records them, once for each file; nothing where there are none.
-
-    Every stage that reads label files adds this to its summary, and the run then ends as one that has lost something.
-    """
-    by_file = {one.file: one.as_json() for one in found}
-    return {UNMATCHED: list(by_file.values())} if by_file else {}
-
-
-def recorded_unmatched(summaries: Iterable[Mapping[str, Any]]) -> tuple[UnmatchedLabels, ...]:
-    """Return the labels that match no take of the summaries of stages, once for each file."""
-    recorded = (one for summary in summaries for one in summary.get(UNMATCHED, ()))
-    return tuple({one["file"]: UnmatchedLabels.of_json(one) for one in recorded}.values())
-
-
-def unmatched_labels(files: Iterable[LabelFile], known: Collection[str]) -> tuple[UnmatchedLabels, ...]:
-    """Return the labels of files that match no take.
-
-    Parameters
-    ----------
-    files : iterable of LabelFile
-        The label files.
-    known : collection of str
-        The names of all takes.
-    """
-    known = frozenset(known)
-    found = []
-    for file in files:
-        counts = dict.fromkeys(file.takes, 0)
-        for segment in file.segments:
-            counts[segment.take] = counts.get(segment.take, 0) + 1
-        labels = {take: max(1, count) for take, count in counts.items()}
-        absent = [take for take in labels if take not in known]
-        if absent:
-            lost, total = sum(labels[take] for take in absent), sum(labels.values())
-            found.append(UnmatchedLabels(file.path, lost, total, tuple(absent)))
-    return tuple(found)
 
 
 def on_takes(store: Snapshot, files: Sequence[LabelFile]) -> tuple[list[LabelFile], list[str]]:

@@ -9,7 +9,8 @@ from typing import Literal
 
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.evaluation.ground_truth import analysis_frame
-from kinedex.pipelines.labels.label_takes import UnmatchedLabels, on_takes, unmatched_labels
+from kinedex.pipelines.labels.label_takes import on_takes
+from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels, unmatched_labels
 from kinedex.storage.formats.labels.segments import ERROR, LabelFile
 from kinedex.storage.store.store import Store
 

@@ -18,8 +18,8 @@ from kinedex.ops.templates.templates import MOST_AVERAGED
 from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
 from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.engine.digests import Reading
-from kinedex.pipelines.labels.label_takes import UnmatchedLabels
 from kinedex.pipelines.labels.segments import placed_files
+from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels
 from kinedex.storage.formats.labels.ground_truth import ground_truth_files, read_ground_truth
 from kinedex.storage.formats.labels.segments import ERROR
 from kinedex.storage.snapshot.labels import is_of_limbs

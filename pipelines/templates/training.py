@@ -14,7 +14,7 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind
 from kinedex.pipelines.engine.file_parameters import NamesFile
-from kinedex.pipelines.labels.label_takes import UnmatchedLabels
+from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels
 from kinedex.pipelines.templates.examples import ExampleParameters, examples_of
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips, as_subclass_template, example_clips
 from kinedex.pipelines.templates.recipes import (

@@ -16,7 +16,7 @@ from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.executors import make_executor
 from kinedex.pipelines.engine.stage import Stage
-from kinedex.pipelines.labels.label_takes import unmatched_summary
+from kinedex.pipelines.labels.unmatched_labels import unmatched_summary
 from kinedex.pipelines.stages.compare_methods import CompareMethods
 from kinedex.storage.snapshot.manifest import StageRecord
 from kinedex.storage.snapshot.parts import FramesWriter

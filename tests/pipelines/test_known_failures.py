@@ -12,7 +12,7 @@ from typer.testing import CliRunner, Result
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.known_failures import SourceFiles, SourceState, source_files
-from kinedex.pipelines.labels.label_takes import UnmatchedLabels
+from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels
 from kinedex.storage.lock import NO_WAIT
 from kinedex.storage.store.store import open_store
 from tests.pipelines.archives import human_amc, write_archive

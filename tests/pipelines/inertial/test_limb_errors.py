@@ -19,7 +19,7 @@ from kinedex.pipelines.commands.app import LEFT_OUT
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.inertial.limb_tables import limb_table, stored_limbs
-from kinedex.pipelines.labels.label_takes import unmatched_summary
+from kinedex.pipelines.labels.unmatched_labels import unmatched_summary
 from kinedex.pipelines.stages.calibrate_sensors import CalibrateSensors
 from kinedex.pipelines.stages.evaluate_limb_errors import EvaluateLimbErrors
 from kinedex.pipelines.stages.evaluate_track import EvaluateTrack

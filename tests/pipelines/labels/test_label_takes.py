@@ -17,10 +17,10 @@ from kinedex.pipelines.commands.output import show_outcome
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.runner import Outcome
 from kinedex.pipelines.evaluation.label_files import GroundTruthParameters, ground_truth
-from kinedex.pipelines.labels.label_takes import (
+from kinedex.pipelines.labels.label_takes import on_takes
+from kinedex.pipelines.labels.unmatched_labels import (
     UNMATCHED,
     UnmatchedLabels,
-    on_takes,
     recorded_unmatched,
     unmatched_labels,
     unmatched_summary,
