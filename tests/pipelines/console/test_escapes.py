@@ -7,7 +7,7 @@ import json
 import pytest
 
 from kinedex.pipelines.console.escapes import json_escaped, visible
-from kinedex.pipelines.console.terminal import message_console
+from kinedex.pipelines.console.terminal import make_console
 
 
 def test_every_control_character_of_json_is_escaped_and_its_values_stay() -> None:
@@ -24,5 +24,5 @@ def test_del_alone_is_escaped() -> None:
 
 
 def test_a_word_between_colons_is_no_picture(capsys: pytest.CaptureFixture[str]) -> None:
-    message_console().print("take :walking: of 2", markup=False)
+    make_console().print("take :walking: of 2", markup=False)
     assert capsys.readouterr().out == "take :walking: of 2\n"

@@ -113,8 +113,8 @@ def test_hits_that_show_a_mirror_image_are_marked(connect: Connect, tmp_path: Pa
 
 @pytest.mark.parametrize("form", ["csv", "parquet", "glb", "c3d"])
 def test_sizes_are_those_of_a_sample(connect: Connect, tmp_path: Path, form: str) -> None:
+    from kinedex.pipelines.engine.context import no_progress
     from kinedex.pipelines.engine.executors import make_executor
-    from kinedex.pipelines.explorer.exports import _silent
     from kinedex.pipelines.export.export import export_data_set
     from kinedex.pipelines.export.request import How, What
 
@@ -123,7 +123,7 @@ def test_sizes_are_those_of_a_sample(connect: Connect, tmp_path: Path, form: str
     assert "estimated from 6 clips" in shown["estimate"]
     store = client.app.app.state.archive.store()  # type: ignore[attr-defined]
     target = tmp_path / "set"
-    export_data_set(store, What(), How(form), target, executor=make_executor("serial", None), progress=_silent)
+    export_data_set(store, What(), How(form), target, executor=make_executor("serial", None), progress=no_progress)
     written = sum(path.stat().st_size for path in target.rglob("*") if path.is_file())
     assert written == pytest.approx(shown["bytes"], rel=0.1)
 
