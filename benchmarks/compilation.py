@@ -80,7 +80,13 @@ def watched(commands: Sequence[Sequence[str]], folder: Path, environment: dict[s
     for command in commands:
         told = {**environment, "PYTHONPATH": path, "KINEDEX_COMPILATIONS": str(folder)}
         done = subprocess.run(
-            command, env=told, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False
+            command,
+            env=told,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            check=False,
+            timeout=3600,
         )
         if done.returncode:
             print(done.stdout)

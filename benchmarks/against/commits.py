@@ -113,14 +113,18 @@ def other_side(commit: str, report: object = print) -> Side:
     return Side(commit, python, tree, own[0] if own else DRIVERS / "public_api.py", home / "work")
 
 
+GIT_SECONDS, SETUP_SECONDS = 300.0, 1800.0
+"""Bounds on git, and on a step of the installation of an environment."""
+
+
 def _git(*words: str) -> subprocess.CompletedProcess[str]:
     try:
-        return subprocess.run(["git", "-C", str(ROOT), *words], capture_output=True, text=True)
+        return subprocess.run(["git", "-C", str(ROOT), *words], capture_output=True, text=True, timeout=GIT_SECONDS)
     except FileNotFoundError:
         return subprocess.CompletedProcess(words, 127, "", "git is not installed")
 
 
 def _run(command: list[str]) -> None:
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=SETUP_SECONDS)
     if done.returncode:
         raise KinedexError(f"'{' '.join(command)}' failed: {done.stderr.strip().splitlines()[-1:]}")

@@ -97,7 +97,7 @@ def _write_hours(folder: Path, takes: Sequence[Path]) -> None:
 def _kinedex(*words: object) -> None:
     """Run a command of this checkout; what it prints is shown if it fails."""
     command = [sys.executable, "-m", "kinedex", *map(str, words)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=1800)
     if done.returncode:
         raise KinedexError(f"'kinedex {' '.join(command[3:])}' failed: {done.stdout}{done.stderr}")
 

@@ -61,7 +61,7 @@ def simulate(kind: str, store: Path, folder: Path, options: Sequence[str]) -> No
     with kinedex.open_store(store) as opened:
         take = opened.takes().sort("frames", "name", descending=[True, False])["name"][0]
     command = [sys.executable, "-m", "kinedex", "simulate", kind, str(store), take, "-o", str(folder), "--seed", "1"]
-    subprocess.run([*command, *options], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([*command, *options], check=True, stdout=subprocess.DEVNULL, timeout=1800)
 
 
 def track(store: Path, recordings: Path) -> None:
