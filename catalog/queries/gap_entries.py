@@ -39,7 +39,7 @@ _TEXTS = {
     "exact": re.compile(f"exactly {_TIME.format('middle')}"),
     "range": re.compile(f"{_BARE.format('low')}\\s*(?:to|–)\\s*{_TIME.format('high')}"),
     "around": re.compile(f"{_BARE.format('middle')}\\s*(?:±|\\+-|\\+/-)\\s*{_TIME.format('tolerance')}"),
-    "soft": re.compile(f"{_TIME.format('middle')},? stiffness (?P<stiffness>\\d*\\.?\\d+)"),
+    "soft": re.compile(f"{_TIME.format('middle')},? stiffness (?P<stiffness>(?:\\d*\\.)?\\d+)"),
 }
 
 

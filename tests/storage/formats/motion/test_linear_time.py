@@ -8,7 +8,7 @@ import pytest
 
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion import position_tables
-from kinedex.storage.formats.motion.position_files import parse_csv, parse_trc
+from kinedex.storage.formats.motion.position_files import _AXIS, is_positions_csv, parse_csv, parse_trc
 
 POINTS = 10_000
 
@@ -32,6 +32,24 @@ def test_a_line_without_end_is_refused(tmp_path: Path, monkeypatch: pytest.Monke
     path.write_text("a_x,a_y,a_z\n" + "1," * (1 << 20))
     with pytest.raises(SourceError, match="has a line of more than 1 million characters"):
         parse_csv(path)
+
+
+@pytest.mark.timeout(60)
+def test_blanks_within_the_name_of_a_column_are_skipped_once(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("head" + " " * 500_000 + "top_y,a_x,a_y,a_z\n1,1,1,1\n")
+    assert is_positions_csv(path)
+    with pytest.raises(SourceError, match="top_x' is missing in the header"):
+        parse_csv(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "point"), [("a_x", "a"), ("a  :  X", "a"), ("a z", "a"), ("a._y", "a."), ("a_ _x", "a_"), ("__y", "_")]
+)
+def test_a_column_is_a_point_and_an_axis(name: str, point: str) -> None:
+    found = _AXIS.fullmatch(name)
+    assert found is not None
+    assert found.groups() == (point, name[-1])
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
