@@ -13,6 +13,7 @@ import typer
 import yaml
 
 from kinedex.pipelines.commands.cli import app
+from tests.attacks.runs import ATTACKS
 
 ROOT = Path(__file__).resolve().parents[1]
 MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
@@ -51,6 +52,7 @@ def test_the_image_runs_a_command_that_there_is() -> None:
         ("checks.yml", {"lint", "test", "docs", "release", "publish"}),
         ("audit.yml", {"sbom", "vulnerabilities"}),
         ("speed.yml", {"against"}),
+        ("attacks.yml", {"attack"}),
     ],
 )
 def test_the_workflows_call_targets_and_locks_that_there_are(name: str, jobs: set[str]) -> None:
@@ -61,6 +63,11 @@ def test_the_workflows_call_targets_and_locks_that_there_are(name: str, jobs: se
         assert {word for word in words.split() if "=" not in word} <= targets
     for lock in re.findall(r"requirements[\w-]*\.lock", text):
         assert (ROOT / lock).is_file()
+
+
+def test_the_workflow_of_attacks_runs_each_of_them() -> None:
+    text = (ROOT / ".github" / "workflows" / "attacks.yml").read_text(encoding="utf-8")
+    assert set(yaml.safe_load(text)["jobs"]["attack"]["strategy"]["matrix"]["attack"]) == set(ATTACKS)
 
 
 def test_the_locks_name_no_host() -> None:
