@@ -33,7 +33,7 @@ _LINES = {b"lines": b"yes"}
 """Metadata of a column whose texts are broken into lines."""
 
 FEW_ROWS, MANY_COLUMNS = 5, 7
-"""Tables with more rows and at least so many columns show the first columns alone where a terminal is too narrow."""
+"""Tables with more rows and at least so many columns show the first columns alone where rows would be tall."""
 
 _TRIED = 200  # number of rows that the choice looks at
 
@@ -49,8 +49,14 @@ _NARROWEST = 4
 _LEAST = 3
 """With fewer columns that fit, each row is a block."""
 
-_EARLY = ("name", "take", "actor", "class", "subclass", "start", "stop")
-"""Columns that people look for before all others."""
+_WORD = 48
+"""Most characters of a word that is kept whole on a terminal, such as the name of a take; a path may be broken."""
+
+_EARLY = (
+    "name", "take", "query", "template", "of_take", "actor", "class", "subclass", "start", "cost", "same", "stop",
+    "share",
+)  # fmt: skip
+"""Columns that people look for before all others, what they look for first in front."""
 
 _LATE = re.compile(r"(^|_)(id|run|checksum|recipe|root|source|mtime|bytes|fingerprint)(_|$)")
 """Names of columns that people read last."""
@@ -60,9 +66,9 @@ class Shown:
     """An Arrow table that rich prints in the form that fits its place; no value is ever cut.
 
     In a file or a pipe a row is one line, however long. In a terminal, columns share the width and long values are
-    wrapped. Where rows then have more than `TALL` lines on average, or names of columns are broken in a table of few
-    rows or many columns, each row is a block with a line for every column; of many rows with many columns, those
-    columns that people read first are a table, and a line below names the others.
+    wrapped between words. Where rows then have more than `TALL` lines on average, or words or names of columns would
+    be broken, few rows are blocks with a line for every column; of many rows, those columns that people read first
+    are a table, and a line below names the others.
 
     Parameters
     ----------
@@ -80,16 +86,15 @@ class Shown:
         """Print the table in the form that fits."""
         if console.soft_wrap and not console.is_terminal:
             yield Segment("".join(f"{line.rstrip()}\n" for line in self._piped(console, options)))
-        elif not self._is_tall(console, options):
-            yield rich_table(self._table, null=self._null)
-        elif (fitting := _fitting(self._table, self._null, options.max_width)) is not None:
-            yield rich_table(self._table.select(fitting), null=self._null)
-            others = [name for name in self._table.column_names if name not in fitting]
-            remark = (
-                f"{counted(len(others), 'more column')} that would not fit: {few(list(map(visible, others)))}; choose "
-                "columns, or --format json has all"
-            )
-            yield Text(textwrap.fill(remark, options.max_width))
+        elif (names := self._columns(console, options)) is not None:
+            others = [name for name in self._table.column_names if name not in names]
+            yield rich_table(self._table.select(names) if others else self._table, self._null)
+            if others:
+                remark = (
+                    f"{counted(len(others), 'more column')} that would not fit: {few(list(map(visible, others)))}; a "
+                    "wider terminal shows more, `| less -S` and --format json show all"
+                )
+                yield Text(textwrap.fill(remark, options.max_width, break_on_hyphens=False))
         else:
             for number, row in enumerate(_texts(self._table, self._null), 1):
                 yield Text(f"row {number:,}", style="bold")
@@ -105,9 +110,24 @@ class Shown:
         for line in console.render_lines(whole, options.update_width(_natural_width(whole, console, options))):
             yield "".join(segment.text for segment in line)
 
-    def _is_tall(self, console: Console, options: ConsoleOptions) -> bool:
+    def _columns(self, console: Console, options: ConsoleOptions) -> list[str] | None:
+        """Return the names of the columns that are shown as a table; None where each row is a block."""
+        names = self._table.column_names
         tried = self._table.slice(0, _TRIED)
-        if not tried.num_rows or not tried.num_columns:
+        rows = _texts(tried, self._null)
+        columns = list(zip(names, *rows, strict=True))
+        broken = _width([max(map(_longest_word, texts)) for texts in columns]) > options.max_width
+        tall = self._is_tall(tried, console, options)
+        if not broken and not tall:
+            return names
+        if 0 < len(rows) <= FEW_ROWS or len(set(names)) < len(names) or (len(names) < MANY_COLUMNS and tall):
+            return None  # few rows, or long texts that nobody would have left out
+        fitting = _fitting({texts[0]: min(_CAP, max(map(cell_len, texts))) for texts in columns}, options.max_width)
+        return fitting if len(fitting) >= _LEAST else None if rows else names
+
+    def _is_tall(self, tried: pa.Table, console: Console, options: ConsoleOptions) -> bool:
+        """Return whether rich breaks names of columns, or a row into many lines."""
+        if not tried.num_columns:
             return False
         if tried.num_columns * _NARROWEST > options.max_width:
             return True  # rich would lay out columns without any width
@@ -119,23 +139,32 @@ class Shown:
         return len(texts) - rule - _FOOT > TALL * int(tried.num_rows)
 
 
-def _fitting(table: pa.Table, null: str, width: int) -> list[str] | None:
-    """Return the columns that people read first, as many as fit, in the table's order; None where blocks are better.
+def _longest_word(text: str) -> int:
+    """Return the width of the longest word that is kept whole."""
+    return max((width for word in text.split() if (width := cell_len(word)) <= _WORD), default=1)
 
-    Blocks are better for few rows, and where hardly any column fits. Keys, checksums and places come after all others.
+
+def _width(columns: Iterable[int]) -> int:
+    """Return the width of a table with columns of some widths."""
+    return sum(width + 3 for width in columns) - 1
+
+
+def _fitting(widths: dict[str, int], width: int) -> list[str]:
+    """Return the columns that people read first, as many as fit, in the table's order.
+
+    Keys, checksums and places come after all others.
     """
-    names = table.column_names
-    if table.num_rows <= FEW_ROWS or len(names) < MANY_COLUMNS or len(set(names)) < len(names):
-        return None
-    rows = _texts(table.slice(0, _TRIED), null)
-    widths = {name: min(_CAP, max(map(cell_len, (name, *cells)))) for name, *cells in zip(names, *rows, strict=True)}
-    chosen, left = set[str](), width
-    for name in sorted(names, key=lambda name: -1 if name in _EARLY else bool(_LATE.search(name))):
-        left -= widths[name] + 3
-        if left < 0:
+    chosen: list[str] = []
+    for name in sorted(widths, key=_turn):
+        if _width(widths[one] for one in (*chosen, name)) > width:
             break
-        chosen.add(name)
-    return [name for name in names if name in chosen] if len(chosen) >= _LEAST else None
+        chosen.append(name)
+    return [name for name in widths if name in chosen]
+
+
+def _turn(name: str) -> int:
+    """Return the place of a column in the order in which people read; columns of one place keep their own."""
+    return _EARLY.index(name) if name in _EARLY else len(_EARLY) + bool(_LATE.search(name))
 
 
 def wrapped(table: pa.Table, column: str, width: int) -> pa.Table:
@@ -208,8 +237,8 @@ def rich_table(table: pa.Table, null: str = "–") -> Table:
 
 
 def _is_plain(text: str) -> bool:
-    """Return whether a text is one line of printable characters, which no layout would change."""
-    return text.isprintable() and text == text.strip()
+    """Return whether a text is one line."""
+    return "\n" not in text
 
 
 def _plain_lines(table: pa.Table, rows: list[list[str]]) -> Iterator[str]:

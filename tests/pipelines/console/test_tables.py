@@ -155,8 +155,9 @@ def test_a_table_in_a_pipe_has_the_lines_that_rich_lays_out(
     assert plain == text()
 
 
-def test_a_long_text_in_a_pipe_pads_no_other_row() -> None:
-    table = pa.table({"n": [1, 22], "message": ["y" * 3000, "short"], "end": ["a", "b"]})
+@pytest.mark.parametrize("end", ["b", "b ", "b\N{NO-BREAK SPACE}"])
+def test_a_long_text_in_a_pipe_pads_no_other_row(end: str) -> None:
+    table = pa.table({"n": [1, 22], "message": ["y" * 3000, "short"], "end": ["a", end]})
     lines = shown(table, 160, terminal=False)
     assert max(len(line) for line in lines if "y" not in line) < 90
     assert [line.split() for line in lines[1:]] == [
@@ -169,11 +170,11 @@ WIDE = pa.table({"take_id": range(9), "name": ["a name"] * 9, **{f"column_{n}": 
 
 def test_a_wide_table_on_a_terminal_has_the_first_columns_and_names_the_others() -> None:
     lines = shown(WIDE, 80, terminal=True)
-    assert lines[1].split() == ["name", "column_0", "column_1", "column_2", "column_3", "column_4"]
+    assert lines[1].split() == ["name", *(f"column_{n}" for n in range(6))]
     assert len([line for line in lines if "a name" in line]) == 9
     remark = " ".join(" ".join(lines).split())
-    assert "16 more columns that would not fit: take_id, column_5, column_6" in remark
-    assert remark.endswith("choose columns, or --format json has all")
+    assert "15 more columns that would not fit: take_id, column_6, column_7" in remark
+    assert remark.endswith("a wider terminal shows more, `| less -S` and --format json show all")
     assert all(len(line) <= 80 for line in lines)
     assert shown(WIDE.slice(0, 2), 80, terminal=True)[0] == "row 1"  # few rows are blocks, which have everything
     assert shown(WIDE, 400, terminal=True)[1].split()[0] == "take_id"
@@ -193,3 +194,45 @@ def test_names_of_columns_are_not_broken_on_a_narrow_terminal(rows: int) -> None
         assert lines[1].split()[:3] == ["name", "class", "clip"]
         assert "would not fit" in "\n".join(lines)
     assert all(len(line) <= 80 for line in lines)
+
+
+HITS = pa.table(
+    {
+        "template": ["armCirclesRight1Reps"] * 9,
+        "rank": range(9),
+        "take": ["SYN_al_armCirclesRight1Reps_001_120"] * 9,
+        "start": range(100, 109),
+        "stop": range(200, 209),
+        "start_seconds": [10.25] * 9,
+        "stop_seconds": [11.75] * 9,
+        "cost": [0.0123] * 9,
+    }
+)
+
+
+def test_a_name_is_not_broken_and_what_people_read_first_is_shown() -> None:
+    for width, names in {
+        80: ["template", "take", "start", "cost"],
+        90: ["template", "take", "start", "stop", "cost"],
+        160: HITS.column_names,
+    }.items():
+        lines = shown(HITS, width, terminal=True)
+        assert lines[1].split() == names
+        assert len([line for line in lines if "SYN_al_armCirclesRight1Reps_001_120" in line]) == 9
+    search = HITS.select(["take", "start", "stop", "start_seconds", "stop_seconds"])
+    assert shown(search, 70, terminal=True)[1].split() == ["take", "start", "stop", "start_seconds"]
+    assert shown(search.slice(0, 2), 70, terminal=True)[0] == "row 1"
+
+
+def test_long_texts_and_paths_of_a_table_with_few_columns_are_not_left_out() -> None:
+    table = pa.table({"run": ["r-1"] * 9, "message": [MESSAGE] * 9, "file": [MESSAGE.split(":")[0]] * 9})
+    narrow = "".join(shown(table, 60, terminal=True))
+    assert "would not fit" not in narrow
+    assert "file" in narrow
+
+
+def test_the_header_of_an_empty_table_is_not_broken() -> None:
+    lines = shown(HITS.slice(0, 0), 40, terminal=True)
+    assert lines[1].split() == ["template", "take", "start", "stop", "cost"]
+    assert all(len(line) <= 40 for line in lines)
+    assert "would not fit" in " ".join(lines)
