@@ -112,7 +112,7 @@ class Shown:
 
     def _columns(self, console: Console, options: ConsoleOptions) -> list[str] | None:
         """Return the names of the columns that are shown as a table; None where each row is a block."""
-        names = self._table.column_names
+        names: list[str] = self._table.column_names
         tried = self._table.slice(0, _TRIED)
         rows = _texts(tried, self._null)
         columns = list(zip(names, *rows, strict=True))

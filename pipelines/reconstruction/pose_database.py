@@ -20,6 +20,7 @@ import pyarrow as pa
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.pose_database import PoseThinning, bone_directions, bone_lengths_of
 from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.engine.context import Progress, ProgressBar, no_progress
 from kinedex.pipelines.engine.digests import hash_of
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.snapshot.schemas import DEPTH_FORMAT, result_schema
@@ -172,6 +173,7 @@ def build_pose_database(
     distance_m: float,
     earlier: PoseDatabase | None,
     say: Callable[[str], None],
+    progress: Progress = no_progress,
 ) -> PoseDatabase:
     """Build a pose database of takes, from an earlier one as far as it holds.
 
@@ -187,6 +189,8 @@ def build_pose_database(
         The database before.
     say : callable
         Shows a line.
+    progress : callable
+        Makes a progress bar of a description and a number of takes.
 
     Returns
     -------
@@ -200,7 +204,8 @@ def build_pose_database(
     """
     before = {one.take: one for one in earlier.takes} if earlier else {}
     same = {one.take for one in takes if one.take in before and before[one.take].fingerprint == one.fingerprint}
-    measured = _measure(store, takes, before, same)
+    with progress("measuring takes", len(takes) - len(same)) as bar:
+        measured = _measure(store, takes, before, same, bar)
     bones = mean_bones(measured)
     if earlier and same:
         reason = ""
@@ -212,16 +217,22 @@ def build_pose_database(
             say(f"all takes are thinned anew: {reason}")
             same = set()
     work = _Build(store, PoseThinning(bones, distance_m), PoseThinning(bones, distance_m), before, same)
-    return PoseDatabase(tuple(work.takes(measured)), distance_m, work.read)
+    made = []
+    with progress("comparing poses of takes", len(measured)) as bar:
+        for one in work.takes(measured):
+            made.append(one)
+            bar.advance()
+    return PoseDatabase(tuple(made), distance_m, work.read)
 
 
 def _measure(
-    store: Store, takes: Sequence[TakePoses], before: Mapping[str, TakePoses], same: set[str]
+    store: Store, takes: Sequence[TakePoses], before: Mapping[str, TakePoses], same: set[str], bar: ProgressBar
 ) -> list[TakePoses]:
     """Return the takes with their bones; those of unchanged ones are known."""
     bones = {name: before[name].bone_lengths for name in same}
     for one, poses, _ in _frames(store, [one for one in takes if one.take not in same]):
         bones[one.take] = bone_lengths_of(poses) if len(poses) else None
+        bar.advance()
     return [TakePoses(one.take_id, one.take, one.actor, one.frames, one.fingerprint, bones[one.take]) for one in takes]
 
 

@@ -17,6 +17,7 @@ from markupsafe import Markup
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.console.wording import few
+from kinedex.pipelines.engine.context import Progress, no_progress
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
 
@@ -172,6 +173,7 @@ def embed(
     takes: Sequence[str] | Mapping[str, Sequence[str]],
     wanted: Embed = "auto",
     stage: str = "report",
+    progress: Progress = no_progress,
 ) -> Motions:
     """Pack the motions of takes.
 
@@ -185,6 +187,8 @@ def embed(
         "auto" packs as many takes, from the first, as fit into `MOST_BYTES`; a list packs these.
     stage : str
         Stage whose parameter `wanted` is, for the remark.
+    progress : callable
+        Makes a progress bar of a description and a number of takes.
 
     Returns
     -------
@@ -208,11 +212,13 @@ def embed(
     parents = tuple(joints.index(parent) if (parent := JOINT_PARENTS[joint]) in joints else -1 for joint in joints)
     packed: list[Motion] = []
     size = 0
-    for motion in _whole(store, joints, {name: parts[name] for name in chosen}):
-        if wanted == "auto" and size + len(motion.data) > MOST_BYTES:
-            break
-        packed.append(motion)
-        size += len(motion.data)
+    with progress("motions", len(chosen)) as bar:
+        for motion in _whole(store, joints, {name: parts[name] for name in chosen}):
+            if wanted == "auto" and size + len(motion.data) > MOST_BYTES:
+                break
+            packed.append(motion)
+            size += len(motion.data)
+            bar.advance()
     return Motions(tuple(packed), joints, parents, _remark(packed, len(takes), wanted, size, f"{stage}.embed"))
 
 

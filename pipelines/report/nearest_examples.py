@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from kinedex.ops.templates.nearest_clip import nearest_clips
 from kinedex.ops.words import U64
+from kinedex.pipelines.engine.context import Progress, no_progress
 from kinedex.pipelines.report.data import Segment, Template
 from kinedex.pipelines.report.motions import MOST_BYTES, Motions
 from kinedex.pipelines.templates.examples import interval_of
@@ -38,7 +39,12 @@ class Example:
 
 
 def with_hits(
-    store: Store, motions: Motions, hits: Sequence[Segment], others: Sequence[Segment], templates: Sequence[Template]
+    store: Store,
+    motions: Motions,
+    hits: Sequence[Segment],
+    others: Sequence[Segment],
+    templates: Sequence[Template],
+    progress: Progress = no_progress,
 ) -> tuple[Motions, dict[Key, int]]:
     """Add the motions of hits to those of a page, and the nearest examples of all segments that it can play.
 
@@ -54,6 +60,8 @@ def with_hits(
         Further segments of the page; as many of them as fit get their motion, the first `MOST_PIECES` at most.
     templates : sequence of Template
         Learned templates, with the names of their clips.
+    progress : callable
+        Makes a progress bar of a description and a number of templates.
 
     Returns
     -------
@@ -66,13 +74,16 @@ def with_hits(
     further = others[:MOST_PIECES]
     found = found.with_pieces(store, ((one.take, one.start, one.stop) for one in further), most=MOST_BYTES)
     played = {hit.key: hit for hit in (*hits, *others) if found.has(hit.take, hit.start, hit.stop)}
-    near = nearest_examples(store, list(played.values()), templates)
+    near = nearest_examples(store, list(played.values()), templates, progress)
     found = found.with_near(store, [(one.take, one.start, one.stop, one.frames) for one in near.values()])
     return found, {key: place for place, key in enumerate(near)}
 
 
 def nearest_examples(
-    store: Store, hits: Sequence[Segment], templates: Sequence[Template | SubclassTemplate]
+    store: Store,
+    hits: Sequence[Segment],
+    templates: Sequence[Template | SubclassTemplate],
+    progress: Progress = no_progress,
 ) -> dict[Key, Example]:
     """Find the nearest example of each hit.
 
@@ -86,6 +97,8 @@ def nearest_examples(
         The hits; their subclass names the template.
     templates : sequence of Template
         Learned templates, with the names of their clips.
+    progress : callable
+        Makes a progress bar of a description and a number of templates.
 
     Returns
     -------
@@ -101,14 +114,16 @@ def nearest_examples(
     used |= {take for name in grouped for take, _, _ in clips[name]}
     words = words_of(store, sorted(used))
     found = {}
-    for name, own in grouped.items():
-        chosen = clips[name]
-        parts = [words[take][start:stop] for take, start, stop in chosen]
-        near = nearest_clips(
-            parts, [words[hit.take][hit.start : hit.stop] for hit in own], len(store.feature_set.features)
-        )
-        for hit, one in zip(own, near, strict=True):
-            found[hit.key] = Example(*chosen[one.clip], one.cost, one.frames)
+    with progress("nearest examples", len(grouped)) as bar:
+        for name, own in grouped.items():
+            chosen = clips[name]
+            parts = [words[take][start:stop] for take, start, stop in chosen]
+            near = nearest_clips(
+                parts, [words[hit.take][hit.start : hit.stop] for hit in own], len(store.feature_set.features)
+            )
+            for hit, one in zip(own, near, strict=True):
+                found[hit.key] = Example(*chosen[one.clip], one.cost, one.frames)
+            bar.advance()
     return found
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from kinedex.ops.templates.nearest_clip import nearest_clips
 from kinedex.ops.words import U64
+from kinedex.pipelines.engine.context import Progress, no_progress
 from kinedex.pipelines.evaluation.study import SplitResult, Study, take_title
 from kinedex.pipelines.evaluation.test_takes import TestTake
 from kinedex.pipelines.report.motions import Motions
@@ -17,7 +18,9 @@ from kinedex.pipelines.templates.learning import TrainingClips
 from kinedex.storage.store.store import Store
 
 
-def with_study(store: Store, study: Study, motions: Motions) -> tuple[Motions, dict[Key, int]]:
+def with_study(
+    store: Store, study: Study, motions: Motions, progress: Progress = no_progress
+) -> tuple[Motions, dict[Key, int]]:
     """Add to the motions of a page the nearest example of every segment that it can play, manual ones included.
 
     Parameters
@@ -28,6 +31,8 @@ def with_study(store: Store, study: Study, motions: Motions) -> tuple[Motions, d
         The comparison.
     motions : Motions
         The motions of the takes with a timeline, by their titles.
+    progress : callable
+        Makes a progress bar of a description and a number of takes.
 
     Returns
     -------
@@ -37,12 +42,14 @@ def with_study(store: Store, study: Study, motions: Motions) -> tuple[Motions, d
         The place of each nearest example in `motions.near`.
     """
     near: dict[Key, Example] = {}
-    for result in study.splits:
-        for name in dict.fromkeys(result.shown().values()):
+    shown = [(result, name) for result in study.splits for name in dict.fromkeys(result.shown().values())]
+    with progress("nearest examples", len(shown)) as bar:
+        for result, name in shown:
             fold, take = next((fold, take) for fold in result.folds for take in fold.test_takes if take.name == name)
             title = take_title(study, result, take)
             if motions.has(title, 0, take.frames):
                 near |= _of_take(store, title, take, result, _by_class(store, fold.clips, study.class_of))
+            bar.advance()
     found = motions.with_near(store, [(one.take, one.start, one.stop, one.frames) for one in near.values()])
     return found, {key: place for place, key in enumerate(near)}
 

@@ -108,8 +108,8 @@ def _write(context: StageContext, params: ComparisonParameters, study: Study) ->
     store = context.open()
     named = dict(store.takes().select("take_id", "name").iter_rows())
     shown = {title: [named[part] for part in parts] for title, parts in shown_parts(study).items()}
-    motions = embed(store, shown, params.embed, context.stage)
-    motions, near = with_study(store, study, motions)
+    motions = embed(store, shown, params.embed, context.stage, context.progress)
+    motions, near = with_study(store, study, motions, context.progress)
     as_json = json.dumps(content(study), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     files = []
     for name, text in zip(FILES, (methods_page(study, motions, near), markdown(study), as_json), strict=True):

@@ -47,7 +47,7 @@ class PoseDatabase(Stage[PoseDatabaseParameters]):
                 earlier = read_pose_database(store, context.key())
             except KinedexError as fault:
                 context.say(f"all takes are read: {fault}")
-        made = build_pose_database(store, takes, params.distance_m, earlier, context.say)
+        made = build_pose_database(store, takes, params.distance_m, earlier, context.say, context.progress)
         with context.writer() as writer:
             writer.put_results("poses", pose_tables(made, context.run), stage=context.key(), run=context.run)
             writer.put_results("pose_takes", take_tables(made, context.run), stage=context.key(), run=context.run)

@@ -80,10 +80,13 @@ class Report(Stage[Params]):
             curves_take=params.curves_take,
         )
         path = context.report_file("report.html")
-        motions = embed(store, shown_takes(data, params.takes, params.max_takes).shown, params.embed)
+        shown = shown_takes(data, params.takes, params.max_takes).shown
+        motions = embed(store, shown, params.embed, progress=context.progress)
         takes, near = len(motions.motions), None
         if params.embed != "none":
-            motions, near = with_hits(store, motions, hits_to_play(data), in_order(data.automatic), data.templates)
+            motions, near = with_hits(
+                store, motions, hits_to_play(data), in_order(data.automatic), data.templates, context.progress
+            )
         page = annotation_page(data, takes=params.takes, max_takes=params.max_takes, motions=motions, near=near)
         size = write_page(page, path)
         table = context.report_file(SEGMENTS)

@@ -23,6 +23,7 @@ from kinedex.pipelines.report.nearest_examples import nearest_examples, with_hit
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import human_amc, human_asf
+from tests.pipelines.counted_bars import CountedBars
 from tests.pipelines.study import study
 
 
@@ -57,7 +58,9 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
 
 def test_as_many_takes_are_carried_as_fit_and_the_rest_is_named(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     names = store.takes()["name"].to_list()[:4]
-    all_of_them = embed(store, names)
+    bars = CountedBars()
+    all_of_them = embed(store, names, progress=bars)
+    assert bars.seen == [("motions", 4, 4)]
     assert [motion.take for motion in all_of_them.motions] == names
     assert "for every take" in all_of_them.remark
     positions = joint_positions(store.frames(names[0]), all_of_them.joints)
@@ -104,7 +107,9 @@ def test_the_nearest_example_of_a_hit_is_the_clip_that_it_repeats(store: Store) 
     clips = (names[0], f"{names[1]}[2:14]", "gone")
     template = Template("walk", "walk", "soft", np.zeros((2, 40)), clips, 1)
     hits = [Segment(names[1], "walk", 1, 16, 0.1, "walk", 0.5), Segment(names[2], "run", 0, 9, 0.1, "run")]
-    motions, near = with_hits(store, embed(store, [names[1]]), hits, [], [template])
+    bars = CountedBars()
+    motions, near = with_hits(store, embed(store, [names[1]]), hits, [], [template], bars)
+    assert bars.seen == [("nearest examples", 1, 1)]
     assert list(near) == [hits[0].key]  # no example shows how to run
     place, steps = motions.near[0]
     frames = np.cumsum(steps)

@@ -23,6 +23,7 @@ from kinedex.storage.snapshot.part_records import ResultPart
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
 from tests.pipelines.archives import context, human_amc, write_archive
+from tests.pipelines.counted_bars import CountedBars
 
 TAKES = {f"x_{actor}_{name}_1.amc": 120 for actor in ("al", "bo") for name in ("hop", "sway", "turn")}
 PATTERNS = [r"x_(?P<actor>[a-z]+)_(?P<class>\w+)_(?P<clip>\d)"]
@@ -77,6 +78,13 @@ def test_the_database_is_whole_and_in_sql(folder: Path) -> None:
     names = store.sql("SELECT take, poses, len(stands_for) AS frames FROM pose_takes ORDER BY take").to_pylist()
     assert [row["take"] for row in names] == sorted(row["take"] for row in names)
     assert all(row["frames"] == len(one.stands_for) for row, one in zip(names, made.takes, strict=True))
+
+
+def test_a_build_says_how_many_takes_there_are(folder: Path) -> None:
+    store, _ = stored(folder)
+    takes, bars = listed_takes(store, "class IS NOT NULL", ""), CountedBars()
+    build_pose_database(store, takes, DISTANCE, None, print, bars)
+    assert bars.seen == [("measuring takes", 6, 6), ("comparing poses of takes", 6, 6)]
 
 
 def test_nothing_is_read_where_nothing_has_changed(folder: Path) -> None:
