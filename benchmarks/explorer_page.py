@@ -152,7 +152,7 @@ def _starts(browser: Browser, store: Store) -> Iterator[Figure]:
     times = []
     for _ in range(3):
         begin = time.perf_counter()
-        subprocess.run(command, check=True, capture_output=True)
+        subprocess.run(command, check=True, capture_output=True, timeout=300)
         times.append(time.perf_counter() - begin)
     about = f"{store.take_rows.num_rows:,} takes, {sum(store.take_frames.values()) / store.rate_hz / 3600:.0f} h"
     yield _limit(f"server ready, {about}: median of {STARTS}", median(servers), READY_S, "s")

@@ -61,7 +61,11 @@ def _peak_mb(store: Store) -> float:
     """Return the peak memory of a process that builds the index, in MiB."""
     shutil.rmtree(store.path / "index", ignore_errors=True)
     done = subprocess.run(
-        [sys.executable, "-m", "benchmarks.indexing", str(store.path)], check=True, capture_output=True, text=True
+        [sys.executable, "-m", "benchmarks.indexing", str(store.path)],
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=3600,
     )
     return float(done.stdout)
 

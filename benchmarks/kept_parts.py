@@ -17,7 +17,7 @@ def state_of_checkout(root: Path = ROOT) -> str | None:
     found = []
     for words in (["rev-parse", "HEAD"], ["diff", "HEAD"], ["ls-files", "--others", "--exclude-standard"]):
         try:
-            done = subprocess.run(["git", "-C", str(root), *words], capture_output=True)
+            done = subprocess.run(["git", "-C", str(root), *words], capture_output=True, timeout=300)
         except FileNotFoundError:
             return None
         if done.returncode:

@@ -82,7 +82,7 @@ def main() -> None:
     path = made_up(chosen.hours).path
     workers = [] if chosen.workers is None else ["--workers", str(chosen.workers)]
     command = [sys.executable, "-m", "benchmarks.ranking_memory", "--rank", str(path), *workers]
-    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, timeout=6 * 3600)
     measured = json.loads(done.stdout.splitlines()[-1])
     make_console().print(
         "{frames:,} frames ({hours:.1f} h) ranked by {templates} templates in {seconds:.1f} s, "

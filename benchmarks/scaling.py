@@ -130,7 +130,7 @@ def watched(pools: list[Watched]) -> Iterator[None]:
 def _in_a_process_of_its_own(source: Path, workers: int) -> Ingest:
     """Measure in a new process, whose peak memory no earlier run has raised."""
     words = [sys.executable, "-m", "benchmarks.scaling", "--archive", str(source), "--only", str(workers)]
-    done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True)
+    done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True, timeout=6 * 3600)
     return Ingest(**json.loads(done.stdout.splitlines()[-1]))
 
 

@@ -255,7 +255,7 @@ def _cold(case: _Case, queries: list[KeyframeQuery]) -> list[Figure]:
 
 def _process(command: list[str]) -> tuple[float, float]:
     began = time.perf_counter()
-    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=600)
     return float(done.stdout.split()[-1]), time.perf_counter() - began
 
 

@@ -55,7 +55,7 @@ def _together(store: Path, how: str) -> float:
             total += float(reader.stdout.readline())
     finally:
         for reader in readers:
-            reader.communicate()
+            reader.communicate(timeout=60)
     return total
 
 

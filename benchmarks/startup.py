@@ -43,7 +43,8 @@ def figures(store: Store) -> Iterator[Figure]:
     for _ in range(RUNS + 1):
         for name, command in processes.items():
             begin = time.perf_counter()
-            subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment)
+            # into pipes: a wait with a bound for a process without one looks every 50 ms
+            subprocess.run(command, check=True, capture_output=True, env=environment, timeout=300)
             times[name].append(time.perf_counter() - begin)
     median = {name: statistics.median(found[1:]) for name, found in times.items()}
     for name in processes:

@@ -64,6 +64,6 @@ def _end_session(process: subprocess.Popen[str]) -> None:
             os.killpg(process.pid, signal.SIGKILL)
     else:
         process.kill()
-    process.wait()
+    process.wait(timeout=60)
     assert process.stdout is not None
     process.stdout.close()

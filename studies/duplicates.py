@@ -154,7 +154,7 @@ def _copies_in_hours(hours: float, folder: Path) -> None:
     copies = make_store(folder / "store", open_store(folder / "base"), hours, variants, seed=0)
     # in a process of its own, whose peak memory the making of the store has not raised
     words = [sys.executable, "-m", "studies.duplicates", "--store", str(folder / "store")]
-    done = json.loads(subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True).stdout)
+    done = json.loads(subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True, timeout=6 * 3600).stdout)
     opened = open_store(folder / "store")
     pairs = {frozenset(pair) for pair in done["pairs"]}
     known = {frozenset((name, other)): kind for name, (other, kind) in copies.items()}

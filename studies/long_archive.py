@@ -188,7 +188,7 @@ def in_a_process_of_its_own(
     """Run in a new process, whose peak memory no earlier stage has raised."""
     words = [sys.executable, "-m", "studies.long_archive", "--archive", str(source), "--store", str(store)]
     words += ["--workers", str(workers), "--runs", str(runs), "--only", method, *([] if anew else ["--on"])]
-    done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True)
+    done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True, timeout=24 * 3600)
     found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return found
 

@@ -113,7 +113,7 @@ def files() -> list[Path]:
     """Return the project's texts that may refer to the papers, but for this test."""
     listed = subprocess.run(
         ["git", "ls-files", "-co", "--exclude-standard", "--", *FOLDERS, "README.md", "CONTRIBUTING.md"],
-        cwd=ROOT, capture_output=True, text=True, check=False,
+        cwd=ROOT, capture_output=True, text=True, check=False, timeout=240,
     )  # fmt: skip
     if listed.returncode:
         pytest.skip("no git checkout: its files are not listed")

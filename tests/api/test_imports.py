@@ -50,7 +50,9 @@ def test_the_version_is_that_of_the_distribution() -> None:
 
 
 def run(code: str, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False)
+    return subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False, timeout=240
+    )
 
 
 def test_importing_kinedex_loads_no_library() -> None:

@@ -71,7 +71,7 @@ def on_terminal(arguments: list[str | bytes], folder: Path) -> tuple[int, str]:
             code = process.wait(_LAST)
         except subprocess.TimeoutExpired:
             process.kill()
-            code = process.wait()
+            code = process.wait(timeout=240)
     return code, written.decode("utf-8", "surrogateescape")
 
 
@@ -95,7 +95,7 @@ def write_archive(folder: Path) -> Path:
     plain, hostile = folder / "plain", folder / "archive"
     subprocess.run(
         [sys.executable, "-m", "kinedex", "synth", str(plain), "--minutes", "1", "--actors", "2"], check=True,
-        capture_output=True,
+        capture_output=True, timeout=240,
     )  # fmt: skip
     folders = sorted((plain / "clips").iterdir())
     classes = {path.name: HOSTILE[number % len(HOSTILE)] for number, path in enumerate(folders)}

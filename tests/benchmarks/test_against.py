@@ -246,7 +246,7 @@ def repository(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     who = ["-c", "user.name=somebody", "-c", "user.email=somebody@example.org"]
 
     def git(*words: str) -> None:
-        subprocess.run(["git", "-C", str(root), *who, *words], check=True, capture_output=True)
+        subprocess.run(["git", "-C", str(root), *who, *words], check=True, capture_output=True, timeout=240)
 
     git("init", "-q")
     for number in (1, 2):

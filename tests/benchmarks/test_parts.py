@@ -103,7 +103,7 @@ def test_a_part_is_kept_for_its_state_of_the_checkout_alone(tmp_path: Path) -> N
 def test_any_change_is_another_state(tmp_path: Path) -> None:
     def git(*words: str) -> None:
         who = ["-c", "user.name=somebody", "-c", "user.email=somebody@example.org"]
-        subprocess.run(["git", "-C", str(tmp_path), *who, *words], check=True, capture_output=True)
+        subprocess.run(["git", "-C", str(tmp_path), *who, *words], check=True, capture_output=True, timeout=240)
 
     git("init", "-q")
     (tmp_path / "one.py").write_text("1\n")

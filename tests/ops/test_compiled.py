@@ -52,7 +52,7 @@ def environment(package: Path, **more: str) -> dict[str, str]:
 def twice(package: Path, **more: str) -> int:
     done = subprocess.run(
         [sys.executable, "-c", "from kernels.calling import twice; print(twice(0))"],
-        env=environment(package, **more), check=True, capture_output=True, text=True,
+        env=environment(package, **more), check=True, capture_output=True, text=True, timeout=240,
     )  # fmt: skip
     return int(done.stdout)
 

@@ -205,7 +205,7 @@ def on_a_small_disk(disk: str, source: str) -> None:
     """Ingest onto a disk that is too small, and again once it is larger; prints what happens, for the test below."""
 
     def mount(*options: str) -> int:
-        return subprocess.run(["mount", *options, disk], check=False).returncode
+        return subprocess.run(["mount", *options, disk], check=False, timeout=240).returncode
 
     def kinedex(*words: str) -> None:
         try:
@@ -231,7 +231,7 @@ def test_a_disk_that_is_really_full_costs_nothing_but_time(tmp_path: Path) -> No
     (tmp_path / "disk").mkdir()
     run = "import sys; from tests.pipelines import test_ingest_faults as t; t.on_a_small_disk(*sys.argv[1:])"
     words = ["unshare", "-rm", sys.executable, "-c", run, tmp_path / "disk", source]
-    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=ROOT)
+    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=ROOT, timeout=240)
     if done.returncode == 77 or "unshare failed" in done.stderr:
         pytest.skip("this machine lets nobody mount a small disk")
     codes = [line for line in done.stdout.splitlines() if line.startswith("code")]

@@ -61,7 +61,7 @@ def test_a_cluster_learns_the_same_also_when_a_worker_dies_on_the_way(store: Sto
                 workers[0].kill()
 
         assert outcome(learned(store, executor, kill)) == alone
-        assert workers[0].wait() != 0
+        assert workers[0].wait(timeout=240) != 0
         assert workers[1].poll() is None
         executor.close()
     finally:

@@ -36,5 +36,5 @@ def test_a_question_loads_no_library_that_it_does_not_need(path: Path, question:
         f"import sys; from kinedex.storage.store.store import open_store; store = open_store({str(path)!r}); "
         f"{question}; print(*(name for name in {unneeded.split()} if name in sys.modules))"
     )
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=240)
     assert found.stdout.strip() == ""

@@ -264,7 +264,7 @@ def test_a_build_without_space_says_so_and_leaves_nothing(store: Store, monkeypa
 def test_a_killed_build_leaves_nothing_visible_and_the_next_cleans_up(store: Store) -> None:
     later = change(store, 5)
     before = sorted(os.listdir(store.path / "index"))
-    killed = subprocess.run([sys.executable, "-c", KILLED, str(store.path)], cwd=ROOT)
+    killed = subprocess.run([sys.executable, "-c", KILLED, str(store.path)], cwd=ROOT, timeout=240)
     assert killed.returncode == -signal.SIGKILL
     left = sorted(set(os.listdir(store.path / "index")) - set(before))
     assert [name[:10] for name in left] == [".building-"]
@@ -291,7 +291,7 @@ def test_a_disk_that_fills_is_a_clear_error_and_leaves_the_generation_before(sto
     later = change(store, 60_000)
     before = sorted(os.listdir(store.path / "index"))
     done = subprocess.run(
-        [sys.executable, "-c", FULL, str(store.path), str(room)], cwd=ROOT, capture_output=True, text=True
+        [sys.executable, "-c", FULL, str(store.path), str(room)], cwd=ROOT, capture_output=True, text=True, timeout=240
     )
     assert "way out" in done.stdout, done.stdout + done.stderr
     assert sorted(os.listdir(store.path / "index")) == before

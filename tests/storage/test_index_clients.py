@@ -63,6 +63,7 @@ def test_another_process_gets_the_same_answers(store: Store, tmp_path: Path, pyt
         capture_output=True,
         text=True,
         cwd=tmp_path,
+        timeout=240,
     )
     with duckdb.connect(str(store.index_path()), read_only=True) as here:
         assert json.loads(done.stdout) == [repr(here.execute(query).fetchall()) for query in queries()]

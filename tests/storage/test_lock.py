@@ -55,7 +55,9 @@ def test_reports_are_repeated_as_a_sign_of_life(tmp_path: Path, monkeypatch: pyt
 def test_a_process_that_has_ended_is_not_named_as_the_holder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("kinedex.storage.lock._NAMED_SECONDS", 0.05)
     lock = Lock(tmp_path / "lock", "this")
-    ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True)
+    ended = subprocess.run(
+        [sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True, timeout=240
+    )
     holder = json.loads((tmp_path / "lock").read_text()) | {"pid": int(ended.stdout)}
     (tmp_path / "lock").write_text(json.dumps(holder))
     with pytest.raises(StoreError, match="is being written by another process; this one must wait"):

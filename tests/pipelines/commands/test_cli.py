@@ -53,7 +53,7 @@ def kinedex(*words: str | Path, stdin: str | None = None) -> Ended:
 def process(*words: str | Path) -> Ended:
     """Run a command as people do, in a process of its own."""
     command = [sys.executable, "-m", "kinedex", *map(str, words)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=240)
     return Ended(done.returncode, done.stdout, done.stderr)
 
 
@@ -380,7 +380,12 @@ def test_a_checkout_beside_the_installed_package_is_reported(tmp_path: Path) -> 
     rooms = shutil.ignore_patterns("__pycache__")
     shutil.copytree(root / "kinedex", tmp_path / "kinedex", ignore=rooms)
     done = subprocess.run(
-        [sys.executable, "-m", "kinedex", "version"], cwd=tmp_path, capture_output=True, text=True, check=True
+        [sys.executable, "-m", "kinedex", "version"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=240,
     )
     assert f"path       {tmp_path.resolve() / 'kinedex'}" in done.stdout
     assert "this is the package of a checkout; the installed one is" in done.stderr
@@ -390,12 +395,17 @@ def test_shells_get_a_completion_script_and_names_of_commands() -> None:
     shells = {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1", "_KINEDEX_COMPLETE": ""}
     script = subprocess.run(
         [sys.executable, "-m", "kinedex", "--show-completion", "bash"],
-        env=os.environ | shells, capture_output=True, text=True, check=False,
+        env=os.environ | shells, capture_output=True, text=True, check=False, timeout=240,
     )  # fmt: skip
     assert "complete -o default -F _kinedex_completion kinedex" in script.stdout
     asked = {"_KINEDEX_COMPLETE": "complete_bash", "COMP_WORDS": "kinedex ver", "COMP_CWORD": "1"}
     done = subprocess.run(
-        [sys.executable, "-m", "kinedex"], env=os.environ | asked, capture_output=True, text=True, check=False
+        [sys.executable, "-m", "kinedex"],
+        env=os.environ | asked,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=240,
     )
     assert done.stdout.split() == ["verify", "versions", "version"]
 
@@ -408,7 +418,7 @@ def test_help_imports_no_library_that_computes(words: list[str]) -> None:
         "heavy = {'numba', 'numpy', 'dask', 'polars', 'pyarrow', 'duckdb', 'rich', 'yaml', 'jinja2'}\n"
         "print(sorted(heavy & set(sys.modules)), file=sys.stderr)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=240)
     assert done.stderr.strip() == "[]"
 
 

@@ -126,7 +126,7 @@ def test_workers_do_not_outlive_their_parent(tmp_path: Path) -> None:
     workers = [int(pid) for pid in parent.stdout.readline().split()]
     assert workers
     parent.kill()
-    parent.wait()
+    parent.wait(timeout=240)
     deadline = time.monotonic() + 120
     while any(alive(pid) for pid in workers):
         assert time.monotonic() < deadline, "workers live on without their parent"
@@ -196,7 +196,7 @@ class Cluster:
     def close(self) -> None:
         for process in reversed(self.processes):
             process.kill()
-            process.wait()
+            process.wait(timeout=240)
 
 
 def die_if_told(task: tuple[str, int]) -> int:
@@ -265,7 +265,7 @@ def test_a_worker_that_dies_with_a_finished_result_does_not_stop_the_run_for_eve
             wait(future)  # type: ignore[arg-type]
             if worker.poll() is None:
                 worker.kill()
-                worker.wait()
+                worker.wait(timeout=240)
                 monkeypatch.setattr(executors, "PATIENCE_SECONDS", 1.0)
 
         monkeypatch.setattr(executor, "_wait", wait_and_kill)
@@ -296,7 +296,7 @@ def test_a_cluster_that_loses_its_workers_ends_in_an_error_in_every_moment(
             with pytest.raises(KinedexError, match=r"has no workers|did not arrive"):
                 list(executor.map(square, range(1000)))
             killer.join()
-            worker.wait()
+            worker.wait(timeout=240)
             executor.close()
     finally:
         cluster.close()

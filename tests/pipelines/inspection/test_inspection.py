@@ -243,7 +243,7 @@ def test_the_command_prints_what_it_knows_first_and_the_fault_last(tmp_path: Pat
         "mixamo",
         "--picture",
     ]
-    done = subprocess.run([*command, str(tmp_path / "o.png")], capture_output=True, text=True, check=False)
+    done = subprocess.run([*command, str(tmp_path / "o.png")], capture_output=True, text=True, check=False, timeout=240)
     assert done.returncode == 1
     assert "lacks LeftUpLeg, for joint 'lhip'" in done.stdout
     assert str(tmp_path / "o.png") in done.stdout

@@ -87,7 +87,7 @@ def test_ctrl_c_ends_the_command_without_a_traceback(path: Path, statement: str,
         assert process.stderr.readline() == "started\n"
         for _ in range(times):
             process.send_signal(signal.SIGINT)
-        out, err = process.communicate()
+        out, err = process.communicate(timeout=240)
     assert (process.returncode, out, err) == (130, "", "kinedex: the statement was stopped\n")
 
 
@@ -124,7 +124,7 @@ def test_ctrl_c_in_the_prompt_ends_the_statement_and_not_the_prompt(path: Path) 
         os.write(terminal, b"SELECT 41 + 1 AS answer;\n")
         shown += read_until(terminal, b"1 row\r\n")
         os.write(terminal, b".quit\n")
-        _, err = process.communicate()
+        _, err = process.communicate(timeout=240)
     os.close(terminal)
     assert process.returncode == 0
     assert "Traceback" not in err
@@ -156,7 +156,7 @@ def read_until(terminal: int, text: bytes) -> bytes:
 @pytest.mark.parametrize("statement", [MANY_ROWS, ONE_FUNCTION])
 def test_a_time_limit_ends_the_command_with_a_code_of_its_own(path: Path, statement: str) -> None:
     with command(path, "--timeout", "0.1s", statement) as process:
-        _, err = process.communicate()
+        _, err = process.communicate(timeout=240)
     assert process.returncode == 124
     assert "did not end within 0.1 s" in err
 
