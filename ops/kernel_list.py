@@ -23,25 +23,14 @@ def listed_calls() -> list[str]:
 
 
 def compile_call(text: str) -> None:
-    """Compile the kernel of a call, or load it from the cache.
-
-    Parameters
-    ----------
-    text : str
-        A line of the list.
-
-    Raises
-    ------
-    ValueError
-        There is no such kernel, or no such type.
-    """
+    """Compile the kernel of a line of the list, or load it from the cache; its errors are those of `parse_call`."""
     kernel, kinds = parse_call(text)
     if hasattr(kernel, "compile"):  # else kernels run as plain Python
         kernel.compile(kinds)
 
 
 def parse_call(text: str) -> tuple[Any, tuple[Any, ...]]:
-    """Return the kernel of a call and the types of its arguments.
+    """Return the kernel of a line of the list, and the types of its arguments.
 
     Parameters
     ----------
