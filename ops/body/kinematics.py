@@ -241,9 +241,10 @@ def _forward(
 ) -> None:  # fmt: skip
     total, width = channels.shape
     nodes = len(parents)
-    h = np.empty((nodes, 9, BLOCK))  # rotation of every node, row by row
-    of_channel = np.empty((width, BLOCK))
-    sine, cosine = np.empty(BLOCK), np.empty(BLOCK)
+    most = min(BLOCK, total)
+    h = np.empty((nodes, 9, most))  # rotation of every node, row by row
+    of_channel = np.empty((width, most))
+    sine, cosine = np.empty(most), np.empty(most)
     axes = np.eye(3)
     for start in range(0, total, BLOCK):
         size = min(BLOCK, total - start)
