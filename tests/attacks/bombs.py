@@ -272,7 +272,7 @@ UNPACKED_MB = {
     "a packed cloud of 32 MB in 0.4 MB": 100.0,
     "depth images of 600 MB in 0.6 MB": 60.0,
 }
-"""What files may take beside, which are read and are much larger in memory."""
+"""Memory that files may take beside, which are read and are much larger there."""
 
 
 def most_mb(name: str, size: int) -> float:
