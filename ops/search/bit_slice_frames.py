@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from kinedex.ops.bits import count_bits, filled_below, highest_bit, lowest_bit
+from kinedex.ops.cache_prefetch import prefetch
 from kinedex.ops.search.bit_slices import ALL_BITS, BLOCK, NO_BITS, SHIFT
 from kinedex.ops.search.segments import TAKE_BITS
 
@@ -20,6 +21,59 @@ def mark_followed(follow, onward):  # type: ignore[no-untyped-def]
     """Set all bits of each block that is followed by one of its own window, and none of the last block of a window."""
     for i in range(np.uint64(len(follow))):
         onward[i] = ALL_BITS if follow[i] else NO_BITS
+
+
+GROUP = 128
+"""The number of blocks that are asked for from memory while as many before them are searched."""
+
+
+@njit(cache=True, nogil=True)
+def match_all(bits, height, index, granules, at, keyframes, spare, remaining):  # type: ignore[no-untyped-def]
+    """Find the frames of all keyframes, a group of blocks after the other, and return whether each keyframe has any.
+
+    Parameters
+    ----------
+    bits, height, index, at, spare
+        Of `match`.
+    granules : uint8 array (K, b)
+        The granules of each keyframe, from block `at` on.
+    keyframes : (uint64 array, uint64 array, int64 array, int64 array, int64 array)
+        Keyframe k asks for the words rows[edges[k]] to rows[edges[k + 1]] of a block, flipped by as many flips. After
+        rows, flips and edges come the order in which to look for keyframes, and the words of a block to be fetched
+        from memory beforehand.
+    remaining : uint64 array (K, n or more)
+        Is filled with the bitmaps of the frames, or in part where a keyframe has none.
+
+    Returns
+    -------
+    bool
+    """
+    rows, flips, edges, order, fetched = keyframes
+    size, some = len(index), 0
+    seen = np.zeros(len(order), np.bool_)
+    _fetch(bits, height, index[:GROUP], fetched)
+    for begin in range(0, size, GROUP):
+        end = min(begin + GROUP, size)
+        _fetch(bits, height, index[end : end + GROUP], fetched)
+        here = index[begin:end]
+        for k in order:
+            asked = slice(edges[k], edges[k + 1])
+            found = match(bits, height, here, granules[k], at, rows[asked], flips[asked], spare, remaining[k, begin:])
+            if found and not seen[k]:
+                seen[k] = True
+                some += 1
+            elif not found and end - begin == size:
+                return False
+    return some == len(order)
+
+
+@njit(cache=True, nogil=True)
+def _fetch(bits, height, index, fetched):  # type: ignore[no-untyped-def]
+    """Ask for some words of some blocks from memory."""
+    if len(fetched):
+        for i in range(len(index)):
+            for word in fetched:
+                prefetch(bits, index[i] * height + word)
 
 
 @njit(cache=True, nogil=True)
@@ -177,7 +231,7 @@ def _move(bitmap, size, moved, follow, by):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def add_ranges(remaining, index, follow, first, take, gaps, ranges, n):  # type: ignore[no-untyped-def]
+def add_ranges(remaining, index, follow, first, ends, gaps, ranges, n):  # type: ignore[no-untyped-def]
     """Add the segments of the first bitmap, each from its start to the farthest end of a hit that begins in it.
 
     Parameters
@@ -190,8 +244,8 @@ def add_ranges(remaining, index, follow, first, take, gaps, ranges, n):  # type:
         The number of blocks that follow each block in its window.
     first : int64 array (T + 1,)
         Of `BitSlices`.
-    take : int
-        A take that begins before all windows.
+    ends : uint64 array
+        Of `BitSlices`.
     gaps : int64 array (K - 1, 2)
         Admissible gaps in frames.
     ranges : int64 array (m, 2)
@@ -213,8 +267,7 @@ def add_ranges(remaining, index, follow, first, take, gaps, ranges, n):  # type:
         _farthest(remaining[k + 1], gaps[k, 1], hits, many)
     for hit in range(many):
         block = hits[hit, 0] >> SHIFT
-        while first[take + 1] <= index[block]:
-            take = _take_of(first, take, index[block])
+        take = _take_of(ends, index[block])
         # from here on the axis of positions, where takes lie 2**TAKE_BITS apart
         move = (take << TAKE_BITS) + (index[block] - first[take] - block << SHIFT)
         start, stop = hits[hit, 0] + move, hits[hit, 1] + 1 + move
@@ -272,13 +325,11 @@ def _farthest(bitmap, high, hits, many):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _take_of(first, take, block):  # type: ignore[no-untyped-def]
-    """Return the take, from `take` on, that has a block, in strides that double while they do not pass it."""
-    stride = 1
-    while take + stride < len(first) and first[take + stride] <= block:
-        take += stride
-        stride *= 2
-    return take
+def _take_of(ends, block):  # type: ignore[no-untyped-def]
+    """Return the take that has a block: as many takes as have ended before it."""
+    at = block >> SHIFT << 1
+    before = ends[at] & ((np.uint64(1) << np.uint64(block & BLOCK - 1)) - np.uint64(1))
+    return np.int64(ends[at + 1]) + count_bits(before)
 
 
 @njit(cache=True, nogil=True)

@@ -20,14 +20,20 @@ from numba import njit
 
 from kinedex.ops.bits import lowest_bit
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.search.bit_slice_frames import add_ranges, complete, mark_followed, match
+from kinedex.ops.search.bit_slice_frames import add_ranges, complete, mark_followed, match_all
 from kinedex.ops.search.bit_slice_windows import BLOCKS_PER_WORD, coarse_starts, windows
-from kinedex.ops.search.bit_slices import ALL_BITS, NO_BITS, BitSlices
+from kinedex.ops.search.bit_slices import ALL_BITS, BLOCK, NO_BITS, BitSlices
 from kinedex.ops.search.gaps import UNBOUNDED, checked_gaps
 from kinedex.ops.words import I64
 
 CHUNK = 4096
 """About how many blocks of whole takes are searched together: their bitmaps stay in a processor's nearest cache."""
+
+CACHED = 2**20
+"""Slices of more words (8 MiB) are fetched from memory ahead of their use. Smaller ones lie in a processor's cache."""
+
+LINE = 8
+"""The number of uint64 in a line of a cache."""
 
 
 def search_slices(
@@ -76,8 +82,8 @@ def search_slices(
     count = len(masks)
     query = _as_array([*masks, *values], [bound for gap in gaps for bound in gap])
     if count and len(values) == count and len(gaps) == count - 1 and len(query) == 4 * count - 2:
-        arrays = slices.bits, slices.coarse, slices.first, slices.left
-        ranges, valid = _search(*arrays, slices.features, query, begin, end, CHUNK)
+        arrays = slices.bits, slices.coarse, slices.first, slices.ends
+        ranges, valid = _search(*arrays, slices.features, query, begin, end, CHUNK, CACHED)
         if valid:
             return ranges
     raise _query_error(slices, masks, values, gaps)
@@ -109,13 +115,15 @@ def _query_error(
 
 
 @njit(cache=True, nogil=True)
-def _search(bits, coarse, first, left, features, query, begin, end, chunk):  # type: ignore[no-untyped-def]
+def _search(bits, coarse, first, ends, features, query, begin, end, chunk, cached):  # type: ignore[no-untyped-def]
     ranges, n = np.empty((256, 2), np.int64), np.int64(0)
     count = (len(query) + 2) // 4
     masks, values, gaps = query[:count], query[count : 2 * count], query[2 * count :].reshape(-1, 2)
     if not _is_valid(features, masks, values, gaps):
         return ranges[:0].copy(), False
     rows, coarse_rows, flips, edges, order = _plan(features, masks, values)
+    fetched = _fetched(rows[: edges[count] * (len(bits) > cached)])
+    keyframes = rows, flips, edges, order, fetched
     span = np.int64(0)
     for k in range(count - 1):
         span += gaps[k, 1]
@@ -131,18 +139,13 @@ def _search(bits, coarse, first, left, features, query, begin, end, chunk):  # t
             room = max(size, min(first[end] - first[begin], chunk))
             candidates = np.empty((count, room // 8 + 2), np.uint64)
             remaining, spare = np.empty((count, room), np.uint64), np.empty((3, room + 8), np.uint64)
-            index, follow = np.empty(room, np.int64), np.empty(room, np.int32)
+            index, follow = np.empty(room + 2, np.int64), np.empty(room, np.int32)
         blocks = first[take], first[stop]
         if coarse_starts(coarse, features, blocks, coarse_rows, edges, order, gaps, candidates, spare):
-            found, longest = windows(candidates[0], left, blocks, span, index, follow)
+            found, longest = windows(candidates[0], ends, blocks, span, index, follow)
             here, after, granules = index[:found], follow[:found], candidates.view(np.uint8)
             at = blocks[0] // BLOCKS_PER_WORD * BLOCKS_PER_WORD
-            alive = True
-            for k in order:
-                if alive:
-                    asked = slice(edges[k], edges[k + 1])
-                    wanted = rows[asked], flips[asked]
-                    alive = match(bits, features + 1, here, granules[k], at, *wanted, spare, remaining[k])
+            alive = match_all(bits, features + 1, here, granules, at, keyframes, spare, remaining)
             if alive:
                 mark_followed(after, spare[2])
             for k in range(count - 2, -1, -1):
@@ -150,7 +153,7 @@ def _search(bits, coarse, first, left, features, query, begin, end, chunk):  # t
                     remaining[k], remaining[k + 1], after, longest, gaps[k, 0], gaps[k, 1], spare
                 )
             if alive:
-                ranges, n = add_ranges(remaining, here, after, first, take, gaps, ranges, n)
+                ranges, n = add_ranges(remaining, here, after, first, ends, gaps, ranges, n)
         take = stop
     return ranges[:n].copy(), True
 
@@ -217,3 +220,19 @@ def _plan(features, masks, values):  # type: ignore[no-untyped-def]
             i -= 1
         order[i] = k
     return rows, coarse_rows, flips, edges, order
+
+
+@njit(cache=True, nogil=True)
+def _fetched(rows):  # type: ignore[no-untyped-def]
+    """Return about one word for each cache line of a block in which there are rows that keyframes ask for."""
+    wanted = NO_BITS
+    for row in rows:
+        wanted |= np.uint64(1) << row
+    fetched, n = np.empty(BLOCK, np.int64), 0
+    while wanted:
+        row = lowest_bit(wanted)
+        wanted &= wanted - np.uint64(1)
+        if n == 0 or row - fetched[n - 1] >= LINE or wanted == NO_BITS:
+            fetched[n] = row
+            n += 1
+    return fetched[:n]

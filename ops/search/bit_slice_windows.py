@@ -160,21 +160,21 @@ def _move(bitmap, size, moved, by):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def windows(found, left, blocks, span, index, follow):  # type: ignore[no-untyped-def]
+def windows(found, ends, blocks, span, index, follow):  # type: ignore[no-untyped-def]
     """Collect the blocks in which all hits lie: from the granules in which hits may begin, as far as the gaps lead.
 
     Parameters
     ----------
     found : uint64 array (n,)
         The granules of the first keyframe, from `coarse_starts`.
-    left : int32 array
+    ends : uint64 array
         Of `BitSlices`.
     blocks : (int, int)
         The blocks that were searched.
     span : int
         The sum of the upper bounds of all gaps, in frames.
-    index : int64 array (b or more,)
-        Is filled with the blocks, ascending.
+    index : int64 array (b + 2 or more,)
+        Is filled with the blocks, ascending, and -1 after them.
     follow : int32 array (b or more,)
         Is filled with the number of blocks of the same window that follow each block.
 
@@ -194,16 +194,42 @@ def windows(found, left, blocks, span, index, follow):  # type: ignore[no-untype
             word &= ~(_BLOCK_BITS << np.uint64(place * GRANULES))
             block = at + np.int64(i) * BLOCKS_PER_WORD + place
             frame = (highest_bit(granules) + 1) * GRANULE - 1
-            stop = block + 1 + min(left[block], frame + span >> SHIFT)
+            stop = block + 1 + _within_take(ends, block, frame + span >> SHIFT)
             after = max(after, block)
-            while after < stop:
-                index[n] = after
-                after += 1
-                n += 1
+            many = max(stop - after, 0)
+            # without a branch for one block or two, which no processor foresees in a large archive
+            index[n], index[n + 1] = after, after + 1
+            for more in range(2, many):
+                index[n + more] = after + more
+            n += many
+            after += many
+    index[n] = -1
     longest, follows = 0, 0
     for i in range(n - 1, -1, -1):
         block = index[i]
-        follows = follows + 1 if i + 1 < n and index[i + 1] == block + 1 and left[block] > 0 else 0
+        follows = (follows + 1) * ((index[i + 1] == block + 1) & (1 - _is_last(ends, block)))
         follow[i] = follows
         longest = max(longest, follows + 1)
     return n, longest
+
+
+@njit(cache=True, nogil=True)
+def _is_last(ends, block):  # type: ignore[no-untyped-def]
+    """Return 1 for the last block of a take, else 0."""
+    return np.int64(ends[block >> SHIFT << 1] >> np.uint64(block & BLOCK - 1) & np.uint64(1))
+
+
+@njit(cache=True, nogil=True)
+def _within_take(ends, block, many):  # type: ignore[no-untyped-def]
+    """Return the number of blocks of its take that follow a block, at most `many`."""
+    at = block >> SHIFT << 1
+    word = ends[at] >> np.uint64(block & BLOCK - 1)
+    if word:
+        return min(many, lowest_bit(word))
+    follow = BLOCK - (block & BLOCK - 1)
+    while follow < many:
+        at += 2
+        if ends[at]:
+            return min(many, follow + lowest_bit(ends[at]))
+        follow += BLOCK
+    return many

@@ -313,6 +313,30 @@ def test_threads_search_parts_of_one_archive_at_the_same_time() -> None:
     assert len(whole) > 60
 
 
+@pytest.mark.parametrize("cached", [0, 2**20])
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32), st.sampled_from([3, 60, 900]), queries(largest=4, bits_fixed=3))
+def test_many_windows_of_short_and_long_takes_agree(cached: int, seed: int, mean: int, query: Query) -> None:
+    rng = np.random.default_rng(seed)
+    lengths = rng.geometric(1 / mean, max(30_000 // mean, 1)).clip(max=20_000)
+    archive = [rng.integers(0, 2**FEATURES, length // 4 + 1).astype(np.uint64).repeat(4)[:length] for length in lengths]
+    masks, values, gaps = query
+    lists = [keyframe_list(lists_of(archive), mask, value) for mask, value in zip(masks, values, strict=True)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(slicesearch, "CACHED", cached)
+        found = search_slices(slices_of(archive), *query)
+    np.testing.assert_array_equal(found, search_lists(lists, gaps))
+
+
+def test_ends_name_the_take_of_each_block_and_what_follows_in_it() -> None:
+    slices = slices_of([np.zeros(length, np.uint64) for length in (0, 64, 5, 70 * 64, 1, 64 * 64 - 1, 3, 200 * 64)])
+    words, before = slices.ends.reshape(-1, 2).T
+    blocks = np.arange(len(slices.left))
+    ends = np.unpackbits(np.ascontiguousarray(words).view(np.uint8), bitorder="little")
+    assert ends.tolist() == [*(slices.left == 0).astype(int), *[0] * (len(ends) - len(blocks))]
+    assert before.tolist() == [(slices.first[1:] <= block).sum() for block in range(0, len(blocks), 64)]
+
+
 @pytest.mark.parametrize("takes", [(0, 3), (-1, 1), (2, 1)])
 def test_takes_that_are_not_there_are_refused(takes: tuple[int, int]) -> None:
     with pytest.raises(ParameterError, match="takes"):
