@@ -10,6 +10,20 @@ import numpy.typing as npt
 from numba import njit
 
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.numerals import (
+    HASH,
+    NEWLINE,
+    NINE,
+    RETURN,
+    SPACE,
+    TAB,
+    ZERO,
+    next_line,
+    read_number,
+    skip_blanks,
+    token_end,
+    unsigned,
+)
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
@@ -18,15 +32,6 @@ Text = bytes | bytearray | memoryview
 
 OK, BAD_NUMBER, TOO_FEW, TOO_MANY, UNKNOWN_NAME, TWICE, MISSING, NOT_NEXT, NO_FRAME, FULL = range(10)
 """The faults that `parse_frames` and `parse_rows` report: see `Fault`."""
-
-_EXACT = 2**53  # integers up to here are exact in a double, and so are the powers of ten up to 22:
-_POWERS = np.array([10.0**i for i in range(23)])  # one multiplication or division of the two rounds correctly
-
-_at = np.uint64
-"""Makes an index unsigned: one that might be negative costs a check and an addition at every byte."""
-
-_NEWLINE, _RETURN, _SPACE, _TAB, _HASH = 10, 13, 32, 9, 35
-_PLUS, _MINUS, _DOT, _ZERO, _NINE = 43, 45, 46, 48, 57
 
 
 @dataclass(frozen=True)
@@ -49,131 +54,37 @@ class Fault:
     stop: int
 
 
-@njit(cache=True, nogil=True, forceinline=True)
-def _number(data: U8, pos: int, end: int) -> tuple[float, int, int]:
-    """Read a number at pos.
-
-    Returns
-    -------
-    value : float
-    pos : int
-        The position after the number.
-    status : int
-        0 for a number, 1 for none, 2 for a number that needs exact conversion.
-    """
-    begin = pos
-    negative = False
-    if pos < end and (data[_at(pos)] == _MINUS or data[_at(pos)] == _PLUS):
-        negative = data[_at(pos)] == _MINUS
-        pos += 1
-    mantissa, fraction, first = np.int64(0), 0, pos
-    while pos < end and _ZERO <= data[_at(pos)] <= _NINE:
-        mantissa = mantissa * 10 + (data[_at(pos)] - _ZERO)
-        pos += 1
-    digits = pos - first
-    if pos < end and data[_at(pos)] == _DOT:
-        pos += 1
-        first = pos
-        while pos < end and _ZERO <= data[_at(pos)] <= _NINE:
-            mantissa = mantissa * 10 + (data[_at(pos)] - _ZERO)
-            pos += 1
-        fraction = pos - first
-        digits += fraction
-    if digits == 0:
-        return 0.0, pos, 1
-    exponent = -fraction
-    if pos < end and data[_at(pos)] > _SPACE:
-        power, pos = _exponent(data, pos, end)
-        if pos < 0:
-            return 0.0, begin, 1
-        exponent += power
-    value = float(mantissa)
-    status = 0
-    if digits > 18 or mantissa > _EXACT or (mantissa > 0 and (exponent < -22 or exponent > 22)):
-        status = 2  # the mantissa of more than 18 digits may have overflowed: only the text itself is exact
-    elif mantissa == 0:
-        pass
-    elif exponent < 0:
-        value /= _POWERS[_at(-exponent)]
-    else:
-        value *= _POWERS[_at(exponent)]
-    return (-value if negative else value), pos, status
-
-
-@njit(cache=True, nogil=True)
-def _exponent(data: U8, pos: int, end: int) -> tuple[int, int]:
-    """Read "e-05" at pos, up to the end of the token; return the power and the position behind it, or −1."""
-    if data[_at(pos)] != 101 and data[_at(pos)] != 69:
-        return 0, -1
-    pos += 1
-    down = False
-    if pos < end and (data[_at(pos)] == _MINUS or data[_at(pos)] == _PLUS):
-        down = data[_at(pos)] == _MINUS
-        pos += 1
-    power, first = np.int64(0), pos
-    while pos < end and _ZERO <= data[_at(pos)] <= _NINE:
-        if power < 100000:
-            power = power * 10 + (data[_at(pos)] - _ZERO)
-        pos += 1
-    if pos == first or (pos < end and data[_at(pos)] > _SPACE):
-        return 0, -1
-    return int(-power if down else power), pos
-
-
-@njit(cache=True, nogil=True)
-def _next_line(data: U8, pos: int, end: int) -> int:
-    r"""Return the position after the end of the line that pos is in; "\n", "\r\n" and "\r" all end one."""
-    while pos < end and data[_at(pos)] != _NEWLINE and data[_at(pos)] != _RETURN:
-        pos += 1
-    if pos < end and data[_at(pos)] == _RETURN and pos + 1 < end and data[_at(pos + 1)] == _NEWLINE:
-        return pos + 2
-    return pos + 1 if pos < end else end
-
-
-@njit(cache=True, nogil=True)
-def _token_end(data: U8, pos: int, end: int) -> int:
-    while pos < end and data[_at(pos)] > _SPACE:
-        pos += 1
-    return pos
-
-
 @njit(inline="always")
-def _skip_blanks(data, pos, end):  # type: ignore[no-untyped-def]
-    while pos < end and (data[_at(pos)] == _SPACE or data[_at(pos)] == _TAB):
-        pos += 1
-    return pos
-
-
-@njit(inline="always")
-def _note_slow(slow, slows, row, column, pos, line):  # type: ignore[no-untyped-def]
+def _note_slow(slow, slows, row, column, pos, after, line):  # type: ignore[no-untyped-def]
     # Note a number that needs exact conversion, where there is room; return how many there are then.
     if slows < len(slow):
-        slow[slows, 0], slow[slows, 1], slow[slows, 2], slow[slows, 3] = row, column, pos, line
+        slow[slows, 0], slow[slows, 1], slow[slows, 2], slow[slows, 3] = row, column, pos, after
+        slow[slows, 4] = line
     return slows + 1
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _name_end(data: U8, pos: int, end: int, names: U8, start: int, stop: int) -> int:
     """Return the position after a name that is names[start:stop]; −1 where another one is at pos."""
     size = stop - start
-    if pos + size > end or (pos + size < end and data[_at(pos + size)] > _SPACE):
+    if pos + size > end or (pos + size < end and data[unsigned(pos + size)] > SPACE):
         return -1
     for b in range(size):
-        if data[_at(pos + b)] != names[_at(start + b)]:
+        if data[unsigned(pos + b)] != names[unsigned(start + b)]:
             return -1
     return pos + size
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def _find_name(data: U8, pos: int, end: int, names: U8, offsets: I64) -> int:
     """Return the index of the name at pos; −1 where it is none of them."""
     for i in range(len(offsets) - 1):
-        if _name_end(data, pos, end, names, offsets[_at(i)], offsets[_at(i + 1)]) >= 0:
+        if _name_end(data, pos, end, names, offsets[unsigned(i)], offsets[unsigned(i + 1)]) >= 0:
             return i
     return -1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def _first_absent(seen: I64, frame: int) -> int:
     for name in range(len(seen)):
         if seen[name] != frame:
@@ -181,26 +92,26 @@ def _first_absent(seen: I64, frame: int) -> int:
     return -1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def _parse_frames(
-    data: U8, pos: int, line: int, names: U8, offsets: I64, columns: I64, out: F64, slow: I64
+    data: U8, pos: int, line: int, names: U8, offsets: I64, columns: I64, seen: I64, out: F64, slow: I64
 ) -> tuple[int, int, int, int, int, int, int]:
     """Return (code, line, fault start, fault stop, frames, first number, numbers that need exact conversion)."""
     end, count = len(data), len(offsets) - 1
-    seen = np.full(count, -1, np.int64)
+    seen[:] = -1  # the frame in which each name was seen last
     frame, first, number, present, guess, slows = -1, 0, 0, 0, 0, 0
     while pos < end:
-        pos = _skip_blanks(data, pos, end)
+        pos = skip_blanks(data, pos, end)
         if pos >= end:
             break
-        byte = data[_at(pos)]
-        if byte in (_NEWLINE, _RETURN, _HASH):
-            pos, line = _next_line(data, pos, end), line + 1
+        byte = data[unsigned(pos)]
+        if byte in (NEWLINE, RETURN, HASH):
+            pos, line = next_line(data, pos, end), line + 1
             continue
-        if _ZERO <= byte <= _NINE:
-            value, after, status = _number(data, pos, end)
+        if ZERO <= byte <= NINE:
+            value, after, status = read_number(data, pos, end)
             if status == 1 or value != np.floor(value) or status == 2:
-                return BAD_NUMBER, line, pos, _token_end(data, pos, end), frame + 1, first, slows
+                return BAD_NUMBER, line, pos, token_end(data, pos, end), frame + 1, first, slows
             if frame >= 0 and present < count:
                 return MISSING, line, _first_absent(seen, frame), 0, frame, first, slows
             if frame >= 0 and int(value) != number + 1:
@@ -213,39 +124,39 @@ def _parse_frames(
             present, guess, pos = 0, 0, after
         else:
             if frame < 0:
-                return NO_FRAME, line, pos, _token_end(data, pos, end), 0, first, slows
-            name, stop = guess, _name_end(data, pos, end, names, offsets[_at(guess)], offsets[_at(guess + 1)])
+                return NO_FRAME, line, pos, token_end(data, pos, end), 0, first, slows
+            name, stop = guess, _name_end(data, pos, end, names, offsets[unsigned(guess)], offsets[unsigned(guess + 1)])
             if stop < 0:  # not the name behind the one before, as in nearly every file
-                name, stop = _find_name(data, pos, end, names, offsets), _token_end(data, pos, end)
+                name, stop = _find_name(data, pos, end, names, offsets), token_end(data, pos, end)
             if name < 0:
                 return UNKNOWN_NAME, line, pos, stop, frame, first, slows
-            if seen[_at(name)] == frame:
+            if seen[unsigned(name)] == frame:
                 return TWICE, line, pos, stop, frame, first, slows
-            seen[_at(name)] = frame
+            seen[unsigned(name)] = frame
             present += 1
             guess = name + 1 if name + 1 < count else 0
             pos = stop
-            for column in range(columns[_at(name)], columns[name + 1]):
-                pos = _skip_blanks(data, pos, end)
-                if pos >= end or data[_at(pos)] == _NEWLINE or data[_at(pos)] == _RETURN:
-                    return TOO_FEW, line, name, column - columns[_at(name)], frame, first, slows
-                value, after, status = _number(data, pos, end)
+            for column in range(columns[unsigned(name)], columns[name + 1]):
+                pos = skip_blanks(data, pos, end)
+                if pos >= end or data[unsigned(pos)] == NEWLINE or data[unsigned(pos)] == RETURN:
+                    return TOO_FEW, line, name, column - columns[unsigned(name)], frame, first, slows
+                value, after, status = read_number(data, pos, end)
                 if status == 1:
-                    return BAD_NUMBER, line, pos, _token_end(data, pos, end), frame, first, slows
+                    return BAD_NUMBER, line, pos, token_end(data, pos, end), frame, first, slows
                 if status == 2:
-                    slows = _note_slow(slow, slows, frame, column, pos, line)
-                out[_at(frame), _at(column)] = value
+                    slows = _note_slow(slow, slows, frame, column, pos, after, line)
+                out[unsigned(frame), unsigned(column)] = value
                 pos = after
-        pos = _skip_blanks(data, pos, end)
-        if pos < end and data[_at(pos)] != _NEWLINE and data[_at(pos)] != _RETURN:
-            return TOO_MANY, line, pos, _token_end(data, pos, end), frame, first, slows
-        pos, line = _next_line(data, pos, end), line + 1
+        pos = skip_blanks(data, pos, end)
+        if pos < end and data[unsigned(pos)] != NEWLINE and data[unsigned(pos)] != RETURN:
+            return TOO_MANY, line, pos, token_end(data, pos, end), frame, first, slows
+        pos, line = next_line(data, pos, end), line + 1
     if frame >= 0 and present < count:
         return MISSING, line, _first_absent(seen, frame), 1, frame, first, slows
     return OK, line, 0, 0, frame + 1, first, slows
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def _count_rows(data: U8, pos: int, numbered: bool) -> tuple[int, int]:
     """Return the numbers of rows and of lines that begin with a blank behind a byte.
 
@@ -255,32 +166,32 @@ def _count_rows(data: U8, pos: int, numbered: bool) -> tuple[int, int]:
     for start in range(pos + 1, end, 128):
         begun, blank = np.uint8(0), np.uint8(0)
         for i in range(start, min(start + 128, end)):
-            before, byte = data[_at(i - 1)], data[_at(i)]
-            begins = (before == _NEWLINE) | (before == _RETURN)
-            indent = (byte == _SPACE) | (byte == _TAB)
+            before, byte = data[unsigned(i - 1)], data[unsigned(i)]
+            begins = (before == NEWLINE) | (before == RETURN)
+            indent = (byte == SPACE) | (byte == TAB)
             blank = np.uint8(blank + np.uint8(begins & indent))
             if numbered:
-                row = (byte >= _ZERO) & (byte <= _NINE)
+                row = (byte >= ZERO) & (byte <= NINE)
             else:
-                row = (byte != _NEWLINE) & (byte != _RETURN) & (byte != _HASH) & (not indent)
+                row = (byte != NEWLINE) & (byte != RETURN) & (byte != HASH) & (not indent)
             begun = np.uint8(begun + np.uint8(begins & row))
         rows += int(begun)
         indented += int(blank)
     return rows, indented
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def _count_indented_rows(data: U8, pos: int, numbered: bool) -> int:
     end, count = len(data), 0
     while pos < end:
-        pos = _skip_blanks(data, pos, end)
+        pos = skip_blanks(data, pos, end)
         if pos < end:
-            byte = data[_at(pos)]
+            byte = data[unsigned(pos)]
             if numbered:
-                count += int(_ZERO <= byte <= _NINE)
+                count += int(ZERO <= byte <= NINE)
             else:
-                count += int(byte != _NEWLINE and byte != _RETURN and byte != _HASH)
-        pos = _next_line(data, pos, end)
+                count += int(byte != NEWLINE and byte != RETURN and byte != HASH)
+        pos = next_line(data, pos, end)
     return count
 
 
@@ -297,32 +208,32 @@ def count_rows(data: Text, start: int, numbered: bool) -> int:
         Count only lines that begin with a digit: the frames of `parse_frames`, not the rows of `parse_rows`.
     """
     array = np.frombuffer(data, dtype=np.uint8)
-    if start < len(array) and array[start] in (_SPACE, _TAB):
+    if start < len(array) and array[start] in (SPACE, TAB):
         return int(_count_indented_rows(array, start, numbered))
     rows, indented = _count_rows(array, start, numbered)
     if indented:
         return int(_count_indented_rows(array, start, numbered))
-    first = array[start] if start < len(array) else _NEWLINE
-    own = _ZERO <= first <= _NINE if numbered else first not in (_NEWLINE, _RETURN, _HASH)
+    first = array[start] if start < len(array) else NEWLINE
+    own = ZERO <= first <= NINE if numbered else first not in (NEWLINE, RETURN, HASH)
     return int(rows) + int(own)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def _row_starts(data: U8, pos: int, numbered: bool, out: I64) -> None:
     end, count = len(data), 0
     while pos < end:
         line = pos
-        pos = _skip_blanks(data, pos, end)
+        pos = skip_blanks(data, pos, end)
         if pos < end:
-            byte = data[_at(pos)]
+            byte = data[unsigned(pos)]
             if numbered:
-                row = _ZERO <= byte <= _NINE
+                row = ZERO <= byte <= NINE
             else:
-                row = byte != _NEWLINE and byte != _RETURN and byte != _HASH
+                row = byte != NEWLINE and byte != RETURN and byte != HASH
             if row:
-                out[_at(count)] = line
+                out[unsigned(count)] = line
                 count += 1
-        pos = _next_line(data, pos, end)
+        pos = next_line(data, pos, end)
 
 
 def row_starts(data: Text, start: int, numbered: bool) -> I64:
@@ -394,12 +305,14 @@ def parse_frames(
         shortest = 2 + len(letters) + len(names) + 2 * int(columns[-1])
         most = min(count_rows(data, start, True), (len(data) - start) // shortest + 1)
         out = np.empty((most, int(columns[-1])))
-    slow = np.empty((1024, 4), dtype=np.int64)
+    slow, seen = np.empty((1024, 5), dtype=np.int64), np.empty(len(names), np.int64)
     while True:
-        code, at, a, b, frames, first, slows = _parse_frames(array, start, line, letters, offsets, columns, out, slow)
+        code, at, a, b, frames, first, slows = _parse_frames(
+            array, start, line, letters, offsets, columns, seen, out, slow
+        )
         if slows <= len(slow):
             break
-        slow = np.empty((slows, 4), dtype=np.int64)
+        slow = np.empty((slows, 5), dtype=np.int64)
     if code != OK:
         return out[:0], first, Fault(code, at, a, b)
     fault = _convert_exactly(data, out, slow[:slows])
@@ -408,37 +321,37 @@ def parse_frames(
     return out[:frames], first, None
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def _parse_rows(data: U8, pos: int, line: int, out: F64, slow: I64) -> tuple[int, int, int, int, int, int]:
     """Return (code, line, fault start, fault stop, rows, numbers that need exact conversion)."""
     end = len(data)
     columns = out.shape[1]
     row, slows = 0, 0
     while pos < end:
-        pos = _skip_blanks(data, pos, end)
+        pos = skip_blanks(data, pos, end)
         if pos >= end:
             break
-        if data[_at(pos)] == _NEWLINE or data[_at(pos)] == _RETURN or data[_at(pos)] == _HASH:
-            pos, line = _next_line(data, pos, end), line + 1
+        if data[unsigned(pos)] == NEWLINE or data[unsigned(pos)] == RETURN or data[unsigned(pos)] == HASH:
+            pos, line = next_line(data, pos, end), line + 1
             continue
         if row == len(out):
             return FULL, line, row, 0, row, slows
         for column in range(columns):
-            pos = _skip_blanks(data, pos, end)
-            if pos >= end or data[_at(pos)] == _NEWLINE or data[_at(pos)] == _RETURN:
+            pos = skip_blanks(data, pos, end)
+            if pos >= end or data[unsigned(pos)] == NEWLINE or data[unsigned(pos)] == RETURN:
                 return TOO_FEW, line, row, column, row, slows
-            value, after, status = _number(data, pos, end)
+            value, after, status = read_number(data, pos, end)
             if status == 1:
-                return BAD_NUMBER, line, pos, _token_end(data, pos, end), row, slows
+                return BAD_NUMBER, line, pos, token_end(data, pos, end), row, slows
             if status == 2:
-                slows = _note_slow(slow, slows, row, column, pos, line)
-            out[_at(row), _at(column)] = value
+                slows = _note_slow(slow, slows, row, column, pos, after, line)
+            out[unsigned(row), unsigned(column)] = value
             pos = after
-        pos = _skip_blanks(data, pos, end)
-        if pos < end and data[_at(pos)] != _NEWLINE and data[_at(pos)] != _RETURN:
-            return TOO_MANY, line, pos, _token_end(data, pos, end), row, slows
+        pos = skip_blanks(data, pos, end)
+        if pos < end and data[unsigned(pos)] != NEWLINE and data[unsigned(pos)] != RETURN:
+            return TOO_MANY, line, pos, token_end(data, pos, end), row, slows
         row += 1
-        pos, line = _next_line(data, pos, end), line + 1
+        pos, line = next_line(data, pos, end), line + 1
     return OK, line, 0, 0, row, slows
 
 
@@ -479,12 +392,12 @@ def parse_rows(data: Text, start: int, line: int, columns: int, out: F64 | None 
     if out is None:
         # A number takes a byte and a space at least, so that no count of lines can ask for more than a few file sizes.
         out = np.empty((min(count_rows(data, start, False), (len(data) - start) // (2 * columns) + 1), columns))
-    slow = np.empty((1024, 4), dtype=np.int64)
+    slow = np.empty((1024, 5), dtype=np.int64)
     while True:
         code, at, a, b, found, slows = _parse_rows(array, start, line, out, slow)
         if slows <= len(slow):
             break
-        slow = np.empty((slows, 4), dtype=np.int64)
+        slow = np.empty((slows, 5), dtype=np.int64)
     fault = None if code == OK else Fault(code, at, a, b)
     if fault is None:
         fault = _convert_exactly(data, out, slow[:slows])
@@ -493,11 +406,12 @@ def parse_rows(data: Text, start: int, line: int, columns: int, out: F64 | None 
 
 def _convert_exactly(data: Text, out: F64, slow: I64) -> Fault | None:
     """Fill in the numbers that the kernel could not round itself; return a fault where one is out of range."""
-    for row, column, position, where in slow:
-        # A number of hundreds of digits is one token all the same.
-        stop = _token_end(np.frombuffer(data, dtype=np.uint8), int(position), len(data))
-        value = float(bytes(data[position:stop]))
-        if not np.isfinite(value):
-            return Fault(BAD_NUMBER, int(where), int(position), stop)
-        out[_at(row), _at(column)] = value
+    if not len(slow):
+        return None
+    whole = bytes(data)
+    values = np.array([float(whole[start:stop]) for start, stop in slow[:, 2:4].tolist()])
+    if not np.isfinite(values).all():
+        _, _, start, stop, line = slow[np.isfinite(values).argmin()].tolist()
+        return Fault(BAD_NUMBER, line, start, stop)
+    out[slow[:, 0], slow[:, 1]] = values
     return None

@@ -25,7 +25,7 @@ _S1, _S2, _S3, _S4, _S5, _S6, _S7, _S8 = ((-1) ** k / math.factorial(2 * k + 1) 
 _C2, _C3, _C4, _C5, _C6, _C7, _C8 = ((-1) ** k / math.factorial(2 * k) for k in range(2, 9))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def sincos(angles: F64, sines: F64, cosines: F64) -> None:
     """Compute sines and cosines of angles in radians into given arrays, with errors below 0.8 units of the last place.
 
@@ -59,7 +59,7 @@ def sincos(angles: F64, sines: F64, cosines: F64) -> None:
         cosines[t] = -level if quadrant == 1.0 or quadrant == 2.0 else level
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def sincos_far(angles: F64, sines: F64, cosines: F64) -> None:
     """Compute what `sincos` does for angles of any size, one by one, with the C library."""
     for t in range(angles.shape[0]):

@@ -20,7 +20,9 @@ I32 = npt.NDArray[np.int32]
 ROTATE_X, ROTATE_Y, ROTATE_Z, MOVE_X, MOVE_Y, MOVE_Z, STRETCH = range(7)
 """The effects of a channel on its node: rotation about an axis, translation along one, or a longer bone."""
 
-BLOCK = 128  # frames per block; the matrices of a whole body then fit into the second-level cache
+BLOCK = 120
+"""Frames per block: the matrices of a whole body then fit into the second-level cache. The rows of a block do not lie a
+power of two apart, as they would share a few lines of the first-level cache."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +119,9 @@ def forward(
     positions = np.empty((len(nodes), 3, channels.shape[0]))
     positions[~needed] = np.nan
     orientation = np.empty((9, channels.shape[0]))
-    _forward(channels, near, needed, *chain, oriented, positions, orientation)
+    size = min(BLOCK, channels.shape[0])
+    rotations, block = np.empty(9 * len(nodes) * size), np.empty((channels.shape[1] + 2) * size)
+    _forward(channels, near, needed, *chain, oriented, positions, orientation, rotations, block, np.eye(3))
     return positions, orientation
 
 
@@ -166,7 +170,7 @@ def _needed(nodes: tuple[Node, ...], wanted: tuple[int, ...]) -> npt.NDArray[np.
     return needed
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def _turn(a: F64, b: F64, sines: F64, cosines: F64) -> None:
     """Rotate a row of a matrix about an axis in every frame; a and b are its two other components."""
     for t in range(a.shape[0]):
@@ -175,7 +179,7 @@ def _turn(a: F64, b: F64, sines: F64, cosines: F64) -> None:
         b[t] = q * cosines[t] - p * sines[t]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def _times(a: F64, b: F64, c: F64, matrix: F64, x: F64, y: F64, z: F64) -> None:
     """Multiply a row (a, b, c) by a fixed matrix in every frame, into x, y, z."""
     f0, f1, f2, f3, f4, f5, f6, f7, f8 = matrix
@@ -186,7 +190,7 @@ def _times(a: F64, b: F64, c: F64, matrix: F64, x: F64, y: F64, z: F64) -> None:
         z[t] = p * f2 + q * f5 + r * f8
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def _shift(out: F64, turns: F64, offset: F64) -> None:
     """Move positions (3, T) by a fixed offset that is rotated by matrices (9, T)."""
     x, y, z = offset
@@ -198,7 +202,7 @@ def _shift(out: F64, turns: F64, offset: F64) -> None:
             place[t] += a[t] * x + b[t] * y + c[t] * z
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def _move(out: F64, turns: F64, x: float, y: float, z: float, lengths: F64) -> None:
     """Move positions (3, T) along a fixed direction, rotated by matrices (9, T), by the values of a channel."""
     for axis in range(3):
@@ -207,7 +211,7 @@ def _move(out: F64, turns: F64, x: float, y: float, z: float, lengths: F64) -> N
             place[t] += (a[t] * x + b[t] * y + c[t] * z) * lengths[t]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def _copy(source: F64, target: F64) -> None:
     """Copy a matrix by element; assigning it whole would compile the error messages for unequal shapes as well."""
     for i in range(source.shape[0]):
@@ -215,14 +219,14 @@ def _copy(source: F64, target: F64) -> None:
             target[i, t] = source[i, t]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def _add(values: F64, to: F64) -> None:
     """Add numbers in place, by element as in `_copy`."""
     for t in range(to.shape[0]):
         to[t] += values[t]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def _rotate(own: F64, kind: int, angles: F64, near: bool, s: F64, c: F64) -> None:
     """Rotate the matrices (9, T) of a node about one of its axes; s and c are buffers for sines and cosines."""
     if near:
@@ -234,30 +238,33 @@ def _rotate(own: F64, kind: int, angles: F64, near: bool, s: F64, c: F64) -> Non
         _turn(own[k + i], own[k + j], s, c)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def _forward(
     channels: F64, near: bool, needed: npt.NDArray[np.bool_], parents: I32, counts: I32, kinds: I32, columns: I32,
     frames: F64, plain: npt.NDArray[np.bool_], offsets: F64, oriented: int, positions: F64, orientation: F64,
+    rotations: F64, block: F64, axes: F64,
 ) -> None:  # fmt: skip
+    """Compute positions and orientation; no references to slices are counted, all memory is given.
+
+    `rotations` is for those of every node in a block of frames, row by row, `block` for the channels of the block, its
+    sines and cosines. Both are cut into arrays without gaps, which let the loops take several frames at once.
+    """
     total, width = channels.shape
     nodes = len(parents)
-    most = min(BLOCK, total)
-    h = np.empty((nodes, 9, most))  # rotation of every node, row by row
-    of_channel = np.empty((width, most))
-    sine, cosine = np.empty(most), np.empty(most)
-    axes = np.eye(3)
     for start in range(0, total, BLOCK):
         size = min(BLOCK, total - start)
         stop = start + size
+        h = rotations[: nodes * 9 * size].reshape(nodes, 9, size)
+        of_channel = block[: (width + 2) * size].reshape(width + 2, size)
+        s, c = of_channel[width], of_channel[width + 1]
         for t in range(size):
             for column in range(width):
                 of_channel[column, t] = channels[start + t, column]
-        s, c = sine[:size], cosine[:size]
         for node in range(nodes):
             if not needed[node]:
                 continue
             parent = parents[node]
-            own, out = h[node, :, :size], positions[node, :, start:stop]
+            own, out = h[node], positions[node, :, start:stop]
             # The node starts at the parent's end plus the fixed offset, moved by its own channels.
             if parent < 0:
                 for k in range(9):
@@ -265,7 +272,7 @@ def _forward(
                 for axis in range(3):
                     out[axis] = offsets[node, 0, axis]
             else:
-                up = h[parent, :, :size]
+                up = h[parent]
                 if plain[node]:
                     _copy(up, own)
                 else:
@@ -274,7 +281,7 @@ def _forward(
                 _copy(positions[parent, :, start:stop], out)
                 _shift(out, up, offsets[node, 0])
             for step in range(counts[node], counts[node + 1]):
-                kind, along = kinds[step], of_channel[columns[step], :size]
+                kind, along = kinds[step], of_channel[columns[step]]
                 if MOVE_X <= kind <= MOVE_Z:
                     axis = kind - MOVE_X
                     if parent < 0:
@@ -283,13 +290,13 @@ def _forward(
                         _move(out, own, axes[axis, 0], axes[axis, 1], axes[axis, 2], along)
             for step in range(counts[node], counts[node + 1]):
                 if kinds[step] <= ROTATE_Z:
-                    _rotate(own, kinds[step], of_channel[columns[step], :size], near, s, c)
+                    _rotate(own, kinds[step], of_channel[columns[step]], near, s, c)
             _shift(out, own, offsets[node, 1])
             for step in range(counts[node], counts[node + 1]):
                 if kinds[step] == STRETCH:
                     x, y, z = offsets[node, 2]
-                    _move(out, own, x, y, z, of_channel[columns[step], :size])
-        _copy(h[oriented, :, :size], orientation[:, start:stop])
+                    _move(out, own, x, y, z, of_channel[columns[step]])
+        _copy(h[oriented], orientation[:, start:stop])
 
 
 def frames_along(across: F64, up: F64) -> F64:

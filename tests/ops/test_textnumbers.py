@@ -87,6 +87,20 @@ def test_numbers_of_every_length(digits: int) -> None:
     np.testing.assert_array_equal(values, [[float(text) for text in texts]])
 
 
+@pytest.mark.parametrize("end", ["", "e2", "E-3", "8", "e", "x", ".", "-", "\x80", "\x0b", "\x00"])
+@pytest.mark.parametrize("before", [0, 1, 6, 7, 8])
+def test_what_stands_behind_digits_counts(before: int, end: str) -> None:
+    for after in (*range(9), 15):
+        for sign in ("", "-"):
+            token = f"{sign}{'7654321' * 2:.{before}}.{'1234567' * 3:.{after}}{end}"
+            text = f"1 {token} 2\n".encode("latin-1")
+            for rest in (b"", FAR_FROM_THE_END):
+                values, fault = t.parse_rows(text + rest, 0, 1, 3)
+                assert (fault is None) == bool(NUMBER.fullmatch(token)), token
+                if fault is None:
+                    np.testing.assert_array_equal(values, [[1.0, float(token), 2.0]])
+
+
 NAMES = ["r", "root", "lowerba", "lowerbac", "lowerback", "lowerbackbone"]
 
 
