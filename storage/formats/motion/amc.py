@@ -14,7 +14,7 @@ import numpy.typing as npt
 from kinedex.ops import textnumbers as t
 from kinedex.ops.errors import SourceError, did_you_mean
 from kinedex.storage.formats.motion.asf import Skeleton
-from kinedex.storage.formats.motion.text_blocks import Block, RowMemory, before_last_frame, blocks, changed
+from kinedex.storage.formats.motion.text_blocks import Block, RowFile, RowMemory, before_last_frame, blocks, changed
 
 _LINE_END = re.compile(rb"\r\n?|\n")
 
@@ -56,7 +56,7 @@ def read_amc(path: str | Path, skeleton: Skeleton, data: bytes | None = None) ->
     return Motion(file.channels(), file.warnings)
 
 
-class AmcFile:
+class AmcFile(RowFile):
     """An AMC file that belongs to a skeleton, and is parsed block by block.
 
     Parameters
@@ -93,33 +93,15 @@ class AmcFile:
             if not block.start:
                 self.start, self._line, self._degrees = _amc_header(block)
                 self._data = block.data if block.last else None
-            self._size = block.start + len(block.view)
+            self.size = block.start + len(block.view)
             self.frames += t.count_rows(block.view, 0 if block.start else self.start, numbered=True)
 
-    def blocks(self) -> Iterator[npt.NDArray[np.float64]]:
-        """Yield the channels (T, C) of consecutive frames, in radians and metres; they hold until the next ones.
-
-        Raises
-        ------
-        SourceError
-            The file is damaged; the error names the line of the first fault.
-        """
-        return self._parsed(RowMemory(self._columns))
-
-    def channels(self) -> npt.NDArray[np.float64]:
-        """Return the channels (T, C) of all frames at once, as `blocks` yields them."""
-        memory = RowMemory(self._columns, self.frames, self._size)
-        for _ in self._parsed(memory):
-            pass
-        if memory.filled != self.frames:
-            raise changed(self.path)
-        return memory.whole
-
     @property
-    def _columns(self) -> int:
+    def columns(self) -> int:
+        """The number of channels."""
         return sum(len(dofs) for _, dofs in self.skeleton.channels)
 
-    def _parsed(self, memory: RowMemory) -> Iterator[npt.NDArray[np.float64]]:
+    def parsed(self, memory: RowMemory) -> Iterator[npt.NDArray[np.float64]]:
         skeleton, expected = self.skeleton, None
         names = [name for name, _ in skeleton.channels]
         widths = [len(dofs) for _, dofs in skeleton.channels]

@@ -15,7 +15,6 @@ from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
 from kinedex.ops.body import kinematics
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.bvh_parser import BvhFile
-from kinedex.storage.formats.motion.figures import chosen_person
 from kinedex.storage.formats.motion.mapped_body import (
     is_shipped,
     mapped_orientation,
@@ -30,6 +29,7 @@ from kinedex.storage.formats.motion.mapped_body import (
 from kinedex.storage.formats.motion.points import root_orientation
 from kinedex.storage.formats.motion.rates import corrected_rate
 from kinedex.storage.formats.motion.reader import Body, Extent, MotionFile, Reader, ReadSettings, file_size
+from kinedex.storage.formats.motion.scene_figures import chosen_person
 
 F64 = npt.NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from kinedex.storage.formats.motion.bvh_parser import BvhFile
 from kinedex.storage.formats.motion.bvh_rate import frame_time
 from kinedex.storage.formats.motion.channel_cuts import Stamp, check_interval, check_source, stamp_of, write_bytes
 from kinedex.storage.formats.motion.channel_edits import Figure, MirrorPlane, Tokens, edited, mirror_plane, negated
-from kinedex.storage.formats.motion.figures import chosen_person
+from kinedex.storage.formats.motion.scene_figures import chosen_person
 from kinedex.storage.formats.motion.source_cut import SourceCut
 from kinedex.storage.formats.motion.text_blocks import after_last_line
 from kinedex.storage.formats.motion.text_rows import TextRows

@@ -18,7 +18,15 @@ from kinedex.storage.formats.motion.bvh_hierarchy import Hierarchy, read_hierarc
 from kinedex.storage.formats.motion.bvh_rate import MILLISECONDS, frame_rate
 from kinedex.storage.formats.motion.bvh_text import _NUMBER, LINE_END, BvhText, decoded, shown
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ
-from kinedex.storage.formats.motion.text_blocks import LONGEST, Block, RowMemory, after_last_line, blocks, changed
+from kinedex.storage.formats.motion.text_blocks import (
+    LONGEST,
+    Block,
+    RowFile,
+    RowMemory,
+    after_last_line,
+    blocks,
+    changed,
+)
 
 _COUNT = re.compile(rb"Frames[^\S\r\n]*:?[^\S\r\n]*([^\r\n]*)", re.IGNORECASE)
 _TIME = re.compile(rb"Frame[^\S\r\n]*Time[^\S\r\n]*:?[^\S\r\n]*([^\r\n]*)", re.IGNORECASE)
@@ -108,7 +116,7 @@ def parse_bvh(path: str | Path, data: bytes | None = None) -> Bvh:
     return Bvh(str(path), file.nodes, file.channels(), file.rate_hz, tuple(file.warnings), file.redundant)
 
 
-class BvhFile:
+class BvhFile(RowFile):
     """A BVH file whose frames are parsed block by block.
 
     Parameters
@@ -142,7 +150,7 @@ class BvhFile:
         self._start, self._line = text.pos, text.line(text.pos)
         self.frames, ended = 0, False
         for block in self._blocks():
-            self._size = block.start + len(block.view)
+            self.size = block.start + len(block.view)
             self.frames += t.count_rows(block.view, 0 if block.start else self._start, numbered=False)
             ended = bytes(block.view[-1:]) in (b"\n", b"\r") or (ended and not block.view)
         if not self.frames:
@@ -166,7 +174,7 @@ class BvhFile:
 
     @property
     def columns(self) -> int:
-        """Return the number of channels."""
+        """The number of channels."""
         return self._columns
 
     def _read_header(self) -> tuple[BvhText, Hierarchy, int]:
@@ -191,25 +199,6 @@ class BvhFile:
 
     def _blocks(self) -> Iterator[Block]:
         return blocks(self.path, self._data, after_last_line, self._least)
-
-    def blocks(self) -> Iterator[npt.NDArray[np.float64]]:
-        """Yield the channels (T, C) of consecutive frames, in radians and the file's unit; they hold until the next.
-
-        Raises
-        ------
-        SourceError
-            The file is damaged; the error names the line of the first fault.
-        """
-        return self._parsed(RowMemory(self._columns))
-
-    def channels(self) -> npt.NDArray[np.float64]:
-        """Return the channels (T, C) of all frames at once, as `blocks` yields them."""
-        memory = RowMemory(self._columns, self.frames, self._size)
-        for _ in self._parsed(memory):
-            pass
-        if memory.filled != self.frames:
-            raise changed(self.path)
-        return memory.whole
 
     def frames_at(self, wanted: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
         """Return the channels (K, C) of some frames; the text of the others is not parsed.
@@ -247,7 +236,7 @@ class BvhFile:
         for _ in self.blocks():
             pass
 
-    def _parsed(self, memory: RowMemory) -> Iterator[npt.NDArray[np.float64]]:
+    def parsed(self, memory: RowMemory) -> Iterator[npt.NDArray[np.float64]]:
         source = self._blocks()
         for block in source:
             begin, line = (0, 1) if block.start else (self._start, self._line)

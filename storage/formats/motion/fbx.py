@@ -16,19 +16,9 @@ from kinedex.ops.body.transforms import global_transforms, without_scale
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.fbx_records import FREE_BYTES
 from kinedex.storage.formats.motion.fbx_scene import BONES, Clip, Scene, SceneNode
-from kinedex.storage.formats.motion.figures import (
-    Figure,
-    FigureReader,
-    Group,
-    ScenePoses,
-    chosen_person,
-    clip_names,
-    figure_bytes,
-    groups_of,
-    refuse_many_frames,
-    unique_names,
-)
+from kinedex.storage.formats.motion.figures import Figure, FigureReader, ScenePoses, figure_bytes, refuse_many_frames
 from kinedex.storage.formats.motion.reader import Extent, MotionFile, ReadSettings
+from kinedex.storage.formats.motion.scene_figures import Group, chosen_person, clip_names, groups_of, unique_names
 
 F64 = npt.NDArray[np.float64]
 

@@ -12,20 +12,10 @@ import numpy.typing as npt
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.body.keyframe_tracks import OFF_GRID, likely_rate, sample_track
 from kinedex.ops.body.transforms import global_transforms, rotations, without_scale
-from kinedex.storage.formats.motion.figures import (
-    Figure,
-    FigureReader,
-    Group,
-    ScenePoses,
-    chosen_person,
-    clip_names,
-    figure_bytes,
-    groups_of,
-    refuse_many_frames,
-    unique_names,
-)
+from kinedex.storage.formats.motion.figures import Figure, FigureReader, ScenePoses, figure_bytes, refuse_many_frames
 from kinedex.storage.formats.motion.gltf_document import Animation, Document, Node, Sampler, matrix_parts, read_gltf
 from kinedex.storage.formats.motion.reader import Extent, MotionFile, ReadSettings
+from kinedex.storage.formats.motion.scene_figures import Group, chosen_person, clip_names, groups_of, unique_names
 
 F64 = npt.NDArray[np.float64]
 

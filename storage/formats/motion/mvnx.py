@@ -13,7 +13,7 @@ import numpy.typing as npt
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.body.transforms import rotations
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.figures import I64, Figure, FigureReader, chosen_person, figure_bytes
+from kinedex.storage.formats.motion.figures import I64, Figure, FigureReader, figure_bytes
 from kinedex.storage.formats.motion.reader import (
     FASTEST_HZ,
     SLOWEST_HZ,
@@ -21,6 +21,7 @@ from kinedex.storage.formats.motion.reader import (
     MotionFile,
     ReadSettings,
 )
+from kinedex.storage.formats.motion.scene_figures import chosen_person
 from kinedex.storage.formats.mvnx import Subject, count_elements, read_mvnx, subject_names
 
 F64 = npt.NDArray[np.float64]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -171,6 +172,60 @@ class RowMemory:
     def whole(self) -> npt.NDArray[np.float64]:
         """The rows of the whole text, once all of them are there."""
         return self._rows
+
+
+class RowFile(ABC):
+    """A text file with rows of numbers, which are parsed block by block.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    frames : int
+        The number of its rows.
+    size : int
+        Its bytes.
+    columns : int
+        The numbers of a row.
+    """
+
+    path: Path
+    frames: int
+    size: int
+
+    @property
+    @abstractmethod
+    def columns(self) -> int:
+        """The numbers of a row."""
+
+    @abstractmethod
+    def parsed(self, memory: RowMemory) -> Iterator[npt.NDArray[np.float64]]:
+        """Yield the rows of one block after the other, which are put into memory.
+
+        Raises
+        ------
+        SourceError
+            The file is damaged; the error names the line of the first fault.
+        """
+
+    def blocks(self) -> Iterator[npt.NDArray[np.float64]]:
+        """Yield the channels (T, C) of consecutive frames, in radians and a unit of length; they hold until the next.
+
+        Raises
+        ------
+        SourceError
+            The file is damaged; the error names the line of the first fault.
+        """
+        return self.parsed(RowMemory(self.columns))
+
+    def channels(self) -> npt.NDArray[np.float64]:
+        """Return the channels (T, C) of all frames at once, as `blocks` yields them."""
+        memory = RowMemory(self.columns, self.frames, self.size)
+        for _ in self.parsed(memory):
+            pass
+        if memory.filled != self.frames:
+            raise changed(self.path)
+        return memory.whole
 
 
 def changed(path: Path) -> SourceError:
