@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.ops.body import primitives as p
+from kinedex.ops.body.feature_kernels import (
+    ABSOLUTE,
+    COLUMNS,
+    FIRST,
+    GIVEN,
+    KIND,
+    KINDS,
+    STOP,
+    WINDOW,
+    A,
+    frame_words,
+)
 from kinedex.ops.body.feature_rules import JOINTS_OF, Primitive, Rule, Term
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.words import MOST_FEATURES, NO_WORD
 
 F64 = npt.NDArray[np.float64]
-Velocity = tuple[int, int, float]  # a joint, the joint it is relative to or −1 for the room, and the window
+Pairs = tuple[tuple[int, int], ...]
 
 
 @lru_cache(maxsize=256)
@@ -89,16 +99,9 @@ def words(
 
 
 def words_bytes(rules: Sequence[Rule]) -> int:
-    """Return the most memory that `words` takes for a frame besides its input: terms, velocities and their vectors."""
-    left = Counter(key for rule in rules for key in _used(rule))
-    live: set[Term | Velocity] = set()
-    most = 0
-    for rule in rules:
-        live.update(_used(rule))
-        most = max(most, sum(8 if isinstance(key, Term) else 24 for key in live))
-        left.subtract(_used(rule))
-        live -= {key for key in _used(rule) if not left[key]}
-    return most + 120
+    """Return the most memory that `words` takes for a frame besides its input, values of given primitives included."""
+    given = {term for rule in rules for term in rule.terms if term.primitive not in KINDS}
+    return 8 + 8 * len(given) + max((24 * len(term.joints) + 32 for term in given), default=0)
 
 
 def _stretch(
@@ -113,193 +116,107 @@ def _stretch(
     out = np.zeros(positions.shape[2], dtype=np.uint64)
     if not len(out):
         return out
-    plan = _plan(rules)
-    body = _Body(positions, orientation, rate_hz, measured[:, :, 0], primitives, plan)
-    for bit, rule in enumerate(plan.rules):
-        scale = body.scale(plan.lengths_of_rule[bit])
-        weak = p.bounds(rule.comparison, rule.weak[0] * scale, rule.weak[1] * scale)
-        strong = p.bounds(rule.comparison, rule.strong[0] * scale, rule.strong[1] * scale)
-        p.hysteresis(body.quantity(plan.terms_of_rule[bit]), *weak, *strong, bit, out)
-        body.forget(*plan.last_used[bit])
+    plan = _plan(rules, len(positions), float(rate_hz))
+    given = np.empty((len(plan.given), len(out)))
+    for row, term in zip(given, plan.given, strict=True):
+        row[:] = _given(positions, rate_hz, term, primitives)
+    thresholds = plan.thresholds * plan.scales(measured[:, :, 0])
+    frame_words(
+        positions, orientation, plan.rate_hz, plan.terms, plan.factors, plan.lists, given, plan.limits, thresholds, out
+    )
     return out
 
 
 class _Plan:
-    """Rules by the numbers of their terms and lengths, which are found sooner than what they stand for.
+    """Rules as the arrays that the kernel takes, see `frame_words`.
+
+    Parameters
+    ----------
+    rules : sequence of Rule
+        The rules.
+    joints : int
+        The number of joints of a body.
+    rate_hz : float
+        Frames per second.
 
     Attributes
     ----------
-    rules : tuple of Rule
-        The rules.
-    terms : list of Term
-        Their terms, each once.
-    lengths : list of tuple of (int, int)
-        The pairs of joints whose distances scale thresholds.
-    terms_of_rule : list of list of int
-        The terms of every rule.
-    lengths_of_rule : list of list of (float, int)
-        The length of every rule and its stand-ins, each with its factor.
-    last_used : list of (list of int, list of Velocity)
-        The terms and velocities that no rule behind one needs.
+    given : list of Term
+        The terms whose values the kernel is given.
     """
 
-    def __init__(self, rules: Sequence[Rule]) -> None:
+    def __init__(self, rules: Sequence[Rule], joints: int, rate_hz: float) -> None:
         self.rules = tuple(rules)
-        self.terms = list(dict.fromkeys(term for rule in rules for term in rule.terms))
-        number = {term: i for i, term in enumerate(self.terms)}
-        self.terms_of_rule = [[number[term] for term in rule.terms] for rule in rules]
+        self.rate_hz = rate_hz
+        every = list(dict.fromkeys(term for rule in rules for term in rule.terms))
+        self.given = [term for term in every if term.primitive not in KINDS]
+        self.terms, lists = np.zeros((len(every), COLUMNS), np.int64), list[int]()
+        for term, row in zip(every, self.terms, strict=True):
+            used = _several(term, joints)
+            row[: min(len(term.joints), 4)] = term.joints[:4]
+            row[FIRST], row[STOP] = len(lists), len(lists) + len(used)
+            lists += used
+            row[KIND] = KINDS.get(term.primitive, GIVEN)
+            if row[KIND] == GIVEN:
+                row[A] = self.given.index(term)
+            row[WINDOW], row[ABSOLUTE] = window_samples(term.window_ms, rate_hz), term.absolute
+        self.factors = np.array([term.factor for term in every], np.float64)
+        self.limits = np.zeros((len(rules), 3), np.int64)
+        for rule, row in zip(rules, self.limits, strict=True):
+            row[:] = len(lists), len(lists) + len(rule.terms), rule.comparison
+            lists += [every.index(term) for term in rule.terms]
+        self.lists = np.array(lists, np.int64)
+        self.thresholds = np.array([[*rule.weak, *rule.strong] for rule in rules], np.float64).reshape(-1, 4)
         scales = [((1.0, rule.length), *rule.stand_ins) if rule.length else () for rule in rules]
-        self.lengths = list(dict.fromkeys(pairs for several in scales for _, pairs in several))
-        self.lengths_of_rule = [
-            [(factor, self.lengths.index(pairs)) for factor, pairs in several] for several in scales
-        ]
-        last = {key: bit for bit, rule in enumerate(rules) for key in _used(rule)}
-        self.last_used: list[tuple[list[int], list[Velocity]]] = [([], []) for _ in rules]
-        for key, bit in last.items():
-            if isinstance(key, Term):
-                self.last_used[bit][0].append(number[key])
-            else:
-                self.last_used[bit][1].append(key)
+        self._scales = list(dict.fromkeys(scales))
+        self._scale_of_rule = np.array([self._scales.index(scale) for scale in scales], np.int64)
+
+    def scales(self, measured: F64) -> F64:
+        """Return the length that scales the thresholds of each rule, (R, 1), from the joints in one frame, (J, 3)."""
+        lengths: dict[Pairs, float] = {}
+        found = [_scale(scale, measured, lengths) for scale in self._scales]
+        return np.array(found, np.float64)[self._scale_of_rule, None]
 
 
-_PLANS: dict[tuple[int, ...], _Plan] = {}
+def _scale(ways: Sequence[tuple[float, Pairs]], measured: F64, lengths: dict[Pairs, float]) -> float:
+    """Return a length, or the first of its stand-ins that is known; NaN where none is, 1 for plain numbers."""
+    for factor, pairs in ways:
+        if pairs not in lengths:
+            steps = (measured[a] - measured[b] for a, b in pairs)
+            lengths[pairs] = float(sum(math.sqrt(step.dot(step)) for step in steps))
+        length = factor * lengths[pairs]
+        if not math.isnan(length):
+            return length
+    return math.nan if ways else 1.0
+
+
+def _several(term: Term, joints: int) -> list[int]:
+    """Return the joints of a term of any number of them."""
+    if term.primitive in ("height", "extent_y"):
+        return [joint for joint in range(joints) if joint not in term.without]
+    return list(term.joints) if term.primitive in ("speed", "extent_xz") else []
+
+
+_PLANS: dict[tuple[object, ...], _Plan] = {}
 """Plans by the identities of their rules, which they keep alive."""
 
 
-def _plan(rules: Sequence[Rule]) -> _Plan:
-    key = tuple(map(id, rules))
+def _plan(rules: Sequence[Rule], joints: int, rate_hz: float) -> _Plan:
+    key = (*map(id, rules), joints, rate_hz)
     plan = _PLANS.get(key)
     if plan is None:
         if len(_PLANS) >= 8:
             _PLANS.clear()
-        plan = _PLANS[key] = _Plan(rules)
+        plan = _PLANS[key] = _Plan(rules, joints, rate_hz)
     return plan
 
 
-def _used(rule: Rule) -> list[Term | Velocity]:
-    """Return the terms and velocities that a rule needs."""
-    return [*rule.terms, *(velocity for term in rule.terms for velocity in _velocities(term))]
-
-
-def _velocities(term: Term) -> list[Velocity]:
-    match term.primitive:
-        case "vplane" | "vnplane":
-            return [(term.joints[3], term.joints[2], term.window_ms)]
-        case "speed":
-            return [(joint, -1, term.window_ms) for joint in term.joints]
-    return []
-
-
-class _Body:
-    """The trajectories of consecutive valid frames; quantities that several features share are computed once."""
-
-    def __init__(
-        self,
-        positions: F64,
-        orientation: F64,
-        rate_hz: float,
-        measured: F64,
-        primitives: Mapping[str, Primitive],
-        plan: _Plan,
-    ) -> None:
-        self.positions = positions
-        self.primitives = primitives
-        self.measured = measured
-        self.orientation = orientation
-        self.rate_hz = rate_hz
-        self._plan = plan
-        self._lengths: dict[int, float] = {}
-        self._terms: dict[int, F64] = {}
-        self._velocities: dict[Velocity, F64] = {}
-
-    def forget(self, terms: Iterable[int], velocities: Iterable[Velocity]) -> None:
-        """Drop terms and velocities that no further rule needs: they would take more memory than the body."""
-        for term in terms:
-            self._terms.pop(term, None)
-        for velocity in velocities:
-            self._velocities.pop(velocity, None)
-
-    def length(self, number: int) -> float:
-        if number not in self._lengths:
-            ways = (self.measured[a] - self.measured[b] for a, b in self._plan.lengths[number])
-            self._lengths[number] = float(sum(math.sqrt(way.dot(way)) for way in ways))
-        return self._lengths[number]
-
-    def scale(self, lengths: Sequence[tuple[float, int]]) -> float:
-        """Return the length that scales the thresholds of a rule; NaN where neither it nor a stand-in is known."""
-        for factor, number in lengths:
-            length = factor * self.length(number)
-            if not math.isnan(length):
-                return length
-        return math.nan if lengths else 1.0
-
-    def quantity(self, terms: Sequence[int]) -> F64:
-        total = self._term(terms[0])
-        for term in terms[1:]:
-            total = total + self._term(term)
-        return total
-
-    def _term(self, number: int) -> F64:
-        found = self._terms.get(number)
-        if found is None:
-            term = self._plan.terms[number]
-            value = self._primitive(term)
-            if term.absolute:
-                value = np.abs(value)
-            found = self._terms[number] = value if term.factor == 1.0 else value * term.factor
-        return found
-
-    def _velocity(self, key: Velocity) -> F64:
-        """Return the velocity of joint q relative to joint c, or to the room for c = −1."""
-        q, c, window_ms = key
-        if key not in self._velocities:
-            x = self.positions[q] if c < 0 else p.difference(self.positions[q], self.positions[c])
-            self._velocities[key] = p.velocity(x, window_samples(window_ms, self.rate_hz), self.rate_hz)
-        return self._velocities[key]
-
-    def _primitive(self, term: Term) -> F64:
-        x, j = self.positions, term.joints
-        match term.primitive:
-            case "plane":
-                return p.along_plane_normal(x[j[0]], x[j[1]], x[j[2]], p.difference(x[j[3]], x[j[2]]))
-            case "vplane":
-                return p.along_plane_normal(x[j[0]], x[j[1]], x[j[2]], self._velocity(*_velocities(term)))
-            case "nplane":
-                return p.along_direction(x[j[0]], x[j[1]], p.difference(x[j[3]], x[j[2]]))
-            case "vnplane":
-                return p.along_direction(x[j[0]], x[j[1]], self._velocity(*_velocities(term)))
-            case "speed":
-                speeds = [p.norm(self._velocity(key)) for key in _velocities(term)]
-                return speeds[0] if len(speeds) == 1 else np.minimum.reduce(speeds)
-            case "angle":
-                return p.angle_between(p.difference(x[j[0]], x[j[2]]), p.difference(x[j[1]], x[j[2]]))
-            case "segments":
-                return p.angle_between(p.difference(x[j[0]], x[j[1]]), p.difference(x[j[2]], x[j[3]]))
-            case "tilt":
-                up = np.zeros((3, x.shape[2]))
-                up[1] = 1.0
-                return p.angle_between(p.difference(x[j[1]], x[j[0]]), up)
-            case "height":
-                return x[j[0], 1] - p.lowest(x, self._joints(without=term.without))
-            case "extent_y":
-                everything = self._joints()
-                return p.highest(x, everything) - p.lowest(x, everything)
-            case "extent_xz":
-                return p.widest_xz(x, np.array(j, dtype=np.int64))
-            case "turn_rate":
-                return p.turn_rate(self.orientation, self.rate_hz)
-        if term.primitive not in self.primitives:
-            raise ParameterError("primitive", f"one of {', '.join((*JOINTS_OF, *self.primitives))}", term.primitive)
-        found = self.primitives[term.primitive].compute(x[list(j)], self.rate_hz)
-        if np.shape(found) != x.shape[2:]:
-            raise ParameterError(f"the result of '{term.primitive}'", f"of shape {x.shape[2:]}", np.shape(found))
-        return np.ascontiguousarray(found, np.float64)
-
-    def _joints(self, without: tuple[int, ...] = ()) -> npt.NDArray[np.int64]:
-        return _others(len(self.positions), without)
-
-
-@lru_cache(maxsize=64)
-def _others(count: int, without: tuple[int, ...]) -> npt.NDArray[np.int64]:
-    """Return the numbers below a count without some of them."""
-    return np.array([i for i in range(count) if i not in without], dtype=np.int64)
+def _given(positions: F64, rate_hz: float, term: Term, primitives: Mapping[str, Primitive]) -> npt.ArrayLike:
+    """Return the values of a term whose primitive is none of `JOINTS_OF`."""
+    if term.primitive not in primitives:
+        raise ParameterError("primitive", f"one of {', '.join((*JOINTS_OF, *primitives))}", term.primitive)
+    found = primitives[term.primitive].compute(positions[list(term.joints)], rate_hz)
+    if np.shape(found) != positions.shape[2:]:
+        expected = f"of shape {positions.shape[2:]}"
+        raise ParameterError(f"the result of '{term.primitive}'", expected, np.shape(found))
+    return found

@@ -1,7 +1,9 @@
-"""The geometric primitives of relational features, as compiled loops over the frames of one take.
+"""The geometric primitives of relational features, as compiled loops over a few frames of one take.
 
-Arrays are (3, T) float64, one row per coordinate, so that the loops over frames vectorise. A vector of length zero
-gives NaN (0/0), which every comparison of a feature turns into "off".
+Positions are float64 (J, 3, T). A primitive fills an array with its values in the frames from `start` on, as many as
+the array has: a kernel that goes through a take in short pieces finds them all in the cache of a core. Vectors are
+(3, n), one row per coordinate, so that the loops over frames vectorise. A vector of length zero gives NaN (0/0), which
+every comparison of a feature turns into "off".
 """
 
 from __future__ import annotations
@@ -15,204 +17,233 @@ from numba import njit
 from kinedex.ops.body.feature_rules import ABOVE, AT_LEAST, AT_MOST, BELOW
 
 F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+U64 = npt.NDArray[np.uint64]
 
 DEGREES = 180.0 / math.pi
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def difference(q: F64, c: F64) -> F64:
-    """Return the vector from c to q in every frame, (3, T)."""
-    return q - c
+def difference(positions: F64, q: int, c: int, start: int, out: F64) -> None:
+    """Fill in the vectors from joint c to joint q, (3, n)."""
+    stop = start + out.shape[1]
+    for k in range(3):
+        tip, foot, row = positions[q, k, start:stop], positions[c, k, start:stop], out[k]
+        for t in range(len(row)):
+            row[t] = tip[t] - foot[t]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _reflect(index: int, length: int) -> int:
     """Return the index that symmetric reflection (edge value repeated) maps an index outside 0 … length − 1 to."""
+    if 0 <= index < length:  # a division takes longer than all else
+        return index
     period = 2 * length
     index %= period
     return index if index < length else period - 1 - index
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def velocity(x: F64, window: int, rate_hz: float) -> F64:
-    """Return the velocity of a trajectory, smoothed by a moving average over a window of W samples.
+def velocity(positions: F64, q: int, c: int, window: int, rate_hz: float, start: int, out: F64) -> None:
+    """Fill in the velocities (3, n) of joint q relative to joint c, or to the room for c < 0, over W samples.
 
-    The moving average of first differences telescopes: away from the ends it is the difference of two positions W
-    frames apart, divided by W. At the ends the reflected differences are summed one by one.
+    They are smoothed by a moving average. The moving average of first differences telescopes: away from the ends of
+    the take it is the difference of two positions W frames apart, divided by W. At the ends the reflected differences
+    are summed one by one.
     """
-    frames = x.shape[1]
-    out = np.empty((3, frames))
+    frames, stop = positions.shape[2], start + out.shape[1]
     pad = (window + 1) // 2
-    extended = max(frames, window)
     first = min(max(pad - 1, 0), frames)
     last = max(min(frames - 1 - window + pad, frames), first)
+    low = min(max(first, start), stop)
+    high = max(min(last, stop), low)
     scale = rate_hz / window
     for k in range(3):
-        row = x[k]
-        for t in range(first, last):
-            out[k, t] = (row[t + window - pad + 1] - row[t + 1 - pad]) * scale
-    for t in range(frames):
-        if first <= t < last:
-            continue
-        a, b, c = 0.0, 0.0, 0.0
-        if frames > 1:
-            for j in range(t + 1 - pad, t + 1 - pad + window):
-                i = min(_reflect(_reflect(j, extended), frames), frames - 2)
-                a += x[0, i + 1] - x[0, i]
-                b += x[1, i + 1] - x[1, i]
-                c += x[2, i + 1] - x[2, i]
-        out[0, t], out[1, t], out[2, t] = a * scale, b * scale, c * scale
-    return out
+        row = out[k, low - start : high - start]
+        after, before = low + window - pad + 1, low + 1 - pad
+        ahead, behind = positions[q, k, after : after + len(row)], positions[q, k, before : before + len(row)]
+        if c < 0:
+            for t in range(len(row)):
+                row[t] = (ahead[t] - behind[t]) * scale
+        else:
+            base, base_behind = positions[c, k, after : after + len(row)], positions[c, k, before : before + len(row)]
+            for t in range(len(row)):
+                row[t] = ((ahead[t] - base[t]) - (behind[t] - base_behind[t])) * scale
+    for t in range(start, low):
+        _velocity_at_end(positions, q, c, window, scale, t, out[:, t - start])
+    for t in range(high, stop):
+        _velocity_at_end(positions, q, c, window, scale, t, out[:, t - start])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def along_plane_normal(a: F64, b: F64, c: F64, v: F64) -> F64:
-    """Return n · v with the unit normal n = (a − c) × (b − c) / |…| of the plane through a, b, c."""
-    frames = v.shape[1]
-    out = np.empty(frames)
-    for t in range(frames):
-        ux, uy, uz = a[0, t] - c[0, t], a[1, t] - c[1, t], a[2, t] - c[2, t]
-        wx, wy, wz = b[0, t] - c[0, t], b[1, t] - c[1, t], b[2, t] - c[2, t]
-        nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
-        norm = math.sqrt(nx * nx + ny * ny + nz * nz)
-        out[t] = (nx * v[0, t] + ny * v[1, t] + nz * v[2, t]) / norm
-    return out
+def _velocity_at_end(positions: F64, q: int, c: int, window: int, scale: float, frame: int, out: F64) -> None:
+    """Fill in the velocity (3,) in a frame whose window exceeds the take."""
+    frames = positions.shape[2]
+    begin, extended = frame + 1 - (window + 1) // 2, max(frames, window)
+    x, y, z = 0.0, 0.0, 0.0
+    if frames > 1:
+        for j in range(begin, begin + window):
+            i = min(_reflect(_reflect(j, extended), frames), frames - 2)
+            x += _place(positions, q, c, 0, i + 1) - _place(positions, q, c, 0, i)
+            y += _place(positions, q, c, 1, i + 1) - _place(positions, q, c, 1, i)
+            z += _place(positions, q, c, 2, i + 1) - _place(positions, q, c, 2, i)
+    out[0], out[1], out[2] = x * scale, y * scale, z * scale
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def along_direction(a: F64, b: F64, v: F64) -> F64:
-    """Return n · v with the unit vector n = (b − a) / |b − a|."""
-    frames = v.shape[1]
-    out = np.empty(frames)
-    for t in range(frames):
-        nx, ny, nz = b[0, t] - a[0, t], b[1, t] - a[1, t], b[2, t] - a[2, t]
-        norm = math.sqrt(nx * nx + ny * ny + nz * nz)
-        out[t] = (nx * v[0, t] + ny * v[1, t] + nz * v[2, t]) / norm
-    return out
+def _place(positions: F64, q: int, c: int, axis: int, frame: int) -> float:
+    """Return a coordinate of joint q relative to joint c, or to the room for c < 0."""
+    return positions[q, axis, frame] if c < 0 else positions[q, axis, frame] - positions[c, axis, frame]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def norm(v: F64) -> F64:
-    """Return the length of a vector in every frame, (T,)."""
-    frames = v.shape[1]
-    out = np.empty(frames)
-    for t in range(frames):
-        out[t] = math.sqrt(v[0, t] * v[0, t] + v[1, t] * v[1, t] + v[2, t] * v[2, t])
-    return out
+def cross(u: F64, v: F64, out: F64) -> None:
+    """Fill in the vector products u × v, (3, n)."""
+    for k in range(3):
+        first, second, row = (k + 1) % 3, (k + 2) % 3, out[k]
+        a, b, c, d = u[first], v[second], u[second], v[first]
+        for t in range(len(row)):
+            row[t] = a[t] * b[t] - c[t] * d[t]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def angle_between(u: F64, v: F64) -> F64:
-    """Return the angle between two vectors in degrees, (T,); NaN where one has no length."""
-    frames = u.shape[1]
-    out = np.empty(frames)
-    for t in range(frames):
-        dot = u[0, t] * v[0, t] + u[1, t] * v[1, t] + u[2, t] * v[2, t]
-        uu = u[0, t] * u[0, t] + u[1, t] * u[1, t] + u[2, t] * u[2, t]
-        vv = v[0, t] * v[0, t] + v[1, t] * v[1, t] + v[2, t] * v[2, t]
-        cosine = dot / (math.sqrt(uu) * math.sqrt(vv))
+def along(n: F64, v: F64, out: F64) -> None:
+    """Fill in n · v / |n|, the length of vectors v along the directions of vectors n."""
+    nx, ny, nz, vx, vy, vz = n[0], n[1], n[2], v[0], v[1], v[2]
+    for t in range(len(out)):
+        norm = math.sqrt(nx[t] * nx[t] + ny[t] * ny[t] + nz[t] * nz[t])
+        out[t] = (nx[t] * vx[t] + ny[t] * vy[t] + nz[t] * vz[t]) / norm
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def norm(v: F64, out: F64) -> None:
+    """Fill in the lengths of vectors."""
+    x, y, z = v[0], v[1], v[2]
+    for t in range(len(out)):
+        out[t] = math.sqrt(x[t] * x[t] + y[t] * y[t] + z[t] * z[t])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def angle_between(u: F64, v: F64, out: F64) -> None:
+    """Fill in the angles between two vectors in degrees; NaN where one has no length."""
+    ux, uy, uz, vx, vy, vz = u[0], u[1], u[2], v[0], v[1], v[2]
+    for t in range(len(out)):
+        dot = ux[t] * vx[t] + uy[t] * vy[t] + uz[t] * vz[t]
+        uu = ux[t] * ux[t] + uy[t] * uy[t] + uz[t] * uz[t]
+        vv = vx[t] * vx[t] + vy[t] * vy[t] + vz[t] * vz[t]
+        out[t] = dot / (math.sqrt(uu) * math.sqrt(vv))
+    for t in range(len(out)):
+        cosine = out[t]
         if cosine > 1.0:
             cosine = 1.0
         elif cosine < -1.0:
             cosine = -1.0
         out[t] = math.acos(cosine) * DEGREES
-    return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def lowest(positions: F64, joints: npt.NDArray[np.int64]) -> F64:
-    """Return the lowest Y over the given joints of positions (J, 3, T), NaN joints left out, (T,)."""
-    frames = positions.shape[2]
-    out = np.full(frames, np.inf)
+def lowest(positions: F64, joints: I64, start: int, out: F64) -> None:
+    """Fill in the lowest Y over some joints, NaN joints left out."""
+    out[:] = np.inf
     for j in joints:
-        for t in range(frames):
-            y = positions[j, 1, t]
-            if y < out[t]:
-                out[t] = y
-    return out
+        height = positions[j, 1, start : start + len(out)]
+        for t in range(len(out)):
+            if height[t] < out[t]:
+                out[t] = height[t]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def highest(positions: F64, joints: npt.NDArray[np.int64]) -> F64:
-    """Return the highest Y over the given joints of positions (J, 3, T), NaN joints left out, (T,)."""
-    frames = positions.shape[2]
-    out = np.full(frames, -np.inf)
+def highest(positions: F64, joints: I64, start: int, out: F64) -> None:
+    """Fill in the highest Y over some joints, NaN joints left out."""
+    out[:] = -np.inf
     for j in joints:
-        for t in range(frames):
-            y = positions[j, 1, t]
-            if y > out[t]:
-                out[t] = y
-    return out
+        height = positions[j, 1, start : start + len(out)]
+        for t in range(len(out)):
+            if height[t] > out[t]:
+                out[t] = height[t]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def widest_xz(positions: F64, joints: npt.NDArray[np.int64]) -> F64:
-    """Return the largest horizontal distance between any two of the given joints of positions (J, 3, T), (T,)."""
-    frames = positions.shape[2]
-    out = np.zeros(frames)
+def widest_xz(positions: F64, joints: I64, start: int, out: F64) -> None:
+    """Fill in the largest horizontal distance between any two of some joints."""
+    stop = start + len(out)
+    out[:] = 0.0
     for m in range(len(joints)):
         for n in range(m + 1, len(joints)):
             i, j = joints[m], joints[n]
-            for t in range(frames):
-                dx = positions[i, 0, t] - positions[j, 0, t]
-                dz = positions[i, 2, t] - positions[j, 2, t]
+            x, z, other_x, other_z = (
+                positions[i, 0, start:stop], positions[i, 2, start:stop],
+                positions[j, 0, start:stop], positions[j, 2, start:stop],
+            )  # fmt: skip
+            for t in range(len(out)):
+                dx, dz = x[t] - other_x[t], z[t] - other_z[t]
                 d = dx * dx + dz * dz
                 if d > out[t]:
                     out[t] = d
-    for t in range(frames):
+    for t in range(len(out)):
         out[t] = math.sqrt(out[t])
-    return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def turn_rate(orientation: F64, rate_hz: float) -> F64:
-    """Return the unsigned rate of turning about Y in degrees per second, (T,), from unit quaternions (4, T).
+def turn_rate(orientation: F64, rate_hz: float, start: int, out: F64) -> None:
+    """Fill in the unsigned rate of turning about Y in degrees per second, from unit quaternions (4, T).
 
     The X axis, turned by the orientation and projected on the XZ plane, is compared between a frame and the next; 0 in
-    the last frame, and where a projection has no length.
+    the last frame of the take, and where a projection has no length.
     """
-    frames = orientation.shape[1]
-    out = np.zeros(frames)
+    out[:] = 0.0
     ax, az = 0.0, 0.0
-    for t in range(frames):
+    for t in range(start, min(start + len(out) + 1, orientation.shape[1])):
         w, x, y, z = orientation[0, t], orientation[1, t], orientation[2, t], orientation[3, t]
         bx = 1.0 - 2.0 * (y * y + z * z)
         bz = 2.0 * (x * z - w * y)
-        if t > 0:
+        if t > start:
             cross, dot = az * bx - ax * bz, ax * bx + az * bz
             if ax * ax + az * az > 1e-24 and bx * bx + bz * bz > 1e-24:
-                out[t - 1] = abs(math.atan2(cross, dot)) * DEGREES * rate_hz
+                out[t - 1 - start] = abs(math.atan2(cross, dot)) * DEGREES * rate_hz
         ax, az = bx, bz
-    return out
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
 def bounds(comparison: int, low: float, high: float) -> tuple[float, float]:
     """Return the lowest and highest number for which a comparison holds; only WITHIN uses `high`."""
     if comparison == ABOVE:
-        return math.nextafter(low, math.inf), math.inf
+        return np.nextafter(low, np.inf), np.inf
     if comparison == AT_LEAST:
-        return low, math.inf
+        return low, np.inf
     if comparison == BELOW:
-        return -math.inf, math.nextafter(low, -math.inf)
+        return -np.inf, np.nextafter(low, -np.inf)
     if comparison == AT_MOST:
-        return -math.inf, low
+        return -np.inf, low
     return low, high
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def hysteresis(
-    x: F64, weak_low: float, weak_high: float, strong_low: float, strong_high: float, bit: int,
-    words: npt.NDArray[np.uint64],
-) -> None:  # fmt: skip
-    """Set a bit of the words in the frames where its feature is on.
-
-    It turns on where the strong condition becomes true and stays on until the weak one is false; a condition holds
-    from its low to its high number, both included (`bounds`), and never for NaN.
-    """
-    on, before = False, False
+def add_bit(x: F64, low: float, high: float, bit: int, words: U64) -> None:
+    """Set a bit of the words where a number lies from low to high, both included, and never for NaN."""
+    place = np.uint64(bit)
     for t in range(len(x)):
-        strong = (x[t] >= strong_low) & (x[t] <= strong_high)
-        weak = (x[t] >= weak_low) & (x[t] <= weak_high)
-        on = (on & weak) | (strong & (not before))
-        before = strong
-        words[t] |= np.uint64(on) << np.uint64(bit)
+        words[t] |= np.uint64((x[t] >= low) & (x[t] <= high)) << place
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def hysteresis(weak: U64, strong: U64, state: U64, words: U64) -> None:
+    """Fill in the words of consecutive frames, all features side by side.
+
+    A feature turns on where its strong condition becomes true and stays on until the weak one is false.
+
+    Parameters
+    ----------
+    weak, strong : uint64 array (n,)
+        The bits of the features whose conditions hold.
+    state : uint64 array (2,)
+        The word and the strong bits of the frame before, 0 at the begin; afterwards those of the last frame.
+    words : uint64 array (n,)
+        The words.
+    """
+    on, before = state[0], state[1]
+    for t in range(len(words)):
+        on = (on & weak[t]) | (strong[t] & ~before)
+        before = strong[t]
+        words[t] = on
+    state[0], state[1] = on, before

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from kinedex.catalog.features import load_feature_set
 from kinedex.ops.body import features
+from kinedex.ops.body.feature_kernels import BLOCK
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.words import NO_WORD
 from tests.bodies import index, standing, turned, upright, x_axes
@@ -271,6 +272,29 @@ def test_random_motion_has_the_words_of_the_naive_twin(frames: int, rate: float,
     # A quantity that rounding alone decides may fall on either side.
     if np.nanmin(oracle.margins(naive)) > 1e-9:
         assert words(positions, orientation, rate).tolist() == oracle.words(naive)
+
+
+@pytest.mark.parametrize("frames", [BLOCK - 1, BLOCK, BLOCK + 1, 2 * BLOCK + 30])
+def test_takes_of_several_blocks_have_the_words_of_the_naive_twin(frames: int) -> None:
+    random = np.random.default_rng(frames)
+    positions = standing(frames) + np.cumsum(random.normal(0, 0.02, (24, 3, frames)), axis=2)
+    orientation = turned(np.cumsum(random.normal(0, 4, frames)))
+    naive = oracle.Body(positions, x_axes(orientation), 120.0)
+    assert np.nanmin(oracle.margins(naive)) > 1e-9
+    expected = oracle.words(naive)
+    assert sum(word > 0 for word in expected) > 0
+    assert words(positions, orientation, 120.0).tolist() == expected
+
+
+def test_the_least_of_several_speeds_is_unknown_where_one_is() -> None:
+    body = sway("rtoes", (0, 0, 1), [3.0 * HUMERUS] * 3)
+    body[index("rankle")] += body[index("rtoes")] - standing(1)[index("rtoes")]
+    assert is_on(25, body)[45]
+    for joint in ("rankle", "rtoes"):
+        unknown = body.copy()
+        unknown[index(joint), :, 40:50] = np.nan
+        assert not is_on(25, unknown)[45]
+        assert is_on(25, unknown)[70]
 
 
 def test_an_invalid_stretch_has_no_word_and_cuts_the_take() -> None:

@@ -38,6 +38,9 @@ def test_bounds_hold_what_the_comparison_holds(low: float, high: float, x: float
     ],
 )
 def test_a_feature_turns_on_strongly_and_stays_on_weakly(values: list[float], on: list[int]) -> None:
-    words = np.full(len(values), 0b100, dtype=np.uint64)
-    p.hysteresis(np.array(values), 0.5, np.inf, 1.5, np.inf, 3, words)
-    assert words.tolist() == [0b100 + 0b1000 * bit for bit in on]
+    weak, strong, words, state = (np.zeros(len(values), np.uint64) for _ in range(4))
+    p.add_bit(np.array(values), 0.5, np.inf, 3, weak)
+    p.add_bit(np.array(values), 1.5, np.inf, 3, strong)
+    for part in (slice(0, 2), slice(2, None)):  # the state goes from one part to the next
+        p.hysteresis(weak[part], strong[part], state[:2], words[part])
+    assert words.tolist() == [0b1000 * bit for bit in on]

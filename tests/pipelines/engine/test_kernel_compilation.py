@@ -32,7 +32,7 @@ def test_every_listed_call_is_compiled_by_one_process(parts: int) -> None:
 
 
 def test_processes_that_compile_come_to_an_end(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    calls = [call for call in listed_calls() if ".primitives.norm(" in call or "_count_word_runs(" in call]
+    calls = [call for call in listed_calls() if "._stuck(" in call or "_count_word_runs(" in call]
     assert len(calls) == 2
     monkeypatch.setattr(kernel_compilation, "listed_calls", lambda: ["kinedex.ops.bits.gone(int64)", *calls])
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
@@ -42,7 +42,7 @@ def test_processes_that_compile_come_to_an_end(monkeypatch: pytest.MonkeyPatch, 
 
     assert running.is_done
     compiled = {file.name.partition("-")[0] for file in tmp_path.rglob("*.nbc")}
-    assert PLAIN or compiled >= {"primitives.norm", "runs._count_word_runs"}
+    assert PLAIN or compiled >= {"motion_faults._stuck", "runs._count_word_runs"}
 
 
 @pytest.mark.slow
