@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from itertools import repeat
 
@@ -86,11 +87,11 @@ def annotations_table(
             "stop": segment.stop,
             "start_seconds": segment.start / rate_hz,
             "stop_seconds": segment.stop / rate_hz,
-            "cost": None if np.isnan(segment.cost) else segment.cost,
+            "cost": None if math.isnan(segment.cost) else segment.cost,
             "confidence": confidence,
             "method": annotator.label,
             "margin": segment.margin,
-            "value": None if np.isnan(segment.value) else segment.value,
+            "value": None if math.isnan(segment.value) else segment.value,
         }
         for one in sorted(found, key=lambda one: names[one.take_id])
         for segment, confidence in zip(one.segments, one.confidences or repeat(None), strict=False)
