@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 Bool = npt.NDArray[np.bool_]
 
+_BLOCK = 256  # frames that are turned over at a time, so that they stay in the cache
+
 
 def body_of_array(
     positions: npt.ArrayLike,
@@ -37,8 +39,11 @@ def body_of_array(
     odd = sorted(set(names) - set(feature_set.joints))
     if odd or len(set(names)) < len(names):
         raise ParameterError("joints", f"different names among {', '.join(feature_set.joints)}", odd or list(names))
-    placed = np.full((len(feature_set.joints), 3, len(given)), np.nan)
-    placed[[feature_set.joints.index(name) for name in names]] = given.transpose(1, 2, 0)
+    placed = np.empty((len(feature_set.joints), 3, len(given)))
+    placed[[name not in names for name in feature_set.joints]] = np.nan
+    places = [feature_set.joints.index(name) for name in names]
+    for start in range(0, len(given), _BLOCK):
+        placed[places, :, start : start + _BLOCK] = given[start : start + _BLOCK].transpose(1, 2, 0)
     lost = np.isnan(placed).any(axis=1)
     unknown = lost.all(axis=1)
     valid: Bool = ~lost[~unknown].any(axis=0)

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from kinedex.catalog.features import load_feature_set
 from kinedex.pipelines.api.arguments import checked
-from kinedex.pipelines.api.array_body import check_rate
-from kinedex.pipelines.api.take import FEATURES, Take, take_of_body
+from kinedex.pipelines.api.array_body import body_of_array, check_rate
+from kinedex.pipelines.api.take import ANALYSIS_RATE_HZ, FEATURES, Take, feature_table, take_of_body
 
 if TYPE_CHECKING:
     import polars as pl
@@ -121,5 +121,9 @@ def features(
     >>> kinedex.features(take.positions, rate=take.rate_hz).shape == (len(take), 40)
     True
     """
-    take = Take.from_positions(positions, rate, joints=joints, orientation=orientation, feature_set=feature_set)
-    return take.features()
+    from kinedex.pipelines.ingestion.analysis import analyse, known_features
+
+    features = load_feature_set(feature_set)
+    body = body_of_array(positions, rate, features, joints, orientation)
+    words = analyse(body, features, ANALYSIS_RATE_HZ)[2]
+    return feature_table(words, features, known_features(features, body))

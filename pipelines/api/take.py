@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from kinedex.catalog.features import FeatureSet, load_feature_set
 from kinedex.ops.errors import ParameterError
-from kinedex.ops.words import ALL_KNOWN, NO_WORD, bits
+from kinedex.ops.words import ALL_KNOWN, NO_WORD
 from kinedex.pipelines.api.arguments import checked_methods
 from kinedex.pipelines.api.array_body import body_of_array
 from kinedex.pipelines.api.take_frames import F32, U64, Frames, FrameSource, LoadedFrames
@@ -328,13 +328,18 @@ class Take:
         >>> take.features().shape == (len(take), 40)
         True
         """
-        import polars as pl
+        return feature_table(self.words(), self.feature_set, self.known)
 
-        matrix = bits(self.words(), len(self.feature_set.features)).astype(np.bool_)
-        frame = pl.DataFrame(matrix, schema=[feature.name for feature in self.feature_set.features], orient="row")
-        valid = self.valid
-        shown = frame if valid.all() else frame.select(pl.when(pl.Series(valid)).then(pl.all()))
-        return shown.with_columns(pl.lit(None, pl.Boolean).alias(name) for name in self.unknown_features)
+
+def feature_table(words: U64, feature_set: FeatureSet, known: int) -> pl.DataFrame:
+    """Return one row per word and one Boolean column per feature, null in invalid frames and where it is unknown."""
+    import polars as pl
+
+    columns = {one.name: words & np.uint64(1 << (one.number - 1)) != 0 for one in feature_set.features}
+    frame, valid = pl.DataFrame(columns), words != NO_WORD
+    shown = frame if valid.all() else frame.select(pl.when(pl.Series(valid)).then(pl.all()))
+    unknown = feature_set.named(~known & feature_set.every_bit)
+    return shown.with_columns(pl.lit(None, pl.Boolean).alias(name) for name in unknown)
 
 
 def take_of_body(name: str, body: Body, feature_set: FeatureSet, about: Mapping[str, Any] | None = None) -> Take:

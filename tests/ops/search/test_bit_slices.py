@@ -313,6 +313,7 @@ def test_threads_search_parts_of_one_archive_at_the_same_time() -> None:
     assert len(whole) > 60
 
 
+@pytest.mark.slow_as_python
 @pytest.mark.parametrize("cached", [0, 2**20])
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32), st.sampled_from([3, 60, 900]), queries(largest=4, bits_fixed=3))
