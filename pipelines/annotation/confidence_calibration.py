@@ -18,10 +18,10 @@ import numpy.typing as npt
 from kinedex.catalog.classes import Classes
 from kinedex.ops.annotation.confidence import PRIORS, UNKNOWN, Confidence, learn_confidence
 from kinedex.ops.annotation.evidence import evidence_of
+from kinedex.ops.wording import counted
 from kinedex.ops.words import ALL_KNOWN, U64, TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.batches import annotate_words
-from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.templates.examples import Rejected
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips

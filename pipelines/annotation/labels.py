@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import polars as pl
 
 from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.wording import few
 from kinedex.pipelines.annotation.tables import annotated_takes
-from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.labels.rejections import Rejections
 from kinedex.storage.formats.labels.segments import Label, TakeLabels
 from kinedex.storage.snapshot.labels import is_of_limbs

@@ -11,9 +11,9 @@ import polars as pl
 import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.wording import few
 from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.batches import TakeAnnotation
-from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.templates.learning import run_of
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store, data_frame

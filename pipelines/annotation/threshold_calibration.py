@@ -15,8 +15,8 @@ from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import quantise
+from kinedex.ops.wording import few
 from kinedex.pipelines.annotation.batches import split_takes
-from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.templates.examples import Rejected
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips

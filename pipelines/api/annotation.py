@@ -13,6 +13,7 @@ import polars as pl
 
 from kinedex.catalog.classes import OWN, Classes, MotionClass, load_classes
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.wording import counted
 from kinedex.ops.words import ALL_KNOWN, TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
 from kinedex.pipelines.annotation.batches import TakeAnnotation, annotate_words, split_takes
@@ -25,7 +26,6 @@ from kinedex.pipelines.api.query import Query, resolved_queries
 from kinedex.pipelines.api.store import Store
 from kinedex.pipelines.api.take import Take
 from kinedex.pipelines.api.template import Template
-from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.evaluation.annotation_scores import evaluate as compare_with_truth
 from kinedex.pipelines.evaluation.annotation_scores import metrics_rows
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth, Manual, place_ground_truth

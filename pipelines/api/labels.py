@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.ops.wording import counted
 from kinedex.pipelines.api.arguments import checked_methods
-from kinedex.pipelines.console.wording import counted
 from kinedex.storage.store.store import Store as StoredTakes
 from kinedex.storage.store.store import data_frame
 

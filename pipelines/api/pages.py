@@ -64,7 +64,7 @@ def write_page(
     >>> kinedex.write_page(store, hits, folder / "squats.html").name
     'squats.html'
     """
-    from kinedex.pipelines.console.wording import counted
+    from kinedex.ops.wording import counted
     from kinedex.pipelines.motion_pages.hits import template_examples, write_hits_page
 
     file = Path(path)

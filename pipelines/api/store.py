@@ -7,11 +7,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Literal
 
+from kinedex.ops.wording import counted
 from kinedex.pipelines.api.arguments import checked, checked_methods
 from kinedex.pipelines.api.sql_tables import SqlTables
 from kinedex.pipelines.api.take_export import TakeExport
 from kinedex.pipelines.api.take_search import TakeSearch
-from kinedex.pipelines.console.wording import counted
 from kinedex.storage.store.store import open_store as open_stored_takes
 
 if TYPE_CHECKING:

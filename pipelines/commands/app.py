@@ -20,13 +20,13 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from kinedex.ops.errors import KinedexError, Remedy
+from kinedex.ops.escapes import json_escaped, visible_lines
 from kinedex.pipelines.commands.command_list import ASK as ASK
 from kinedex.pipelines.commands.command_list import COMMANDS, PANELS
 from kinedex.pipelines.commands.command_list import MAINTAIN as MAINTAIN
 from kinedex.pipelines.commands.command_list import RUN as RUN
 from kinedex.pipelines.commands.command_list import SEARCH as SEARCH
 from kinedex.pipelines.commands.command_list import TRACK as TRACK
-from kinedex.pipelines.console.escapes import json_escaped, visible_lines
 from kinedex.pipelines.console.plain_values import convert_plain_values
 
 if TYPE_CHECKING:

@@ -10,11 +10,11 @@ from typing import Annotated
 import typer
 
 from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.wording import counted, few
 from kinedex.pipelines.commands.app import MAINTAIN, command
 from kinedex.pipelines.commands.options import JsonOption, StorePath, WaitOption, WhereOption, wait_of
 from kinedex.pipelines.commands.output import print_json, print_message, show_table
 from kinedex.pipelines.commands.tables import takes_group
-from kinedex.pipelines.console.wording import counted, few
 
 
 @command(MAINTAIN)

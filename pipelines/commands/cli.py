@@ -9,7 +9,7 @@ from contextlib import suppress
 from kinedex.pipelines.commands.app import app
 from kinedex.pipelines.commands.command_list import ASK, COMMANDS, SEARCH
 from kinedex.pipelines.console.collection import put_off_collection
-from kinedex.pipelines.console.escapes import escape_streams
+from kinedex.pipelines.console.streams import escape_streams
 
 __all__ = ["app", "main"]
 

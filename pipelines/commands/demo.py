@@ -10,8 +10,8 @@ from typing import Any
 from rich.console import Console
 
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.wording import counted, few
 from kinedex.pipelines.console.terminal import Terminal
-from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.engine.executors import cores
 from kinedex.pipelines.engine.kernel_compilation import KernelCompilation
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline

@@ -69,9 +69,9 @@ def _print(proposals: list[Proposal], fitting: int, count: int) -> None:
     from rich import box
     from rich.table import Table
 
+    from kinedex.ops.wording import counted
     from kinedex.pipelines.console.tables import plain_text
     from kinedex.pipelines.console.terminal import make_console
-    from kinedex.pipelines.console.wording import counted
     from kinedex.pipelines.ingestion.pipeline_draft import value_counts
 
     console = make_console()

@@ -42,7 +42,7 @@ def duplicates(
 
 def _summary(found: pa.Table, takes: int) -> str:
     """Return the line below the table: takes by kind."""
-    from kinedex.pipelines.console.wording import counted
+    from kinedex.ops.wording import counted
 
     rows = list(zip(*(found.column(name).to_pylist() for name in ("take", "same", "share")), strict=True))
     files = {take for take, same, _ in rows if same == "file"}

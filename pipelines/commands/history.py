@@ -10,10 +10,10 @@ from typing import Annotated
 import typer
 
 from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.escapes import visible
 from kinedex.pipelines.commands.app import MAINTAIN, command, group
 from kinedex.pipelines.commands.options import FormatOption, JsonOption, OutputOption, StorePath
 from kinedex.pipelines.commands.output import print_json, print_message, print_path, show_table
-from kinedex.pipelines.console.escapes import visible
 
 history = group("history", "List, show and repeat what pipelines did to a store.", MAINTAIN)
 

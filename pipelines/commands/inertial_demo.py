@@ -14,9 +14,9 @@ from kinedex.catalog.limbs import WORN
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.inertial.packages import imu_package
 from kinedex.ops.inertial.rotations import distance_deg
+from kinedex.ops.wording import counted
 from kinedex.pipelines.commands.demo import SEED, ingest_archive, recordings_folder
 from kinedex.pipelines.console.terminal import Terminal
-from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
 from kinedex.pipelines.recordings.stored_results import earlier_rows
 from kinedex.storage.store.store import Store, open_store

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.escapes import visible
 from kinedex.pipelines.commands.app import ASK, LEFT_OUT, command, group
 from kinedex.pipelines.commands.options import AtOption, FormatOption, JsonOption, OutputOption, StorePath, WhereOption
 from kinedex.pipelines.commands.output import print_json, show_table
 from kinedex.pipelines.commands.store_access import open_for_reading
-from kinedex.pipelines.console.escapes import visible
 
 if TYPE_CHECKING:
     from kinedex.storage.formats.labels.formats import Written
@@ -109,7 +109,7 @@ def _segments(
 
 
 def _print_export(inside: Sequence[TakeLabels], written: Written, output: str, by: str, rejected: int) -> None:
-    from kinedex.pipelines.console.wording import counted, few
+    from kinedex.ops.wording import counted, few
 
     paths = written.paths
     place = str(paths[0]) if len(paths) == 1 else f"{len(paths)} files in {output}"

@@ -299,7 +299,7 @@ def _selection(
 
 def _report(store: Path, done: Recorded, as_json: bool) -> None:
     """Print how many labels were recorded, and what was excluded."""
-    from kinedex.pipelines.console.wording import counted
+    from kinedex.ops.wording import counted
 
     if as_json:
         print_json(

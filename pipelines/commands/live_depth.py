@@ -15,9 +15,9 @@ import typer
 
 from kinedex.ops.depth.lookup import near_maps
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.wording import counted
 from kinedex.pipelines.commands.options import wait_of
 from kinedex.pipelines.commands.output import print_message
-from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.reconstruction.followed_folder import FollowedFrame, follow_folder
 from kinedex.pipelines.reconstruction.live import LiveTracker
 from kinedex.pipelines.reconstruction.live_takes import LiveRecording, put_live_take, write_live_motion

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinedex.ops.errors import KinedexError, SourceError
+from kinedex.ops.escapes import visible, visible_lines
+from kinedex.ops.wording import counted
 from kinedex.pipelines.commands.app import FAILED, MAINTAIN, command
 from kinedex.pipelines.commands.options import (
     ExecutorOption,
@@ -23,8 +25,6 @@ from kinedex.pipelines.commands.options import (
     wait_of,
 )
 from kinedex.pipelines.commands.output import print_json
-from kinedex.pipelines.console.escapes import visible, visible_lines
-from kinedex.pipelines.console.wording import counted
 
 if TYPE_CHECKING:
     from kinedex.storage.store.verification import Finding

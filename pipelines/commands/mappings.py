@@ -8,10 +8,10 @@ from typing import Annotated
 import typer
 
 from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.escapes import visible
 from kinedex.pipelines.commands.app import MAINTAIN, command, group
 from kinedex.pipelines.commands.options import JsonOption, StorePath, WaitOption, wait_of
 from kinedex.pipelines.commands.output import print_json
-from kinedex.pipelines.console.escapes import visible
 
 mapping = group("mapping", "Make skeleton mappings, and keep them in a store.", MAINTAIN)
 

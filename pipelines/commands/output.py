@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import typer
 
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.escapes import visible, visible_lines
+from kinedex.ops.wording import counted, few
 from kinedex.pipelines.commands.app import LEFT_OUT
-from kinedex.pipelines.console.escapes import visible, visible_lines
-from kinedex.pipelines.console.wording import counted, few
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 def print_json(document: Mapping[str, object]) -> None:
     """Print a result as one JSON object; Arrow tables in it become lists of rows."""
-    from kinedex.pipelines.console.json_text import json_text
+    from kinedex.storage.formats.json_text import json_text
 
     sys.stdout.write(json_text(document))
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.wording import counted
 from kinedex.pipelines.commands.app import SEARCH, command, group
 from kinedex.pipelines.commands.options import (
     FIGURES,
@@ -23,7 +24,6 @@ from kinedex.pipelines.commands.options import (
 from kinedex.pipelines.commands.output import ROWS, is_for_people, print_json, print_message, print_path, show_table
 from kinedex.pipelines.commands.pages import Pages
 from kinedex.pipelines.commands.store_access import open_for_reading
-from kinedex.pipelines.console.wording import counted
 
 if TYPE_CHECKING:
     import pyarrow as pa

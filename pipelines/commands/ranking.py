@@ -161,7 +161,7 @@ def _summary(rankings: Sequence[Ranking], tau: float, top: int, preselected: boo
 
     Where a template has as many hits as asked for, there may be more of it.
     """
-    from kinedex.pipelines.console.wording import counted
+    from kinedex.ops.wording import counted
 
     kept = sum(one.searched for one in rankings) / max(sum(one.frames for one in rankings), 1)
     shares = [one.skipped for one in rankings if one.skipped is not None]

@@ -8,10 +8,10 @@ from typing import Annotated
 import typer
 
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.escapes import visible
 from kinedex.pipelines.commands.app import RUN, command, group
 from kinedex.pipelines.commands.options import JsonOption
 from kinedex.pipelines.commands.output import print_json
-from kinedex.pipelines.console.escapes import visible
 
 report = group("report", "Compare evaluations.", RUN)
 
@@ -43,12 +43,12 @@ def compare(
 
     A store with evaluations of several pipelines means the current one (`kinedex use`), unless ::PIPELINE is given.
     """
-    from kinedex.pipelines.console.json_text import json_text
     from kinedex.pipelines.console.terminal import make_console
     from kinedex.pipelines.evaluation.difference_tables import markdown, page, rich_comparison
     from kinedex.pipelines.evaluation.differences import compared, content, without_repeats
     from kinedex.pipelines.evaluation.written_evaluations import pairs, read_run
     from kinedex.pipelines.report.page_files import write_page
+    from kinedex.storage.formats.json_text import json_text
 
     if output is not None and output.suffix not in FORMATS:
         raise KinedexError(f"--output {output}: must end in {', '.join(FORMATS)}")

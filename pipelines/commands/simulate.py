@@ -47,8 +47,8 @@ def cameras(
     from kinedex.ops.simulation.failures import LONG, FailureRate
     from kinedex.ops.simulation.keypoints import Detector
     from kinedex.ops.simulation.recording import Setup
+    from kinedex.ops.wording import counted
     from kinedex.pipelines.console.terminal import Terminal
-    from kinedex.pipelines.console.wording import counted
     from kinedex.pipelines.simulation.camera_recordings import RECORDINGS, Request, simulate_cameras
 
     rate = replace(LONG if long else FailureRate(), per_second=failures)
@@ -88,8 +88,8 @@ def depth(
     """
     from dataclasses import asdict
 
+    from kinedex.ops.wording import counted
     from kinedex.pipelines.console.terminal import Terminal
-    from kinedex.pipelines.console.wording import counted
     from kinedex.pipelines.simulation.depth_recordings import RECORDINGS, Request, simulate_depth
 
     interval = None if frames is None else interval_of(frames)
@@ -142,8 +142,8 @@ def imu(
     """
     from dataclasses import asdict
 
+    from kinedex.ops.wording import counted
     from kinedex.pipelines.console.terminal import Terminal
-    from kinedex.pipelines.console.wording import counted
     from kinedex.pipelines.simulation.imu_recordings import README, Request
     from kinedex.pipelines.simulation.imu_sensors import Wearing
     from kinedex.pipelines.simulation.imu_takes import simulate_imu

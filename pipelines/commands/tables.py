@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.escapes import visible
+from kinedex.ops.wording import counted, few
 from kinedex.pipelines.commands.app import ASK, Command, TakesPage, command, group
 from kinedex.pipelines.commands.options import (
     FIGURES,
@@ -28,8 +30,6 @@ from kinedex.pipelines.commands.options import (
 from kinedex.pipelines.commands.output import ROWS, is_for_people, print_json, print_message, print_path, show_table
 from kinedex.pipelines.commands.pages import Pages
 from kinedex.pipelines.commands.store_access import open_for_reading
-from kinedex.pipelines.console.escapes import visible
-from kinedex.pipelines.console.wording import counted, few
 
 if TYPE_CHECKING:
     import pyarrow as pa

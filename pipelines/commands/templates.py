@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.escapes import visible
 from kinedex.pipelines.commands.app import ASK, command, group
 from kinedex.pipelines.commands.options import (
     FIGURES,
@@ -24,7 +25,6 @@ from kinedex.pipelines.commands.options import (
 from kinedex.pipelines.commands.output import print_json, print_message, print_path, show_table
 from kinedex.pipelines.commands.pages import Pages
 from kinedex.pipelines.commands.store_access import open_for_reading
-from kinedex.pipelines.console.escapes import visible
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -135,7 +135,7 @@ def _document(one: Explanation) -> dict[str, object]:
 
 def _show(one: Explanation, unchanged: bool, explain: bool) -> None:
     """Show what became of a take."""
-    from kinedex.pipelines.console.wording import counted
+    from kinedex.ops.wording import counted
 
     if explain:
         rows = one.priors.select(list(_SHOWN))

@@ -6,7 +6,7 @@ import re
 import shlex
 from collections import Counter
 
-from kinedex.pipelines.console.wording import counted, few
+from kinedex.ops.wording import counted, few
 from kinedex.storage.snapshot.manifest import Manifest
 from kinedex.storage.snapshot.shown_results import (
     PIPELINE_KINDS,

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from kinedex.pipelines.console.wording import duration
+from kinedex.ops.wording import duration
 
 _log = logging.getLogger("kinedex.progress")
 

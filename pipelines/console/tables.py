@@ -19,10 +19,10 @@ from rich.table import Table
 from rich.text import Text
 
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.pipelines.console.escapes import visible, visible_text
-from kinedex.pipelines.console.json_text import json_text, json_value
-from kinedex.pipelines.console.wording import counted, few
+from kinedex.ops.escapes import visible, visible_text
+from kinedex.ops.wording import counted, few
 from kinedex.storage.formats.csv_cells import csv_line
+from kinedex.storage.formats.json_text import json_text, json_value
 
 FORMATS = ("table", "csv", "json", "parquet")
 

@@ -12,8 +12,9 @@ from typing import Any
 from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderableType, RenderHook, RenderResult
 from rich.segment import Segment
 
-from kinedex.pipelines.console.escapes import unescaped, visible, visible_lines, visible_text
+from kinedex.ops.escapes import visible, visible_lines, visible_text
 from kinedex.pipelines.console.pulse import Pulse
+from kinedex.pipelines.console.streams import unescaped
 
 WIDE = 160
 """Columns of a table that goes to a file or a pipe: wide enough that cells stay whole."""

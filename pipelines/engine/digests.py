@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.storage.store.store import Store
 
 

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kinedex.ops.errors import AcceptError, KinedexError, NewStoreError, Remedy
+from kinedex.ops.wording import few
 from kinedex.pipelines.console.terminal import Terminal
-from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.config import KnownFailures, Pipeline, load_pipeline
 from kinedex.pipelines.engine.context import Display, StageContext, feature_set_for
 from kinedex.pipelines.engine.executors import Executor, make_executor

@@ -13,9 +13,10 @@ import pyarrow as pa
 from rich.table import Table
 
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
+from kinedex.ops.wording import digits
 from kinedex.pipelines.console.tables import numbers_table, plain_text
-from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS, THESIS_NAMES, digits
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth
+from kinedex.pipelines.evaluation.measure_names import F_FRAMES, F_SEGMENTS, THESIS_NAMES
 from kinedex.storage.disk import replace_file, write_errors
 from kinedex.storage.snapshot.schemas import result_schema
 

@@ -10,9 +10,9 @@ import polars as pl
 from kinedex.catalog.classes import OWN, Classes, load_classes
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.evaluation.metrics import pooled
+from kinedex.ops.wording import few
 from kinedex.pipelines.annotation.parameters import AnnotationParameters, MethodParameters
 from kinedex.pipelines.annotation.tables import annotated_takes
-from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.evaluation.folds import Material, NoFoldsError, make_folds
 from kinedex.pipelines.evaluation.grid import Cell, SegmentsByTake, cells_table, known_cells, remarks_of, run_cells

@@ -9,10 +9,11 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from kinedex.ops.wording import digits, few
 from kinedex.pipelines.console.tables import numbers_table, plain_text
-from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS, THESIS_NAMES, digits, few
 from kinedex.pipelines.evaluation.differences import Change, Comparison
 from kinedex.pipelines.evaluation.markdown import grid, plain
+from kinedex.pipelines.evaluation.measure_names import F_FRAMES, F_SEGMENTS, THESIS_NAMES
 from kinedex.pipelines.report.page_environment import page_environment
 
 VERDICTS = ("worse", "mixed", "better", "incomparable")

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 
 from kinedex.ops.evaluation.detection import bootstrap
 from kinedex.ops.evaluation.metrics import Counts, pooled
-from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS
+from kinedex.pipelines.evaluation.measure_names import F_FRAMES, F_SEGMENTS
 from kinedex.pipelines.evaluation.written_evaluations import MethodEvaluation
 
 LEAST = 0.005

@@ -10,7 +10,7 @@ import polars as pl
 
 from kinedex.catalog.classes import Classes
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.pipelines.console.wording import counted, few
+from kinedex.ops.wording import counted, few
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth
 from kinedex.pipelines.evaluation.scheme import Split
 from kinedex.pipelines.evaluation.test_takes import WHOLE, Fold, as_they_are, how_clips_are_used, laid_out

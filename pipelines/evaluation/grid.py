@@ -12,11 +12,11 @@ from itertools import islice
 import numpy as np
 import pyarrow as pa
 
+from kinedex.ops.wording import few
 from kinedex.ops.words import ALL_KNOWN, TakeWords
 from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.batches import BATCH_FRAMES, annotate_words
 from kinedex.pipelines.annotation.reuse import setting_digest
-from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.code_digest import code_digest
 from kinedex.pipelines.engine.executors import Executor, batches_of
 from kinedex.pipelines.evaluation.scheme import Method

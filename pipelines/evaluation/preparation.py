@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from kinedex.catalog.classes import Classes
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.templates.templates import Kind
+from kinedex.ops.wording import few
 from kinedex.ops.words import ALL_KNOWN
 from kinedex.pipelines.annotation.annotators import targets_unknown
 from kinedex.pipelines.annotation.preparation import calibrated_thresholds, prepare_annotator, queries_of
-from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.evaluation.grid import Cell, cell_key
 from kinedex.pipelines.evaluation.queries import QueryLearner

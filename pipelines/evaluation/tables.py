@@ -8,11 +8,12 @@ from rich.console import Group
 from rich.table import Table
 
 from kinedex.ops.evaluation.metrics import Counts
+from kinedex.ops.wording import counted, digits
 from kinedex.pipelines.console.tables import numbers_table, plain_text
-from kinedex.pipelines.console.wording import F_FRAMES, F_SEGMENTS, THESIS_NAMES, counted, digits
 from kinedex.pipelines.evaluation.annotation_scores import MEASURES
 from kinedex.pipelines.evaluation.confusion import EXTRA, LACKING, confusions
 from kinedex.pipelines.evaluation.markdown import grid, plain
+from kinedex.pipelines.evaluation.measure_names import F_FRAMES, F_SEGMENTS, THESIS_NAMES
 from kinedex.pipelines.evaluation.method_scores import MethodScores, SegmentOutcome
 from kinedex.pipelines.evaluation.study import SplitResult, Study, boundary_summary
 

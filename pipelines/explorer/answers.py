@@ -14,9 +14,9 @@ from starlette.responses import Response
 
 from kinedex.ops.errors import ConflictError, KinedexError, ParameterError, Remedy
 from kinedex.ops.withdrawal import WithdrawnError
-from kinedex.pipelines.console.json_text import json_value
 from kinedex.pipelines.explorer.archive import ReadOnlyError
 from kinedex.storage.disk import WriteError
+from kinedex.storage.formats.json_text import json_value
 from kinedex.storage.interruption import TimeLimitError
 
 if TYPE_CHECKING:

@@ -31,9 +31,9 @@ import numpy as np
 from kinedex.ops.annotation.calibration import threshold_scores
 from kinedex.ops.annotation.segments import Segment
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
+from kinedex.ops.wording import few
 from kinedex.pipelines.annotation.methods import BestMethod
 from kinedex.pipelines.annotation.parameters import CALIBRATED
-from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.evaluation.annotation_scores import scores
 from kinedex.pipelines.explorer.class_annotation import class_segments
 from kinedex.pipelines.explorer.prepared_templates import F64, Prepared, PreparedTemplates, dividing_threshold

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from kinedex.pipelines.console.wording import counted, few
+from kinedex.ops.wording import counted, few
 from kinedex.pipelines.explorer.template_use import TemplateUse
 from kinedex.pipelines.templates.examples import interval_of
 from kinedex.pipelines.templates.learning import SubclassTemplate

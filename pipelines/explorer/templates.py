@@ -28,7 +28,7 @@ import numpy.typing as npt
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.templates.derived_templates import Contrast, consistency, contrast
 from kinedex.ops.templates.templates import Template, quantise
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.explorer.addresses import get
 from kinedex.pipelines.explorer.answers import NotFoundError
 from kinedex.pipelines.explorer.curves import kind_of

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.evaluation.group_split import split_groups
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.export.clips import Clip
 from kinedex.pipelines.export.request import How
 from kinedex.storage.store.store import Store

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.export.request import CLIPS, How
 from kinedex.pipelines.export.selection import Interval
 from kinedex.storage.formats.labels.file_names import file_names

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.context import Progress
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.export.folder import Folder, Written

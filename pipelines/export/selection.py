@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
-from kinedex.pipelines.console.wording import counted, few
+from kinedex.ops.wording import counted, few
 from kinedex.pipelines.export.request import What
 from kinedex.pipelines.labels.rejections import Rejections
 from kinedex.storage.formats.csv_cells import unguarded

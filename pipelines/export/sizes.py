@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.export.plan import Plan
 from kinedex.pipelines.export.request import How
 from kinedex.pipelines.export.work import Batch, Job, write_batch

@@ -13,7 +13,7 @@ from typing import Any
 import yaml
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.context import SHIPPED_FEATURES
 from kinedex.storage.disk import whole_file, write_errors

@@ -21,7 +21,7 @@ from kinedex.ops.inertial.disagreement import (
 from kinedex.ops.inertial.drift import HeadingDrift
 from kinedex.ops.inertial.limb_orientation import NONE, long_axis
 from kinedex.ops.inertial.rotations import interpolate
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.inertial.error_parameters import LimbErrorsParameters
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake

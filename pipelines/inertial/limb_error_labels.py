@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.pipelines.console.wording import few
+from kinedex.ops.wording import few
 from kinedex.pipelines.inertial.limb_error_tables import ERRORS, RUNS, judged_limbs
 from kinedex.storage.formats.labels.segments import ERROR, Label, TakeLabels
 from kinedex.storage.snapshot.shown_results import pipeline_of, pipelines_by_use

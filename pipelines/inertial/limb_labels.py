@@ -9,8 +9,8 @@ from pathlib import Path
 
 from kinedex.catalog.limbs import LIMB_NAMES
 from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
+from kinedex.ops.wording import counted, few
 from kinedex.pipelines.annotation.labels import source_frame
-from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.inertial.limb_error_tables import JudgedLimb
 from kinedex.pipelines.labels.label_takes import on_takes
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels, unmatched_labels

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 import pyarrow as pa
 
 from kinedex.ops.errors import StoreError
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.storage.snapshot.part_records import ResultPart
 from kinedex.storage.store.ordered_results import rows_in_order

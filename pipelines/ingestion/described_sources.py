@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from kinedex.ops.errors import AcceptError
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.ingestion.described_takes import Descriptions, Loss, losses, rows_below
 from kinedex.pipelines.ingestion.metadata import Joined, load_metadata, unused_lines
 from kinedex.pipelines.ingestion.parameters import IngestParameters

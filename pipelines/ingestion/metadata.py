@@ -13,7 +13,7 @@ from itertools import chain
 from typing import Any
 
 from kinedex.ops.errors import ConfigError, SourceError
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.ingestion.described_takes import EVERYWHERE
 from kinedex.pipelines.ingestion.known_files import Row
 from kinedex.storage.formats.metadata_tables import (

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import yaml
 
-from kinedex.pipelines.console.escapes import visible
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.escapes import visible
+from kinedex.ops.wording import counted
 from kinedex.pipelines.ingestion.held_out_takes import Division, division
 from kinedex.pipelines.ingestion.pattern_proposal import Proposal, Token
 

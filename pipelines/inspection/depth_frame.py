@@ -15,7 +15,7 @@ from kinedex.ops.depth.extrema import Extrema, extrema_room, find_source, geodes
 from kinedex.ops.depth.graph import PointGraph, build_graph
 from kinedex.ops.depth.points import FrameCloud, choose_stride
 from kinedex.ops.depth.tracker import LEAST_POINTS
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.inspection.inspection import Inspection
 from kinedex.pipelines.reconstruction.recording_tracks import make_scene
 from kinedex.pipelines.report.palette import CLASS_COLOURS

@@ -17,8 +17,8 @@ from kinedex.ops.duplicates.alignments import find_alignments
 from kinedex.ops.duplicates.same_motion import NEARLY_ALL, local_poses, same_motion
 from kinedex.ops.duplicates.word_agreement import plausible
 from kinedex.ops.search.runs import word_runs
+from kinedex.ops.wording import counted
 from kinedex.ops.words import TakeWords
-from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.context import Display, Progress, no_progress
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.snapshot.schemas import result_schema

@@ -11,9 +11,9 @@ import polars as pl
 import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.wording import few
 from kinedex.pipelines.annotation.labels import annotate_stage
 from kinedex.pipelines.annotation.tables import annotated_takes
-from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.labels.segments import Difference, Segment, differences, placed_files
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels
 from kinedex.storage.formats.labels.segments import LabelFile

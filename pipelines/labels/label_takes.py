@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from kinedex.pipelines.console.wording import few
+from kinedex.ops.wording import few
 from kinedex.pipelines.ingestion.take_names import file_names, person_name
 from kinedex.storage.formats.labels.segments import LabelFile
 from kinedex.storage.snapshot.schemas import RECORDED_FORMATS

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from kinedex.pipelines.console.wording import counted, few
+from kinedex.ops.wording import counted, few
 from kinedex.storage.formats.labels.segments import LabelFile
 
 UNMATCHED = "unmatched_labels"

@@ -9,7 +9,7 @@ from typing import Any
 import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.inspection.hit_strip import StripRow, draw_strip
 from kinedex.pipelines.motion_pages import FIGURES
 from kinedex.pipelines.motion_pages.examples import Examples, Interval

@@ -10,7 +10,7 @@ from typing import Any
 from markupsafe import Markup
 
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.motion_pages.examples import Examples
 from kinedex.pipelines.report.motions import Motions, motions_json
 from kinedex.pipelines.report.page_environment import page_environment

@@ -9,7 +9,7 @@ from typing import Any
 import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.motion_pages import FIGURES
 from kinedex.pipelines.motion_pages.motion_page import Clip, MotionPage, grouped, write_motion_page
 from kinedex.storage.store.store import Store

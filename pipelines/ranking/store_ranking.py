@@ -12,7 +12,7 @@ from kinedex.catalog.named_template import NamedTemplate
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind, quantise
-from kinedex.pipelines.console.wording import few
+from kinedex.ops.wording import few
 from kinedex.pipelines.ranking.both_sides import rank_both_sides
 from kinedex.pipelines.ranking.ranked_hits import RankedTemplate, Ranking, ranking_table
 from kinedex.pipelines.ranking.ranking import partly_known, rank_takes

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from kinedex.ops.depth.pose_database import facing_of
 from kinedex.ops.depth.size_estimate import LIMITS_M, STEP_M
 from kinedex.ops.depth.tracker import FrameResult
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.reconstruction.parameters import ESTIMATE
 from kinedex.pipelines.reconstruction.recording_tracks import PersonBones, RecordingTrack, Scene
 

@@ -16,7 +16,7 @@ from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.pose_database import bone_lengths_of
 from kinedex.ops.depth.tracker import TrackerSettings
 from kinedex.ops.errors import KinedexError, did_you_mean
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.reconstruction.frame_remarks import fit_remarks, frame_remarks, remark_sentences
 from kinedex.pipelines.reconstruction.parameters import ESTIMATE, ReconstructParameters
 from kinedex.pipelines.reconstruction.pose_database import PoseDatabase, read_pose_database

@@ -11,7 +11,7 @@ from typing import Protocol, TypeVar
 import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.context import Progress, StageContext
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.recordings.recorded_takes import (

@@ -17,7 +17,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.console.wording import counted, few
+from kinedex.ops.wording import counted, few
 from kinedex.pipelines.engine.context import Display
 from kinedex.pipelines.engine.executors import make_executor
 from kinedex.pipelines.engine.runner import run_pipeline

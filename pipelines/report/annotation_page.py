@@ -12,7 +12,7 @@ from importlib import resources
 from jinja2 import Environment
 from markupsafe import Markup
 
-from kinedex.pipelines.console.wording import counted, digits
+from kinedex.ops.wording import counted, digits
 from kinedex.pipelines.evaluation.confusion import confusion
 from kinedex.pipelines.evaluation.grid import Segment as Annotated
 from kinedex.pipelines.evaluation.test_takes import TestTake

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.report.axes import percent
 from kinedex.pipelines.report.data import Segment, TakeRow
 from kinedex.pipelines.report.take_groups import by_group

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.report.axes import Axis, percent, time_axis
 from kinedex.pipelines.report.data import FeatureNames, Template
 from kinedex.pipelines.report.pixels import quantised_image, soft_image, wildcard_share

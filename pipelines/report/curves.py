@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.annotation.segments import local_minima
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.report.axes import Axis, percent, time_axis
 from kinedex.pipelines.report.data import Curve, Segment, TakeRow
 from kinedex.pipelines.report.timelines import Bar, bar

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.inertial.sensor_tables import stored_clocks
 from kinedex.pipelines.inertial.worn_sensors import WornTakes
 from kinedex.pipelines.report.axes import Axis, time_axis

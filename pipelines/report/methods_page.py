@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from jinja2 import Environment
 
 from kinedex.ops.evaluation.detection import THRESHOLDS
-from kinedex.pipelines.console.wording import digits
+from kinedex.ops.wording import digits
 from kinedex.pipelines.evaluation.study import SplitResult, Study, boundary_summary, take_title
 from kinedex.pipelines.evaluation.tables import (
     MEASURE_NAMES,

@@ -15,7 +15,7 @@ import pyarrow.compute as pc
 
 from kinedex.catalog.depth_recordings import load_depth_recordings
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.reconstruction.frame_remarks import REMARKS
 from kinedex.pipelines.reconstruction.reconstruction_errors import truth_places
 from kinedex.pipelines.recordings.stored_results import earlier_rows

@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 from kinedex.catalog.kinematics import load_kinematic_chain
 from kinedex.ops.body.kinematic_chain import ChainBody, forward
 from kinedex.ops.tracking.rays import LEAST_CONFIDENCE
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.recordings.stored_results import earlier_rows
 from kinedex.pipelines.report.motions import embed, pack, script_json
 from kinedex.pipelines.report.page_environment import page_environment

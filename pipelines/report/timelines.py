@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.report.axes import Axis, percent, time_axis
 from kinedex.pipelines.report.data import Score, Segment, TakeRow
 

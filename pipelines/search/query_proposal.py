@@ -11,8 +11,8 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.query_files import parse_queries
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.search.query_proposal import Pose, SetCounts, propose_poses
+from kinedex.ops.wording import counted
 from kinedex.ops.words import ALL_KNOWN, I64, NO_WORD, TakeWords, cut
-from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.search.search import search_store
 from kinedex.storage.store.store import Store
 

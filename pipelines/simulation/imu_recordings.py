@@ -14,7 +14,7 @@ from kinedex import __version__
 from kinedex.catalog.imu_grades import load_grade
 from kinedex.catalog.limbs import chosen_limbs
 from kinedex.ops.errors import KinedexError, ParameterError
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.simulation.chosen_takes import recording_names
 from kinedex.pipelines.simulation.imu_files import CLOCKLESS, WRITERS

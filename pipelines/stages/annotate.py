@@ -16,6 +16,7 @@ from kinedex.catalog.classes import Classes, class_files
 from kinedex.catalog.plugins import Plugins
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.catalog.queries.query_files import query_file_paths
+from kinedex.ops.wording import counted, few
 from kinedex.pipelines.annotation.annotators import Annotator, targets_unknown
 from kinedex.pipelines.annotation.batches import annotate_stored
 from kinedex.pipelines.annotation.confidence_calibration import CalibratedConfidence
@@ -37,7 +38,6 @@ from kinedex.pipelines.annotation.preparation import (
 from kinedex.pipelines.annotation.reuse import earlier_annotations, fingerprints, setting_digest, with_confidence
 from kinedex.pipelines.annotation.tables import annotations_table, curves_table, takes_table
 from kinedex.pipelines.annotation.threshold_calibration import Calibration
-from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.stage import Input, Stage

@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from kinedex.catalog.limbs import chosen_limbs
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage

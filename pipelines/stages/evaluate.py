@@ -6,10 +6,10 @@ from typing import ClassVar
 
 import pyarrow as pa
 
+from kinedex.ops.wording import counted
 from kinedex.pipelines.annotation.parameters import AnnotationParameters
 from kinedex.pipelines.annotation.preparation import annotated_classes
 from kinedex.pipelines.annotation.tables import annotated_takes
-from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.evaluation.annotation_scores import (

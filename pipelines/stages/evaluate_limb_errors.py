@@ -11,8 +11,8 @@ from rich.table import Table
 
 from kinedex.catalog.printed_figures import load_printed
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.wording import counted
 from kinedex.pipelines.console.tables import plain_text
-from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage

@@ -12,7 +12,7 @@ import pyarrow as pa
 from kinedex.catalog.plugins import Plugins
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import KinedexError, NewStoreError
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.context import StageContext, feature_set_for
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.stage import Stage

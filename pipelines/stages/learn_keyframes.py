@@ -5,7 +5,7 @@ from __future__ import annotations
 from kinedex.catalog.classes import class_files, load_classes
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.keyframes.consensus import AtLeast
-from kinedex.pipelines.console.wording import counted, few
+from kinedex.ops.wording import counted, few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest
 from kinedex.pipelines.engine.stage import Stage

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from kinedex.ops.templates.templates import MOST_ROUNDS
-from kinedex.pipelines.console.wording import counted, few
+from kinedex.ops.wording import counted, few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest
 from kinedex.pipelines.engine.stage import Input, Stage

@@ -9,7 +9,7 @@ from typing import ClassVar
 import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading
 from kinedex.pipelines.engine.stage import Input, Stage

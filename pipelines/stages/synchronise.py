@@ -9,8 +9,8 @@ import pyarrow.compute as pc
 from rich import box
 from rich.table import Table
 
+from kinedex.ops.wording import counted, few
 from kinedex.pipelines.console.tables import plain_text
-from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage

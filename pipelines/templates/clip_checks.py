@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kinedex.pipelines.console.wording import few
+from kinedex.ops.wording import few
 
 FEW = 3
 """Fewer clips than this hardly show which features vary."""

@@ -15,8 +15,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import MOST_AVERAGED
+from kinedex.ops.wording import counted, few
 from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
-from kinedex.pipelines.console.wording import counted, few
 from kinedex.pipelines.engine.digests import Reading
 from kinedex.pipelines.labels.segments import placed_files
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels

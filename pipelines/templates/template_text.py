@@ -9,7 +9,7 @@ import numpy as np
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.templates.derived_templates import Contrast, consistency
 from kinedex.ops.templates.templates import CONVERGED, quantise
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.templates.learning import SubclassTemplate
 
 ON, OFF, WILDCARD = "█", "·", "▒"

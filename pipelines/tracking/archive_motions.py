@@ -23,8 +23,8 @@ from kinedex.ops.priors.archive_poses import PoseTable, pose_table
 from kinedex.ops.priors.constraints import template_marks
 from kinedex.ops.priors.motion import Motion
 from kinedex.ops.templates.templates import Template, quantise
+from kinedex.ops.wording import few
 from kinedex.ops.words import NO_WORD, U64
-from kinedex.pipelines.console.wording import few
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.templates.examples import interval_of
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips

@@ -11,7 +11,7 @@ from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.priors.motion import Motion
 from kinedex.ops.priors.stabilise import LOGICAL
 from kinedex.ops.tracking.band import solve_band
-from kinedex.pipelines.console.wording import counted
+from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.digests import hash_of
 from kinedex.pipelines.recordings.runs import Outcome, Place, is_compiled, run_tasks, take_ids_of
 from kinedex.pipelines.recordings.stored_results import earlier_rows, put_beside

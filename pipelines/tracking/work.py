@@ -21,8 +21,8 @@ from kinedex.ops.tracking.observations import Places
 from kinedex.ops.tracking.rays import SIGMA_PX
 from kinedex.ops.tracking.triangulation import triangulate
 from kinedex.ops.tracking.views import camera_view
+from kinedex.ops.wording import counted
 from kinedex.ops.words import U64
-from kinedex.pipelines.console.wording import counted
 from kinedex.pipelines.ingestion.analysis import analyse
 from kinedex.pipelines.recordings.recorded_takes import Provenance
 from kinedex.pipelines.recordings.runs import Finished

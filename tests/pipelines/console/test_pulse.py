@@ -9,9 +9,9 @@ import threading
 import pytest
 from rich.console import Console
 
+from kinedex.ops.wording import duration
 from kinedex.pipelines.console import pulse
 from kinedex.pipelines.console.terminal import Terminal
-from kinedex.pipelines.console.wording import duration
 
 
 @pytest.fixture

@@ -6,12 +6,7 @@ that the command line shows passes here; CSV, JSON and Parquet in files and pipe
 
 from __future__ import annotations
 
-import codecs
 import re
-import sys
-from collections.abc import Iterable
-from io import TextIOWrapper
-from typing import Any, TextIO
 
 _ODD = (
     "\x00-\x1f\x7f-\x9f"  # controls, C1 among them
@@ -58,53 +53,3 @@ def _escape(found: re.Match[str]) -> str:
 def _json_escape(found: re.Match[str]) -> str:
     pairs = found[0].encode("utf-16-be", "surrogatepass").hex()
     return "".join(f"\\u{pairs[place : place + 4]}" for place in range(0, len(pairs), 4))
-
-
-class EscapedStream:
-    """A terminal to which plain text is written: `print`, log records, warnings, errors of usage.
-
-    Parameters
-    ----------
-    stream : TextIO
-        The terminal; everything but `write` is passed on to it.
-    """
-
-    def __init__(self, stream: TextIO) -> None:
-        self.unescaped = stream
-
-    def write(self, text: str) -> int:
-        """Write a text with its line breaks, and everything else as `visible` does."""
-        self.unescaped.write(visible_text(text))
-        return len(text)
-
-    def writelines(self, lines: Iterable[str]) -> None:
-        """Write texts one after the other."""
-        for line in lines:
-            self.write(line)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.unescaped, name)
-
-
-def unescaped(stream: TextIO) -> TextIO:
-    """Return the stream below an `EscapedStream`: for rich, which writes ESC sequences of its own."""
-    return stream.unescaped if isinstance(stream, EscapedStream) else stream
-
-
-def escape_streams() -> None:
-    """Escape what the program writes to terminals; files and pipes get UTF-8, and names byte for byte."""
-    codecs.register_error("kinedex-names", _encode_name)
-    for name in ("stdout", "stderr"):
-        stream = getattr(sys, name)
-        if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(encoding="utf-8", errors="kinedex-names")
-        if stream is not None and stream.isatty():
-            setattr(sys, name, EscapedStream(stream))
-
-
-def _encode_name(fault: UnicodeError) -> tuple[str | bytes, int]:
-    """Encode a file name's byte that is not UTF-8 as that byte, and escape any other surrogate."""
-    try:
-        return codecs.lookup_error("surrogateescape")(fault)
-    except UnicodeError:
-        return codecs.lookup_error("backslashreplace")(fault)

@@ -1,4 +1,4 @@
-"""Counts and lists of names in words, and the names of measures, for the terminal, pages and remarks."""
+"""Counts, lists of names, values and lengths of time in words, for the terminal, pages and remarks."""
 
 from __future__ import annotations
 
@@ -6,12 +6,6 @@ import math
 from collections.abc import Sequence
 
 _MOST = 8
-
-F_FRAMES, F_SEGMENTS = "F (frames)", "F (segments)"
-"""Headings of the F-measures; the thesis calls them F1 and F2, and so do the keys of files."""
-
-THESIS_NAMES = "F (frames) and F (segments) are F1 and F2 of the thesis (Section 5.4); P is precision, R recall"
-"""The remark about these names, once per page or table."""
 
 
 def few(names: Sequence[str]) -> str:

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import json
 
-import pytest
-
-from kinedex.pipelines.console.escapes import json_escaped, visible
-from kinedex.pipelines.console.terminal import make_console
+from kinedex.ops.escapes import json_escaped, visible
 
 
 def test_every_control_character_of_json_is_escaped_and_its_values_stay() -> None:
@@ -21,8 +18,3 @@ def test_every_control_character_of_json_is_escaped_and_its_values_stay() -> Non
 def test_del_alone_is_escaped() -> None:
     assert json_escaped('"a\x7f"') == '"a\\u007f"'
     assert visible("a\x7f") == "a\\x7f"
-
-
-def test_a_word_between_colons_is_no_picture(capsys: pytest.CaptureFixture[str]) -> None:
-    make_console().print("take :walking: of 2", markup=False)
-    assert capsys.readouterr().out == "take :walking: of 2\n"
