@@ -8,11 +8,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from rich.console import Console
-
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.api.arguments import checked
-from kinedex.pipelines.console.terminal import Terminal
+from kinedex.pipelines.console.terminal import Terminal, collecting_terminal
 from kinedex.pipelines.engine.runner import Outcome
 from kinedex.pipelines.engine.runner import run_pipeline as run_stages
 
@@ -78,7 +76,7 @@ def run_pipeline(
     ('ingest', 'index')
     """
     unseen = io.StringIO()
-    terminal = Terminal() if verbose else Terminal(Console(file=unseen))
+    terminal = Terminal() if verbose else collecting_terminal(unseen)
     try:
         return run_stages(
             pipeline,

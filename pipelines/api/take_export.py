@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -145,13 +146,12 @@ class TakeExport(TakeCollection):
 def _exported(stored: StoredTakes, what: What, how: How, folder: Path, workers: int) -> pl.DataFrame:
     """Write a data set, and return its rows; what was left out is a warning."""
     import polars as pl
-    from rich.console import Console
 
-    from kinedex.pipelines.console.terminal import Terminal
+    from kinedex.pipelines.console.terminal import collecting_terminal
     from kinedex.pipelines.engine.executors import make_executor
     from kinedex.pipelines.export.export import export_data_set
 
-    executor, quiet = make_executor("processes", workers), Terminal(Console(quiet=True))
+    executor, quiet = make_executor("processes", workers), collecting_terminal(io.StringIO())
     try:
         done = export_data_set(stored, what, how, folder, executor=executor, progress=quiet.progress)
     finally:

@@ -142,9 +142,8 @@ def stabilise(
     True
     """
     import polars as pl
-    from rich.console import Console
 
-    from kinedex.pipelines.console.terminal import Terminal
+    from kinedex.pipelines.console.terminal import Terminal, collecting_terminal
     from kinedex.pipelines.engine.executors import make_executor
     from kinedex.pipelines.tracking.parameters import TrackParameters, stabilise_parameters
     from kinedex.pipelines.tracking.store_stabilisation import explanations, stabilise_stored
@@ -154,7 +153,7 @@ def stabilise(
     given = {"tau": tau, "rounds": rounds, "body": body, "classes": str(classes), "priors": priors and list(priors)}
     params, tracker = stabilise_parameters(given), TrackParameters.model_validate({})
     names = [takes] if isinstance(takes, str) else list(takes)
-    terminal = Terminal() if verbose else Terminal(Console(file=io.StringIO()))
+    terminal = Terminal() if verbose else collecting_terminal(io.StringIO())
     pool = make_executor(executor, workers)
     wait = Wait(wait_seconds, terminal.say, "wait_seconds=600")
     try:

@@ -60,13 +60,14 @@ def learn(
 
     An interruption loses at most 20 seconds of finished runs.
     """
+    from kinedex.pipelines.console.terminal import Terminal
     from kinedex.pipelines.engine.runner import run_pipeline
     from kinedex.storage.store.store import open_store
 
     open_store(store, at="newest")
     outcome = run_pipeline(
         pipeline, store, assignments=assignments_of(assign), executor=executor, workers=workers, scheduler=scheduler,
-        force=frozenset(force or ()), wait_seconds=wait or 0.0,
+        force=frozenset(force or ()), terminal=Terminal(), wait_seconds=wait or 0.0,
     )  # fmt: skip
     show_outcome(outcome, store, as_json)
 

@@ -27,6 +27,7 @@ from kinedex.pipelines.commands.options import (
 from kinedex.pipelines.commands.output import print_json
 
 if TYPE_CHECKING:
+    from kinedex.pipelines.inspection.inspection import Inspection
     from kinedex.storage.store.verification import Finding
 
 
@@ -77,8 +78,7 @@ def inspect(
         return
     if file.suffix.lower() in (".png", ".pcd", ".ply"):
         raise KinedexError(f"{file}: a depth image or cloud is shown with its camera: --camera FILE")
-    from kinedex.pipelines.console.terminal import make_console
-    from kinedex.pipelines.inspection.inspection import inspect_file, show, write_picture
+    from kinedex.pipelines.inspection.inspection import inspect_file, write_picture
     from kinedex.storage.formats.motion.reader import ReadSettings
 
     found = inspect_file(file, skeleton, source, ReadSettings(None, rate, fill_gap_frames, body_model), person)
@@ -92,9 +92,20 @@ def inspect(
         print_json({"file": file, "facts": facts, "features": found.features, "picture": picture if drawn else None,
                     "sensors": None})  # fmt: skip
     elif not as_json:
-        show(found, make_console(), features)
+        _show_facts(found, features)
     if found.fault is not None:
         raise _fault(file, found.fault)
+
+
+def _show_facts(found: Inspection, features: bool = False) -> None:
+    """Print the facts about a file, and on request the table of features."""
+    from kinedex.pipelines.console.tables import Shown, pairs
+    from kinedex.pipelines.console.terminal import make_console
+
+    console = make_console()
+    console.print(pairs(found.lines))
+    if features and found.features is not None:
+        console.print(Shown(found.features))
 
 
 _SENSOR_ENDINGS = (".txt", ".parquet", ".h5", ".hdf5")
@@ -139,8 +150,6 @@ def _is_sensor_file(file: Path) -> bool:
 def _inspect_sensors(file: Path, sensors: str | None, rate_hz: float | None, as_json: bool) -> None:
     """Show what a file of inertial sensors holds."""
     from kinedex.catalog.sensorsets import SensorSet, load_sensor_set
-    from kinedex.pipelines.console.terminal import make_console
-    from kinedex.pipelines.inspection.inspection import show
     from kinedex.pipelines.inspection.sensor_file import inspect_sensor_file
 
     chosen = SensorSet() if sensors is None else load_sensor_set(sensors)
@@ -150,14 +159,12 @@ def _inspect_sensors(file: Path, sensors: str | None, rate_hz: float | None, as_
         documents = [one.document() for one in inspected]
         print_json({"file": file, "facts": listed, "features": None, "picture": None, "sensors": documents})
     else:
-        show(found, make_console())
+        _show_facts(found)
 
 
 def _inspect_depth(file: Path, camera: Path, background: Path | None, picture: Path | None, as_json: bool) -> None:
     """Show what is found in a depth image."""
-    from kinedex.pipelines.console.terminal import make_console
     from kinedex.pipelines.inspection.depth_frame import frame_facts, inspect_depth_frame, write_frame_picture
-    from kinedex.pipelines.inspection.inspection import show
 
     found = inspect_depth_frame(file, camera, background)
     facts = frame_facts(found)
@@ -168,7 +175,7 @@ def _inspect_depth(file: Path, camera: Path, background: Path | None, picture: P
         listed = [{"name": name, "value": text} for name, text in facts.lines]
         print_json({"file": file, "facts": listed, "features": None, "picture": picture, "sensors": None})
     else:
-        show(facts, make_console())
+        _show_facts(facts)
 
 
 def finding_document(one: Finding) -> dict[str, object]:

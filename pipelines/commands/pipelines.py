@@ -109,6 +109,7 @@ def run(
 
     A stage runs where its code, its parameters or its inputs changed since it last ran.
     """
+    from kinedex.pipelines.console.terminal import Terminal
     from kinedex.pipelines.engine.runner import run_pipeline
 
     assignments = assignments_of(assign)
@@ -116,7 +117,7 @@ def run(
         assignments["ingest.max_memory"] = max_memory
     outcome = run_pipeline(
         pipeline, store, assignments=assignments, executor=executor, workers=workers, scheduler=scheduler,
-        force=frozenset(force or ()), wait_seconds=wait or 0.0, accept=accept,
+        force=frozenset(force or ()), terminal=Terminal(), wait_seconds=wait or 0.0, accept=accept,
         known_failures=known_failures_of(known_failures),
     )  # fmt: skip
     show_outcome(outcome, store, as_json)
@@ -196,6 +197,7 @@ def ingest(
     This is the pipeline `ingest`. Takes are committed batch by batch: after an interruption the same command continues
     where it was.
     """
+    from kinedex.pipelines.console.terminal import Terminal
     from kinedex.pipelines.engine.runner import run_pipeline
 
     assignments = {"source": str(source), **assignments_of(assign)}
@@ -210,7 +212,7 @@ def ingest(
         assignments["ingest.max_memory"] = max_memory
     outcome = run_pipeline(
         "ingest", store, assignments=assignments, executor=executor, workers=workers, scheduler=scheduler,
-        wait_seconds=wait or 0.0, accept=accept,
+        terminal=Terminal(), wait_seconds=wait or 0.0, accept=accept,
         known_failures=known_failures_of(known_failures),
     )  # fmt: skip
     show_outcome(outcome, store, as_json)

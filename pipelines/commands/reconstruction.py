@@ -88,6 +88,7 @@ def reconstruct(
         raise typer.BadParameter("name the recordings file, or follow a folder: --follow DIR --camera FILE")
     import json
 
+    from kinedex.pipelines.console.terminal import Terminal
     from kinedex.pipelines.engine.runner import run_pipeline
     from kinedex.pipelines.reconstruction.explanations import explained_votes
     from kinedex.storage.store.store import open_store
@@ -102,7 +103,7 @@ def reconstruct(
         assignments["reconstruct.only"] = json.dumps(only)
     outcome = run_pipeline(
         "depth", store, assignments=assignments, executor=executor, workers=workers, force=frozenset(force or ()),
-        wait_seconds=wait or 0.0,
+        terminal=Terminal(), wait_seconds=wait or 0.0,
     )  # fmt: skip
     if not explain:
         show_outcome(outcome, store, as_json)

@@ -43,8 +43,8 @@ def compare(
 
     A store with evaluations of several pipelines means the current one (`kinedex use`), unless ::PIPELINE is given.
     """
-    from kinedex.pipelines.console.terminal import make_console
-    from kinedex.pipelines.evaluation.difference_tables import markdown, page, rich_comparison
+    from kinedex.pipelines.console.terminal import Terminal, make_console
+    from kinedex.pipelines.evaluation.difference_tables import comparison_tables, markdown, page
     from kinedex.pipelines.evaluation.differences import compared, content, without_repeats
     from kinedex.pipelines.evaluation.written_evaluations import pairs, read_run
     from kinedex.pipelines.report.page_files import write_page
@@ -61,7 +61,7 @@ def compare(
         print_json(content(comparisons))
     elif output is None:
         for one in comparisons:
-            make_console().print(rich_comparison(one))
+            Terminal(make_console()).show(*comparison_tables(one))
     if output is not None and output.suffix == ".json":
         write_page(json_text(content(comparisons)), output)
     elif output is not None:

@@ -50,6 +50,7 @@ def track(
     """
     import json
 
+    from kinedex.pipelines.console.terminal import Terminal
     from kinedex.pipelines.engine.runner import run_pipeline
 
     assignments = {"recordings": str(recordings), "track.tracker": tracker, **assignments_of(assign)}
@@ -57,7 +58,7 @@ def track(
         assignments["observe.only"] = json.dumps(only)
     outcome = run_pipeline(
         "track", store, assignments=assignments, executor=executor, workers=workers, force=frozenset(force or ()),
-        wait_seconds=wait or 0.0,
+        terminal=Terminal(), wait_seconds=wait or 0.0,
     )  # fmt: skip
     show_outcome(outcome, store, as_json)
 

@@ -6,13 +6,14 @@ import io
 import json
 import re
 import textwrap
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import pyarrow as pa
 from rich import box
 from rich.cells import cell_len
-from rich.console import Console, ConsoleOptions, JustifyMethod, RenderResult
+from rich.console import Console, ConsoleOptions, Group, JustifyMethod, RenderableType, RenderResult
+from rich.markup import escape
 from rich.measure import Measurement
 from rich.segment import Segment
 from rich.table import Table
@@ -21,6 +22,7 @@ from rich.text import Text
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.escapes import visible, visible_text
 from kinedex.ops.wording import counted, few
+from kinedex.pipelines.engine.display import Line, ResultTable
 from kinedex.storage.formats.csv_cells import csv_line
 from kinedex.storage.formats.json_text import json_text, json_value
 
@@ -45,6 +47,12 @@ _CAP = 60
 
 _NARROWEST = 4
 """Fewest characters that a column of a terminal needs, with the space between two."""
+
+_TALL_FIRST = 12
+"""Least width of the names in a table whose headings have several lines."""
+
+_STYLES = {"plain": "", "main": "bold", "better": "green", "worse": "red", "doubtful": "yellow"}
+"""The look of each tone."""
 
 _LEAST = 3
 """With fewer columns that fit, each row is a block."""
@@ -208,16 +216,39 @@ def pairs(lines: Iterable[tuple[str, str]]) -> Table:
     return table
 
 
-def numbers_table(names: Iterable[str], title: str | None = None, *, min_width: int | None = None) -> Table:
-    """Return a table without rows: a column of texts that wrap, at least `min_width` wide, then columns of numbers."""
-    table = Table(
-        title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False,
+def result_tables(parts: Sequence[ResultTable | Line]) -> RenderableType:
+    """Return tables of results, and the lines between them, as rich shows them."""
+    shown = [_line(part) if isinstance(part, Line) else _result_table(part) for part in parts]
+    return shown[0] if len(shown) == 1 else Group(*shown)
+
+
+def _line(line: Line) -> Text:
+    return Text(visible(line.text), style=_STYLES[line.tone])
+
+
+def _result_table(table: ResultTable) -> Table:
+    wide, tall = table.layout == "wide", table.layout == "tall"
+    shown = Table(
+        title=table.title and escape(table.title),
+        title_justify="left",
+        caption=table.caption and escape(table.caption),
+        caption_justify="left" if tall else "center",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1) if wide else (0, 1, 0, 0),
+        pad_edge=False,
         header_style="bold",
-    )  # fmt: skip
-    table.add_column("", overflow="fold", min_width=min_width)
-    for name in names:
-        table.add_column(name, justify="right", no_wrap=True)
-    return table
+    )
+    for place, name in enumerate(table.columns):
+        heading = Text(visible_text(name))
+        if place in table.texts:
+            shown.add_column(heading, overflow="ellipsis" if wide else "fold", min_width=_TALL_FIRST if tall else None)
+        else:
+            shown.add_column(heading, justify="right", no_wrap=not wide)
+    for row in table.rows:
+        if row.section:
+            shown.add_section()
+        shown.add_row(*map(plain_text, row.cells), style=_STYLES[row.tone] or None)
+    return shown
 
 
 def _natural_width(table: Table, console: Console, options: ConsoleOptions) -> int:

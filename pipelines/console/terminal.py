@@ -7,14 +7,15 @@ import sys
 import textwrap
 from contextlib import AbstractContextManager
 from types import TracebackType
-from typing import Any
+from typing import Any, TextIO
 
-from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderableType, RenderHook, RenderResult
+from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderHook, RenderResult
 from rich.segment import Segment
 
 from kinedex.ops.escapes import visible, visible_lines, visible_text
 from kinedex.pipelines.console.pulse import Pulse
 from kinedex.pipelines.console.streams import unescaped
+from kinedex.pipelines.engine.display import Line, ResultTable
 
 WIDE = 160
 """Columns of a table that goes to a file or a pipe: wide enough that cells stay whole."""
@@ -43,6 +44,11 @@ def is_quiet() -> bool:
 def make_console() -> Console:
     """Return a console that prints results to standard output."""
     return _console(stderr=False, quiet=False)
+
+
+def collecting_terminal(file: TextIO) -> Terminal:
+    """Return a terminal whose lines and tables go to a text that nobody sees at once."""
+    return Terminal(Console(file=file))
 
 
 def page_by_page(console: Console) -> AbstractContextManager[object]:
@@ -159,9 +165,11 @@ class Terminal:
         """Print one line that begins a step."""
         self.console.print(visible(text), markup=False, style="bold")
 
-    def show(self, table: RenderableType) -> None:
-        """Print a rich table or anything else that rich can show."""
-        self.console.print(table)
+    def show(self, *parts: ResultTable | Line) -> None:
+        """Print tables of results, and lines between them."""
+        from kinedex.pipelines.console.tables import result_tables
+
+        self.console.print(result_tables(parts))
 
     def progress(self, description: str, total: int | None = None) -> Progress:
         """Return a progress bar, to be used in a `with` statement."""

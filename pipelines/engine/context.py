@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable
-from contextlib import AbstractContextManager
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import pyarrow as pa
 from pydantic import BaseModel
-from rich.console import RenderableType
 
 from kinedex.catalog.features import FeatureSet, load_feature_set
+from kinedex.pipelines.engine.display import Display, ProgressBar
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.storage.lock import NO_WAIT, Wait
 from kinedex.storage.store.store import Store, open_store
@@ -28,60 +26,6 @@ Parameters = TypeVar("Parameters", bound=BaseModel)
 SHIPPED_FEATURES = "body40"
 
 _log = logging.getLogger("kinedex.stages")
-
-
-class ProgressBar(Protocol):
-    """A progress bar, used in a `with` statement."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
-
-    def advance(self, n: int = 1) -> None:
-        """Move the bar by n."""
-
-
-Progress = Callable[[str, int], ProgressBar]
-"""Function of a description and a number of steps that returns a progress bar."""
-
-
-class _NoBar:
-    """A progress bar that nobody sees."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-    def advance(self, n: int = 1) -> None:
-        """Move nothing."""
-
-
-def no_progress(_description: str, _total: int) -> ProgressBar:
-    """Return a progress bar that nobody sees."""
-    return _NoBar()
-
-
-class Display(Protocol):
-    """A place where a run shows what it does, such as a terminal."""
-
-    def say(self, text: str) -> None:
-        """Show one line below the heading of a stage."""
-
-    def heading(self, text: str) -> None:
-        """Show one line that begins a stage."""
-
-    def show(self, table: RenderableType) -> None:
-        """Show a table, or anything else that rich can render."""
-
-    def progress(self, description: str, total: int | None = None) -> ProgressBar:
-        """Return a progress bar."""
-
-    def during(self, name: str) -> AbstractContextManager[object]:
-        """Report a step every now and then while a `with` statement runs."""
 
 
 def feature_set_for(store: Store | None, given: str | None = None) -> FeatureSet:

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 from kinedex.ops.errors import AcceptError, KinedexError, NewStoreError, Remedy
 from kinedex.ops.wording import few
-from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.config import KnownFailures, Pipeline, load_pipeline
-from kinedex.pipelines.engine.context import Display, StageContext, feature_set_for
+from kinedex.pipelines.engine.context import StageContext, feature_set_for
+from kinedex.pipelines.engine.display import Display, NoDisplay
 from kinedex.pipelines.engine.executors import Executor, make_executor
 from kinedex.pipelines.engine.known_failures import SourceFiles, source_files, source_state
 from kinedex.pipelines.engine.plan import FORCED, Planner, Step, make_plan
@@ -170,7 +170,7 @@ def run_pipeline(
         "remember" keeps failures in the store, so that a later run reports new ones alone; that of the pipeline unless
         given.
     terminal : Display, optional
-        Shows messages and progress; standard output by default.
+        Shows messages, tables and progress; nothing is shown by default.
 
     Returns
     -------
@@ -184,7 +184,7 @@ def run_pipeline(
     KinedexError
         The pipeline file, a setting or the store is not usable; nothing was changed.
     """
-    terminal = terminal or Terminal()
+    terminal = terminal or NoDisplay()
     force = frozenset(force)
     # the workers of a cluster may have been started in another folder
     store_path = Path(store_path).resolve() if executor == "dask" else Path(store_path)

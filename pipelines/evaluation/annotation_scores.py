@@ -10,11 +10,10 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import pyarrow as pa
-from rich.table import Table
 
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
 from kinedex.ops.wording import digits
-from kinedex.pipelines.console.tables import numbers_table, plain_text
+from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth
 from kinedex.pipelines.evaluation.measure_names import F_FRAMES, F_SEGMENTS, THESIS_NAMES
 from kinedex.storage.disk import replace_file, write_errors
@@ -114,8 +113,8 @@ def write_metrics(path: Path, evaluation: Evaluation, run: str, **about: object)
         replace_file(path, lambda unfinished: unfinished.write_text(text, encoding="utf-8"))
 
 
-def metrics_table(evaluation: Evaluation, title: str, scopes: Sequence[str] = SCOPES) -> Table:
-    """Return an evaluation as a table for the terminal, without classes that neither side has.
+def metrics_table(evaluation: Evaluation, title: str, scopes: Sequence[str] = SCOPES) -> ResultTable:
+    """Return an evaluation as a table for people, without classes that neither side has.
 
     Parameters
     ----------
@@ -126,20 +125,23 @@ def metrics_table(evaluation: Evaluation, title: str, scopes: Sequence[str] = SC
     scopes : sequence of str
         The scopes of the rows that are shown.
     """
-    table = numbers_table((F_FRAMES, "P", "R", F_SEGMENTS, "P", "R", "auto", "manual"), title)
+    columns = ("", F_FRAMES, "P", "R", F_SEGMENTS, "P", "R", "auto", "manual")
+    table = ResultTable(columns, title=title, layout="close")
     for scope in scopes:
-        table.add_section()
+        section = bool(table.rows)
         for row in evaluation.rows:
             counts = row.counts
             if row.scope != scope or (scope == "class" and not counts.frames_automatic + counts.frames_manual):
                 continue
             values = [counts.f1, counts.p1, counts.r1, counts.f2, counts.p2, counts.r2]
-            table.add_row(
-                plain_text(row.name),
+            table.add(
+                row.name,
                 *(digits(value) for value in values),
                 f"{counts.segments_automatic_hit}/{counts.segments_automatic}",
                 f"{counts.segments_manual_hit}/{counts.segments_manual}",
-                style="bold" if scope == "pooled" else None,
+                tone="main" if scope == "pooled" else "plain",
+                section=section,
             )
+            section = False
     table.caption = f"{THESIS_NAMES}; auto, manual: number of segments that overlap one of the other side"
     return table

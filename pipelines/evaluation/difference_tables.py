@@ -5,12 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 
-from rich.console import Group, RenderableType
-from rich.table import Table
-from rich.text import Text
-
 from kinedex.ops.wording import digits, few
-from kinedex.pipelines.console.tables import numbers_table, plain_text
+from kinedex.pipelines.engine.display import Line, ResultTable, Tone
 from kinedex.pipelines.evaluation.differences import Change, Comparison
 from kinedex.pipelines.evaluation.markdown import grid, plain
 from kinedex.pipelines.evaluation.measure_names import F_FRAMES, F_SEGMENTS, THESIS_NAMES
@@ -21,7 +17,9 @@ HEADER = (f"{F_FRAMES} A", "B", "B − A", f"{F_SEGMENTS} A", "B", "B − A")
 MOST_SHOWN = 20
 """The terminal shows at most so many changes of a kind; a file has all."""
 
-_STYLES = {"better": "green", "worse": "red", "mixed": "yellow", "incomparable": "yellow", "same": ""}
+_TONES: dict[str, Tone] = {
+    "better": "better", "worse": "worse", "mixed": "doubtful", "incomparable": "doubtful", "same": "plain",
+}  # fmt: skip
 
 
 def values(change: Change) -> list[str]:
@@ -37,11 +35,11 @@ def signed(value: float | None) -> str:
     return "–" if value is None else "·" if abs(value) < 0.0005 else f"{value:+.3f}"
 
 
-def rich_comparison(one: Comparison) -> Group:
-    """Return a comparison for the terminal: the verdict, then the changes, the greatest first."""
-    parts: list[RenderableType] = [
-        *map(plain_text, (f"A  {one.a}", f"B  {one.b}", *settings(one))),
-        Text(f"{one.verdict}.", style="bold"),
+def comparison_tables(one: Comparison) -> list[ResultTable | Line]:
+    """Return a comparison as tables: the verdict, then the changes, the greatest first."""
+    parts: list[ResultTable | Line] = [
+        *map(Line, (f"A  {one.a}", f"B  {one.b}", *settings(one))),
+        Line(f"{one.verdict}.", "main"),
         _table(one.scope, [one.overall], plain=not one.common),
     ]
     for what, changes in (("classes", one.classes), ("takes", one.takes)):
@@ -50,8 +48,7 @@ def rich_comparison(one: Comparison) -> Group:
             if changed:
                 more = f", the first {MOST_SHOWN}" if len(changed) > MOST_SHOWN else ""
                 parts.append(_table(f"{verdict}: {len(changed)} of {len(changes)} {what}{more}", changed[:MOST_SHOWN]))
-    parts += [plain_text(text) for text in (*remarks(one), THESIS_NAMES)]
-    return Group(*parts)
+    return parts + [Line(text) for text in (*remarks(one), THESIS_NAMES)]
 
 
 def settings(one: Comparison) -> list[str]:
@@ -83,12 +80,10 @@ def remarks(one: Comparison) -> list[str]:
     return texts
 
 
-def _table(title: str, changes: Sequence[Change], *, plain: bool = False) -> Table:
-    table = numbers_table(HEADER, title or None)
+def _table(title: str, changes: Sequence[Change], *, plain: bool = False) -> ResultTable:
+    table = ResultTable(("", *HEADER), title=title or None, layout="close")
     for change in changes:
-        table.add_row(
-            plain_text(change.name), *values(change), style=None if plain else _STYLES[change.verdict] or None
-        )
+        table.add(change.name, *values(change), tone="plain" if plain else _TONES[change.verdict])
     return table
 
 

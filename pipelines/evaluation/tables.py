@@ -1,15 +1,12 @@
-"""A comparison of methods in tables: on the terminal, and as Markdown."""
+"""A comparison of methods in tables, and as Markdown."""
 
 from __future__ import annotations
 
 import math
 
-from rich.console import Group
-from rich.table import Table
-
 from kinedex.ops.evaluation.metrics import Counts
 from kinedex.ops.wording import counted, digits
-from kinedex.pipelines.console.tables import numbers_table, plain_text
+from kinedex.pipelines.engine.display import Line, ResultTable
 from kinedex.pipelines.evaluation.annotation_scores import MEASURES
 from kinedex.pipelines.evaluation.confusion import EXTRA, LACKING, confusions
 from kinedex.pipelines.evaluation.markdown import grid, plain
@@ -97,27 +94,25 @@ def sentence(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def overview(study: Study) -> Group:
-    """Return tables of methods for the terminal, for each split: frames and segments, then measures by overlap."""
+def overview(study: Study) -> list[ResultTable | Line]:
+    """Return tables of methods for each split, first frames and segments, then measures by overlap; and remarks."""
     thesis = 4 * len({"frames", "segments"} & {*study.metrics})
     tables = []
     for result in study.splits:
         title = f"{result.split.name} ({described(result)})"
         parts = [part for part in (slice(thesis), slice(thesis, None)) if headings(study)[part]] or [slice(None)]
-        for part in parts:
-            tables.append(_overview(result, study, part))
-            tables[-1].caption_justify = "left"
+        tables += [_overview(result, study, part) for part in parts]
         tables[-len(parts)].title = title
         tables[-1].caption = f"{counted(len(result.missed), 'manual segment')} found by no method"
-    return Group(*tables, *(plain_text(f"{sentence(text)}.") for text in (THESIS_NAMES, *overlap_notes(study))))
+    return [*tables, *(Line(f"{sentence(text)}.") for text in (THESIS_NAMES, *overlap_notes(study)))]
 
 
-def _overview(result: SplitResult, study: Study, part: slice) -> Table:
+def _overview(result: SplitResult, study: Study, part: slice) -> ResultTable:
     """Return some columns of the table of methods."""
-    table = numbers_table((name.replace(" ", "\n") for name in headings(study)[part]), min_width=12)
+    table = ResultTable(("", *(name.replace(" ", "\n") for name in headings(study)[part])), layout="tall")
     for name, judgement in result.judgements.items():
         leads = name == result.leading and len(result.judgements) > 1
-        table.add_row(plain_text(name), *row(judgement, study)[part], style="bold" if leads else None)
+        table.add(name, *row(judgement, study)[part], tone="main" if leads else "plain")
     return table
 
 

@@ -22,7 +22,7 @@ from pydantic import Field
 
 from kinedex.ops.errors import ConflictError, KinedexError
 from kinedex.ops.local_paths import refuse_addresses
-from kinedex.pipelines.engine.context import no_progress
+from kinedex.pipelines.engine.display import no_progress
 from kinedex.pipelines.explorer.addresses import Question, get, post
 from kinedex.pipelines.explorer.answers import NotFoundError
 from kinedex.pipelines.explorer.hits import take_condition

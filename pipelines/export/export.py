@@ -9,7 +9,7 @@ from typing import Any
 
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.wording import counted
-from kinedex.pipelines.engine.context import Progress
+from kinedex.pipelines.engine.display import Progress
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.export.folder import Folder, Written
 from kinedex.pipelines.export.metadata import Facts, data_set_text, metadata_rows, metadata_text, split_facts

@@ -14,7 +14,7 @@ import numpy as np
 from kinedex.ops.distances.near_duplicates import F32, motion_outline, near_duplicates
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.wording import counted, few
-from kinedex.pipelines.engine.context import Progress
+from kinedex.pipelines.engine.display import Progress
 from kinedex.pipelines.export.choice import at_most_per_class, balanced_clips, split_clips
 from kinedex.pipelines.export.clips import Clip, clips_of, with_names, with_twins
 from kinedex.pipelines.export.forms import form_named

@@ -19,7 +19,7 @@ from kinedex.ops.duplicates.word_agreement import plausible
 from kinedex.ops.search.runs import word_runs
 from kinedex.ops.wording import counted
 from kinedex.ops.words import TakeWords
-from kinedex.pipelines.engine.context import Display, Progress, no_progress
+from kinedex.pipelines.engine.display import Display, Progress, no_progress
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.snapshot.snapshot import Snapshot

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-from rich.console import Console
 
 from kinedex.catalog.features import FeatureSet, load_feature_set
 from kinedex.catalog.quality import quality_warnings
@@ -21,7 +20,6 @@ from kinedex.ops.body.gaps import find_gaps
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.body.plausibility import Plausibility, reasons
 from kinedex.ops.errors import KinedexError, SourceError
-from kinedex.pipelines.console.tables import Shown, pairs
 from kinedex.pipelines.ingestion.analysis import analyse, blind
 from kinedex.pipelines.ingestion.quality import figures_of
 from kinedex.pipelines.ingestion.single_file import chosen_person, motion_ending, skeleton_beside
@@ -196,13 +194,6 @@ def write_picture(found: Inspection, path: Path) -> bool:
     except OSError as fault:
         raise KinedexError(f"{path}: cannot be written: {fault.strerror}") from None
     return True
-
-
-def show(found: Inspection, console: Console, features: bool = False) -> None:
-    """Print the facts, and on request the table of features."""
-    console.print(pairs(found.lines))
-    if features and found.features is not None:
-        console.print(Shown(found.features))
 
 
 def _raw(

@@ -10,8 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyarrow as pa
 from pydantic import BaseModel, ConfigDict
-from rich import box
-from rich.table import Table
 
 from kinedex.catalog.classes import OWN, load_classes
 from kinedex.ops.distances.dtw import distance_curves
@@ -20,7 +18,7 @@ from kinedex.ops.ranking.hit_selection import KEYS
 from kinedex.ops.templates.derived_templates import restricted_template
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import TakeWords
-from kinedex.pipelines.console.tables import plain_text
+from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth, Manual, place_ground_truth
 from kinedex.pipelines.labels.label_takes import on_takes
 from kinedex.pipelines.ranking.ranked_hits import Hit
@@ -205,12 +203,10 @@ def retrieval_rows(judged: Sequence[Judged], run: str) -> pa.Table:
     return pa.Table.from_pylist(rows, schema=result_schema("retrieval"))
 
 
-def retrieval_table(judged: Sequence[Judged], title: str, tau: float) -> Table:
+def retrieval_table(judged: Sequence[Judged], title: str, tau: float) -> ResultTable:
     """Return a table of judged rankings, folds pooled by class: average precision, recall at τ, and confusions."""
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=title, title_justify="left")
-    for column, side in (("class", "left"), ("to find", "right"), ("AP", "right"), (f"recall at {tau:g}", "right"),
-                         ("above the last right one", "left")):  # fmt: skip
-        table.add_column(column, justify="right" if side == "right" else "left")
+    columns = ("class", "to find", "AP", f"recall at {tau:g}", "above the last right one")
+    table = ResultTable(columns, texts=frozenset({0, 4}), title=title)
     for label in sorted({one.label for one in judged}):
         own = [one for one in judged if one.label == label]
         confused: Counter[str] = Counter()
@@ -219,10 +215,10 @@ def retrieval_table(judged: Sequence[Judged], title: str, tau: float) -> Table:
         shown = ", ".join(f"{name} {count}" for name, count in confused.most_common(3))
         total = sum(one.total for one in own)
         numbers = (str(total), _number(mean_average_precision(own)), _number(recall_at_tau(own)))
-        table.add_row(plain_text(label), *numbers, plain_text(shown))
-    table.add_section()
-    every = sum(one.total for one in judged)
-    table.add_row("mean", str(every), _number(mean_average_precision(judged)), _number(recall_at_tau(judged)), "")
+        table.add(label, *numbers, shown)
+    every = str(sum(one.total for one in judged))
+    means = (_number(mean_average_precision(judged)), _number(recall_at_tau(judged)))
+    table.add("mean", every, *means, "", section=True)
     return table
 
 

@@ -11,7 +11,7 @@ import pyarrow as pa
 from kinedex.catalog.queries.keyframe_query import SAME_FRAME, Gap, KeyframeQuery
 from kinedex.ops.evaluation.ranking_metrics import precision_recall
 from kinedex.ops.search.gaps import UNBOUNDED, nominal_gap
-from kinedex.pipelines.engine.context import Progress
+from kinedex.pipelines.engine.display import Progress
 from kinedex.pipelines.evaluation.ground_truth import Manual
 from kinedex.pipelines.ranking.ranked_hits import RankedTemplate
 from kinedex.pipelines.ranking.ranking import rank_takes

@@ -12,7 +12,8 @@ import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.wording import counted
-from kinedex.pipelines.engine.context import Progress, StageContext
+from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.display import Progress
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.recordings.recorded_takes import (
     RecordedTake,

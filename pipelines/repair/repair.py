@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.wording import counted, few
-from kinedex.pipelines.engine.context import Display
+from kinedex.pipelines.engine.display import Display
 from kinedex.pipelines.engine.executors import make_executor
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.ingestion.file_batches import read_batch

@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import Any, ClassVar
 
-from rich import box
-from rich.table import Table
-
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.wording import counted
-from kinedex.pipelines.console.tables import plain_text
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
+from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.inertial.reused_takes import ReusedTakes
 from kinedex.pipelines.inertial.sensor_fits import fit_fingerprints, fit_groups, fit_tasks, fit_together
@@ -108,11 +105,9 @@ def _wearing(store: Store, columns: list[str]) -> dict[int, Hashable]:
     return found
 
 
-def _table(rows: list[dict[str, Any]]) -> Table:
+def _table(rows: list[dict[str, Any]]) -> ResultTable:
     """Return a row for each limb: the takes, and the medians of what judges the calibrations."""
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in ("limb", "takes", "below 15°", "median of these", "observability"):
-        table.add_column(column, justify="left" if column == "limb" else "right")
+    table = ResultTable(("limb", "takes", "below 15°", "median of these", "observability"))
     for limb in sorted({row["limb"] for row in rows}):
         own = [row for row in rows if row["limb"] == limb]
         figures = [
@@ -124,5 +119,5 @@ def _table(rows: list[dict[str, Any]]) -> Table:
             "–" if value is None else form.format(value)
             for value, form in zip(middle, ("{:.0%}", "{:.1f}°", "{:.3f}"), strict=True)
         )
-        table.add_row(plain_text(limb), str(len({row["take_id"] for row in own})), *texts)
+        table.add(limb, str(len({row["take_id"] for row in own})), *texts)
     return table

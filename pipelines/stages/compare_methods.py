@@ -62,7 +62,7 @@ class CompareMethods(Stage[ComparisonParameters]):
                 context.report_file(name).unlink(missing_ok=True)
             return {"splits": 0, "methods": len(plan.params.methods)}
         files = _write(context, params, study)
-        context.terminal.show(overview(study))
+        context.terminal.show(*overview(study))
         for remark in [*study.remarks, *_remarks(study)]:
             context.say(remark)
         context.say(f"report: {(context.store_path / files[0]).resolve()}")

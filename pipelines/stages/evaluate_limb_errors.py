@@ -6,15 +6,12 @@ import shlex
 from pathlib import Path
 from typing import Any, ClassVar
 
-from rich import box
-from rich.table import Table
-
 from kinedex.catalog.printed_figures import load_printed
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.wording import counted
-from kinedex.pipelines.console.tables import plain_text
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest, hash_of
+from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.inertial.error_parameters import EvaluateLimbErrorsParameters
 from kinedex.pipelines.inertial.limb_error_metrics import LimbCounts, metric_rows, runs_by_limb
@@ -159,13 +156,11 @@ def _label_row(one: PlacedLabel) -> dict[str, Any]:
     }
 
 
-def _table(rows: list[dict[str, Any]]) -> Table:
+def _table(rows: list[dict[str, Any]]) -> ResultTable:
     """Return rows of all limbs and of groups with a label: the best threshold by frames, stored runs, annotators."""
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     names = ("limbs", "detector", "against", "τ", "P", "R", "F (frames)", "F (segments)")
     printed = any(row.get("printed_p1") is not None for row in rows)
-    for column in (*names, *(("printed P / R",) if printed else ())):
-        table.add_column(column, justify="left" if column in names[:3] else "right")
+    table = ResultTable((*names, *(("printed P / R",) if printed else ())), texts=frozenset({0, 1, 2}))
     wanted: dict[tuple[str, str, str], dict[str, Any]] = {}
     marked = {row["name"] for row in rows if row["frames_manual"]}
     for row in rows:
@@ -181,5 +176,5 @@ def _table(rows: list[dict[str, Any]]) -> Table:
         figures = ("–" if row[name] is None else f"{row[name]:.2f}" for name in ("p1", "r1", "f1", "f2"))
         known = row.get("printed_p1") is not None
         beside = f"{row['printed_p1']:.2f} / {row['printed_r1']:.2f}" if known else ""
-        table.add_row(*map(plain_text, key), tau, *figures, *((beside,) if printed else ()))
+        table.add(*key, tau, *figures, *((beside,) if printed else ()))
     return table

@@ -8,14 +8,12 @@ from typing import Any, ClassVar
 import pyarrow as pa
 import pyarrow.compute as pc
 from pydantic import BaseModel, ConfigDict, Field
-from rich import box
-from rich.table import Table
 
 from kinedex.catalog.depth_recordings import DepthRecordingsFile, load_depth_recordings
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.console.tables import plain_text
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest, hash_of
+from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.reconstruction.reconstruction_errors import (
     Comparison,
@@ -104,17 +102,14 @@ def _file_of(row: dict[str, Any]) -> DepthRecordingsFile | None:
     return file if row["recording"] in file.recordings else None
 
 
-def _table(rows: list[dict[str, Any]]) -> Table:
+def _table(rows: list[dict[str, Any]]) -> ResultTable:
     """Return a row for each take, and one for all of them."""
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    columns = ["take", "mean cm", "median", "90 %", "off by > 10 cm", "five ends", "frames", "unseen"]
-    for column in columns:
-        table.add_column(column, justify="left" if column == "take" else "right")
+    table = ResultTable(("take", "mean cm", "median", "90 %", "off by > 10 cm", "five ends", "frames", "unseen"))
     for row in rows:
         if row["scope"] in ("take", "all") and row["frames"]:
             rate = row["rate_five_ends"]
-            table.add_row(
-                plain_text(row.get("take") or "all"),
+            table.add(
+                row.get("take") or "all",
                 *(f"{100 * row[name]:.1f}" for name in ("mean_m", "median_m", "p90_m")),
                 f"{row['over_10cm']:.1%}",
                 "–" if rate is None else f"{rate:.0%}",

@@ -6,12 +6,10 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
-from rich import box
-from rich.table import Table
 
-from kinedex.pipelines.console.tables import plain_text
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest, hash_of
+from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.recordings.stored_results import earlier_rows
 from kinedex.pipelines.tracking.recordings import stored_rows
@@ -95,30 +93,25 @@ class EvaluateTrack(Stage[Params]):
         }
 
 
-def _sensor_table(rows: list[dict[str, Any]]) -> Table:
+def _sensor_table(rows: list[dict[str, Any]]) -> ResultTable:
     """Return a row for each take, and each of its limbs: the angles against the sensors."""
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in ("take", "limb", "mean °", "sd", "median", "max"):
-        table.add_column(column, justify="left" if column in ("take", "limb") else "right")
+    table = ResultTable(("take", "limb", "mean °", "sd", "median", "max"), texts=frozenset({0, 1}))
     for row in sorted(rows, key=lambda row: (_subject(row["take"]), -row["take"].endswith(TRACKED))):
         texts = (f"{row[name]:.1f}" for name in ("mean_deg", "sd_deg", "median_deg", "max_deg"))
-        table.add_row(plain_text(row["take"]), plain_text(row["name"]), *texts)
+        table.add(row["take"], row["name"], *texts)
     return table
 
 
-def _table(rows: list[dict[str, Any]]) -> Table:
+def _table(rows: list[dict[str, Any]]) -> ResultTable:
     """Return a row for each take: the distances of its limbs from the truth."""
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    columns = ["take", "mean mm", "sd", "max", "in failures", "elsewhere"]
-    for column in columns:
-        table.add_column(column, justify="left" if column == "take" else "right")
+    table = ResultTable(("take", "mean mm", "sd", "max", "in failures", "elsewhere"))
     parts = {(row["take"], row["name"]): row["mean_mm"] for row in rows if row["scope"] == "part"}
     for row in sorted(rows, key=lambda row: (_subject(row["take"]), -row["take"].endswith(TRACKED))):
         if row["scope"] == "take":
             figures = [row["mean_mm"], row["sd_mm"], row["max_mm"]]
             figures += [parts.get((row["take"], name)) for name in ("in failures", "elsewhere")]
             texts = ["–" if one is None else f"{one:.1f}" for one in figures]
-            table.add_row(plain_text(row["take"]), *texts)
+            table.add(row["take"], *texts)
     return table
 
 

@@ -7,13 +7,11 @@ from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar
 
 import pyarrow as pa
-from rich import box
-from rich.table import Table
 
 from kinedex.ops.wording import counted
-from kinedex.pipelines.console.tables import plain_text
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
+from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.inertial.error_parameters import LimbErrorsParameters
 from kinedex.pipelines.inertial.limb_error_curves import take_errors
@@ -98,11 +96,9 @@ def _report(context: StageContext) -> dict[str, object]:
     return {"takes": len(found.taus), "frames": frames, "runs": wrong, "jumps": jumps}
 
 
-def _table(figures: Mapping[str, ErrorFigures]) -> Table:
+def _table(figures: Mapping[str, ErrorFigures]) -> ResultTable:
     """Return a row for each limb: its frames, their errors, and the share of those above τ."""
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in ("limb", "frames", "mean", "sd", "above τ"):
-        table.add_column(column, justify="left" if column == "limb" else "right")
+    table = ResultTable(("limb", "frames", "mean", "sd", "above τ"))
     for limb in sorted(figures):
-        table.add_row(plain_text(limb), f"{figures[limb].frames:,}", *figures[limb].texts())
+        table.add(limb, f"{figures[limb].frames:,}", *figures[limb].texts())
     return table

@@ -8,15 +8,13 @@ from dataclasses import asdict, dataclass
 from typing import Annotated, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
-from rich import box
-from rich.table import Table
 
 from kinedex.catalog.queries.query_files import query_file_paths, read_query_files
 from kinedex.catalog.template_files import NamedTemplate
 from kinedex.ops.templates.templates import Kind
-from kinedex.pipelines.console.tables import plain_text
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.file_parameters import NamesFile
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.ranking.ranked_hits import RankedTemplate, Ranking, ranking_table
@@ -151,14 +149,12 @@ def _shown(
     searched: Sequence[RankedTemplate],
     rankings: Sequence[Ranking],
     lists: dict[str, Lists],
-) -> Table:
+) -> ResultTable:
     """Return a row for each subclass: the keyframe search, the frames that it keeps, and the ranking of these."""
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     columns = ["subclass", "columns", "skipped", "reading ms", "ranking ms", "hits", "best"]
     if lists:
         columns[2:2] = ["K", "mean σ", "Σ|Λ|", "search ms", "in lists", "kept"]
-    for column in columns:
-        table.add_column(column, justify="left" if column == "subclass" else "right")
+    table = ResultTable(tuple(columns))
     for one, ranking in zip(searched, rankings, strict=True):
         first = [str(len(one.template))]
         if lists:
@@ -168,5 +164,5 @@ def _shown(
         best = f"{ranking.hits[0].cost:.3f}" if ranking.hits else "–"
         skipped = "not tried" if ranking.skipped is None else f"{ranking.skipped:.0%}"
         times = [f"{1000 * seconds:.1f}" for seconds in (ranking.reading, ranking.ranking)]
-        table.add_row(plain_text(one.name), *first, skipped, *times, str(len(ranking.hits)), best)
+        table.add(one.name, *first, skipped, *times, str(len(ranking.hits)), best)
     return table

@@ -6,13 +6,11 @@ from functools import partial
 from typing import Any, ClassVar
 
 import pyarrow.compute as pc
-from rich import box
-from rich.table import Table
 
 from kinedex.ops.wording import counted, few
-from kinedex.pipelines.console.tables import plain_text
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
+from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.inertial.reused_takes import ReusedTakes
 from kinedex.pipelines.inertial.sensor_parameters import SynchroniseParameters
@@ -85,15 +83,14 @@ def _fixed(value: float, digits: int) -> str:
     return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
-def _table(rows: list[dict[str, Any]]) -> Table:
+def _table(rows: list[dict[str, Any]]) -> ResultTable:
     """Return a row for each recording with its offset and how sure it is."""
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in ("take", "recording", "offset s", "ppm", "correlation", "next best"):
-        table.add_column(column, justify="left" if column in ("take", "recording") else "right")
+    columns = ("take", "recording", "offset s", "ppm", "correlation", "next best")
+    table = ResultTable(columns, texts=frozenset({0, 1}))
     for row in rows[:_SHOWN]:
         figures = ("–" if row[name] is None else f"{row[name]:.2f}" for name in ("correlation", "next_best"))
-        names = (plain_text(row[name]) for name in ("take", "recording"))
-        table.add_row(*names, _fixed(row["offset_s"], 4), _fixed(row["ppm"], 0), *figures)
+        offset = (_fixed(row["offset_s"], 4), _fixed(row["ppm"], 0))
+        table.add(row["take"], row["recording"], *offset, *figures)
     if len(rows) > _SHOWN:
         table.caption = f"and {len(rows) - _SHOWN} more in the view {SYNC}"
     return table

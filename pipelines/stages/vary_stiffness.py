@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from typing import Annotated, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
-from rich import box
-from rich.table import Table
 
 from kinedex.catalog.queries.query_files import query_file_paths, read_query_files
 from kinedex.catalog.template_files import NamedTemplate
@@ -16,6 +14,7 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.templates.templates import Kind
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.ranking.ranking_evaluation import mean_average_precision, names_filter, read_truth
 from kinedex.pipelines.ranking.stiffness import WRITTEN, Trial, run_trials, trial_rows
@@ -78,14 +77,11 @@ class VaryStiffness(Stage[Params]):
         return {"trials": len(trials), "tau": params.tau, "delta": params.delta, "queried": len(trials) > len(searched)}
 
 
-def _shown(trials: Sequence[Trial]) -> Table:
+def _shown(trials: Sequence[Trial]) -> ResultTable:
     """A row for each variant, all over the same classes: those with queries where there are any, as on the page."""
     asked = {trial.judged.label for trial in trials if trial.variant == WRITTEN}
-    table = Table(
-        box=box.SIMPLE_HEAD, pad_edge=False, title="rankings by stiffness of the queries", title_justify="left"
-    )
-    for column in ("gaps", "classes", "kept", "to find", "found below τ", "at any rank", "mean AP"):
-        table.add_column(column, justify="left" if column == "gaps" else "right")
+    columns = ("gaps", "classes", "kept", "to find", "found below τ", "at any rank", "mean AP")
+    table = ResultTable(columns, title="rankings by stiffness of the queries")
     for variant in dict.fromkeys(trial.variant for trial in trials):
         own = [trial for trial in trials if trial.variant == variant and (not asked or trial.judged.label in asked)]
         total = sum(trial.judged.total for trial in own)
@@ -94,5 +90,5 @@ def _shown(trials: Sequence[Trial]) -> Table:
         average = mean_average_precision([trial.judged for trial in own])
         shown = "–" if math.isnan(average) else f"{average:.3f}"
         kept = sum(trial.kept for trial in own) / len(own)
-        table.add_row(variant, str(len(own)), f"{kept:.1%}", str(total), str(found), str(ranked), shown)
+        table.add(variant, str(len(own)), f"{kept:.1%}", str(total), str(found), str(ranked), shown)
     return table

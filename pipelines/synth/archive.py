@@ -15,7 +15,7 @@ from kinedex.ops.synth.actors import Actor, actor_name, cast
 from kinedex.ops.synth.motions import MOTIONS
 from kinedex.ops.synth.performance import RATE_HZ, Performance, perform_clip, perform_take
 from kinedex.ops.synth.solve import columns
-from kinedex.pipelines.engine.context import Progress, no_progress
+from kinedex.pipelines.engine.display import Progress, no_progress
 from kinedex.pipelines.engine.executors import cores, make_executor
 from kinedex.storage.disk import whole_file
 from kinedex.storage.formats.motion.acclaim_writer import Dialect, write_amc, write_asf

@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.code_digest import code_digest
-from kinedex.pipelines.engine.context import Display
+from kinedex.pipelines.engine.display import Display
 from kinedex.pipelines.engine.executors import Executor
 from kinedex.pipelines.engine.run_id import new_run_id
 from kinedex.pipelines.engine.stage import load_stage

@@ -299,7 +299,7 @@ def test_no_value_is_cut_on_a_narrow_terminal(line: Comparing) -> None:
     assert set(result["splits"][0]["methods"]) == {"best of all, with a long name", "thesis"}
     study = Study("", "", "", "", "", "", 30.0, ("a",), {}, "actor", METRICS, (), (small_split(),))
     narrow = Console(file=io.StringIO(), width=80)
-    narrow.print(overview(study))
+    Terminal(narrow).show(*overview(study))
     assert isinstance(narrow.file, io.StringIO)
     assert "…" not in narrow.file.getvalue()
     assert narrow.file.getvalue().count("0.86–0.86") == 2

@@ -16,6 +16,7 @@ from rich.console import Console
 from kinedex.catalog.classes import Classes, MotionClass
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.ops.evaluation.metrics import Counts
+from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.evaluation.annotation_scores import (
     Evaluation,
     evaluate,
@@ -226,7 +227,7 @@ def test_metrics_are_stored_printed_and_written_with_what_is_undefined_left_empt
     arms = next(row for row in table if row["name"] == "arms")
     assert (arms["p1"], arms["r1"], arms["f1"]) == (None, 0, 0)
     out = io.StringIO()
-    Console(file=out, width=80).print(metrics_table(evaluation(), "the title"))
+    Terminal(Console(file=out, width=80)).show(metrics_table(evaluation(), "the title"))
     assert "the title" in out.getvalue()
     assert "legs" in out.getvalue()
     write_metrics(tmp_path / "metrics.json", evaluation(), "r", pipeline="p")
@@ -239,7 +240,7 @@ def test_metrics_are_stored_printed_and_written_with_what_is_undefined_left_empt
 def test_names_in_brackets_are_shown_and_a_report_that_cannot_be_written_is_an_error(tmp_path: Path):
     truth = place([manual("[/a]\\", "kick", 0, 40)], takes("[/a]\\"), ["[/a]\\"], CLASSES)
     out = io.StringIO()
-    Console(file=out, width=80).print(metrics_table(evaluate("x", annotations(), truth, CLASSES.names), "t"))
+    Terminal(Console(file=out, width=80)).show(metrics_table(evaluate("x", annotations(), truth, CLASSES.names), "t"))
     assert "[/a]\\ " in out.getvalue()
     (tmp_path / "metrics.json").mkdir()
     with pytest.raises(KinedexError, match=r"metrics\.json: cannot be written: Is a directory"):

@@ -113,7 +113,7 @@ def test_hits_that_show_a_mirror_image_are_marked(connect: Connect, tmp_path: Pa
 
 @pytest.mark.parametrize("form", ["csv", "parquet", "glb", "c3d"])
 def test_sizes_are_those_of_a_sample(connect: Connect, tmp_path: Path, form: str) -> None:
-    from kinedex.pipelines.engine.context import no_progress
+    from kinedex.pipelines.engine.display import no_progress
     from kinedex.pipelines.engine.executors import make_executor
     from kinedex.pipelines.export.export import export_data_set
     from kinedex.pipelines.export.request import How, What

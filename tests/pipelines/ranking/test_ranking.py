@@ -317,8 +317,8 @@ def test_all_rows_of_the_stiffness_table_are_about_the_same_classes():
         return Trial(variant, None, Judged("takes", "", label, relevant, len(relevant), 0), 1.0)
 
     trials = [trial(EVERYWHERE, "kick", (True,)), trial(EVERYWHERE, "walk", (False, False)), trial(WRITTEN, "kick", ())]
-    assert list(vary_stiffness._shown(trials).columns[1].cells) == ["1", "1"]
-    assert list(vary_stiffness._shown(trials[:2]).columns[1].cells) == ["2"]
+    assert [row.cells[1] for row in vary_stiffness._shown(trials).rows] == ["1", "1"]
+    assert [row.cells[1] for row in vary_stiffness._shown(trials[:2]).rows] == ["2"]
 
 
 def test_two_queries_of_one_name_both_say_where_to_look(store: Store, tmp_path: Path):

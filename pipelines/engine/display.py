@@ -1,0 +1,135 @@
+"""The display of a run: lines, tables and progress, which a terminal or a collector shows as it likes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Literal, Protocol, Self
+
+Tone = Literal["plain", "main", "better", "worse", "doubtful"]
+"""The weight of a line or a row; its colour is a matter of the display."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of text between tables."""
+
+    text: str
+    tone: Tone = "plain"
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of a table, whose numbers are texts already; `section` draws a rule above it."""
+
+    cells: tuple[str, ...]
+    tone: Tone = "plain"
+    section: bool = False
+
+
+@dataclass
+class ResultTable:
+    """A table of results, as a stage or a service makes it for people to read.
+
+    Attributes
+    ----------
+    columns : sequence of str
+        The headings.
+    texts : set of int
+        The columns of texts, which stand to the left; the others are numbers.
+    title, caption : str or None
+        The line above the table, and the remark below it.
+    layout : {"wide", "close", "tall"}
+        "close" keeps many columns of numbers whole, and wraps the names in the first one; "tall" does so below headings
+        of several lines.
+    rows : list of Row
+        The rows.
+    """
+
+    columns: tuple[str, ...]
+    texts: frozenset[int] = frozenset({0})
+    title: str | None = None
+    caption: str | None = None
+    layout: Literal["wide", "close", "tall"] = "wide"
+    rows: list[Row] = field(default_factory=list)
+
+    def add(self, *cells: str, tone: Tone = "plain", section: bool = False) -> None:
+        """Add a row; `section` draws a rule above it."""
+        self.rows.append(Row(cells, tone, section))
+
+
+class ProgressBar(Protocol):
+    """A progress bar, used in a `with` statement."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+    def advance(self, n: int = 1) -> None:
+        """Move the bar by n."""
+
+
+Progress = Callable[[str, int], ProgressBar]
+"""Function of a description and a number of steps that returns a progress bar."""
+
+
+class _NoBar:
+    """A progress bar that nobody sees."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def advance(self, n: int = 1) -> None:
+        """Move nothing."""
+
+
+def no_progress(_description: str, _total: int | None = None) -> ProgressBar:
+    """Return a progress bar that nobody sees."""
+    return _NoBar()
+
+
+class Display(Protocol):
+    """A place where a run shows what it does, such as a terminal."""
+
+    def say(self, text: str) -> None:
+        """Show one line below the heading of a stage."""
+
+    def heading(self, text: str) -> None:
+        """Show one line that begins a stage."""
+
+    def show(self, *parts: ResultTable | Line) -> None:
+        """Show tables and lines, one below the other."""
+
+    def progress(self, description: str, total: int | None = None) -> ProgressBar:
+        """Return a progress bar."""
+
+    def during(self, name: str) -> AbstractContextManager[object]:
+        """Report a step every now and then while a `with` statement runs."""
+
+
+class NoDisplay:
+    """A display that shows nothing."""
+
+    def say(self, text: str) -> None:
+        """Show nothing."""
+
+    def heading(self, text: str) -> None:
+        """Show nothing."""
+
+    def show(self, *parts: ResultTable | Line) -> None:
+        """Show nothing."""
+
+    def progress(self, description: str, total: int | None = None) -> ProgressBar:
+        """Return a progress bar that nobody sees."""
+        return _NoBar()
+
+    def during(self, name: str) -> AbstractContextManager[object]:
+        """Report nothing."""
+        return nullcontext()
