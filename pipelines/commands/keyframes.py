@@ -118,8 +118,8 @@ def export(
 ) -> None:
     """Write learned queries as a query file, to edit and to search with."""
     from kinedex.catalog.queries.query_writer import write_queries
+    from kinedex.pipelines.engine.page_files import write_page
     from kinedex.pipelines.keyframes.learning import keyframe_queries
-    from kinedex.pipelines.report.page_files import write_page
 
     if output is not None and output.suffix.lower() not in (".yaml", ".yml"):
         raise KinedexError(f"--output {output}: the name of a query file ends in .yaml, or it cannot be searched with")

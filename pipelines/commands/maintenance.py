@@ -78,7 +78,8 @@ def inspect(
         return
     if file.suffix.lower() in (".png", ".pcd", ".ply"):
         raise KinedexError(f"{file}: a depth image or cloud is shown with its camera: --camera FILE")
-    from kinedex.pipelines.inspection.inspection import inspect_file, write_picture
+    from kinedex.pipelines.inspection.inspection import inspect_file
+    from kinedex.pipelines.report.stick_figures import write_picture
     from kinedex.storage.formats.motion.reader import ReadSettings
 
     found = inspect_file(file, skeleton, source, ReadSettings(None, rate, fill_gap_frames, body_model), person)
@@ -164,7 +165,8 @@ def _inspect_sensors(file: Path, sensors: str | None, rate_hz: float | None, as_
 
 def _inspect_depth(file: Path, camera: Path, background: Path | None, picture: Path | None, as_json: bool) -> None:
     """Show what is found in a depth image."""
-    from kinedex.pipelines.inspection.depth_frame import frame_facts, inspect_depth_frame, write_frame_picture
+    from kinedex.pipelines.inspection.depth_frame import frame_facts, inspect_depth_frame
+    from kinedex.pipelines.report.depth_picture import write_frame_picture
 
     found = inspect_depth_frame(file, camera, background)
     facts = frame_facts(found)

@@ -44,10 +44,11 @@ def compare(
     A store with evaluations of several pipelines means the current one (`kinedex use`), unless ::PIPELINE is given.
     """
     from kinedex.pipelines.console.terminal import Terminal, make_console
-    from kinedex.pipelines.evaluation.difference_tables import comparison_tables, markdown, page
+    from kinedex.pipelines.engine.page_files import write_page
+    from kinedex.pipelines.evaluation.difference_tables import comparison_tables, markdown
     from kinedex.pipelines.evaluation.differences import compared, content, without_repeats
     from kinedex.pipelines.evaluation.written_evaluations import pairs, read_run
-    from kinedex.pipelines.report.page_files import write_page
+    from kinedex.pipelines.report.comparison_page import comparison_page
     from kinedex.storage.formats.json_text import json_text
 
     if output is not None and output.suffix not in FORMATS:
@@ -65,7 +66,7 @@ def compare(
     if output is not None and output.suffix == ".json":
         write_page(json_text(content(comparisons)), output)
     elif output is not None:
-        write_page(page(comparisons) if output.suffix == ".html" else markdown(comparisons), output)
+        write_page(comparison_page(comparisons) if output.suffix == ".html" else markdown(comparisons), output)
 
 
 def _names(a: str, b: str, one: str, other: str) -> tuple[str, str]:

@@ -1,4 +1,4 @@
-"""Comparisons of two evaluations, for the terminal, as Markdown, and as a page."""
+"""Comparisons of two evaluations in tables, and as Markdown."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from kinedex.pipelines.engine.display import Line, ResultTable, Tone
 from kinedex.pipelines.evaluation.differences import Change, Comparison
 from kinedex.pipelines.evaluation.markdown import grid, plain
 from kinedex.pipelines.evaluation.measure_names import F_FRAMES, F_SEGMENTS, THESIS_NAMES
-from kinedex.pipelines.report.page_environment import page_environment
 
 VERDICTS = ("worse", "mixed", "better", "incomparable")
 HEADER = (f"{F_FRAMES} A", "B", "B − A", f"{F_SEGMENTS} A", "B", "B − A")
@@ -102,11 +101,3 @@ def markdown(comparisons: Sequence[Comparison]) -> str:
                     lines += grid(["", *HEADER], [[change.name, *values(change)] for change in changed])
         lines += [f"- {plain(text)}" for text in remarks(one)] + [""]
     return "\n".join(lines).rstrip("\n") + "\n"
-
-
-def page(comparisons: Sequence[Comparison]) -> str:
-    """Return comparisons as one HTML page without any outside reference."""
-    environment = page_environment({"digits": digits, "signed": signed, "remarks": remarks, "settings": settings})
-    return environment.get_template("compared.html.j2").render(
-        comparisons=comparisons, verdicts=VERDICTS, header=HEADER
-    )

@@ -30,8 +30,8 @@ from kinedex.pipelines.explorer.addresses import get, take_of
 from kinedex.pipelines.explorer.lanes import words_of_take
 from kinedex.pipelines.explorer.motion import Interval, frames_of, whole_number
 from kinedex.pipelines.explorer.same import command_line, python_lines
-from kinedex.pipelines.report.nearest_examples import clips_of
 from kinedex.pipelines.templates.learning import SubclassTemplate
+from kinedex.pipelines.templates.nearest_examples import clips_of
 from kinedex.pipelines.templates.stored_templates import choose_template, stored_templates
 from kinedex.storage.store.store import Store
 

@@ -18,8 +18,8 @@ from kinedex.pipelines.explorer.labels import stage_of
 from kinedex.pipelines.explorer.same import command_line, python_lines
 from kinedex.pipelines.labels.selection import Selection, least_confident_first, selected
 from kinedex.pipelines.report.data import Segment
-from kinedex.pipelines.report.nearest_examples import nearest_examples
 from kinedex.pipelines.templates.learning import read_templates
+from kinedex.pipelines.templates.nearest_examples import nearest_examples
 from kinedex.storage.duck import quote
 from kinedex.storage.store.store import Store, data_frame
 

@@ -23,7 +23,7 @@ from kinedex.pipelines.explorer.template_use import learning_stages
 from kinedex.pipelines.keyframes.learning import Outcome, keyframe_queries
 from kinedex.pipelines.keyframes.runs import outcomes_of
 from kinedex.pipelines.keyframes.tables import sentence
-from kinedex.pipelines.report.nearest_examples import stored_clips, words_of
+from kinedex.pipelines.templates.nearest_examples import stored_clips, words_of
 from kinedex.storage.store.store import Store
 
 if TYPE_CHECKING:

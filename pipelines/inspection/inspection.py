@@ -24,7 +24,7 @@ from kinedex.pipelines.ingestion.analysis import analyse, blind
 from kinedex.pipelines.ingestion.quality import figures_of
 from kinedex.pipelines.ingestion.single_file import chosen_person, motion_ending, skeleton_beside
 from kinedex.pipelines.inspection.feature_shares import feature_shares
-from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT, Figure, draw
+from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT, Figure
 from kinedex.storage.formats.motion.amass import parse_amass
 from kinedex.storage.formats.motion.asf import INCH_M, read_asf
 from kinedex.storage.formats.motion.body_models import load_body_model
@@ -177,23 +177,6 @@ def _add_persons(found: Inspection, file: Path, persons: list[str], mappings: Ma
         height = body_height(body.positions, joints)
         tall = "" if height is None else f", {height:.2f} m tall"
         found.add("", f"{person}: mapping {body.skeleton}, {body.frames / body.rate_hz:.2f} s{tall}")
-
-
-def write_picture(found: Inspection, path: Path) -> bool:
-    """Write the picture of an inspection; return False where there is none.
-
-    Raises
-    ------
-    KinedexError
-        If the file cannot be written.
-    """
-    if found.figure is None:
-        return False
-    try:
-        draw(found.figure, path)
-    except OSError as fault:
-        raise KinedexError(f"{path}: cannot be written: {fault.strerror}") from None
-    return True
 
 
 def _raw(

@@ -10,7 +10,6 @@ import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.wording import counted
-from kinedex.pipelines.inspection.hit_strip import StripRow, draw_strip
 from kinedex.pipelines.motion_pages import FIGURES
 from kinedex.pipelines.motion_pages.examples import Examples, Interval
 from kinedex.pipelines.motion_pages.motion_page import (
@@ -21,7 +20,8 @@ from kinedex.pipelines.motion_pages.motion_page import (
     grouped,
     write_motion_page,
 )
-from kinedex.pipelines.report.nearest_examples import clips_of
+from kinedex.pipelines.report.hit_strip import StripRow, draw_strip
+from kinedex.pipelines.templates.nearest_examples import clips_of
 from kinedex.pipelines.templates.stored_templates import stored_templates
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store

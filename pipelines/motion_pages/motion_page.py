@@ -11,10 +11,10 @@ from markupsafe import Markup
 
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.wording import counted
+from kinedex.pipelines.engine.page_files import write_page
 from kinedex.pipelines.motion_pages.examples import Examples
 from kinedex.pipelines.report.motions import Motions, motions_json
 from kinedex.pipelines.report.page_environment import page_environment
-from kinedex.pipelines.report.page_files import write_page
 from kinedex.pipelines.report.palette import colour_rules, colour_slot
 from kinedex.storage.store.store import Store
 

@@ -18,9 +18,9 @@ from kinedex.ops.words import NO_WORD, U64
 from kinedex.pipelines.motion_pages import FIGURES
 from kinedex.pipelines.motion_pages.examples import Interval
 from kinedex.pipelines.motion_pages.motion_page import Clip, Group, MotionPage, write_motion_page
-from kinedex.pipelines.report.nearest_examples import clips_of
 from kinedex.pipelines.report.template_figures import row_names, set_rules, soft_colours
 from kinedex.pipelines.templates.learning import SubclassTemplate
+from kinedex.pipelines.templates.nearest_examples import clips_of
 from kinedex.pipelines.templates.template_text import heading
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store

@@ -20,8 +20,8 @@ import pyarrow as pa
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.pose_database import PoseThinning, bone_directions, bone_lengths_of
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.engine.context import Progress, ProgressBar, no_progress
 from kinedex.pipelines.engine.digests import hash_of
+from kinedex.pipelines.engine.display import Progress, ProgressBar, no_progress
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.snapshot.schemas import DEPTH_FORMAT, result_schema
 from kinedex.storage.store.store import Store

@@ -36,10 +36,10 @@ from kinedex.pipelines.report.method_figures import (
     sweeps,
 )
 from kinedex.pipelines.report.motions import Motions, motions_json
-from kinedex.pipelines.report.nearest_examples import Key
 from kinedex.pipelines.report.page_environment import page_environment
 from kinedex.pipelines.report.palette import colour_rules, colour_slot
 from kinedex.pipelines.report.plots import HistogramBar
+from kinedex.pipelines.templates.nearest_examples import Key
 
 MOST_ROWS = 300
 """Largest number of rows of a list of takes or segments; the page has the number of further ones."""

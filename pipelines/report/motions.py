@@ -17,7 +17,7 @@ from markupsafe import Markup
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.wording import few
-from kinedex.pipelines.engine.context import Progress, no_progress
+from kinedex.pipelines.engine.display import Progress, no_progress
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
 

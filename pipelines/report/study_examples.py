@@ -9,12 +9,12 @@ import numpy as np
 
 from kinedex.ops.templates.nearest_clip import nearest_clips
 from kinedex.ops.words import U64
-from kinedex.pipelines.engine.context import Progress, no_progress
+from kinedex.pipelines.engine.display import Progress, no_progress
 from kinedex.pipelines.evaluation.study import SplitResult, Study, take_title
 from kinedex.pipelines.evaluation.test_takes import TestTake
 from kinedex.pipelines.report.motions import Motions
-from kinedex.pipelines.report.nearest_examples import Example, Key, stored_clips, words_of
 from kinedex.pipelines.templates.learning import TrainingClips
+from kinedex.pipelines.templates.nearest_examples import Example, Key, stored_clips, words_of
 from kinedex.storage.store.store import Store
 
 

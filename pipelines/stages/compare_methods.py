@@ -15,20 +15,21 @@ from kinedex.ops.wording import few
 from kinedex.pipelines.annotation.methods import METHODS
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.engine.drawing import drawn_by
+from kinedex.pipelines.engine.page_files import write_page
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.evaluation.annotation_scores import Evaluation, measures, metrics_rows
 from kinedex.pipelines.evaluation.comparison import Plan, compare_methods, plan_comparison
 from kinedex.pipelines.evaluation.label_files import ground_truth_digest
 from kinedex.pipelines.evaluation.scheme import ComparisonParameters
-from kinedex.pipelines.evaluation.study import Study, content, evaluation_rows, shown_parts
+from kinedex.pipelines.evaluation.study import Study, content, evaluation_rows
 from kinedex.pipelines.evaluation.tables import markdown, overview
-from kinedex.pipelines.report.methods_page import methods_page
-from kinedex.pipelines.report.motions import embed
-from kinedex.pipelines.report.page_files import write_page
-from kinedex.pipelines.report.study_examples import with_study
 from kinedex.storage.store.store import Store
 
 FILES = ("methods.html", "methods.md", "methods.json")
+
+PAGE = "kinedex.pipelines.report.study_page:study_page"
+"""The function that draws the page of the stage."""
 
 
 class CompareMethods(Stage[ComparisonParameters]):
@@ -105,14 +106,10 @@ def _store_metrics(context: StageContext, plan: Plan, study: Study | None) -> No
 
 def _write(context: StageContext, params: ComparisonParameters, study: Study) -> list[str]:
     """Write page, summary and JSON, and return their paths within the store, the page first."""
-    store = context.open()
-    named = dict(store.takes().select("take_id", "name").iter_rows())
-    shown = {title: [named[part] for part in parts] for title, parts in shown_parts(study).items()}
-    motions = embed(store, shown, params.embed, context.stage, context.progress)
-    motions, near = with_study(store, study, motions, context.progress)
+    page = drawn_by(PAGE)(context.open(), study, params.embed, context.stage, context.progress)
     as_json = json.dumps(content(study), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     files = []
-    for name, text in zip(FILES, (methods_page(study, motions, near), markdown(study), as_json), strict=True):
+    for name, text in zip(FILES, (page, markdown(study), as_json), strict=True):
         path = context.report_file(name)
         write_page(text, path)
         files.append(path.relative_to(context.store_path).as_posix())

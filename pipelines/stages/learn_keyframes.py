@@ -8,16 +8,19 @@ from kinedex.ops.keyframes.consensus import AtLeast
 from kinedex.ops.wording import counted, few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest
+from kinedex.pipelines.engine.drawing import drawn_by
+from kinedex.pipelines.engine.page_files import write_page
 from kinedex.pipelines.engine.stage import Stage
 from kinedex.pipelines.keyframes.learning import training_sets
 from kinedex.pipelines.keyframes.parameters import KeyframeParameters, setting_of
 from kinedex.pipelines.keyframes.run_storage import StoredRuns
 from kinedex.pipelines.keyframes.runs import ClassRuns, learn, queries_table
-from kinedex.pipelines.report.keyframes_page import keyframes_page
-from kinedex.pipelines.report.page_files import write_page
 from kinedex.pipelines.templates.examples import examples_of, examples_read, rejected_examples
 from kinedex.pipelines.templates.learning import example_clips
 from kinedex.storage.store.store import Store
+
+PAGE = "kinedex.pipelines.report.keyframes_page:keyframes_page"
+"""The function that draws the page of the stage."""
 
 
 class LearnKeyframes(Stage[KeyframeParameters]):
@@ -70,7 +73,7 @@ class LearnKeyframes(Stage[KeyframeParameters]):
         finished = {one.training.subclass: list(one.used.values()) for one in classes}
         title = "Keyframe queries learned from clips"
         remarks = [f"{one.subclass}: {remark}" for one in clips for remark in one.remarks]
-        page = keyframes_page(title, outcomes, finished, store.feature_set, store.rate_hz, params.learner, remarks)
+        page = drawn_by(PAGE)(title, outcomes, finished, store.feature_set, store.rate_hz, params.learner, remarks)
         write_page(page, path)
         context.say(f"report: {path.resolve()}")
         file = path.relative_to(context.store_path).as_posix()

@@ -9,12 +9,12 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.context import StageContext
+from kinedex.pipelines.engine.page_files import write_page
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.report.annotation_data import read_report_data
 from kinedex.pipelines.report.annotation_page import annotation_page, hits_to_play, pages_digest, shown_takes
+from kinedex.pipelines.report.example_motions import with_hits
 from kinedex.pipelines.report.motions import embed
-from kinedex.pipelines.report.nearest_examples import with_hits
-from kinedex.pipelines.report.page_files import write_page
 from kinedex.pipelines.report.segment_list import SEGMENTS, csv_lines, in_order
 from kinedex.storage.store.store import Store
 

@@ -9,10 +9,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.engine.page_files import write_page
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.report.limb_error_data import StageKeys
 from kinedex.pipelines.report.limb_errors_page import limb_errors_page
-from kinedex.pipelines.report.page_files import write_page
 from kinedex.storage.store.store import Store
 
 

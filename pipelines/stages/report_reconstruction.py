@@ -9,8 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.engine.page_files import write_page
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.report.page_files import write_page
 from kinedex.pipelines.report.reconstruction_page import reconstruction_page
 from kinedex.storage.store.store import Store
 

@@ -9,9 +9,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
+from kinedex.pipelines.engine.page_files import write_page
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.motion_pages.hits import best_hits
-from kinedex.pipelines.report.page_files import write_page
 from kinedex.pipelines.report.retrieval_page import retrieval_page
 from kinedex.pipelines.templates.learning import run_of
 from kinedex.storage.store.store import Store

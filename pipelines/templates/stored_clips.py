@@ -12,9 +12,9 @@ from kinedex.ops.templates.templates import Template
 from kinedex.ops.templates.warping import align
 from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64, bits
 from kinedex.pipelines.annotation.threshold_calibration import Fold, fold_costs
-from kinedex.pipelines.report.nearest_examples import mirrored_clips, words_of
 from kinedex.pipelines.templates.examples import interval_of
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
+from kinedex.pipelines.templates.nearest_examples import mirrored_clips, words_of
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]

@@ -7,7 +7,7 @@ from pathlib import Path
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.template_files import NamedTemplate, write_csv, write_yaml
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.report.page_files import write_page
+from kinedex.pipelines.engine.page_files import write_page
 from kinedex.pipelines.templates.stored_templates import TEMPLATE_ENDINGS
 
 

@@ -15,9 +15,10 @@ from kinedex.ops.evaluation.detection import bootstrap
 from kinedex.ops.evaluation.metrics import Counts
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.evaluation.annotation_scores import Evaluation, Row, write_metrics
-from kinedex.pipelines.evaluation.difference_tables import markdown, page
+from kinedex.pipelines.evaluation.difference_tables import markdown
 from kinedex.pipelines.evaluation.differences import _difference_of, compared, content, without_repeats
 from kinedex.pipelines.evaluation.written_evaluations import MethodEvaluation, pairs, read_run
+from kinedex.pipelines.report.comparison_page import comparison_page
 from kinedex.storage.snapshot.manifest import StageRecord
 from kinedex.storage.store.writer import StoreWriter
 from tests.pipelines.study import Reading
@@ -75,7 +76,7 @@ def test_labels_in_vain_are_worse_than_none() -> None:
     assert {change.name: change.verdict for change in one.classes} == {"walk": "same", "hop": "worse"}
     assert one.takes[1].by == (None, None)
     assert {change.name: change.verdict for change in compared(b, a, ("B", "A")).takes}["y"] == "better"
-    for text in (markdown([one]), Reading(page([one])).text):
+    for text in (markdown([one]), Reading(comparison_page([one])).text):
         assert "Worse: 1 of 2 takes" in text
     alone = compared(*(MethodEvaluation("e", "", each, {}, {"y": each}) for each in (silent, vain)), ("A", "B"))
     assert alone.verdict.startswith(
@@ -88,7 +89,7 @@ def test_runs_without_a_common_take_are_not_compared() -> None:
     one = compared(scored(x=5, y=4), scored(z=9), ("A", "B"))
     assert one.verdict == "no take in common, so neither is better or worse"
     assert (one.classes, one.takes, one.only_a.takes, one.only_b.takes) == ((), (), ("x", "y"), ("z",))
-    for text in (markdown([one]), Reading(page([one])).text):
+    for text in (markdown([one]), Reading(comparison_page([one])).text):
         assert "no take in common" in text
         assert "ach over its own takes" in text
         assert "better:" not in text.lower()
@@ -130,7 +131,7 @@ def test_settings_that_differ_are_said() -> None:
     one = compared(ours, theirs, ("A", "B"))
     assert one.settings == (("method", "thesis", "best"), ("queries", None, ["mine.yaml"]))
     assert "- method: thesis in A, best in B" in markdown([one])
-    assert 'queries: not set in A, ["mine.yaml"] in B' in Reading(page([one])).text
+    assert 'queries: not set in A, ["mine.yaml"] in B' in Reading(comparison_page([one])).text
     assert 'queries: not set in A, \\["mine.yaml"\\] in B' in markdown([one])
 
 
@@ -257,7 +258,7 @@ def test_the_command_shows_and_writes_what_changed(tmp_path: Path) -> None:
 
 
 def test_the_page_stands_alone() -> None:
-    text = page([compared(scored(x=5), scored(x=9), ("<A>", "B"))])
+    text = comparison_page([compared(scored(x=5), scored(x=9), ("<A>", "B"))])
     reading = Reading(text)
     assert reading.references == []
     assert "B against <A>" in reading.text

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from kinedex.ops.errors import ParameterError
+from kinedex.pipelines.engine.page_files import write_page
 from kinedex.pipelines.report.axes import time_axis
 from kinedex.pipelines.report.curves import HEIGHT, POINTS, curve_figure, line, minima, thin
 from kinedex.pipelines.report.data import (
@@ -16,7 +17,6 @@ from kinedex.pipelines.report.data import (
     Segment,
     TakeRow,
 )
-from kinedex.pipelines.report.page_files import write_page
 from kinedex.pipelines.report.palette import CLASS_COLOURS
 from kinedex.pipelines.report.pixels import SCALE, quantised_image, soft_image, wildcard_share
 from kinedex.pipelines.report.take_selection import choose_takes, median_take, worst_middle_best

@@ -18,8 +18,9 @@ from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.report import motions
 from kinedex.pipelines.report.annotation_page import annotation_page
 from kinedex.pipelines.report.data import Segment, Template
+from kinedex.pipelines.report.example_motions import with_hits
 from kinedex.pipelines.report.motions import FINEST_M, UNSEEN, Motion, embed, motions_json, pack
-from kinedex.pipelines.report.nearest_examples import nearest_examples, with_hits
+from kinedex.pipelines.templates.nearest_examples import nearest_examples
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.archives import human_amc, human_asf

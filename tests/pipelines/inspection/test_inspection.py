@@ -20,8 +20,9 @@ from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.ingestion.analysis import analyse
 from kinedex.pipelines.inspection.feature_shares import feature_shares
-from kinedex.pipelines.inspection.inspection import Inspection, inspect_file, write_picture
+from kinedex.pipelines.inspection.inspection import Inspection, inspect_file
 from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT
+from kinedex.pipelines.report.stick_figures import write_picture
 from kinedex.storage.formats.motion.reader import ReadSettings
 from kinedex.storage.formats.motion.reader_table import read_body
 from tests.bodies import standing

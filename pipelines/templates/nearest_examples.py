@@ -1,4 +1,4 @@
-"""The nearest example clip of each hit, for the player: that of its template's clips which resembles it most."""
+"""The nearest example clip of each hit: that of its template's clips which resembles it most."""
 
 from __future__ import annotations
 
@@ -6,25 +6,47 @@ import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.templates.nearest_clip import nearest_clips
 from kinedex.ops.words import U64
-from kinedex.pipelines.engine.context import Progress, no_progress
-from kinedex.pipelines.report.data import Segment, Template
-from kinedex.pipelines.report.motions import MOST_BYTES, Motions
+from kinedex.pipelines.engine.display import Progress, no_progress
 from kinedex.pipelines.templates.examples import interval_of
-from kinedex.pipelines.templates.learning import SubclassTemplate
 from kinedex.storage.store.store import Store
-
-MOST_PIECES = 500
-"""So many segments at most get a motion of their own, where that of their take is not embedded."""
 
 Key = tuple[str, str, int, int]
 
 _MIRRORED = re.compile(r"(\d+) of \d+ clips are those of .* in the mirror")
+
+
+class Hit(Protocol):
+    """An interval [start, stop) of a take with a class, and the subclass whose template found it."""
+
+    @property
+    def take(self) -> str: ...
+    @property
+    def start(self) -> int: ...
+    @property
+    def stop(self) -> int: ...
+    @property
+    def subclass(self) -> str | None: ...
+    @property
+    def key(self) -> Key:
+        """Return take, class, start and stop."""
+
+
+class Learned(Protocol):
+    """A learned template: its subclass, the names of its clips, and where they are from."""
+
+    @property
+    def subclass(self) -> str: ...
+    @property
+    def clips(self) -> tuple[str, ...]: ...
+    @property
+    def origin(self) -> str: ...
 
 
 @dataclass(frozen=True)
@@ -38,52 +60,8 @@ class Example:
     frames: npt.NDArray[np.int64]
 
 
-def with_hits(
-    store: Store,
-    motions: Motions,
-    hits: Sequence[Segment],
-    others: Sequence[Segment],
-    templates: Sequence[Template],
-    progress: Progress = no_progress,
-) -> tuple[Motions, dict[Key, int]]:
-    """Add the motions of hits to those of a page, and the nearest examples of all segments that it can play.
-
-    Parameters
-    ----------
-    store : Store
-        The store of the takes and the clips.
-    motions : Motions
-        The motions of the page.
-    hits : sequence of Segment
-        Segments that the page must be able to play.
-    others : sequence of Segment
-        Further segments of the page; as many of them as fit get their motion, the first `MOST_PIECES` at most.
-    templates : sequence of Template
-        Learned templates, with the names of their clips.
-    progress : callable
-        Makes a progress bar of a description and a number of templates.
-
-    Returns
-    -------
-    motions : Motions
-        With the further motions.
-    near : dict of (take, class, start, stop) to int
-        The place of each nearest example in `motions.near`.
-    """
-    found = motions.with_pieces(store, ((hit.take, hit.start, hit.stop) for hit in hits))
-    further = others[:MOST_PIECES]
-    found = found.with_pieces(store, ((one.take, one.start, one.stop) for one in further), most=MOST_BYTES)
-    played = {hit.key: hit for hit in (*hits, *others) if found.has(hit.take, hit.start, hit.stop)}
-    near = nearest_examples(store, list(played.values()), templates, progress)
-    found = found.with_near(store, [(one.take, one.start, one.stop, one.frames) for one in near.values()])
-    return found, {key: place for place, key in enumerate(near)}
-
-
 def nearest_examples(
-    store: Store,
-    hits: Sequence[Segment],
-    templates: Sequence[Template | SubclassTemplate],
-    progress: Progress = no_progress,
+    store: Store, hits: Sequence[Hit], templates: Sequence[Learned], progress: Progress = no_progress
 ) -> dict[Key, Example]:
     """Find the nearest example of each hit.
 
@@ -93,9 +71,9 @@ def nearest_examples(
     ----------
     store : Store
         The store of the takes and the clips.
-    hits : sequence of Segment
+    hits : sequence of Hit
         The hits; their subclass names the template.
-    templates : sequence of Template
+    templates : sequence of Learned
         Learned templates, with the names of their clips.
     progress : callable
         Makes a progress bar of a description and a number of templates.
@@ -106,7 +84,7 @@ def nearest_examples(
         Hits whose template has no clip in the store are missing.
     """
     clips = {template.subclass: clips_of(store, template) for template in templates}
-    grouped: dict[str, list[Segment]] = defaultdict(list)
+    grouped: dict[str, list[Hit]] = defaultdict(list)
     for hit in hits:
         if hit.subclass is not None and clips.get(hit.subclass) and hit.stop > hit.start:
             grouped[hit.subclass].append(hit)
@@ -127,7 +105,7 @@ def nearest_examples(
     return found
 
 
-def clips_of(store: Store, template: Template | SubclassTemplate) -> list[tuple[str, int, int]]:
+def clips_of(store: Store, template: Learned) -> list[tuple[str, int, int]]:
     """Return the clips of a template that the store has, as take, start and stop."""
     return stored_clips(store, template.clips[: len(template.clips) - mirrored_clips(template.origin)])
 
