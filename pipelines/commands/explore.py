@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Annotated
 
 import typer
@@ -29,4 +30,12 @@ def explore(
     """
     from kinedex.pipelines.explorer.server import serve
 
-    serve(store, host, port, read_only=read_only, browser=not no_browser)
+    serve(store, host, port, read_only=read_only, browser=not no_browser, say=_say, warn=_warn)
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)
+
+
+def _warn(text: str) -> None:
+    print(f"warning: {text}", file=sys.stderr, flush=True)

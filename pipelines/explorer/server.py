@@ -9,6 +9,7 @@ import signal
 import socket
 import sys
 import webbrowser
+from collections.abc import Callable
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING
@@ -104,7 +105,16 @@ class Server(uvicorn.Server):
         super().handle_exit(sig, frame)
 
 
-def serve(store: Path, host: str, port: int | None, *, read_only: bool, browser: bool) -> None:
+def serve(
+    store: Path,
+    host: str,
+    port: int | None,
+    *,
+    read_only: bool,
+    browser: bool,
+    say: Callable[[str], None],
+    warn: Callable[[str], None],
+) -> None:
     """Serve a store until Ctrl-C.
 
     Parameters
@@ -119,6 +129,8 @@ def serve(store: Path, host: str, port: int | None, *, read_only: bool, browser:
         Refuse everything that writes.
     browser : bool
         Open the page in a browser.
+    say, warn : callable
+        Print a line, and a warning.
 
     Raises
     ------
@@ -135,11 +147,11 @@ def serve(store: Path, host: str, port: int | None, *, read_only: bool, browser:
         rules = Rules.for_host(new_token(), host, listening.getsockname()[1])
         shown = address(rules, host)
         if not is_loopback(host):
-            warn_of_others(host)
-        print(f"{store}: open {shown}", flush=True)
+            warn(others_warning(host))
+        say(f"{store}: open {shown}")
         if not read_only and not os.access(store, os.W_OK):
-            warn_of_no_writing(store)
-        print("Ctrl-C stops the server", flush=True)
+            warn(no_writing_warning(store))
+        say("Ctrl-C stops the server")
         config = uvicorn.Config(
             make_application(archive, rules),
             loop="asyncio",
@@ -185,22 +197,18 @@ def _open(shown: str) -> None:
     Thread(target=webbrowser.open, args=[shown], daemon=True).start()
 
 
-def warn_of_no_writing(store: Path) -> None:
-    """Report on standard error that the store cannot be written."""
-    print(
-        f"warning: {store} cannot be written by this user or on this file system: labels, learning, pipelines and "
-        "exports will be refused, and decisions wait in the browser; change that, or start with --read-only",
-        file=sys.stderr,
-        flush=True,
+def no_writing_warning(store: Path) -> str:
+    """Return the warning that the store cannot be written."""
+    return (
+        f"{store} cannot be written by this user or on this file system: labels, learning, pipelines and "
+        "exports will be refused, and decisions wait in the browser; change that, or start with --read-only"
     )
 
 
-def warn_of_others(host: str) -> None:
-    """Report on standard error that other machines can connect."""
-    print(
-        f"warning: the server listens on {host}: everybody who can reach this machine and knows the address with its "
+def others_warning(host: str) -> str:
+    """Return the warning that other machines can connect."""
+    return (
+        f"the server listens on {host}: everybody who can reach this machine and knows the address with its "
         "token can read the store and label it, and the connection is not encrypted; leave --host out to listen on "
-        "this machine alone, and use an SSH tunnel to come from elsewhere",
-        file=sys.stderr,
-        flush=True,
+        "this machine alone, and use an SSH tunnel to come from elsewhere"
     )
