@@ -1,7 +1,7 @@
 # The demo in a container: docker build -t kinedex . && docker run --rm -v "$PWD/out:/out" kinedex
 FROM node:24-slim AS page
 WORKDIR /explorer/page
-COPY pipelines/explorer/page ./
+COPY explorer/page ./
 RUN npm ci --ignore-scripts --no-audit --no-fund && npx vite build
 
 FROM python:3.12-slim
@@ -12,7 +12,7 @@ COPY requirements.lock ./
 RUN pip install --no-cache-dir --require-hashes -r requirements.lock
 
 COPY . .
-COPY --from=page /explorer/built pipelines/explorer/built
+COPY --from=page /explorer/built explorer/built
 RUN pip install --no-cache-dir . --no-deps \
     && rm -rf /app/*
 

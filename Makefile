@@ -24,10 +24,10 @@ CLAIMS  ?=
 # The tests that `make check-kernels` runs with bounds checks.
 BOUNDED ?= not slow
 
-PAGE := pipelines/explorer/page
+PAGE := explorer/page
 PAGE_SOURCES := $(addprefix $(PAGE)/,package.json package-lock.json vite.config.ts tsconfig.json index.html) $(shell find $(PAGE)/src -type f 2>/dev/null)
 
-PAGE_INDEX := pipelines/explorer/built/index.html
+PAGE_INDEX := explorer/built/index.html
 
 .PHONY: page check-page explore setup demo demo-tracking demo-depth demo-inertial test check-claims check-without-data other-duckdb lint types compile-tests check-kernels check-bounds check-plain fuzz attack bench bench-explorer docs links wheel sbom audit lock clean help
 .DEFAULT_GOAL := help
@@ -245,4 +245,4 @@ lock:
 	$(PYTHON) -c 'import json, pathlib; path = pathlib.Path("$(PAGE)/package-lock.json"); lock = json.loads(path.read_text()); [one.pop("funding", None) for one in lock["packages"].values()]; path.write_text(json.dumps(lock, indent=2) + "\n")'
 
 clean:
-	rm -rf $(VENV) build $(PAGE)/node_modules pipelines/explorer/built
+	rm -rf $(VENV) build $(PAGE)/node_modules explorer/built

@@ -12,8 +12,8 @@ from importlib import import_module
 from benchmarks.archive import store
 from benchmarks.harness import BUILD, SMALL_VARIABLE, Figure, calibrate, show, write
 from benchmarks.kept_parts import KeptParts, state_of_checkout
+from kinedex.console.terminal import make_console
 from kinedex.ops.errors import did_you_mean
-from kinedex.pipelines.console.terminal import make_console
 
 PARTS = (
     "startup",

@@ -16,9 +16,9 @@ from benchmarks.harness import Figure, calibrate, seconds, show, sized
 from benchmarks.rivals import sql
 from kinedex.catalog.queries.keyframe_query import KeyframeQuery
 from kinedex.catalog.queries.query_files import read_queries
+from kinedex.console.terminal import make_console
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.templates.templates import quantise
-from kinedex.pipelines.console.terminal import make_console
 from kinedex.pipelines.ranking.store_ranking import DELTA, rank_store
 from kinedex.pipelines.search.bit_slices import stored_words
 from kinedex.pipelines.search.query_proposal import propose_query

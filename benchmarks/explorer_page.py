@@ -53,9 +53,9 @@ from benchmarks.harness import LEFT_OUT, Figure, calibrate, seconds, show, silen
 from benchmarks.rivals import sql
 from kinedex.catalog.queries.query_files import read_queries
 from kinedex.catalog.queries.query_writer import write_queries
-from kinedex.pipelines.console.terminal import make_console
+from kinedex.console.terminal import make_console
+from kinedex.explorer.application import BUILT
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.pipelines.explorer.application import BUILT
 from kinedex.pipelines.ranking.store_ranking import rank_store
 from kinedex.pipelines.templates.stored_templates import template_from_clip
 from kinedex.storage.store.store import Store, open_store

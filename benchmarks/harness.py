@@ -18,7 +18,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from kinedex.pipelines.console.terminal import Terminal
+from kinedex.console.terminal import Terminal
 
 SMALL_VARIABLE = "KINEDEX_BENCH_SMALL"
 """The variable that asks for sizes at which every part takes seconds; processes that a part starts inherit it."""

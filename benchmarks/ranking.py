@@ -16,6 +16,7 @@ from benchmarks.archive import BUILD
 from benchmarks.archive import store as synthetic
 from benchmarks.harness import SMALL, Figure, calibrate, seconds, show, silent, sized
 from benchmarks.ranking_memory import made_up, searched_classes
+from kinedex.console.terminal import make_console
 from kinedex.ops.distances.costs import cost_table, encode, lay_out
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.distances.pruning import CoarseBound, coarse_bounds, fine_bound, pieces_below
@@ -25,7 +26,6 @@ from kinedex.ops.distances.sweep import CAP
 from kinedex.ops.ranking.ranking import rank, rank_together
 from kinedex.ops.templates.templates import QuantisedTemplate, learn_soft, quantise
 from kinedex.ops.words import TakeWords, bits
-from kinedex.pipelines.console.terminal import make_console
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.ranking.ranking import rank_takes
 from kinedex.storage.store.store import Store, open_store

@@ -18,9 +18,9 @@ import numpy as np
 
 from benchmarks.archive import store
 from benchmarks.indexing import own_peak_mb, store_of_words
+from kinedex.console.terminal import make_console
 from kinedex.ops.templates.templates import learn_soft, quantise
 from kinedex.ops.words import TakeWords
-from kinedex.pipelines.console.terminal import make_console
 from kinedex.pipelines.ranking.ranked_hits import RankedTemplate
 from kinedex.pipelines.ranking.ranking import rank_takes
 from kinedex.storage.store.store import Store, open_store

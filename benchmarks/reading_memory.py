@@ -14,7 +14,7 @@ from pathlib import Path
 from rich import box
 from rich.table import Table
 
-from kinedex.pipelines.console.terminal import make_console
+from kinedex.console.terminal import make_console
 from tests.large_files import WRITERS, estimate_mb, measure
 
 

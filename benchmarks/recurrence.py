@@ -12,9 +12,9 @@ import numba as nb
 import numpy as np
 
 from benchmarks.harness import Figure, calibrate, seconds, show
+from kinedex.console.terminal import make_console
 from kinedex.ops.distances.recurrence import COARSE_CAP, coarse_path_cost
 from kinedex.ops.distances.stripes import SLOTS, U8, aligned_bytes
-from kinedex.pipelines.console.terminal import make_console
 
 ROWS, FRAMES, WORDS = 80, 20_000, 500
 

@@ -23,7 +23,7 @@ from rich.table import Table
 
 from benchmarks.archive import BUILD
 from benchmarks.harness import calibrate, silent
-from kinedex.pipelines.console.terminal import make_console
+from kinedex.console.terminal import make_console
 from kinedex.pipelines.engine.executors import ProcessExecutor
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.synth.archive import write_archive

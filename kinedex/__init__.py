@@ -24,19 +24,19 @@ if not (Path(__file__).parent / "ops" / "__init__.py").is_file():
 
 if TYPE_CHECKING:
     from kinedex.catalog.features import FeatureSet, load_feature_set
+    from kinedex.library.annotation import Evaluation, annotate, evaluate
+    from kinedex.library.labels import Labels
+    from kinedex.library.new_takes import features, read
+    from kinedex.library.pages import write_page
+    from kinedex.library.picture import Picture
+    from kinedex.library.pipeline import ingest, run_pipeline
+    from kinedex.library.query import Query
+    from kinedex.library.reconstruction import Reconstructor, reconstruct
+    from kinedex.library.store import Store, open_store
+    from kinedex.library.take import Take
+    from kinedex.library.template import Difference, Template
+    from kinedex.library.tracking import stabilise, track
     from kinedex.ops.errors import ConfigError, KinedexError, ParameterError, SourceError, StoreError
-    from kinedex.pipelines.api.annotation import Evaluation, annotate, evaluate
-    from kinedex.pipelines.api.labels import Labels
-    from kinedex.pipelines.api.new_takes import features, read
-    from kinedex.pipelines.api.pages import write_page
-    from kinedex.pipelines.api.picture import Picture
-    from kinedex.pipelines.api.pipeline import ingest, run_pipeline
-    from kinedex.pipelines.api.query import Query
-    from kinedex.pipelines.api.reconstruction import Reconstructor, reconstruct
-    from kinedex.pipelines.api.store import Store, open_store
-    from kinedex.pipelines.api.take import Take
-    from kinedex.pipelines.api.template import Difference, Template
-    from kinedex.pipelines.api.tracking import stabilise, track
     from kinedex.pipelines.engine.runner import Outcome
 
     __version__: str
@@ -75,33 +75,33 @@ __all__ = [
 
 _HOMES = {
     "ConfigError": "ops.errors",
-    "Difference": "pipelines.api.template",
-    "Evaluation": "pipelines.api.annotation",
+    "Difference": "library.template",
+    "Evaluation": "library.annotation",
     "FeatureSet": "catalog.features",
     "KinedexError": "ops.errors",
-    "Labels": "pipelines.api.labels",
+    "Labels": "library.labels",
     "Outcome": "pipelines.engine.runner",
     "ParameterError": "ops.errors",
-    "Picture": "pipelines.api.picture",
-    "Query": "pipelines.api.query",
-    "Reconstructor": "pipelines.api.reconstruction",
+    "Picture": "library.picture",
+    "Query": "library.query",
+    "Reconstructor": "library.reconstruction",
     "SourceError": "ops.errors",
-    "Store": "pipelines.api.store",
+    "Store": "library.store",
     "StoreError": "ops.errors",
-    "Take": "pipelines.api.take",
-    "Template": "pipelines.api.template",
-    "annotate": "pipelines.api.annotation",
-    "evaluate": "pipelines.api.annotation",
-    "features": "pipelines.api.new_takes",
-    "ingest": "pipelines.api.pipeline",
+    "Take": "library.take",
+    "Template": "library.template",
+    "annotate": "library.annotation",
+    "evaluate": "library.annotation",
+    "features": "library.new_takes",
+    "ingest": "library.pipeline",
     "load_feature_set": "catalog.features",
-    "open_store": "pipelines.api.store",
-    "read": "pipelines.api.new_takes",
-    "reconstruct": "pipelines.api.reconstruction",
-    "run_pipeline": "pipelines.api.pipeline",
-    "stabilise": "pipelines.api.tracking",
-    "track": "pipelines.api.tracking",
-    "write_page": "pipelines.api.pages",
+    "open_store": "library.store",
+    "read": "library.new_takes",
+    "reconstruct": "library.reconstruction",
+    "run_pipeline": "library.pipeline",
+    "stabilise": "library.tracking",
+    "track": "library.tracking",
+    "write_page": "library.pages",
 }
 """The module of each public name; it is imported when the name is first used, so that `import kinedex` is quick."""
 

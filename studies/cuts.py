@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 import kinedex
+from kinedex.library.take import Take
 from kinedex.ops.body.resample import covered_frames
-from kinedex.pipelines.api.take import Take
 from kinedex.pipelines.evaluation.markdown import grid
 from kinedex.pipelines.export.forms import FORMS
 from kinedex.storage.formats.motion.source_cut import SourceCut

@@ -22,6 +22,7 @@ from rich.table import Table
 
 from kinedex.catalog.classes import load_classes
 from kinedex.catalog.features import FeatureSet
+from kinedex.console.terminal import make_console
 from kinedex.ops.annotation.background import SPLITS, background
 from kinedex.ops.annotation.decoding import Decoding, Explained, explain, lay_columns, margins
 from kinedex.ops.evaluation.metrics import Counts, compare, pooled
@@ -29,7 +30,6 @@ from kinedex.ops.templates.templates import Learned, learn_soft
 from kinedex.ops.words import NO_WORD, U64, TakeWords
 from kinedex.pipelines.annotation.annotators import make_annotator
 from kinedex.pipelines.annotation.batches import annotate_words
-from kinedex.pipelines.console.terminal import make_console
 from kinedex.pipelines.templates.learning import SubclassTemplate
 from kinedex.storage.store.store import Store, open_store
 

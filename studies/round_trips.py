@@ -18,11 +18,11 @@ import numpy.typing as npt
 import polars as pl
 
 import kinedex
+from kinedex.library.take import Take
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.synth.actors import cast
 from kinedex.ops.synth.performance import perform_clip
 from kinedex.ops.synth.solve import columns
-from kinedex.pipelines.api.take import Take
 from kinedex.pipelines.evaluation.markdown import grid
 from kinedex.pipelines.export.forms import FORMS
 from kinedex.storage.formats.motion.acclaim_writer import Dialect, write_amc, write_asf

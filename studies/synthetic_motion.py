@@ -19,8 +19,8 @@ from rich.table import Table
 
 from benchmarks.archive import archive
 from benchmarks.harness import silent
+from kinedex.console.terminal import make_console
 from kinedex.ops.words import TakeWords, cut
-from kinedex.pipelines.console.terminal import make_console
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.storage.store.store import open_store
 

@@ -24,12 +24,12 @@ from rich.console import Console
 import kinedex
 from kinedex.catalog.kinematics import load_kinematic_chain
 from kinedex.catalog.limbs import LIMB_NAMES
+from kinedex.console.terminal import Terminal
 from kinedex.ops.body import kinematics
 from kinedex.ops.body.kinematic_chain import ChainBody, forward
 from kinedex.ops.inertial.disagreement import direction_errors, errors, mount_direction
 from kinedex.ops.inertial.limb_orientation import NONE, long_axis
 from kinedex.ops.inertial.rotations import conjugate, distance_deg, interpolate, multiply
-from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.evaluation.markdown import grid
 from kinedex.pipelines.inertial.limb_motion import LimbMotion, TakeLimbs
 from kinedex.pipelines.inertial.limb_sources import limb_tasks, read_limbs, with_stored_body

@@ -7,7 +7,7 @@ from typing import Any
 
 import typer
 
-from kinedex.pipelines.commands.cli import app
+from kinedex.commands.cli import app
 
 
 def commands() -> Iterator[tuple[str, Callable[..., None]]]:

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from kinedex.pipelines.commands.cli import app
+from kinedex.commands.cli import app
 from kinedex.storage.store.store import open_store
 from tests.pipelines.archives import write_archive
 

@@ -16,7 +16,7 @@ from kinedex.catalog.configs import config_path
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.queries.query_files import parse_queries
 from kinedex.catalog.skeletons.mappings import load_skeleton
-from kinedex.pipelines.commands.cli import app
+from kinedex.commands.cli import app
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.index import Index

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from kinedex.pipelines.explorer.application import BUILT
+from kinedex.explorer.application import BUILT
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.store.store import open_store
 from studies import explorer_decisions

@@ -15,7 +15,8 @@ from kinedex.catalog.sql.views import MACROS, VIEWS
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
 TERMS, PLACES, HEADINGS = re.split(r"^## .*$", PAGE, flags=re.MULTILINE)[1:]
-FOLDERS = ("kinedex", "ops", "catalog", "storage", "pipelines", "configs", "docs", "benchmarks", "studies", "tests")
+CODE = ("ops", "catalog", "storage", "pipelines", "reports", "explorer", "kinedex")
+FOLDERS = (*CODE, "configs", "docs", "benchmarks", "studies", "tests")
 
 NUMBER = r"(?:[1-9]|A(?![a-z]))(?:\.\d{1,2})*"
 NUMBERS = rf"{NUMBER}(?: ?\(?[ab]\)?)?(?:(?:, | and | to | or |,? and (?:Eq\.|Figure) ){NUMBER})*"
@@ -30,7 +31,6 @@ KINDS = {
     ),
 }
 NOTHING_TO_COMPUTE = {"Related Work", "Related work", "Motivation", "Conclusions", "Introduction"}
-CODE = ("ops", "catalog", "storage", "pipelines", "kinedex")
 
 
 def spread(text: str) -> set[str]:

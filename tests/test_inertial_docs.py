@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 import kinedex
-from kinedex.pipelines.commands.cli import app
+from kinedex.commands.cli import app
 from tests.pipelines.archives import write_archive
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "inertial.md").read_text(encoding="utf-8")

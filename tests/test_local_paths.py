@@ -18,10 +18,10 @@ from kinedex.catalog.configs import parse_yaml
 from kinedex.catalog.depth_recordings import load_depth_recordings
 from kinedex.catalog.queries.query_reader import referred_path
 from kinedex.catalog.recordings import load_recordings
+from kinedex.commands.app import COMMON_OPTIONS, NO_PATHS
+from kinedex.commands.cli import app
 from kinedex.ops.errors import ConfigError, KinedexError, SourceError
 from kinedex.ops.local_paths import refuse_addresses
-from kinedex.pipelines.commands.app import COMMON_OPTIONS, NO_PATHS
-from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.storage.formats.depth.frame_files import find_frames
 from tests.every_command import commands

@@ -12,7 +12,7 @@ import pytest
 import typer
 import yaml
 
-from kinedex.pipelines.commands.cli import app
+from kinedex.commands.cli import app
 from tests.attacks.runs import ATTACKS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -71,7 +71,7 @@ def test_the_workflow_of_attacks_runs_each_of_them() -> None:
 
 
 def test_the_locks_name_no_host() -> None:
-    for lock in [*ROOT.glob("requirements*.lock"), ROOT / "pipelines/explorer/page/package-lock.json"]:
+    for lock in [*ROOT.glob("requirements*.lock"), ROOT / "explorer/page/package-lock.json"]:
         assert "://" not in lock.read_text(encoding="utf-8"), lock.name
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.queries.query_files import read_queries
-from kinedex.pipelines.commands.command_list import COMMANDS
+from kinedex.commands.command_list import COMMANDS
 from kinedex.pipelines.stages.index import Index
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.store.store import Store, open_store

@@ -9,7 +9,7 @@ import pytest
 
 from docs.generators.reference import PARTS, reference
 from kinedex.catalog.configs import KINDS, config_names
-from kinedex.pipelines.commands.app import COMMON_OPTIONS
+from kinedex.commands.app import COMMON_OPTIONS
 from kinedex.pipelines.engine.stage import BUILT_IN, load_stage
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "reference.md").read_text(encoding="utf-8")

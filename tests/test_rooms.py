@@ -1,4 +1,7 @@
-"""The rooms of the house: imports go pipelines → storage → catalog → ops, never back, and in no circle."""
+"""The rooms of the house: imports go one way, never back, and in no circle.
+
+commands → explorer → library → console → reports → pipelines → storage → catalog → ops; each may skip.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,26 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = ("ops", "catalog", "storage", "pipelines")
-FILES = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
+ROOMS = ("ops", "catalog", "storage", "pipelines", "reports", "console", "library", "explorer", "commands")
+"""The rooms from the lowest on."""
+
+OWN = ("console", "library", "commands")
+"""Those of them that are folders of `kinedex/`; the others lie beside it, and are links there."""
+
+TERMINAL = ("console", "commands")
+"""The rooms that print, and that know how a terminal looks."""
+
+PROGRAMS = {"storage/formats/imu/hdf5_child.py", "explorer/waiting_command.py"}
+"""Programs of their own: one prints for the process that started it, the other becomes a command."""
+
+
+def files_of(room: str) -> list[Path]:
+    """Return the modules of a room."""
+    folder = ROOT / "kinedex" / room if room in OWN else ROOT / room
+    return sorted(path for path in folder.rglob("*.py") if "node_modules" not in path.parts)
+
+
+FILES = [path for room in ROOMS for path in files_of(room)]
 
 
 @cache
@@ -44,9 +65,27 @@ def files_that_import(files: list[Path], forbidden: set[str]) -> dict[str, set[s
 @pytest.mark.parametrize("room", ROOMS)
 def test_imports_go_one_way(room: str) -> None:
     above = {*ROOMS[ROOMS.index(room) + 1 :], "kinedex", "tests", "benchmarks", "studies"}
-    files = [path for path in FILES if path.relative_to(ROOT).parts[0] == room]
-    assert files
-    assert files_that_import(files, above) == {}
+    assert files_of(room)
+    assert files_that_import(files_of(room), above) == {}
+
+
+def test_every_folder_of_the_package_is_a_room() -> None:
+    folders = [path for path in (ROOT / "kinedex").iterdir() if (path / "__init__.py").is_file()]
+    assert {path.name for path in folders} == {*ROOMS}
+    assert {path.name for path in folders if not path.is_symlink()} == {*OWN}
+
+
+def prints(path: Path) -> bool:
+    """Return whether a module prints."""
+    calls = (node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call))
+    return any(isinstance(node.func, ast.Name) and node.func.id == "print" for node in calls)
+
+
+def test_services_know_no_terminal() -> None:
+    files = [path for room in ROOMS if room not in TERMINAL for path in files_of(room)]
+    services = [path for path in files if path.relative_to(ROOT).as_posix() not in PROGRAMS]
+    assert files_that_import(services, {"rich", "typer", "click"}) == {}
+    assert [path for path in services if prints(path)] == []
 
 
 def test_the_numbers_know_no_files_no_sql_and_no_config() -> None:
@@ -68,9 +107,8 @@ def test_no_room_is_imported_by_its_bare_name() -> None:
 def test_stages_are_imported_by_nobody() -> None:
     for path in FILES:
         source = path.read_text(encoding="utf-8")
-        assert "kinedex.pipelines.stages" not in source or (path.name == "stage.py" and path.parent.name == "engine"), (
-            path
-        )
+        named = "kinedex.pipelines.stages" in source or "kinedex.reports.stages" in source
+        assert not named or (path.name == "stage.py" and path.parent.name == "engine"), path
 
 
 def module_name(path: Path) -> str:

@@ -21,8 +21,11 @@ import pytest
 from tests.pipelines.archives import write_archive
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = ("ops", "catalog", "storage", "pipelines", "configs")
-PAGE = ROOT / "pipelines" / "explorer" / "page"
+ROOMS = ("ops", "catalog", "storage", "pipelines", "reports", "explorer", "configs")
+PAGE = ROOT / "explorer" / "page"
+OWN = ("library", "console", "commands")
+"""Folders of `kinedex/` that are no links."""
+
 BUILT = PAGE.parent / "built"
 STAND_IN = "WHOSE = 'the ops of PyPI'\n"
 
@@ -117,9 +120,10 @@ def beside_own_modules(tmp_path: Path) -> Path:
 
 def test_sdist_and_wheel_hold_plain_folders_with_every_file(installed: Installed) -> None:
     shipped = {
-        f"kinedex/{path.relative_to(ROOT)}"
-        for room in ROOMS
-        for path in (ROOT / room).rglob("*")
+        f"kinedex/{path.relative_to(folder)}"
+        for folder in (ROOT, ROOT / "kinedex")
+        for room in (ROOMS if folder == ROOT else OWN)
+        for path in (folder / room).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts and PAGE not in path.parents
     } | {"kinedex/__init__.py", "kinedex/__main__.py", "kinedex/py.typed"}
     with tarfile.open(installed.sdist) as packed:
@@ -142,9 +146,9 @@ def test_the_page_of_the_explorer_is_packed_without_what_built_it(installed: Ins
             pytest.fail(missing)
         pytest.skip(missing)
     assert "built/index.html" in sources, "the source distribution installs without node"
-    code = "from kinedex.pipelines.explorer.application import require_page; require_page()"
+    code = "from kinedex.explorer.application import require_page; require_page()"
     execute([sys.executable, "-c", code], installed.target.parent, installed.environment)
-    page = installed.target / "kinedex" / "pipelines" / "explorer" / "built"
+    page = installed.target / "kinedex" / "explorer" / "built"
     scripts = re.findall(r'(?:src|href)="/([^"]+)"', (page / "index.html").read_text(encoding="utf-8"))
     assert scripts
     assert all((page / name).is_file() for name in scripts)
@@ -155,7 +159,7 @@ SEVERAL = """
 import json
 import sys
 
-from kinedex.pipelines.commands.cli import app
+from kinedex.commands.cli import app
 
 for words in json.loads(sys.argv[1]):
     app(words, prog_name="kinedex", standalone_mode=False)

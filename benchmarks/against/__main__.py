@@ -16,8 +16,8 @@ from benchmarks.against.guarded_figures import FILE, Guarded, guarded_figures
 from benchmarks.against.inputs import inputs
 from benchmarks.against.rivals import rival_rows
 from benchmarks.against.turns import DriverError, Measure, Missing, by_turns, measure_once
+from kinedex.console.terminal import make_console
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.console.terminal import make_console
 
 NEWEST = "newest-tag"
 """Stands for the newest release before this commit."""

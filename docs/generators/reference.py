@@ -18,8 +18,8 @@ from typer.core import TyperArgument
 from docs.generators.json_documents import DOCUMENTS
 from docs.generators.markdown_tables import table
 from kinedex.catalog.configs import KINDS, config_names, config_path, load_yaml
-from kinedex.pipelines.commands.app import COMMON_OPTIONS, PANELS
-from kinedex.pipelines.commands.cli import app
+from kinedex.commands.app import COMMON_OPTIONS, PANELS
+from kinedex.commands.cli import app
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.stage import BUILT_IN, load_stage
 from kinedex.pipelines.evaluation.scheme import Method, Split

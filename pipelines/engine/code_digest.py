@@ -38,6 +38,9 @@ PACKAGE = "kinedex"
 ROOT = Path(__file__).resolve().parents[2]
 """The folder of the rooms: in a checkout, or in the installed package."""
 
+ROOMS = ("ops", "catalog", "storage", "pipelines", "reports", "explorer", "library", "console", "commands")
+"""The folders of the package; in a checkout the last three lie in `kinedex/`, and the others beside it."""
+
 WHOLE, EFFECTS = "", "*"
 """In a place, all of a module, and its statements that are no plain definitions and run when it is imported."""
 
@@ -127,9 +130,22 @@ def _known_digests() -> dict[str, str]:
 @lru_cache(maxsize=1)
 def _code_state() -> str:
     """Return a hash of Python's version, and of times and sizes of the files of the rooms."""
-    files = sorted(file for room in ("ops", "catalog", "storage", "pipelines") for file in (ROOT / room).rglob("*.py"))
+    files = sorted(file for room in ROOMS for file in _python_files(_folder(ROOT, room)))
     stamps = json.dumps([(str(file), *_stamp(file)) for file in files])
     return hashlib.sha256(f"{sys.version_info} {stamps}".encode()).hexdigest()
+
+
+def _folder(root: Path, room: str) -> Path:
+    """Return the folder of a room or of a module below it."""
+    beside, inside = root / room, root / PACKAGE / room
+    return inside if not beside.exists() and inside.exists() else beside
+
+
+def _python_files(folder: Path) -> Iterator[Path]:
+    """Yield the modules below a folder; the page of the explorer has none, and many files of others."""
+    for place, folders, files in os.walk(folder):
+        folders[:] = [name for name in folders if name not in ("page", "built", "__pycache__")]
+        yield from (Path(place, name) for name in files if name.endswith(".py"))
 
 
 @dataclass
@@ -380,7 +396,7 @@ class Sources:
                 if spec is not None and spec.origin is not None and spec.origin.endswith(".py"):
                     return Path(spec.origin)
             return None
-        path = self._root.joinpath(*rest)
+        path = _folder(self._root, rest[0]).joinpath(*rest[1:]) if rest else self._root
         candidates = [path.with_suffix(".py"), path / "__init__.py"] if rest else [
             path / PACKAGE / "__init__.py", path / "__init__.py"
         ]  # fmt: skip

@@ -75,8 +75,8 @@ FORMS = {
     "trc": Form("joints as markers, for OpenSim and Pose2Sim", ("trc",), f"{_MOTION}.trc_writer:write_trc"),
     "c3d": Form("joints as points, for programs of motion capture", ("c3d",), f"{_MOTION}.c3d_writer:write_c3d"),
     "glb": Form("glTF: skeleton, animation and a stick figure", ("glb",), f"{_MOTION}.gltf_writer:write_gltf"),
-    "gif": Form("a film of a stick figure, a minute at most", ("gif",), "kinedex.pipelines.export.film:write_gif"),
-    "mp4": Form("such a film of any length (kinedex[film])", ("mp4",), "kinedex.pipelines.export.film:write_mp4"),
+    "gif": Form("a film of a stick figure, a minute at most", ("gif",), "kinedex.reports.film:write_gif"),
+    "mp4": Form("such a film of any length (kinedex[film])", ("mp4",), "kinedex.reports.film:write_mp4"),
 }
 """Name of a form → the form."""
 

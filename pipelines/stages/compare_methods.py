@@ -28,7 +28,7 @@ from kinedex.storage.store.store import Store
 
 FILES = ("methods.html", "methods.md", "methods.json")
 
-PAGE = "kinedex.pipelines.report.study_page:study_page"
+PAGE = "kinedex.reports.study_page:study_page"
 """The function that draws the page of the stage."""
 
 

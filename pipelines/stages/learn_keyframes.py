@@ -19,7 +19,7 @@ from kinedex.pipelines.templates.examples import examples_of, examples_read, rej
 from kinedex.pipelines.templates.learning import example_clips
 from kinedex.storage.store.store import Store
 
-PAGE = "kinedex.pipelines.report.keyframes_page:keyframes_page"
+PAGE = "kinedex.reports.keyframes_page:keyframes_page"
 """The function that draws the page of the stage."""
 
 

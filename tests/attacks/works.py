@@ -12,7 +12,7 @@ import pyarrow as pa
 import yaml
 
 import kinedex
-from kinedex.pipelines.console.terminal import Terminal
+from kinedex.console.terminal import Terminal
 from kinedex.pipelines.ingestion import read_rounds
 from kinedex.pipelines.keyframes import runs
 from kinedex.pipelines.repair.repair import repair_store

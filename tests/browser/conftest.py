@@ -12,7 +12,7 @@ import pytest
 from playwright.sync_api import Browser, sync_playwright
 from rich.console import Console
 
-from kinedex.pipelines.console.terminal import Terminal
+from kinedex.console.terminal import Terminal
 from kinedex.pipelines.engine.runner import run_pipeline
 from tests.pipelines.archives import human_amc, write_archive
 

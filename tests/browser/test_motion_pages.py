@@ -11,8 +11,8 @@ from PIL import Image
 from playwright.sync_api import Browser, expect
 from typer.testing import CliRunner
 
-from kinedex.pipelines.commands.cli import app
-from kinedex.pipelines.motion_pages.motion_page import shares
+from kinedex.commands.cli import app
+from kinedex.reports.motion_pages.motion_page import shares
 from tests.browser.pages import BEYOND, SCROLLED, SMALL, WAIT_MS, is_drawn, opened, picture
 
 

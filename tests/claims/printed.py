@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 GENERATED = {"docs/reference.md"}
 """Pages that are made of the code, whose texts are collected there."""
 
-ROOMS = ("catalog", "kinedex", "ops", "pipelines", "storage")
+ROOMS = ("catalog", "explorer", "kinedex", "ops", "pipelines", "reports", "storage")
 PROGRAMS = ("kinedex", "make", "python", "pip", "pytest", "pre-commit", "chromium", "curl", "docker", "uv", "git")
 SHELL = ("for", "mkdir", "cp", "sed")
 """Words of the shell that begin a command between others, in blocks alone."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import typer
 
-from kinedex.pipelines.commands.cli import app
+from kinedex.commands.cli import app
 
 ROOT = Path(__file__).resolve().parents[2]
 

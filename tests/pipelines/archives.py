@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import Console
 
 from kinedex.catalog.features import load_feature_set
-from kinedex.pipelines.console.terminal import Terminal
+from kinedex.console.terminal import Terminal
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.executors import make_executor
 

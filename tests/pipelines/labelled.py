@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel
 from rich.console import Console
 
-from kinedex.pipelines.console.terminal import Terminal
+from kinedex.console.terminal import Terminal
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.executors import make_executor
 from kinedex.pipelines.engine.stage import Stage

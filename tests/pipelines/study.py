@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from kinedex.pipelines.report.data import (
+from kinedex.reports.data import (
     Curve,
     Failure,
     FeatureNames,

@@ -10,15 +10,15 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.evaluation.detection import bootstrap
 from kinedex.ops.evaluation.metrics import Counts
-from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.evaluation.annotation_scores import Evaluation, Row, write_metrics
 from kinedex.pipelines.evaluation.difference_tables import markdown
 from kinedex.pipelines.evaluation.differences import _difference_of, compared, content, without_repeats
 from kinedex.pipelines.evaluation.written_evaluations import MethodEvaluation, pairs, read_run
-from kinedex.pipelines.report.comparison_page import comparison_page
+from kinedex.reports.comparison_page import comparison_page
 from kinedex.storage.snapshot.manifest import StageRecord
 from kinedex.storage.store.writer import StoreWriter
 from tests.pipelines.study import Reading

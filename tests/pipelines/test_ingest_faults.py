@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
+from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError, StoreError
-from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.executors import SerialExecutor, WorkerDied
 from kinedex.pipelines.ingestion import file_batches as reading
 from kinedex.pipelines.ingestion import read_rounds

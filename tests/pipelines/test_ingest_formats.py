@@ -12,9 +12,9 @@ from rich.console import Console
 
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_skeleton
+from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.words import ALL_KNOWN
-from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.export.request import How
 from kinedex.pipelines.export.single import export_take
 from kinedex.pipelines.stages.ingest import Ingest

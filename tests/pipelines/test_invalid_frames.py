@@ -10,8 +10,8 @@ import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 
+from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
 from kinedex.pipelines.export.request import How
 from kinedex.pipelines.export.single import export_take

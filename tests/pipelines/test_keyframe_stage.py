@@ -15,11 +15,11 @@ from typer.testing import CliRunner
 from kinedex.catalog.classes import load_classes
 from kinedex.catalog.queries.query_files import parse_queries
 from kinedex.catalog.queries.query_writer import write_queries
+from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.keyframes.genetic_algorithm import BETA
 from kinedex.ops.keyframes.training_task import OFFSPRING, PARENTS
 from kinedex.ops.words import NO_WORD, TakeWords
-from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.keyframes import learning
 from kinedex.pipelines.keyframes import parameters as keyframe_parameters

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
-from kinedex.pipelines.commands.cli import app
+from kinedex.commands.cli import app
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.known_failures import SourceFiles, SourceState, source_files
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels

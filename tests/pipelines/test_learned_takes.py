@@ -10,9 +10,9 @@ import yaml
 from rich.console import Console
 from typer.testing import CliRunner
 
+from kinedex.commands.cli import app
+from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.commands.cli import app
-from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine import plan
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.plan import make_plan

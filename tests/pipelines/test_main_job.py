@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from kinedex.pipelines.commands.demo import run_demo
+from kinedex.commands.demo import run_demo
 from kinedex.pipelines.engine.runner import Outcome
 from kinedex.pipelines.search.search import load_query_file, search_store
 from kinedex.storage.store.store import open_store

@@ -12,9 +12,9 @@ from typing import ClassVar
 import pytest
 from rich.console import Console
 
+from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.evaluation.metrics import Counts
-from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.evaluation import grid, test_takes

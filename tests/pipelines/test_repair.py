@@ -14,8 +14,8 @@ import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
+from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError, Remedy
-from kinedex.pipelines.commands.cli import app
 from kinedex.storage.repair.quarantine import quarantines
 from kinedex.storage.snapshot.manifest import Manifest
 from kinedex.storage.snapshot.manifest_files import manifest_path, versions

@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 
 from kinedex.catalog.configs import parse_yaml
 from kinedex.catalog.template_files import read_templates
+from kinedex.commands.cli import app
 from kinedex.ops.errors import ConfigError
 from kinedex.ops.words import NO_WORD
-from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.stages.learn_templates import LearnTemplates
 from kinedex.pipelines.templates.recipes import Combination
 from tests.pipelines.labelled import BODY, POSES, Line, clip, motion, write_store

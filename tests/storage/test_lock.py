@@ -101,7 +101,7 @@ def test_a_run_that_has_begun_waits_rather_than_loses_its_work(tmp_path: Path) -
                 locks.append(Lock(store / "lock", "this"))
 
         def __getattr__(self, name: str) -> object:
-            from kinedex.pipelines.console.terminal import Terminal
+            from kinedex.console.terminal import Terminal
 
             return getattr(Terminal(), name)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, ConsoleMessage, Page, expect
 
-from kinedex.pipelines.explorer.application import BUILT
+from kinedex.explorer.application import BUILT
 
 WAIT_MS = 30_000
 """Every wait for the page ends after so long: first questions load what answers them, beside other tests."""

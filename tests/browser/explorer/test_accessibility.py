@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from playwright.sync_api import Page, expect
 
-from kinedex.pipelines.explorer.application import BUILT
+from kinedex.explorer.application import BUILT
 from tests.browser.explorer.conftest import Open
 from tests.browser.explorer.test_map import MAP_MS
 

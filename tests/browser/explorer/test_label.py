@@ -15,7 +15,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 import kinedex
-from kinedex.pipelines.explorer.application import BUILT
+from kinedex.explorer.application import BUILT
 from tests.browser.explorer.conftest import WAIT_MS
 from tests.pipelines.archives import write_archive
 

@@ -26,7 +26,7 @@ from benchmarks.explorer_browser import (
     show_take,
 )
 from benchmarks.explorer_browser import explorer as served
-from kinedex.pipelines.explorer.application import BUILT
+from kinedex.explorer.application import BUILT
 from tests.browser.explorer.conftest import WAIT_MS
 
 pytestmark = pytest.mark.slow

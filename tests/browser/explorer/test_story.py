@@ -28,8 +28,8 @@ from playwright.sync_api import Browser, FloatRect, Locator, Page, expect
 from typer.testing import CliRunner
 
 import kinedex
-from kinedex.pipelines.commands.cli import app
-from kinedex.pipelines.explorer.jobs import FOLDER
+from kinedex.commands.cli import app
+from kinedex.explorer.jobs import FOLDER
 from tests.browser.explorer.conftest import WAIT_MS
 from tests.real_data import SHARED
 

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
+from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.annotation.labels import annotate_stage, labels_of, source_frame
-from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.evaluation.ground_truth import analysis_frame
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.evaluate import Evaluate

@@ -11,8 +11,8 @@ import pytest
 from rich.console import Console
 
 from kinedex.catalog.configs import shipped_configs
+from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import ConfigError, KinedexError, NewStoreError, ParameterError, SourceError
-from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.executors import SerialExecutor
 from kinedex.pipelines.engine.plan import make_plan

@@ -21,9 +21,9 @@ from kinedex.catalog.configs import config_path
 from kinedex.catalog.feature_definitions import PRIMITIVES
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.plugins import PluginError
+from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.annotation.methods import METHODS
-from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine import code_digest as digests
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.plan import make_plan

@@ -14,9 +14,9 @@ import pytest
 from rich.console import Console
 
 from kinedex.catalog.classes import Classes, MotionClass
+from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.ops.evaluation.metrics import Counts
-from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.evaluation.annotation_scores import (
     Evaluation,
     evaluate,

@@ -14,8 +14,8 @@ import pytest
 from typer.testing import CliRunner
 
 import kinedex
+from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError, ParameterError
-from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.index import Index
 from kinedex.pipelines.stages.ingest import Ingest

@@ -17,9 +17,9 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
+from kinedex.commands.cli import app
+from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.commands.cli import app
-from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.runner import StageFailed, run_pipeline
 from kinedex.pipelines.history.overview import before_each, changes, find_run
 from kinedex.pipelines.history.run_file import export_run, run_file

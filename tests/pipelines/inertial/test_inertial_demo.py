@@ -9,10 +9,10 @@ import pyarrow as pa
 import pytest
 from typer.testing import CliRunner
 
+from kinedex.commands import demo, inertial_demo
+from kinedex.commands.cli import app
+from kinedex.console.terminal import Console
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.commands import demo, inertial_demo
-from kinedex.pipelines.commands.cli import app
-from kinedex.pipelines.console.terminal import Console
 from kinedex.pipelines.inertial.limb_tables import struct_array
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.snapshot.schemas import result_schema

@@ -13,10 +13,10 @@ import pyarrow as pa
 import pytest
 from typer.testing import CliRunner
 
+from kinedex.commands.app import LEFT_OUT
+from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.ops.inertial import rotations as r
-from kinedex.pipelines.commands.app import LEFT_OUT
-from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.inertial.limb_tables import limb_table, stored_limbs
 from kinedex.pipelines.labels.unmatched_labels import unmatched_summary

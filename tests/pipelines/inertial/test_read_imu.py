@@ -13,9 +13,9 @@ import yaml
 from rich.console import Console
 
 from kinedex.catalog.sensorsets import SensorSet
+from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.inertial.rotations import distance_deg
-from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.inertial.recording_files import find_recordings
 from kinedex.pipelines.inertial.recording_parameters import ReadImuParameters

@@ -14,10 +14,10 @@ import pyarrow as pa
 import pytest
 from rich.console import Console
 
+from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.inertial import rotations as r
 from kinedex.ops.inertial.rotations import Z_TO_Y
-from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.limb_tables import limb_table, stored_limbs, struct_array

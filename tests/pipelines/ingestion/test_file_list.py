@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.formats.motion.sources import scan
 from kinedex.storage.store.store import open_store

@@ -13,9 +13,9 @@ from kinedex.ops.errors import ParameterError, SourceError
 from kinedex.pipelines.ingestion.memory_limit import PROCESS_BYTES, MemoryShare, needed_bytes, parse_size
 from kinedex.storage.formats.motion.reader import MotionFile, ReadSettings
 from kinedex.storage.store.store import open_store
+from tests.commands.test_cli import kinedex
 from tests.large_files import estimate_mb, measure
 from tests.pipelines.archives import write_archive
-from tests.pipelines.commands.test_cli import kinedex
 
 FEATURES = load_feature_set()
 

@@ -18,8 +18,8 @@ from kinedex.storage.snapshot.manifest_files import read_newest
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.version_changes import described, list_versions
+from tests.commands.test_cli import kinedex
 from tests.pipelines.archives import context, write_archive
-from tests.pipelines.commands.test_cli import kinedex
 
 JOINTS = load_feature_set().joints
 NODES = {"Hip": 0, **{joint: i for i, joint in enumerate(JOINTS, 1)}}

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from kinedex.pipelines.commands.cli import app
+from kinedex.commands.cli import app
 from kinedex.pipelines.ingestion.held_out_takes import division
 from kinedex.pipelines.ingestion.pattern_proposal import matched, propose
 from kinedex.pipelines.ingestion.pipeline_draft import draft

@@ -17,8 +17,8 @@ from rich.console import Console
 import kinedex
 from kinedex.catalog import plugins
 from kinedex.catalog.skeletons.mappings import Mappings, load_skeleton
+from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError, SourceError
-from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.ingestion import read_rounds
 from kinedex.pipelines.inspection.inspection import inspect_file
 from kinedex.pipelines.inspection.mapping_proposal import propose_mapping

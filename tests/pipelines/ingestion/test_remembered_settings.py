@@ -11,9 +11,9 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
+from kinedex.commands.cli import app
+from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.commands.cli import app
-from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
 from kinedex.pipelines.ingestion import file_batches
 from kinedex.pipelines.ingestion.pattern_proposal import propose

@@ -9,8 +9,8 @@ import pyarrow as pa
 import pytest
 from typer.testing import CliRunner
 
+from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.store.decisions import record_labels
 from kinedex.storage.store.store import open_store

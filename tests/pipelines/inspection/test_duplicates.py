@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
-from kinedex.pipelines.commands.cli import app
+from kinedex.commands.cli import app
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.inspection.duplicates import copies_line
 from kinedex.storage.formats.motion.reader_table import read_body

@@ -15,14 +15,14 @@ from typer.testing import CliRunner
 
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
+from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.ops.words import NO_WORD
-from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.ingestion.analysis import analyse
 from kinedex.pipelines.inspection.feature_shares import feature_shares
 from kinedex.pipelines.inspection.inspection import Inspection, inspect_file
 from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT
-from kinedex.pipelines.report.stick_figures import write_picture
+from kinedex.reports.stick_figures import write_picture
 from kinedex.storage.formats.motion.reader import ReadSettings
 from kinedex.storage.formats.motion.reader_table import read_body
 from tests.bodies import standing
@@ -237,7 +237,7 @@ def test_the_command_prints_what_it_knows_first_and_the_fault_last(tmp_path: Pat
     command = [
         sys.executable,
         "-m",
-        "kinedex.pipelines.commands.cli",
+        "kinedex.commands.cli",
         "inspect",
         str(tmp_path / "odd.bvh"),
         "--skeleton",

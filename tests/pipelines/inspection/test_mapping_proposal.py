@@ -15,8 +15,8 @@ from kinedex.storage.formats.motion.reader import Body, MotionFile
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body
 from tests.bvh_files import bvh_text, dance, mixamo
 from tests.c3d_files import LABELS, standing_markers, write_c3d, z_up
+from tests.commands.test_cli import kinedex
 from tests.pipelines.archives import write_archive
-from tests.pipelines.commands.test_cli import kinedex
 
 JOINTS = load_feature_set().joints
 AUTO = load_mappings("auto", JOINTS)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from kinedex.commands.cli import app
 from kinedex.ops.errors import SourceError
-from kinedex.pipelines.commands.cli import app
 from kinedex.storage.formats.imu.recording import read_recording
 from tests.imu_files import csv_text, dot_text, mtmanager_text, mvnx_text, turning, write_hdf5, write_parquet
 

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import kinedex
 from docs.generators.json_documents import DOCUMENTS
-from kinedex.pipelines.commands.cli import app
+from kinedex.commands.cli import app
 from kinedex.pipelines.labels.segments import Difference, Segment, differences
 from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.learn_templates import LearnTemplates
@@ -173,7 +173,7 @@ def test_json_documents_have_the_keys_of_the_reference(line: Line, tmp_path: Pat
     (label, *_) = found["labels add"]["labels"]
     found["labels change"] = json.loads(run("labels", "change", line.store, label["id"], "--stop", 8, "--json"))
     found["labels remove"] = json.loads(run("labels", "remove", line.store, "--class", "skip", "--json"))
-    of_files = ("labels export", "labels read", "labels diff")  # tests/pipelines/commands/test_json_everywhere.py
+    of_files = ("labels export", "labels read", "labels diff")  # tests/commands/test_json_everywhere.py
     expected = {
         command: list(keys)
         for command, keys in DOCUMENTS.items()

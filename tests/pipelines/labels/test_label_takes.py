@@ -12,8 +12,8 @@ import yaml
 from typer.testing import CliRunner, Result
 
 from kinedex.catalog.classes import load_classes
-from kinedex.pipelines.commands.cli import app
-from kinedex.pipelines.commands.output import show_outcome
+from kinedex.commands.cli import app
+from kinedex.commands.output import show_outcome
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.runner import Outcome
 from kinedex.pipelines.evaluation.label_files import GroundTruthParameters, ground_truth

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.inertial.limb_labels import stored_limb_labels
 from kinedex.pipelines.labels.decisions import import_corrected_labels, import_labels
 from kinedex.pipelines.labels.label_files import label_differences, label_files

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from kinedex.pipelines.commands.cli import app
+from kinedex.commands.cli import app
 from kinedex.storage.store.store import open_store
 from tests.pipelines.archives import write_archive
 

@@ -16,11 +16,11 @@ from typer.testing import CliRunner
 from kinedex import open_store as open_archive
 from kinedex.catalog.queries.keyframe_query import Keyframe, KeyframeQuery
 from kinedex.catalog.queries.query_files import read_query_files
+from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.ranking.ranking import rank
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import NO_WORD, TakeWords
-from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.evaluation.ground_truth import Manual
 from kinedex.pipelines.ranking import batch_ranking, first_thresholds, ranking

@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from kinedex.pipelines.console.terminal import Terminal
+from kinedex.console.terminal import Terminal
 from kinedex.pipelines.simulation.depth_recordings import Request, simulate_depth
 from kinedex.pipelines.stages.index import Index
 from kinedex.pipelines.stages.ingest import Ingest

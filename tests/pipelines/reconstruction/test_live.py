@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from kinedex.commands.cli import app
 from kinedex.ops.body.joint_tree import JOINTS
-from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.reconstruction.followed_folder import FollowedFrame
 from kinedex.storage.formats.motion.position_files import parse_trc
 from kinedex.storage.lock import Wait

@@ -12,13 +12,13 @@ from PIL import Image
 from typer.testing import CliRunner
 
 import kinedex
+from kinedex.commands.cli import app
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.words import NO_WORD
-from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
 from kinedex.pipelines.reconstruction.frame_remarks import listed_frames
-from kinedex.pipelines.report.person_points import POINTS, packed_points
-from kinedex.pipelines.report.reconstruction_page import reconstruction_page
+from kinedex.reports.person_points import POINTS, packed_points
+from kinedex.reports.reconstruction_page import reconstruction_page
 from kinedex.storage.formats.depth.camera_file import read_camera
 from kinedex.storage.formats.depth.png import read_depth_png, write_depth_png
 from kinedex.storage.store.store import Store, open_store

@@ -12,10 +12,10 @@ from typer.testing import CliRunner
 
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.queries.query_files import parse_queries
+from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError, ParameterError, StoreError
 from kinedex.ops.search.query_proposal import SetCounts, propose_poses
 from kinedex.ops.words import NO_WORD, U64, cut
-from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.search.query_proposal import propose_query
 from kinedex.pipelines.search.search import search_store
 from kinedex.storage.store.store import Store, open_store

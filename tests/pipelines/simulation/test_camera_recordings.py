@@ -16,9 +16,9 @@ from typer.testing import CliRunner
 import kinedex
 from kinedex.catalog.keypoint_sets import KeypointPlace, KeypointSet, load_keypoint_set
 from kinedex.catalog.recordings import load_recordings
+from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.tracking.triangulation import triangulate
-from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.simulation.camera_recordings import limbs_of
 from kinedex.pipelines.simulation.chosen_takes import recording_names
 from kinedex.pipelines.stages.index import Index

@@ -11,7 +11,7 @@ import yaml
 from typer.testing import CliRunner
 
 import kinedex
-from kinedex.pipelines.commands.cli import app
+from kinedex.commands.cli import app
 from kinedex.pipelines.stages.index import Index
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.formats.depth.camera_file import read_camera

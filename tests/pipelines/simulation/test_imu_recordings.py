@@ -15,9 +15,9 @@ import yaml
 from typer.testing import CliRunner
 
 from kinedex.catalog.sensorsets import load_sensor_set
+from kinedex.commands.cli import app
 from kinedex.ops.inertial.orientation_filter import estimate
 from kinedex.ops.inertial.rotations import conjugate, distance_deg, interpolate, multiply
-from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
 from kinedex.pipelines.inertial.limb_tables import stored_limbs
 from kinedex.pipelines.simulation.imu_pieces import take_pieces

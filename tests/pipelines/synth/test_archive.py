@@ -12,10 +12,10 @@ import pytest
 from rich.console import Console
 
 from kinedex.catalog.classes import load_classes
+from kinedex.console.pulse import Pulse
+from kinedex.console.terminal import Progress
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.ops.synth.motions import MOTIONS
-from kinedex.pipelines.console.pulse import Pulse
-from kinedex.pipelines.console.terminal import Progress
 from kinedex.pipelines.synth.archive import Summary, write_archive
 from kinedex.storage.formats.motion.amc import read_amc
 from kinedex.storage.formats.motion.asf import read_asf

@@ -9,9 +9,9 @@ import numpy as np
 from typer.testing import CliRunner
 
 from kinedex.catalog.kinematics import load_kinematic_chain
+from kinedex.commands.cli import app
 from kinedex.ops.body.kinematic_chain import ChainBody, forward
 from kinedex.ops.tracking.triangulation import triangulate
-from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.tracking.recordings import stored_recording
 from kinedex.pipelines.tracking.result_tables import stored_poses
 from kinedex.pipelines.tracking.track_evaluation import LIMBS, compared, poses_of, truth_reference

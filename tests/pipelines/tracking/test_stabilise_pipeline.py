@@ -14,10 +14,10 @@ import pytest
 from typer.testing import CliRunner
 
 from kinedex.catalog.kinematics import load_kinematic_chain
+from kinedex.commands.cli import app
 from kinedex.ops.body.kinematic_chain import ChainBody
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.tracking.observations import Places
-from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.tracking import runs
 from kinedex.pipelines.tracking.chain_tracker import Observed

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.words import NO_WORD
-from kinedex.pipelines.commands.cli import app
 from kinedex.pipelines.recordings.recorded_takes import put_takes
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.pipelines.tracking.tracked_takes import observed_frames, stabilised_name

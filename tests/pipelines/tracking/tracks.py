@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from kinedex.catalog.kinematics import load_kinematic_chain
+from kinedex.console.terminal import Terminal
 from kinedex.ops.body.pose_fit import fit_poses, measured_body
 from kinedex.ops.simulation.recording import Setup
-from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
 from kinedex.pipelines.recordings.recorded_takes import Provenance
 from kinedex.pipelines.simulation.camera_recordings import Request, simulate_cameras

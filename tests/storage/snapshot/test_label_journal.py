@@ -11,8 +11,8 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
+from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import ParameterError, StoreError
-from kinedex.pipelines.console.terminal import Terminal
 from kinedex.pipelines.repair.repair import repair_store
 from kinedex.storage.snapshot.label_journal import read_journals
 from kinedex.storage.snapshot.manifest_files import read_newest

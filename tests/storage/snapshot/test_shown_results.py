@@ -10,9 +10,9 @@ import pyarrow as pa
 import pytest
 from typer.testing import CliRunner
 
+from kinedex.commands.cli import app
+from kinedex.console.hidden_rows import hidden_rows_hints
 from kinedex.ops.errors import StoreError
-from kinedex.pipelines.commands.cli import app
-from kinedex.pipelines.console.hidden_rows import hidden_rows_hints
 from kinedex.storage.snapshot.manifest import Source, StageRecord
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.snapshot.shown_results import (

@@ -42,7 +42,7 @@ def announced(self):
     print("started", file=sys.stderr, flush=True)
     run(self)
 interruption._Run._run = announced
-from kinedex.pipelines.commands.cli import main
+from kinedex.commands.cli import main
 main()
 """
 

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from kinedex.catalog.configs import load_yaml
+from kinedex.library.new_takes import read
+from kinedex.library.take import Take
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.words import NO_WORD
-from kinedex.pipelines.api.new_takes import read
-from kinedex.pipelines.api.take import Take
 from kinedex.storage.formats.motion.c3d_markers import parse_c3d
 from kinedex.storage.formats.motion.c3d_writer import write_c3d
 from kinedex.storage.formats.motion.gltf_writer import write_gltf

@@ -1,0 +1,115 @@
+"""The answers of the server: JSON without NaN, and one form for every error."""
+
+from __future__ import annotations
+
+import json
+import logging
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from pydantic import ValidationError
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
+from starlette.responses import Response
+
+from kinedex.explorer.archive import ReadOnlyError
+from kinedex.ops.errors import ConflictError, KinedexError, ParameterError, Remedy
+from kinedex.ops.withdrawal import WithdrawnError
+from kinedex.storage.disk import WriteError
+from kinedex.storage.formats.json_text import json_value
+from kinedex.storage.interruption import TimeLimitError
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+_LOG = logging.getLogger("kinedex.explorer")
+
+EXACT = 2**53
+"""Larger integers are sent as text: the numbers of a page do not hold them."""
+
+
+class NotFoundError(KinedexError):
+    """The address, or the take, class or run that it names, is not there."""
+
+
+class Json(Response):
+    """A value as JSON (UTF-8): ∞ and NaN are null, integers beyond 2⁵³ are text."""
+
+    media_type = "application/json"
+
+    def render(self, content: Any) -> bytes:
+        """Return the bytes of a value."""
+        value = _exact(json_value(content))
+        return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode(
+            "utf-8", "backslashreplace"
+        )
+
+
+def _exact(value: Any) -> Any:
+    """Return a JSON value with integers that a page cannot hold as text."""
+    if isinstance(value, dict):
+        return {name: _exact(part) for name, part in value.items()}
+    if isinstance(value, list):
+        return [_exact(part) for part in value]
+    return str(value) if isinstance(value, int) and not -EXACT <= value <= EXACT else value
+
+
+def error_answer(status: int, kind: str, message: str, remedy: Remedy | None = None) -> Json:
+    """Return an error as every page reads it.
+
+    Parameters
+    ----------
+    status : int
+        Status of HTTP.
+    kind : str
+        Class of the error.
+    message : str
+        What was found, what was expected, and the way out.
+    remedy : Remedy, optional
+        The way out.
+    """
+    error = {"type": kind, "message": message, "remedy": remedy and asdict(remedy)}
+    return Json({"error": error}, status)
+
+
+_STATUS: dict[type[KinedexError], int] = {
+    NotFoundError: 404,
+    ReadOnlyError: 403,
+    ConflictError: 409,
+    WriteError: 507,  # pages keep decisions after a status of 500 or more, and send them again
+    TimeLimitError: 408,
+    ParameterError: 422,
+    KinedexError: 400,
+}
+"""Class of an error → its status; a class inherits that of its parent."""
+
+
+async def fault_answer(_request: Request, fault: Exception) -> Response:
+    """Answer a request that failed; the log alone has tracebacks."""
+    if isinstance(fault, ClientDisconnect | WithdrawnError):
+        return Response(status_code=499)  # nobody waits for it
+    if isinstance(fault, KinedexError):
+        status = next(_STATUS[kind] for kind in type(fault).__mro__ if kind in _STATUS)
+        return error_answer(status, type(fault).__name__, str(fault), fault.remedy)
+    if isinstance(fault, ValidationError):
+        return error_answer(422, "ParameterError", _wrong_fields(fault))
+    if isinstance(fault, HTTPException):
+        return error_answer(fault.status_code, "HTTPError", fault.detail)
+    if isinstance(fault, MemoryError):
+        return error_answer(500, "MemoryError", "the server has no memory left; ask for less, or close other programs")
+    if isinstance(fault, OSError):
+        place = f"{fault.filename}: " if fault.filename else ""
+        return error_answer(500, type(fault).__name__, f"{place}{fault.strerror or fault}")
+    _LOG.error("a request failed", exc_info=fault)
+    return error_answer(
+        500, type(fault).__name__, "the server met an error of its own; the log of `kinedex explore` shows it"
+    )
+
+
+def _wrong_fields(fault: ValidationError) -> str:
+    """Return the fields of a request that do not fit, with what is expected of each."""
+    parts = (
+        f"{'.'.join(map(str, one['loc'])) or 'the request'}: {one['msg'].removeprefix('Value error, ')}"
+        for one in fault.errors(include_url=False, include_context=False, include_input=False)[:10]
+    )
+    return "; ".join(parts)

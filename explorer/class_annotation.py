@@ -1,0 +1,172 @@
+"""The segments of one class in held-out takes, found by the method of a pipeline with its templates or an edited one.
+
+All is as in the stage `annotate` of the pipeline: method, δ, τ, classes, keyframe queries, shortest segment. An edited
+template takes the place of the learned one as it does from a file of `learn_templates.template_files`: it has no clips,
+which `method: best` would learn its background from, and which `each_example` would make templates of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+
+from pydantic import ValidationError
+
+from kinedex.catalog.classes import Classes
+from kinedex.catalog.queries.keyframe_query import KeyframeQuery
+from kinedex.explorer.remembered_matches import MatchMemory, RememberingThesisMethod
+from kinedex.explorer.template_use import TemplateUse
+from kinedex.ops.annotation.segments import Segment
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.words import U64, TakeWords
+from kinedex.pipelines.annotation.annotators import Annotator
+from kinedex.pipelines.annotation.batches import annotate_words, split_takes
+from kinedex.pipelines.annotation.methods import ThesisMethod
+from kinedex.pipelines.annotation.preparation import (
+    Single,
+    learned_queries,
+    prepare_annotator,
+    queries_of,
+    single_examples_of,
+    template_words,
+)
+from kinedex.pipelines.annotation.threshold_calibration import Calibration
+from kinedex.pipelines.engine.executors import cores
+from kinedex.pipelines.ranking.batch_threads import in_threads
+from kinedex.pipelines.search.bit_slices import stored_words
+from kinedex.pipelines.templates.examples import Rejected, rejected_examples
+from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
+from kinedex.pipelines.templates.training import TemplateParameters, training_material
+from kinedex.storage.store.store import Store
+
+Step = Callable[[], None]
+
+MATCHES = MatchMemory()
+"""The matches of the templates that are being edited, and of those that compete with them."""
+
+
+@dataclass(frozen=True)
+class PipelineMaterial:
+    """All that a pipeline annotates with besides templates; each is read when it is first needed.
+
+    Attributes
+    ----------
+    store : Store
+        The store.
+    use : TemplateUse
+        The templates of the stage, and how its pipeline annotates with them.
+    """
+
+    store: Store
+    use: TemplateUse
+
+    @cached_property
+    def queries(self) -> tuple[list[KeyframeQuery], list[KeyframeQuery]]:
+        """The keyframe queries of files, and those that the pipeline has learned."""
+        given, learned = queries_of(self.store, self.use.params), self.use.keyframes
+        return given, [] if learned is None else learned_queries(self.store, learned)
+
+    @cached_property
+    def _made_with(self) -> TemplateParameters:
+        record = self.store.manifest.stages.get(self.use.stage)
+        try:
+            return TemplateParameters.model_validate({} if record is None else record.summary.get("params") or {})
+        except ValidationError:
+            raise KinedexError(
+                f"the parameters of {self.use.stage} are those of another version of kinedex, and `each_example` needs "
+                "them; run the pipeline again"
+            ) from None
+
+    @cached_property
+    def _examples(self) -> list[TrainingClips]:
+        return training_material(self.store, self._made_with).clips
+
+    @cached_property
+    def _rejected(self) -> list[Rejected]:
+        return rejected_examples(self.store, self._made_with, of_any=True)
+
+    @cached_property
+    def _single(self) -> Single:
+        return single_examples_of(self.store, self.use.params, self._made_with)
+
+    @cached_property
+    def _clip_words(self) -> dict[frozenset[str], list[U64]]:
+        return {}
+
+    def _words_of(self, templates: Sequence[SubclassTemplate]) -> list[U64]:
+        """Return the words of the clips of templates, which are read once."""
+        names = frozenset(name for one in templates for name in one.clips)
+        if names not in self._clip_words:
+            self._clip_words[names] = template_words(self.store, templates)
+        return self._clip_words[names]
+
+    def annotator(
+        self, templates: Sequence[SubclassTemplate], classes: Classes, taus: Mapping[str, float]
+    ) -> Annotator:
+        """Return the annotator of the pipeline with other templates, classes and thresholds.
+
+        Parameters
+        ----------
+        templates : sequence of SubclassTemplate
+            The templates; one without clips is of a file.
+        classes : Classes
+            The classes to label with.
+        taus : mapping of str to float
+            The threshold of each class.
+        """
+        params = self.use.params.model_copy(update={"tau_by_class": {}})
+        clips = partial(self._words_of, templates)
+        made = prepare_annotator(
+            self.store, params, templates, classes, clips, Calibration(dict(taus), {}, ()), *self.queries
+        )
+        if not params.each_example:
+            return made
+        of_files = {one.subclass for one in templates if not one.clips}
+        return self._single(made, [one for one in self._examples if one.subclass not in of_files], self._rejected)
+
+
+def word_batches(store: Store, take_ids: Sequence[int]) -> list[TakeWords]:
+    """Return the words of takes as the batches that one thread each annotates, in the order of their ids."""
+    words = stored_words(store, take_ids)
+    found, first = [], 0
+    for batch in split_takes(words.take_ids.tolist(), words.frames.tolist()):
+        last = first + len(batch)
+        offsets = words.offsets[first : last + 1]
+        known = None if words.known is None else words.known[first:last]
+        found.append(
+            TakeWords(words.take_ids[first:last], offsets - offsets[0], words.words[offsets[0] : offsets[-1]], known)
+        )
+        first = last
+    return found
+
+
+def class_segments(
+    store: Store, annotator: Annotator, label: str, batches: Sequence[TakeWords], step: Step
+) -> list[tuple[Segment, ...]]:
+    """Return the segments of a class in the takes of some batches, in the order of the takes.
+
+    Parameters
+    ----------
+    store : Store
+        The store of the takes.
+    annotator : Annotator
+        The annotator.
+    label : str
+        The class.
+    batches : sequence of TakeWords
+        The words of the takes.
+    step : callable
+        Called after each batch.
+    """
+    method = annotator.method
+    if type(method) is ThesisMethod and not any(annotator.queries):
+        scope = (str(store.path), store.manifest.version)
+        kept = RememberingThesisMethod(method.templates, method.class_index, method.thresholds, MATCHES, scope)
+        annotator = replace(annotator, method=kept)
+    place = annotator.classes.index(label)
+    found: list[tuple[Segment, ...]] = []
+    for annotated in in_threads(partial(annotate_words, annotator), batches, cores()):
+        found += [tuple(one for one in each.segments if one.class_index == place) for each in annotated]
+        step()
+    return found

@@ -1,0 +1,269 @@
+"""Search by example: more like some intervals, and less like others.
+
+`POST /api/ask/examples` {positives: [interval], negatives?: [interval], mirror?, tau?, delta?, top? ≤ 500, where?,
+ filters?, name?} with intervals {take_id | take, start, stop, mirrored?}
+→ {hits: [hit], total, more, takes, hours, seconds, tau, template: {columns, clips: [name], weights: {feature: number}},
+   remarks: [sentence], version, command, python}; `more` is true where there may be further hits below tau.
+
+`POST /api/ask/hit` {the same, hit: interval} → how the template fits one hit: {curve: [cost or null] of the frames from
+ `first` on, tau, cost, columns: [column of the template in each frame of the hit], contradicted: [{feature, share}]}
+
+`POST /api/ask/template` {the same} → {name, text}: the template as a file of YAML.
+
+`POST /api/ask/labels` {class, positives, negatives, annotator?, note?} → {recorded, known, remarks, command, python}:
+ decisions of a person as labels, and the commands that make them.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from kinedex.catalog.template_files import write_yaml
+from kinedex.explorer.addresses import post
+from kinedex.explorer.hits import ChosenHit, Limit, ranked_hits, take_condition
+from kinedex.explorer.same import command_line, python_lines
+from kinedex.explorer.same_decisions import same_decisions
+from kinedex.explorer.selections import Selection
+from kinedex.ops.distances.curve_path import curve_paths
+from kinedex.ops.distances.dtw import distance_curves
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.ranking.ranking import rank_together
+from kinedex.ops.templates.derived_templates import WILDCARD, restricted_template
+from kinedex.ops.templates.templates import QuantisedTemplate, quantise
+from kinedex.ops.words import ALL_KNOWN, TakeWords, bits
+from kinedex.pipelines.labels.decisions import record
+from kinedex.pipelines.ranking.both_sides import mirrored_template
+from kinedex.pipelines.ranking.examples import ChosenInterval, ChosenTemplate, template_of_chosen
+from kinedex.pipelines.ranking.ranked_hits import RankedTemplate
+from kinedex.pipelines.ranking.store_ranking import DELTA, TAU, TOP, rank_store
+from kinedex.pipelines.search.bit_slices import stored_words
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from kinedex.explorer.archive import Archive
+    from kinedex.storage.store.store import Store
+
+NAME = "example"
+
+SHOWN_SECONDS = 3.0
+"""The curve of a hit is shown so long before and after it."""
+
+MOST_EXAMPLES = 500
+MOST_SECONDS = 60.0
+"""Longest interval that is an example: the time of a search grows with its length."""
+
+Examples = Annotated[tuple[ChosenHit, ...], Field(max_length=MOST_EXAMPLES)]
+
+
+class ExamplesQuestion(Selection):
+    """Intervals to search by."""
+
+    positives: Annotated[Examples, Field(min_length=1)]
+    negatives: Examples = ()
+    mirror: bool = True
+    tau: Annotated[float, Field(gt=0, le=1)] = TAU
+    delta: Annotated[float, Field(ge=0, lt=0.5)] = DELTA
+    top: Limit = TOP
+    name: Annotated[str, Field(min_length=1, max_length=100)] = NAME
+
+
+class HitQuestion(ExamplesQuestion):
+    """A hit of a search by example."""
+
+    hit: ChosenHit
+
+
+class LabelsQuestion(Selection):
+    """Hits that a person has accepted and rejected for a class."""
+
+    label: Annotated[str, Field(min_length=1, max_length=200, alias="class")]
+    positives: Examples = ()
+    negatives: Examples = ()
+    annotator: str | None = None
+    note: str | None = None
+
+
+def find_similar(archive: Archive, asked: ExamplesQuestion, _request: Request) -> dict[str, Any]:
+    """Return the intervals of the archive that are most like the examples."""
+    begin = time.perf_counter()
+    store = archive.store()
+    made = _template(store, asked)
+    mirror = asked.mirror and bool(store.feature_set.mirror)
+    condition = take_condition(store, asked)
+    found = rank_store(
+        store, [made.named], delta=asked.delta, tau=asked.tau, top=asked.top, where=condition, mirror=mirror, nearest=1
+    )
+    (ranking,) = found.rankings
+    return {
+        "hits": ranked_hits(ranking),
+        "total": len(ranking.hits),
+        "more": len(ranking.hits) == asked.top,
+        "hours": ranking.frames / store.rate_hz / 3600,
+        "seconds": time.perf_counter() - begin,
+        "tau": asked.tau,
+        "template": _described(store, made),
+        "remarks": [*made.remarks, *found.remarks, *found.misses(asked.tau, "a τ of ")],
+        "version": store.manifest.version,
+        **_same(archive, store, asked, made, condition),
+    }
+
+
+def _template(store: Store, asked: ExamplesQuestion) -> ChosenTemplate:
+    """Return the template of the examples."""
+    accepted, rejected = ([one.interval(store) for one in side] for side in (asked.positives, asked.negatives))
+    longest = max(one.stop - one.start for one in accepted) / store.rate_hz
+    if longest > MOST_SECONDS:
+        raise KinedexError(
+            f"an example of {longest:.0f} s: at most {MOST_SECONDS:g} s; choose the interval that shows the motion once"
+        )
+    return template_of_chosen(store, asked.name, accepted, rejected, asked.delta)
+
+
+def _described(store: Store, made: ChosenTemplate) -> dict[str, Any]:
+    weights = made.weights
+    named = {} if weights is None else dict(zip(_features(store), weights.tolist(), strict=True))
+    return {
+        "columns": len(made.named.template),
+        "clips": list(made.clips),
+        "weights": {name: round(weight, 3) for name, weight in named.items() if weight != 1},
+    }
+
+
+def _features(store: Store) -> list[str]:
+    return [feature.name for feature in store.feature_set.features]
+
+
+def _same(
+    archive: Archive, store: Store, asked: ExamplesQuestion, made: ChosenTemplate, condition: str | None
+) -> dict[str, str]:
+    """Return the command and the Python lines of a search by example."""
+    options = [*(["--mirror"] if asked.mirror else []), "--tau", f"{asked.tau:g}", "--top", str(asked.top)]
+    options += ["--where", condition] if condition is not None else []
+    more = f"tau={asked.tau:g}, top={asked.top}" + (f", where={condition!r}" if condition is not None else "")
+    more += ", mirror=True" if asked.mirror else ""
+    names = {take_id: name for name, take_id in store.take_ids.items()}
+    positives = [one.interval(store) for one in asked.positives]
+    if made.weights is None and len(positives) == 1 and not positives[0].mirrored:
+        (one,) = positives
+        take = names[one.take_id]
+        interval = ["--take", take, "--start", str(one.start), "--stop", str(one.stop)]
+        line = f"example = kinedex.Template.from_clip(store[{take!r}], {one.start}, {one.stop})"
+        return {
+            "command": command_line("kinedex", "rank", archive.path, *interval, *options),
+            "python": python_lines(archive.path, line, f"store.rank(example, {more})"),
+        }
+    file = f"{asked.name}.yaml"  # which `POST /api/ask/template` answers with
+    lines = [f"store.rank(kinedex.Template.load({file!r}), {more})"]
+    if made.weights is None and not any(one.mirrored for one in positives):
+        clips = ", ".join(f"store[{names[one.take_id]!r}][{one.start}:{one.stop}]" for one in positives)
+        lines = [f"example = kinedex.Template.learn([{clips}], name={asked.name!r})", f"store.rank(example, {more})"]
+    return {
+        "command": command_line("kinedex", "rank", archive.path, file, *options),
+        "python": python_lines(archive.path, *lines),
+    }
+
+
+def describe_hit(archive: Archive, asked: HitQuestion, _request: Request) -> dict[str, Any]:
+    """Return the distance curve around a hit, its warping path, and the features that it contradicts."""
+    store = archive.store()
+    hit = asked.hit.interval(store)
+    template = _fitted(store, asked, hit)
+    words = stored_words(store, [hit.take_id]).take(0)
+    around = round(SHOWN_SECONDS * store.rate_hz)
+    first, last = max(0, hit.start - around), min(len(words), hit.stop + around)
+    # a path may begin so far before the first frame that is shown
+    begin = max(0, first - 2 * len(template))
+    curve = distance_curves([template], words[begin:last])[0][first - begin :]
+    end = hit.stop - 1
+    path = curve_paths(template, words, np.array([end], np.int64))[0] if np.isfinite(curve[end - first]) else None
+    features = _features(store)
+    contradicted: list[dict[str, Any]] = []
+    if path is not None:
+        visited = path.columns == np.rint(path.columns)  # the others are frames that a (1,2) step skips
+        asked_values = template.values(len(features))[path.columns[visited].astype(np.int64)]
+        seen = bits(words[path.start : hit.stop][visited], len(features))
+        wrong = ((asked_values != WILDCARD) & (asked_values != seen)).mean(axis=0)
+        order = np.argsort(-wrong, kind="stable")
+        contradicted = [{"feature": features[i], "share": float(wrong[i])} for i in order.tolist() if wrong[i] > 0]
+    return {
+        "first": first,
+        "curve": [None if not np.isfinite(cost) else round(float(cost), 5) for cost in curve],
+        "tau": asked.tau,
+        "cost": None if path is None else float(curve[end - first]),
+        "start": hit.start if path is None else path.start,
+        "columns": [] if path is None else np.round(path.columns, 2).tolist(),
+        "template_columns": len(template),
+        "contradicted": contradicted,
+    }
+
+
+def _fitted(store: Store, asked: HitQuestion, hit: ChosenInterval) -> QuantisedTemplate:
+    """Return the template as it was matched with a hit: mirrored or not, and for what its take knows."""
+    made = _template(store, asked)
+    whole = RankedTemplate(asked.name, quantise(made.named.template, asked.delta))
+    if hit.mirrored:
+        whole = mirrored_template(whole, store.feature_set)
+    found = restricted_template(whole.template, store.known.get(hit.take_id, int(ALL_KNOWN)))
+    if found is None:
+        raise KinedexError("the template is not applied to this take: its body lacks joints of most of the entries")
+    return found
+
+
+def write_template(archive: Archive, asked: ExamplesQuestion, _request: Request) -> dict[str, Any]:
+    """Return the template of the examples as the text of a file."""
+    store = archive.store()
+    made = _template(store, asked)
+    named = replace(made.named, name=asked.name)
+    return {"name": asked.name, "text": write_yaml([named], store.feature_set), "remarks": list(made.remarks)}
+
+
+def save_labels(archive: Archive, asked: LabelsQuestion, _request: Request) -> dict[str, Any]:
+    """Record accepted hits as positive labels of a class and rejected ones as negative; they are on disk then."""
+    store = archive.store()
+    names = {take_id: name for name, take_id in store.take_ids.items()}
+    rows = [
+        {
+            "take": names[one.take_id],
+            "class": asked.label,
+            "start": one.start,
+            "stop": one.stop,
+            "verdict": verdict,
+            "origin": "drawn",
+            "annotator": asked.annotator,
+            "note": asked.note,
+        }
+        for verdict, side in (("positive", asked.positives), ("negative", asked.negatives))
+        for one in (chosen.interval(store) for chosen in side)
+    ]
+    standing = {row["id"]: row for row in store.labels().to_pylist()}
+    done = record(store, rows)
+    archive.labels_changed()
+    return {
+        "recorded": done.rows.num_rows,
+        "known": done.known,
+        "remarks": list(done.remarks),
+        **same_decisions(archive, done.rows.to_pylist(), standing),
+    }
+
+
+def warm_up() -> None:
+    """Load the kernels of a search by ranking a few words in this thread."""
+    words = np.arange(400, dtype=np.uint64) % 7
+    example = QuantisedTemplate(np.full(70, 7, np.uint64), words[:70])
+    few = TakeWords(np.zeros(1, np.int64), np.array([0, len(words)], np.int64), words)
+    rank_together([example, example], few, np.array([TAU, TAU]), 2)
+    rank_together([example, example], few, np.array([TAU, TAU]), None)
+
+
+routes = [
+    post("/api/ask/examples", find_similar, ExamplesQuestion),
+    post("/api/ask/hit", describe_hit, HitQuestion),
+    post("/api/ask/template", write_template, ExamplesQuestion),
+    post("/api/ask/labels", save_labels, LabelsQuestion, writes=True),
+]

@@ -1,0 +1,298 @@
+"""Export: the plan of a data set with its splits and sizes, and the job that writes it.
+
+    GET /api/export → {forms: [{name, meaning}], job: the last export of this server or null}
+    POST /api/export/plan {what, how, filters?, hits?, folder?} → the plan (`plan_export`); nothing stays on disk
+    POST /api/export {the same, folder, planned?} → a job, whose command is that of the plan
+    GET /api/export/ID → what a job has written: {folder, files, bytes, excluded, command}
+
+`what` and `how` have the fields of `What` and `How` of `pipelines.export.request`. A server that is read only shows
+plans and refuses to write: an export writes files, although none into the store.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import defaultdict
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from kinedex.explorer.addresses import Question, get, post
+from kinedex.explorer.answers import NotFoundError
+from kinedex.explorer.hits import take_condition
+from kinedex.explorer.jobs import Job, jobs_of
+from kinedex.explorer.same import command_line, python_lines
+from kinedex.explorer.selections import SQL_SECONDS, Filter, Selection
+from kinedex.ops.errors import ConflictError, KinedexError
+from kinedex.ops.local_paths import refuse_addresses
+from kinedex.pipelines.engine.display import no_progress
+from kinedex.pipelines.export.folder import DATA_SET, METADATA, Written, require_own, written_by
+from kinedex.pipelines.export.forms import FORMS
+from kinedex.pipelines.export.metadata import Facts, data_set_text, metadata_rows, metadata_text, split_facts
+from kinedex.pipelines.export.plan import Plan, planned
+from kinedex.pipelines.export.request import CLIPS, SPLITS, How, What
+from kinedex.pipelines.export.sizes import estimated_bytes
+from kinedex.pipelines.export.work import Done
+from kinedex.storage.duck import quote
+from kinedex.storage.store.store import Store
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from kinedex.explorer.archive import Archive
+
+Row = dict[str, Any]
+
+TITLE = "Export"
+
+MOST_HITS = 1000
+"""Most hits of a request: they stand in the command line, whose length systems limit."""
+
+NAMES = {"hits": "name the saved hits", "ranges": "name the file", "sql": "write a query"}
+"""The sources of clips that need a name, with what is asked for where it is missing."""
+
+Name = Annotated[str, Field(min_length=1, max_length=500)]
+Frame = Annotated[int, Field(ge=0)]
+
+
+class Hit(Question):
+    """An interval that another page hands over; `mirrored` where it shows the mirror image of what was asked for."""
+
+    take: Name
+    start: Frame
+    stop: Frame
+    label: Name | None = Field(None, alias="class")
+    mirrored: bool = False
+
+
+class ExportQuestion(Question):
+    """A request for an export: what, how, further filters of takes, or hits in place of a source, and the folder.
+
+    `planned` is the `state` of the plan that a person has seen: nothing is written once the store has changed.
+    """
+
+    what: What = What()
+    how: How = How()
+    filters: tuple[Filter, ...] = ()
+    hits: Annotated[tuple[Hit, ...], Field(max_length=MOST_HITS)] = ()
+    folder: Annotated[str, Field(max_length=4000)] | None = None
+    planned: str | None = None
+
+
+def export_facts(archive: Archive, _request: Request) -> Row:
+    """Return the forms, and the last export of this server."""
+    last = [job for job in jobs_of(archive).every() if job.title == TITLE]
+    return {
+        "forms": [{"name": name, "meaning": form.meaning} for name, form in FORMS.items()],
+        "job": last[-1].shown() if last else None,
+    }
+
+
+def request_of(store: Store, asked: ExportQuestion) -> What:
+    """Return the intervals that a question of the page means."""
+    kind, name = asked.what.kind, asked.what.name
+    if asked.hits:
+        kind, name = "sql", _hits_query(asked.hits)
+    if kind in NAMES and not str(name or "").strip():
+        raise KinedexError(NAMES[kind])
+    chosen = Selection(where=asked.what.where, filters=asked.filters)
+    where = take_condition(store, chosen)
+    given = Path(str(name)).expanduser() if kind == "ranges" else name if kind in NAMES else None
+    return replace(asked.what, kind=kind, name=given, where=where, pipeline=asked.what.pipeline or None)
+
+
+def _hits_query(hits: tuple[Hit, ...]) -> str:
+    """Return a query whose rows are hits; their mirror images are marked, where there are any."""
+    mirrored = any(one.mirrored for one in hits)
+    rows = ", ".join(
+        f"({quote(one.take)}, {one.start}, {one.stop}, {'NULL' if one.label is None else quote(one.label)}"
+        f"{f', {one.mirrored}'.lower() if mirrored else ''})"
+        for one in hits
+    )
+    more = ", mirror_image" if mirrored else ""
+    query = f'SELECT * FROM (VALUES {rows}) AS hits(take, "start", stop, "class"{more})'
+    if len(query.encode()) > 100_000:
+        raise KinedexError("these hits are too many for a command line; save them as ranges.csv and export that file")
+    return query
+
+
+def folder_of(archive: Archive, text: str) -> Path:
+    """Return the folder that a person has typed.
+
+    Raises
+    ------
+    KinedexError
+        It is not absolute, lies in the store or around it, or holds files that no export has written.
+    """
+    refuse_addresses(text.strip())
+    folder = Path(text.strip()).expanduser()
+    if not folder.is_absolute() or "\0" in text:
+        raise KinedexError(f"folder {text.strip()!r}: expected an absolute path, such as {Path.home() / 'clips'}")
+    there, store = folder.resolve(), archive.path.resolve()
+    if there == store or store in there.parents or there in store.parents:
+        raise KinedexError(f"{folder}: lies in the store or around it; choose a folder beside {archive.path}")
+    require_own(folder)
+    return folder
+
+
+def words_of(archive: Archive, what: What, how: How, folder: str) -> tuple[str, ...]:
+    """Return the words of `kinedex export` that write a request."""
+    plain = How()
+    words = [
+        "export",
+        str(archive.path),
+        *what.takes,
+        f"--output={folder.rstrip(os.sep)}{os.sep}",
+        f"--format={how.form}",
+    ]
+    words += {"takes": [], "annotations": ["--annotations"], "labels": ["--labels"]}.get(
+        what.kind, [f"--{what.kind}={what.name}"]
+    )
+    words += [f"--where={what.where}"] if what.where else []
+    words += [f"--class={name}" for name in what.classes]
+    words += [f"--pipeline={what.pipeline}"] if what.pipeline else []
+    words += [f"--min-confidence={what.min_confidence!r}"] if what.min_confidence is not None else []
+    for name, unit in (("margin", "s"), ("context", "s"), ("min_length", "s"), ("distinct", "m")):
+        value = getattr(how, name)
+        words += [f"--{name.replace('_', '-')}={_decimal(value)}{unit}"] if value else []
+    words += [
+        f"--{name.replace('_', '-')}" for name in ("joints", "mirror", "in_place", "balance") if getattr(how, name)
+    ]
+    words += [f"--resample={how.rate_hz!r}"] if how.rate_hz is not None else []
+    words += [f"--split={how.split}"] if how.split else []
+    words += [f"--shares={','.join(map(repr, how.shares))}"] if how.shares != plain.shares else []
+    words += [f"--seed={how.seed}"] if how.seed else []
+    words += [f"--per-class={how.per_class}"] if how.per_class is not None else []
+    return (*words, *(["--", *what.takes] if what.takes else []))
+
+
+_ARGUMENTS = {"form": "format", "rate_hz": "resample"}
+"""Fields of `How` that `Store.export` names otherwise."""
+
+
+def python_line(what: What, how: How, folder: str) -> str:
+    """Return the line of Python that writes a request."""
+    named: Row = {} if what.kind == "takes" else {what.kind: True if what.kind not in NAMES else str(what.name)}
+    parts = {"where": what.where, "classes": what.classes, "pipeline": what.pipeline}
+    named |= {key: value for key, value in parts.items() if value}
+    named |= {} if what.min_confidence is None else {"min_confidence": what.min_confidence}
+    changed = {key: value for key, value in vars(how).items() if value != getattr(How(), key)}
+    named |= {"format": how.form} | {_ARGUMENTS.get(key, key): value for key, value in changed.items()}
+    takes = [repr(list(what.takes))] if what.takes else []
+    return f"store.export({', '.join([repr(folder), *takes, *(f'{key}={value!r}' for key, value in named.items())])})"
+
+
+def _decimal(value: float) -> str:
+    return f"{value:.9f}".rstrip("0").rstrip(".")
+
+
+def plan_export(archive: Archive, asked: ExportQuestion, _request: Request) -> Row:
+    """Return what an export would write.
+
+    Returns
+    -------
+    dict
+        `clips`, `takes`, `files`, `seconds` and `bytes` of the whole (bytes None where no clip of the sample can be
+        written), `splits` as in dataset.json, `rows` with clips, seconds and bytes of each class of each split,
+        `remarks` about what is left out, `estimate`, which describes the sample, `earlier`, which is True if the folder
+        has an earlier export that would be replaced, `state`, that of the store, and `command` and `python`.
+    """
+    state = archive.state()
+    store = archive.store()
+    what, how = request_of(store, asked), asked.how
+    folder = folder_of(archive, asked.folder) if asked.folder and asked.folder.strip() else None
+    if what.kind == "sql":
+        store.answer(str(what.name), timeout=SQL_SECONDS)
+    plan = planned(store, what, how, no_progress)
+    with archive.kernels:
+        sizes = estimated_bytes(store, how, plan)
+    rows, record = _records(store, what, how, plan)
+    known = None if sizes.clips is None else sum(sizes.clips) + record
+    return {
+        "clips": len(plan.jobs),
+        "takes": len({job.clip.take for job in plan.jobs}),
+        "files": sum(len(job.files) for job in plan.jobs) + 2,
+        "seconds": sum(row["seconds"] for row in rows),
+        "bytes": known,
+        "estimate": sizes.remark,
+        "splits": split_facts(rows, how),
+        "rows": _by_class(rows, sizes.clips),
+        "remarks": list(plan.remarks),
+        "earlier": folder is not None and folder.is_dir() and bool(os.listdir(folder)),
+        "state": state["labels"],
+        "version": state["version"],
+        "command": command_line("kinedex", *words_of(archive, what, how, str(folder or "FOLDER"))),
+        "python": python_lines(archive.path, python_line(what, how, str(folder or "FOLDER"))),
+    }
+
+
+def _records(store: Store, what: What, how: How, plan: Plan) -> tuple[list[Row], int]:
+    """Return the rows of metadata.csv, and the bytes of it and of dataset.json, which follow from the plan."""
+    done = [Done(job, tuple(Written(file, job.fingerprint, "0" * 64) for file in job.files)) for job in plan.jobs]
+    facts = Facts(store, what, how, {}, plan.remarks)
+    rows = metadata_rows(facts, done)
+    return rows, len(metadata_text(rows).encode()) + len(data_set_text(facts, rows, done).encode())
+
+
+_ORDER = (*SPLITS, CLIPS)
+
+
+def _by_class(rows: list[Row], sizes: list[int] | None) -> list[Row]:
+    """Return clips, seconds and bytes of each class of each split."""
+    groups: dict[tuple[str, str], list[int]] = defaultdict(list)
+    for number, row in enumerate(rows):
+        groups[row["split"] or CLIPS, row["class"] or ""].append(number)
+    return [
+        {
+            "split": split,
+            "class": label or None,
+            "clips": len(numbers),
+            "seconds": float(np.sum([rows[number]["seconds"] for number in numbers])),
+            "bytes": None if sizes is None else sum(sizes[number] for number in numbers),
+        }
+        for (split, label), numbers in sorted(groups.items(), key=lambda one: (_ORDER.index(one[0][0]), one[0][1]))
+    ]
+
+
+def write_export(archive: Archive, asked: ExportQuestion, _request: Request) -> Row:
+    """Start the job that writes an export."""
+    if not asked.folder or not asked.folder.strip():
+        raise KinedexError("the folder is missing: name one that does not exist yet, or is empty")
+    folder = folder_of(archive, asked.folder)
+
+    def check() -> None:
+        if asked.planned is not None and archive.state(look=True)["labels"] != asked.planned:
+            raise ConflictError("the store has changed since this was planned; look at the plan and write again")
+
+    check()
+    words = words_of(archive, request_of(archive.store(), asked), asked.how, str(folder))
+    return jobs_of(archive).add(Job(TITLE, words, check=check)).shown()
+
+
+def written_export(archive: Archive, request: Request) -> Row:
+    """Return what an export of this server has written."""
+    job = jobs_of(archive).find(request.path_params["job"])
+    if job.title != TITLE:
+        raise NotFoundError(f"the job {job.id} is no export")
+    folder = Path(next(word for word in job.words if word.startswith("--output=")).removeprefix("--output="))
+    files, excluded = written_by(folder)
+    paths = [folder / name for name in (*files, DATA_SET, METADATA)]
+    there = [path for path in paths if path.is_file()]
+    return {
+        "folder": str(folder),
+        "files": len(there),
+        "bytes": sum(path.stat().st_size for path in there),
+        "excluded": excluded,
+        "command": command_line("kinedex", *job.words),
+    }
+
+
+routes = [
+    get("/api/export", export_facts),
+    post("/api/export/plan", plan_export, ExportQuestion),
+    post("/api/export", write_export, ExportQuestion, writes=True),
+    get("/api/export/{job}", written_export),
+]

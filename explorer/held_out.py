@@ -1,0 +1,252 @@
+"""The effect of editing a template on takes that it was not learned from.
+
+`POST /api/templates/effect` {stage, kind, template, weights?: {feature: factor}, first?, stop?, tau?, truth?, compete?,
+ everything?}
+→ {class, with: [name], method, queries, uses_tau, truth: {source, stage, takes, seconds, segments, all_takes,
+   all_seconds, among_examples, sources}, tau, pipeline_tau, training: {learned, edited}, advice, rows: [row], wrong,
+   missed, remarks, missing, seconds, command, python, pipeline}. `first` and `stop` are the columns that are kept. A
+ row is {template: "learned" or "edited", threshold: "pipeline", "used" or "best", tau, p1, r1, f1, p2, r2, f2 and the
+ counts}; `training` has, for each of the two templates, how well thresholds divide the training clips: {taus, scores,
+ tau, f}, F = scores[i] from taus[i] on, and `tau` with the best of them; `advice` is the setting that gives each class
+ a threshold of its own, where that is far better than the threshold of the pipeline, or null. `wrong` and `missed` are
+ segments of the last template at the τ that is used: {total, segments: [hit]}. `missing` is a sentence where no take
+ is held out, and there are no rows then. Without `everything` more than an hour of takes is judged by some of them,
+ drawn at random; `truth` has the numbers of both. `pipeline` is the command that runs the pipeline again with the
+ edited template. Whoever accepts application/x-ndjson gets lines with the progress first (`progress`).
+
+The class is annotated as its pipeline does it, keyframe queries included (`class_annotation`): with `compete` by the
+templates of all classes, otherwise by its own alone. Where the method has no thresholds, `uses_tau` is false, τ of rows
+is null, and there are no rows for other thresholds.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kinedex.explorer.class_annotation import class_segments
+from kinedex.explorer.prepared_templates import F64, Prepared, PreparedTemplates, dividing_threshold
+from kinedex.explorer.progress import Progress, post_with_progress
+from kinedex.explorer.template_edits import Edit, EditQuestion, edited_template, is_edited, same_edit
+from kinedex.ops.annotation.calibration import threshold_scores
+from kinedex.ops.annotation.segments import Segment
+from kinedex.ops.evaluation.metrics import Counts, compare, pooled
+from kinedex.ops.wording import few
+from kinedex.pipelines.annotation.methods import BestMethod
+from kinedex.pipelines.annotation.parameters import CALIBRATED
+from kinedex.pipelines.evaluation.annotation_scores import scores
+from kinedex.pipelines.templates.learning import SubclassTemplate
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from kinedex.explorer.archive import Archive
+
+Row = dict[str, Any]
+
+MOST_SEGMENTS = 24
+"""Most segments of a list; its total counts all of them."""
+
+FAR_BETTER = 0.05
+"""A gain in F of training clips that is worth a remark."""
+
+PREPARED = PreparedTemplates()
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A row of the table: a template at a threshold, None for a method without thresholds."""
+
+    template: str
+    threshold: str
+    tau: float | None
+
+
+def show_effect(archive: Archive, asked: EditQuestion, _request: Request, progress: Progress) -> Row:
+    """Return how well a class is found in held-out takes, by the template as it was learned and as it is edited."""
+    begin = time.perf_counter()
+    store = archive.store()
+    prepared = PREPARED.prepared(archive, store, asked)
+    one, use, held_out = prepared.one, prepared.use, prepared.held_out
+    changed = is_edited(one, asked)
+    edit = Edit(edited_template(store, one, asked) if changed else one, changed, prepared.tau, asked.tau)
+    learned = prepared.training.of(one)
+    costs = {"learned": learned, "edited": prepared.training.of(edit.one) if changed else learned}
+    training = {name: _divided(own) for name, own in costs.items()}
+    answer: Row = {
+        "class": prepared.label,
+        "with": [other.subclass for other in prepared.others],
+        "method": use.params.method,
+        "queries": any(prepared.material.queries),
+        "uses_tau": use.uses_thresholds,
+        "truth": {
+            "source": held_out.source,
+            "stage": use.evaluate if held_out.source == "evaluation" else None,
+            "takes": len(held_out.takes),
+            "seconds": sum(store.take_frames[take] for take in held_out.takes) / store.rate_hz,
+            "segments": sum(map(len, held_out.takes.values())),
+            "all_takes": len(held_out.every),
+            "all_seconds": sum(store.take_frames[take] for take in held_out.every) / store.rate_hz,
+            "among_examples": held_out.among_examples,
+            "sources": list(held_out.sources),
+        },
+        "tau": edit.tau,
+        "pipeline_tau": prepared.tau,
+        "training": training,
+        "rows": [],
+        "wrong": {"total": 0, "segments": []},
+        "missed": {"total": 0, "segments": []},
+        "remarks": [*use.remarks, *held_out.remarks, *_without_effect(prepared, asked)],
+        "advice": _better_threshold(prepared, training["learned"]),
+        "missing": held_out.missing,
+        **same_edit(archive, use, one, edit),
+    }
+    if prepared.batches:
+        best = {name: None if own is None else own["tau"] for name, own in training.items()}
+        answer |= _judged(prepared, edit, asked.compete, best, progress)
+    return {**answer, "seconds": time.perf_counter() - begin}
+
+
+def _divided(costs: tuple[F64, F64] | None) -> Row | None:
+    """Return how well each threshold divides the training clips of the class from those of all others."""
+    best = dividing_threshold(costs)
+    if costs is None or best is None:
+        return None
+    taus, found = threshold_scores(*costs)
+    return {"taus": taus.tolist(), "scores": found.tolist(), "tau": best[0], "f": best[1]}
+
+
+def _better_threshold(prepared: Prepared, found: Row | None) -> str | None:
+    """Return the setting for thresholds by class where the class's own would divide the training clips far better."""
+    use = prepared.use
+    own = use.params.tau == CALIBRATED or prepared.label in use.params.tau_by_class
+    if found is None or own or use.annotate is None or not use.uses_thresholds or prepared.training.actors < 2:
+        return None
+    below = int(np.searchsorted(found["taus"], prepared.tau))
+    now = found["scores"][below - 1] if below else 0.0
+    if found["f"] - now < FAR_BETTER:
+        return None
+    return f"--set {use.annotate.partition('/')[2]}.tau={CALIBRATED}"
+
+
+def _without_effect(prepared: Prepared, asked: EditQuestion) -> list[str]:
+    """Return a remark on edits that the method of the pipeline does not heed."""
+    method = prepared.use.params.annotation_method
+    weights = sorted(name for name, weight in asked.weights.items() if weight not in (0, 1))
+    if not issubclass(method, BestMethod) or not weights:
+        return []
+    return [
+        f"the method {method.name} knows features that count, and such of weight 0 that do not: these count as "
+        f"before: {few(weights)}"
+    ]
+
+
+def _judged(prepared: Prepared, edit: Edit, compete: bool, best: dict[str, float | None], progress: Progress) -> Row:
+    """Return the rows of the template before and after an edit, and what it finds in vain and misses after it."""
+    used = edit.tau if prepared.use.uses_thresholds else None
+    wanted = _wanted(prepared, edit, best)
+    known = prepared.counts if not edit.template else {}
+    counts = {"learned": prepared.counts, "edited": known}
+    todo = {
+        name: {row.tau for row in wanted if row.template == name and (row.tau, compete) not in counts[name]}
+        for name in counts
+    }
+    todo["edited" if edit.template else "learned"].add(used)
+    if not edit.template:
+        todo = {"learned": todo["learned"] | todo["edited"]}
+    progress.start(sum(map(len, todo.values())) * len(prepared.batches))
+    current: list[tuple[Segment, ...]] = []
+    for name, taus in todo.items():
+        one = edit.one if name == "edited" else prepared.one
+        # matches below the highest threshold are also those below all others
+        for tau in sorted(taus, key=lambda tau: -(tau or 0)):
+            found = annotate_class(prepared, one, tau, compete, progress)
+            counts[name][tau, compete] = _counts(prepared, found)
+            if tau == used and (one is edit.one):
+                current = found
+    rows = [
+        {
+            "template": row.template,
+            "threshold": row.threshold,
+            "tau": row.tau,
+            **scores(counts[row.template][row.tau, compete]),
+        }
+        for row in wanted
+    ]
+    return {"rows": rows, **_mistakes(prepared, current)}
+
+
+def _wanted(prepared: Prepared, edit: Edit, best: dict[str, float | None]) -> list[Wanted]:
+    """Return the rows of the table."""
+    if not prepared.use.uses_thresholds:
+        return [Wanted("learned", "pipeline", None), *([Wanted("edited", "used", None)] if edit.template else [])]
+    rows = [Wanted("learned", "pipeline", prepared.tau), Wanted("learned", "best", best["learned"])]
+    if edit.template or edit.tau != prepared.tau:
+        rows.append(Wanted("edited", "used", edit.tau))
+    if edit.template:
+        rows.append(Wanted("edited", "best", best["edited"]))
+    return [row for row in rows if row.tau is not None]
+
+
+def annotate_class(
+    prepared: Prepared, one: SubclassTemplate, tau: float | None, compete: bool, progress: Progress
+) -> list[tuple[Segment, ...]]:
+    """Return the segments of a class in each held-out take.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        The template as it was learned, its class, and the words.
+    one : SubclassTemplate
+        The template, edited or not.
+    tau : float, optional
+        The threshold of the class, where the method has any.
+    compete : bool
+        True where the templates of all classes annotate; False where those of the class do so alone.
+    progress : Progress
+        It advances by a step for each batch of takes.
+    """
+    use, label = prepared.use, prepared.label
+    templates = [one if each.subclass == one.subclass else each for each in use.templates]
+    classes = use.classes if compete and label in use.classes.names else prepared.own_class
+    taus = {name: use.tau(name) for name in classes.names} | ({} if tau is None else {label: tau})
+    annotator = prepared.material.annotator(templates, classes, taus)
+    return class_segments(prepared.store, annotator, label, prepared.batches, progress.advance)
+
+
+def _counts(prepared: Prepared, found: Sequence[tuple[Segment, ...]]) -> Counts:
+    return pooled(
+        compare([(one.start, one.stop) for one in own], prepared.held_out.takes[take])
+        for take, own in zip(prepared.takes, found, strict=True)
+    )
+
+
+def _mistakes(prepared: Prepared, found: Sequence[tuple[Segment, ...]]) -> Row:
+    """Return the segments that overlap no true one, the surest first, and the true ones that nothing overlaps."""
+    names = {take_id: name for name, take_id in prepared.store.take_ids.items()}
+    wrong, missed = [], []
+    for take, own in zip(prepared.takes, found, strict=True):
+        true = prepared.held_out.takes[take]
+        at = {"take_id": take, "take": names[take], "mirrored": False, "name": prepared.label}
+        wrong += [
+            {**at, "start": one.start, "stop": one.stop, "cost": one.cost}
+            for one in own
+            if not any(one.start < stop and start < one.stop for start, stop in true)
+        ]
+        missed += [
+            {**at, "start": start, "stop": stop, "cost": None}
+            for start, stop in true
+            if not any(one.start < stop and start < one.stop for one in own)
+        ]
+    wrong.sort(key=lambda row: (row["cost"], row["take"], row["start"]))
+    return {
+        name: {"total": len(rows), "segments": rows[:MOST_SEGMENTS]}
+        for name, rows in (("wrong", wrong), ("missed", missed))
+    }
+
+
+routes = [post_with_progress("/api/templates/effect", show_effect, EditQuestion)]

@@ -1,0 +1,131 @@
+"""Hits as every way of asking answers with them.
+
+{take_id, take, start, stop, cost: number or null, mirrored, name}: the frames [start, stop) of a take, what they cost,
+whether they fit the mirror image, and the template or query that found them.
+
+`POST /api/ask/labelled` {hits: [interval]} → {labels: [[{class, verdict, share}]]}: for each interval the labels that
+ people have given it, or an interval of which half, or which by half, lies in it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+from pydantic import Field
+
+from kinedex.explorer.addresses import Question, post
+from kinedex.explorer.conditions import over_takes_alone
+from kinedex.explorer.selections import Selection, columns_with_nan, condition_of
+from kinedex.ops.errors import ParameterError
+from kinedex.pipelines.ranking.examples import ChosenInterval
+from kinedex.storage.snapshot.labels import is_of_limbs
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from kinedex.explorer.archive import Archive
+    from kinedex.pipelines.ranking.ranked_hits import Ranking
+    from kinedex.storage.store.store import Store
+
+MOST_HITS = 500
+"""Most hits of one answer."""
+
+SHARED = 0.5
+"""Two intervals are of the same place if they share so much of the shorter one, as the page marks verdicts."""
+
+Limit = Annotated[int, Field(ge=1, le=MOST_HITS)]
+
+
+class ChosenHit(Question):
+    """An interval of a take, by its id or its name: an example, or a hit that was accepted or rejected."""
+
+    take_id: int | None = None
+    take: str | None = None
+    start: Annotated[int, Field(ge=0)]
+    stop: Annotated[int, Field(ge=1)]
+    mirrored: bool = False
+
+    def interval(self, store: Store) -> ChosenInterval:
+        """Return the interval as searches take it.
+
+        Raises
+        ------
+        KinedexError
+            The store has no such take.
+        ParameterError
+            No take is named, or the interval is not within it.
+        """
+        if (self.take_id is None) == (self.take is None):
+            raise ParameterError("take_id", "given, or `take`, the name", self.take_id)
+        take_id = store.take_id(self.take) if self.take is not None else self.take_id
+        frames = store.take_frames.get(take_id or 0)
+        if take_id is None or frames is None:
+            raise ParameterError("take_id", "the id of a take; it may have been removed from the store", take_id)
+        if not self.start < self.stop <= frames:
+            of = next((name for name, one in store.take_ids.items() if one == take_id), take_id)
+            expected = f"0 <= start < stop <= {frames}, the frames of {of}"
+            raise ParameterError("start and stop", expected, [self.start, self.stop])
+        return ChosenInterval(take_id, self.start, self.stop, self.mirrored)
+
+
+class LabelledQuestion(Question):
+    """Hits whose labels are wanted."""
+
+    hits: Annotated[tuple[ChosenHit, ...], Field(max_length=MOST_HITS)]
+
+
+def find_labels(archive: Archive, asked: LabelledQuestion, _request: Request) -> dict[str, Any]:
+    """Return the labels of hits, those that share most first."""
+    store = archive.store()
+    names = {take_id: name for name, take_id in store.take_ids.items()}
+    places = [one.interval(store) for one in asked.hits]
+    rows = store.labels()
+    wanted = pa.array({names[one.take_id] for one in places}, rows.schema.field("take").type)
+    by_take: dict[str, list[dict[str, Any]]] = {}
+    for row in rows.filter(pc.is_in(rows.column("take"), wanted)).to_pylist():
+        if not is_of_limbs(row):
+            by_take.setdefault(row["take"], []).append(row)
+    labels = []
+    for one in places:
+        found: dict[tuple[str, str], float] = {}
+        for row in by_take.get(names[one.take_id], ()):
+            length = min(one.stop, row["stop"]) - max(one.start, row["start"])
+            share = length / min(one.stop - one.start, row["stop"] - row["start"])
+            key = (row["class"], row["verdict"])
+            if share >= SHARED and share > found.get(key, 0):
+                found[key] = share
+        labels.append(
+            [
+                {"class": name, "verdict": verdict, "share": round(share, 3)}
+                for (name, verdict), share in sorted(found.items(), key=lambda pair: (-pair[1], pair[0]))
+            ]
+        )
+    return {"labels": labels}
+
+
+def ranked_hits(ranking: Ranking) -> list[dict[str, Any]]:
+    """Return the hits of a ranking, the best first."""
+    return [
+        {
+            "take_id": one.take_id,
+            "take": one.take,
+            "start": one.start,
+            "stop": one.stop,
+            "cost": one.cost,
+            "mirrored": one.mirrored,
+            "name": ranking.name,
+        }
+        for one in ranking.hits
+    ]
+
+
+def take_condition(store: Store, selection: Selection) -> str | None:
+    """Return the condition on takes of a selection as SQL over their columns alone, None for all takes."""
+    selection = over_takes_alone(store, selection)
+    condition = condition_of(selection, store.take_rows.column_names, columns_with_nan(store))
+    return condition.removeprefix(" WHERE ") or None
+
+
+routes = [post("/api/ask/labelled", find_labels, LabelledQuestion)]

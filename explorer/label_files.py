@@ -1,0 +1,197 @@
+"""Label files that the person names: read with their differences first, taken in then, and written for other tools.
+
+`POST /api/labels/read {paths: [path], corrects?: "annotations" or "labels", stage?}` shows what would be recorded, and
+records nothing; its `checksum` is that of the files. `POST /api/labels/import` with the same and this checksum records
+it, unless a file has changed since. `POST /api/labels/export {what: "annotations" or "labels", folder, format, …}`
+writes a file for each take.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import Field
+
+from kinedex.explorer.addresses import Question, post
+from kinedex.explorer.same import command_line
+from kinedex.ops.errors import ConflictError, KinedexError
+from kinedex.ops.local_paths import refuse_addresses
+from kinedex.pipelines.annotation.labels import annotate_stage, labels_kept, labels_of
+from kinedex.pipelines.labels.decisions import (
+    Proposed,
+    new_rows,
+    proposed_corrections,
+    proposed_label_corrections,
+    proposed_labels,
+    record,
+)
+from kinedex.pipelines.labels.label_files import label_files
+from kinedex.storage.formats.labels.formats import FORMATS, write_labels
+from kinedex.storage.formats.labels.segments import LabelFile
+from kinedex.storage.store.store import Store
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from kinedex.explorer.archive import Archive
+
+Row = dict[str, Any]
+
+MOST_ROWS = 2000
+"""Most rows of an answer; the numbers count all of them."""
+
+Place = Annotated[str, Field(min_length=1, max_length=4000)]
+
+
+class FilesQuestion(Question):
+    """Files to read."""
+
+    paths: Annotated[tuple[Place, ...], Field(min_length=1, max_length=100)]
+    corrects: Literal["annotations", "labels"] | None = None
+    stage: str | None = None
+
+
+class ImportQuestion(FilesQuestion):
+    """Files to take in, as they were read."""
+
+    checksum: str
+    annotator: Annotated[str, Field(max_length=200)] | None = None
+
+
+def read_files(archive: Archive, asked: FilesQuestion, _request: Request) -> Row:
+    """Return what the files would change, without recording anything."""
+    store = archive.store()
+    files, checksum = _files(asked)
+    proposed = _proposed(store, files, asked)
+    rows, known = new_rows(store, proposed.rows)
+    standing = {row["id"]: row for row in store.labels().to_pylist()}
+    return {
+        "checksum": checksum,
+        "files": [file.path for file in files],
+        "known": known,
+        "counts": _counts(rows),
+        "remarks": list(proposed.remarks),
+        "total": len(rows),
+        "rows": [_difference(row, standing) for row in rows[:MOST_ROWS]],
+        "command": _command(archive, asked, None),
+    }
+
+
+def import_files(archive: Archive, asked: ImportQuestion, _request: Request) -> Row:
+    """Record the files, provided that they are still as they were read."""
+    store = archive.store()
+    files, checksum = _files(asked)
+    if checksum != asked.checksum:
+        raise ConflictError("a file has changed since its differences were shown; read the files again")
+    annotator = (asked.annotator or "").strip() or None
+    proposed = _proposed(store, files, asked, annotator=annotator)
+    done = record(store, proposed.rows, proposed.remarks)
+    archive.labels_changed()
+    return {
+        "counts": done.counts,
+        "known": done.known,
+        "remarks": list(done.remarks),
+        "made": done.rows.column("id").to_pylist(),
+        "command": _command(archive, asked, annotator),
+    }
+
+
+def _files(asked: FilesQuestion) -> tuple[list[LabelFile], str]:
+    """Read the files, and return them with a checksum of what they state."""
+    refuse_addresses(asked.paths)
+    paths = [Path(one).expanduser() for one in asked.paths]
+    missing = next((path for path in paths if not path.exists()), None)
+    if missing is not None:
+        raise KinedexError(
+            f"{missing}: there is no such file or folder on the machine of the server; give its whole path"
+        )
+    files = label_files(paths)
+    text = repr([(file.path, file.takes, file.segments, file.covered) for file in files])
+    return files, hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()
+
+
+def _proposed(store: Store, files: list[LabelFile], asked: FilesQuestion, **more: str | None) -> Proposed:
+    if asked.corrects == "annotations":
+        return proposed_corrections(store, files, asked.stage, **more)
+    if asked.corrects == "labels":
+        return proposed_label_corrections(store, files, **more)
+    return proposed_labels(store, files, **more)
+
+
+def _counts(rows: list[Row]) -> dict[str, int]:
+    found: dict[str, int] = {}
+    for row in rows:
+        own = {"withdrawn": "removed", "negative": "without errors" if row["origin"] == "imported" else "rejected"}
+        name = str(own.get(row["verdict"], row["origin"]))
+        found[name] = found.get(name, 0) + 1
+    return found
+
+
+def _difference(row: Row, standing: dict[str, Row]) -> Row:
+    """Return a row that would be recorded, with the label that it would replace."""
+    keys = ("take", "class", "start", "stop", "verdict", "origin", "source")
+    before = standing.get(row["replaces"] or "")
+    return {key: row[key] for key in keys} | {
+        "before": before and {key: before[key] for key in ("class", "start", "stop", "verdict")}
+    }
+
+
+def _command(archive: Archive, asked: FilesQuestion, annotator: str | None) -> str:
+    more = ["--corrects", asked.corrects] if asked.corrects else []
+    more += ["--stage", asked.stage] if asked.stage and asked.corrects == "annotations" else []
+    more += ["--annotator", annotator] if annotator else []
+    return command_line("kinedex", "labels", "import", archive.path, *asked.paths, *more)
+
+
+class ExportQuestion(Question):
+    """Label files to write."""
+
+    what: Literal["annotations", "labels"]
+    folder: Place
+    format: str = "eaf"
+    takes: tuple[str, ...] = ()
+    where: str | None = None
+    stage: str | None = None
+    force: bool = False
+
+
+def export_files(archive: Archive, asked: ExportQuestion, _request: Request) -> Row:
+    """Write label files into the folder that the person names."""
+    store = archive.store()
+    where = (asked.where or "").strip() or None
+    rejected = 0
+    if asked.what == "labels":
+        takes = labels_kept(store, asked.takes, where)
+        if not takes:
+            raise KinedexError("no take has a label that could be written")
+    else:
+        annotations = labels_of(store, annotate_stage(store, asked.stage), asked.takes, where)
+        takes, rejected = annotations.takes, annotations.rejected
+    refuse_addresses(asked.folder)
+    folder = Path(asked.folder).expanduser()
+    single = folder.suffix.lower().removeprefix(".") in FORMATS and not folder.is_dir()
+    place = str(folder) if single else f"{folder}/"
+    written = write_labels(takes, None if single else asked.format, place, force=asked.force)
+    inside = [one for one in takes if one.take not in written.excluded]
+    more = ["--format", asked.format] if not single else []
+    more += ["--labels"] if asked.what == "labels" else ["--stage", asked.stage] if asked.stage else []
+    more += [word for take in asked.takes for word in ("--take", take)] + (["--where", where] if where else [])
+    return {
+        "files": [str(path) for path in written.paths[:100]],
+        "written": len(written.paths),
+        "segments": sum(len(one.labels) for one in inside),
+        "takes": len(inside),
+        "rejected": rejected,
+        "renamed": written.renamed,
+        "excluded": list(written.excluded),
+        "command": command_line("kinedex", "labels", "export", archive.path, "-o", place, *more),
+    }
+
+
+routes = [
+    post("/api/labels/read", read_files, FilesQuestion),
+    post("/api/labels/import", import_files, ImportQuestion, writes=True),
+    post("/api/labels/export", export_files, ExportQuestion, writes=True),
+]

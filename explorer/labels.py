@@ -1,0 +1,356 @@
+"""Labels of people: those of a take and of the store with their history, and decisions in one request.
+
+`GET /api/labels` answers with `label_facts`, `GET /api/takes/ID/labels` with `take_labels`, and `POST /api/labels/list`
+with rows of the view `labels` or `label_history`.
+
+`POST /api/labels/decide {take, annotator?, changes: [change]}` records edits of the labels of one take; all of them or
+none. A change is one of
+
+    {do: "draw", id, class, start, stop, verdict?, limb?, note?}
+    {do: "change", id, label, class?, start?, stop?, verdict?}       another class, other edges, another verdict
+    {do: "split", ids: [id, id], label, at}
+    {do: "join", ids: [id, …], labels: [label, …]}                  as many ids as labels
+    {do: "withdraw", id, label}
+    {do: "accept" or "reject", id, stage, class, subclass, start, stop, seen?}
+    {do: "restore", ids: [id, …], made: [id, …], back: [id, …]}     undo the edit that made rows of others, or redo it
+
+An id is 32 hexadecimal digits that the page makes, and `label` is the id of a label. The answer is on its way only
+after the journal is on disk; a request that is sent again records nothing twice. A label that was changed meanwhile
+gives the status 409 and a `ConflictError`, and nothing is recorded. `command` and `python` of the answer make the same
+decisions, one line each.
+"""
+
+from __future__ import annotations
+
+import getpass
+import threading
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import pyarrow as pa
+import pyarrow.compute as pc
+from pydantic import Field
+
+from kinedex.explorer.addresses import Question, get, post, take_of
+from kinedex.explorer.same import command_line, python_lines
+from kinedex.explorer.same_decisions import same_decisions
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.pipelines.annotation.labels import annotate_stage
+from kinedex.pipelines.labels.edits import LabelEdits, label_edits, record_edits
+from kinedex.pipelines.labels.selection import Selection, selected
+from kinedex.storage.snapshot.label_view import shown_labels
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from kinedex.explorer.archive import Archive
+    from kinedex.storage.store.store import Store
+
+Row = dict[str, Any]
+
+MOST_CHANGES = 1000
+"""Most changes of one request."""
+
+BLOCK = 500
+"""Most rows of one answer about the labels of a store."""
+
+Id = Annotated[str, Field(pattern="^[0-9a-f]{32}$")]
+Name = Annotated[str, Field(min_length=1, max_length=1000)]
+Frame = Annotated[int, Field(ge=0)]
+
+_DECIDING = threading.Lock()
+"""Held while a decision is compared with the labels and recorded, so that of two tabs one is second."""
+
+
+class Draw(Question):
+    """Add a label."""
+
+    do: Literal["draw"]
+    id: Id
+    label: Annotated[Name, Field(alias="class")]
+    start: Frame
+    stop: Frame
+    verdict: Literal["positive", "negative"] = "positive"
+    limb: str | None = None
+    note: str | None = None
+
+    def apply(self, edits: LabelEdits, take: str, _store: Store) -> None:
+        """Make the edit."""
+        more = {"verdict": self.verdict, "limb": self.limb, "note": self.note}
+        edits.draw(self.id, take, self.label, self.start, self.stop, **more)
+
+
+class Change(Question):
+    """Give a label another class, other edges or another verdict."""
+
+    do: Literal["change"]
+    id: Id
+    of: Annotated[Id, Field(alias="label")]
+    label: Annotated[Name | None, Field(alias="class")] = None
+    start: Frame | None = None
+    stop: Frame | None = None
+    verdict: Literal["positive", "negative"] | None = None
+
+    def apply(self, edits: LabelEdits, _take: str, _store: Store) -> None:
+        """Make the edit."""
+        values = {"class": self.label, "start": self.start, "stop": self.stop, "verdict": self.verdict}
+        edits.change(self.id, self.of, **values)
+
+
+class Split(Question):
+    """Divide a label at a frame."""
+
+    do: Literal["split"]
+    ids: Annotated[tuple[Id, ...], Field(min_length=2, max_length=2)]
+    label: Id
+    at: Frame
+
+    def apply(self, edits: LabelEdits, _take: str, _store: Store) -> None:
+        """Make the edit."""
+        edits.split(self.ids, self.label, self.at)
+
+
+class Join(Question):
+    """Make one label of several."""
+
+    do: Literal["join"]
+    ids: Annotated[tuple[Id, ...], Field(min_length=2, max_length=MOST_CHANGES)]
+    labels: Annotated[tuple[Id, ...], Field(min_length=2, max_length=MOST_CHANGES)]
+
+    def apply(self, edits: LabelEdits, _take: str, _store: Store) -> None:
+        """Make the edit."""
+        edits.join(self.ids, self.labels)
+
+
+class Withdraw(Question):
+    """Take a label back."""
+
+    do: Literal["withdraw"]
+    id: Id
+    label: Id
+
+    def apply(self, edits: LabelEdits, _take: str, _store: Store) -> None:
+        """Make the edit."""
+        edits.withdraw(self.id, self.label)
+
+
+class Decide(Question):
+    """Accept or reject an annotation; `seen` is the label with its class and edges that the page showed."""
+
+    do: Literal["accept", "reject"]
+    id: Id
+    stage: Name
+    label: Annotated[Name, Field(alias="class")]
+    subclass: str | None = None
+    start: Frame
+    stop: Frame
+    seen: Id | None = None
+
+    def apply(self, edits: LabelEdits, take: str, store: Store) -> None:
+        """Make the edit; an annotation that is gone since is decided on as the person saw it."""
+        row: Row = {"take": take, "class": self.label, "subclass": self.subclass or ""}
+        row |= {"start": self.start, "stop": self.stop, "confidence": None}
+        found = next((one for one in _annotations_of(store, self.stage, take) if _is_same(one, row)), row)
+        edits.decide(self.id, found, self.stage, self.seen, accept=self.do == "accept")
+
+
+class Restore(Question):
+    """Undo an edit."""
+
+    do: Literal["restore"]
+    ids: Annotated[tuple[Id, ...], Field(min_length=1, max_length=2 * MOST_CHANGES)]
+    made: Annotated[tuple[Id, ...], Field(min_length=1, max_length=MOST_CHANGES)]
+    back: Annotated[tuple[Id, ...], Field(max_length=MOST_CHANGES)] = ()
+
+    def apply(self, edits: LabelEdits, _take: str, _store: Store) -> None:
+        """Make the edit."""
+        edits.restore(self.ids, self.made, self.back)
+
+
+AnyChange = Annotated[Draw | Change | Split | Join | Withdraw | Decide | Restore, Field(discriminator="do")]
+
+
+class Decisions(Question):
+    """Edits of the labels of a take."""
+
+    take: Name
+    annotator: Annotated[str, Field(max_length=200)] | None = None
+    changes: Annotated[tuple[AnyChange, ...], Field(min_length=1, max_length=MOST_CHANGES)]
+
+
+def decide(archive: Archive, asked: Decisions, _request: Request) -> Row:
+    """Record edits; what is answered is on disk."""
+    with _DECIDING:
+        store = archive.store()
+        _require_take(store, asked.take)
+        edits = label_edits(store, asked.take, (asked.annotator or "").strip() or None)
+        for change in asked.changes:
+            change.apply(edits, asked.take, store)
+        recorded = record_edits(store, edits).rows
+    if recorded.num_rows:
+        archive.labels_changed()
+    return {
+        "made": [row["id"] for row in edits.rows],
+        "restored": edits.restored,
+        "rows": [_shown(row) for row in recorded.to_pylist()],
+        **same_decisions(archive, edits.rows, edits.known),
+    }
+
+
+def _require_take(store: Store, name: str) -> None:
+    if name not in store.take_ids:
+        raise KinedexError(f"no take is named '{name}'{did_you_mean(name, store.take_ids)}")
+
+
+def _annotations_of(store: Store, stage: str, take: str) -> list[Row]:
+    record = store.manifest.stages.get(stage)
+    if record is None:
+        return []
+    rows = store.result("annotations", run=record.run)
+    found: list[Row] = rows.filter(pc.equal(rows.column("take"), take)).to_pylist()
+    return found
+
+
+def _is_same(one: Row, other: Row) -> bool:
+    return all((one[key] or "") == (other[key] or "") for key in ("class", "subclass", "start", "stop"))
+
+
+def _shown(row: Row) -> Row:
+    """Return a row of labels as pages have it."""
+    return {**row, "created": row["created"].isoformat(timespec="seconds")}
+
+
+def take_labels(archive: Archive, request: Request) -> Row:
+    """Return the labels of a take with their history, and the annotations that a person can decide on.
+
+    Returns
+    -------
+    dict
+        `rows`, all rows of labels of the take with `current`; `stage`, the stage of the annotations (that of
+        the query's `stage`, or of the current pipeline; None where nothing was annotated), and its `annotations`.
+    """
+    store, take_id = take_of(archive, request)
+    name = next(name for name, one in store.take_ids.items() if one == take_id)
+    rows = shown_labels(store)
+    rows = rows.filter(pc.equal(rows.column("take"), name)).to_pylist()
+    stage = stage_of(store, request.query_params.get("stage"))
+    columns = ("class", "subclass", "start", "stop", "cost", "confidence")
+    annotations = [{key: row[key] for key in columns} for row in (_annotations_of(store, stage, name) if stage else ())]
+    return {
+        "take_id": take_id,
+        "take": name,
+        "frames": store.take_frames[take_id],
+        "rate_hz": store.rate_hz,
+        "version": store.manifest.version,
+        "rows": [_shown(row) for row in rows],
+        "stage": stage,
+        "annotations": annotations,
+        "command": command_line("kinedex", "labels", "list", archive.path, "--take", name),
+        "python": python_lines(archive.path, f"store.labels.table({f'take = {_quoted(name)}'!r}, history=True)"),
+    }
+
+
+def _quoted(text: str) -> str:
+    return "'" + text.replace("'", "''") + "'"
+
+
+def stage_of(store: Store, asked: str | None) -> str | None:
+    """Return the stage whose annotations a page asks for; None where no stage is named and none has annotated."""
+    annotating = {part.stage for part in store.manifest.results.get("annotated_takes", ())}
+    if asked is None and not annotating & store.manifest.stages.keys():  # a run that was killed has no record
+        return None
+    return annotate_stage(store, asked)
+
+
+def label_facts(archive: Archive, _request: Request) -> Row:
+    """Return counts and names that pages about labels need.
+
+    Returns
+    -------
+    dict
+        `labels`, the number that count; `decisions`, that of all rows; `classes` of the store (of takes, labels and
+        annotations), each with `name` and the number of `positive` and `negative` labels; `annotator`, the name that
+        new labels get unless a person gives another; `annotators`; `takes`, the number of takes with labels; and
+        `learned`, with the stage of the current annotations, the time when its templates were learned, and the number
+        of decisions `since`.
+    """
+    store = archive.store()
+    labels = store.labels()
+    counts: dict[str, Row] = {}
+    names = set(store.take_rows.column("class").unique().to_pylist())
+    stage = stage_of(store, None)
+    if stage is not None:
+        found = store.result("annotations", run=store.manifest.stages[stage].run)
+        names |= {*found.column("class").unique().to_pylist(), *found.column("subclass").unique().to_pylist()}
+    for name in sorted(filter(None, names | set(labels.column("class").unique().to_pylist()))):
+        counts[name] = {"name": name, "positive": 0, "negative": 0}
+    for one in labels.group_by(["class", "verdict"]).aggregate([([], "count_all")]).to_pylist():
+        counts[one["class"]][one["verdict"]] = one["count_all"]
+    people = sorted(filter(None, labels.column("annotator").unique().to_pylist()))
+    return {
+        "labels": labels.num_rows,
+        "decisions": store.labels(history=True).num_rows,
+        "classes": list(counts.values()),
+        "annotator": default_annotator(),
+        "annotators": people,
+        "takes": len(labels.column("take").unique()),
+        "learned": _learned(store, stage),
+        "command": command_line("kinedex", "labels", "list", archive.path),
+        "python": python_lines(archive.path, "store.labels.table()"),
+    }
+
+
+def default_annotator() -> str:
+    """Return the name of the user of this machine; empty where the system knows none."""
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError, ImportError):
+        return ""
+
+
+def _learned(store: Store, stage: str | None) -> Row:
+    """Return when the templates of the annotations were learned, and how many decisions were made since."""
+    rows = store.labels(history=True)
+    if stage is None:
+        return {"stage": None, "finished": None, "since": rows.num_rows}
+    record = store.manifest.stages[stage]
+    pipeline = stage.partition("/")[0]
+    templates = store.manifest.stages.get(f"{pipeline}/{record.summary.get('inputs', {}).get('templates', '')}", record)
+    moment = pa.scalar(templates.finished).cast(rows.schema.field("created").type)
+    since = pc.sum(pc.greater(rows.column("created"), moment)).as_py() or 0
+    return {"stage": stage, "finished": templates.finished, "since": since}
+
+
+class LabelsQuestion(Question):
+    """A block of the labels of a store."""
+
+    where: str | None = None
+    history: bool = False
+    offset: Frame = 0
+    limit: Annotated[int, Field(ge=0, le=BLOCK)] = 100
+
+
+def list_labels(archive: Archive, asked: LabelsQuestion, _request: Request) -> Row:
+    """Return a block of the labels of the store, the latest first."""
+    store = archive.store()
+    table = shown_labels(store)
+    if not asked.history:
+        table = table.filter(table.column("current"))
+    where = (asked.where or "").strip() or None
+    found = selected(table, Selection(where=where, every=True), "label", keep_order=True).reverse()
+    block = found.slice(asked.offset, asked.limit)
+    given = ["--where", where] if where else []
+    return {
+        "total": found.height,
+        "offset": asked.offset,
+        "rows": [_shown(row) for row in block.iter_rows(named=True)],
+        "command": command_line("kinedex", "labels", "list", archive.path, *given),
+        "python": python_lines(archive.path, f"store.labels.table({where!r}, history={asked.history})"),
+    }
+
+
+routes = [
+    get("/api/labels", label_facts),
+    get("/api/takes/{take:int}/labels", take_labels),
+    post("/api/labels/list", list_labels, LabelsQuestion),
+    post("/api/labels/decide", decide, Decisions, writes=True),
+]

@@ -1,0 +1,296 @@
+"""Learn again from labels in the background: the settings, the run, the list of its changes, and the way back.
+
+`GET /api/learn` answers with `learning_facts`, `POST /api/learn {examples?, method?, where?}` starts a job,
+`GET /api/learn/changes` lists what the last one changed, and `POST /api/learn/undo` starts a job that brings the
+annotations before it back. Once the page has asked for the facts, a process is kept ready (`spare_process`).
+
+What is learned belongs to a pipeline of its own, `learn-again`, with the settings of the current annotation and the
+labels of people as further examples. So the results that were there stay beside it, and an earlier result of its own
+comes back with its version (`kinedex use STORE learn-again --at VERSION`).
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import glob
+import json
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import yaml
+from pydantic import Field
+
+from kinedex.catalog.classes import OWN, class_files
+from kinedex.catalog.configs import load_yaml
+from kinedex.explorer.addresses import Question, get, post
+from kinedex.explorer.jobs import FOLDER, Job, NoQuestion, jobs_of, run_words
+from kinedex.explorer.labels import stage_of
+from kinedex.explorer.same import command_line
+from kinedex.ops.errors import ConflictError, KinedexError, StoreError
+from kinedex.pipelines.annotation.labels import annotate_stage
+from kinedex.pipelines.labels.segments import Difference, Segment, differences
+from kinedex.pipelines.templates.examples import CLIPS, LABELS
+from kinedex.storage.disk import replace_file, write_errors
+from kinedex.storage.snapshot.shown_results import current_pipeline
+from kinedex.storage.store.store import Store, open_store
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from kinedex.explorer.archive import Archive
+
+Row = dict[str, Any]
+
+PIPELINE = "learn-again"
+
+MOST_CHANGES = 1000
+"""Most changes of an answer; the numbers count all of them."""
+
+
+class LearnQuestion(Question):
+    """The settings of a run that learns again; those of the current annotation unless given."""
+
+    examples: Literal["labels", "clips and labels"] | None = None
+    method: Literal["best", "thesis"] | None = None
+    where: Annotated[str, Field(max_length=10_000)] | None = None
+
+
+def learning_facts(archive: Archive, _request: Request) -> Row:
+    """Return the settings with which it would be learned again, and the last time.
+
+    Returns
+    -------
+    dict
+        `based_on`, the stage whose settings are taken (None where nothing was annotated); `examples`, `method` and
+        `where`; `last`, None or the versions `before` and `after` the last run, with `undone`; and `command`, once
+        there is a file of the pipeline.
+    """
+    store = archive.store()
+    if not archive.read_only:
+        jobs_of(archive).prepare()
+    stages = learning_stages(store, LearnQuestion())
+    examples = stages["learn_templates"]["params"]["examples"]
+    file = _file(archive)
+    return {
+        "based_on": stage_of(store, None),
+        "examples": "clips and labels" if CLIPS in examples else "labels",
+        "method": stages["annotate"]["params"].get("method", "thesis"),
+        "where": stages["annotate"]["params"].get("where", ""),
+        "last": _last(archive),
+        **({"command": command_line("kinedex", *run_words(archive, file))} if file.is_file() else {}),
+    }
+
+
+def learning_stages(store: Store, asked: LearnQuestion) -> Row:
+    """Return the stages of the pipeline that learns again, as a pipeline file has them.
+
+    Parameters
+    ----------
+    store : Store
+        The store; the settings are those of its current annotation, where there is one.
+    asked : LearnQuestion
+        Settings that a person has chosen.
+    """
+    stage = stage_of(store, None)
+    templates: Row = {"examples": [LABELS]}
+    annotate: Row = {"where": "true", "method": "best"}
+    stages: Row = {}
+    if stage is not None:
+        pipeline = stage.partition("/")[0]
+        record = store.manifest.stages[stage]
+        inputs = record.summary.get("inputs", {})
+        annotate = _given(store, stage)
+        templates = _given(store, f"{pipeline}/{inputs.get('templates', '')}")
+        known = templates.get("examples", [CLIPS])
+        templates["examples"] = [*known, *([LABELS] if LABELS not in known else [])]
+        if "keyframes" in inputs:
+            keyframes = _given(store, f"{pipeline}/{inputs['keyframes']}")
+            stages["learn_keyframes"] = {"params": keyframes | {"examples": templates["examples"]}}
+    if asked.examples is not None:
+        others = [one for one in templates["examples"] if one not in (CLIPS, LABELS)]
+        templates["examples"] = [*([CLIPS] if "clips" in asked.examples else []), LABELS, *others]
+    chosen = {"method": asked.method, "where": (asked.where or "").strip() or None}
+    annotate |= {key: value for key, value in chosen.items() if value is not None}
+    templates["methods"] = [annotate.get("templates", "soft")]  # of the two kinds, the one that annotates
+    # few labels are no picture of an archive: each of them counts, rejected ones too
+    annotate["each_example"] = CLIPS not in templates["examples"] and annotate.get("method") == "best"
+    if annotate["each_example"]:
+        annotate["store_curves"] = False  # they are those of averaged templates, which label nothing then
+    return {"learn_templates": {"params": templates}, **stages, "annotate": {"params": annotate}}
+
+
+def _given(store: Store, stage: str) -> Row:
+    """Return the parameters that a stage was given."""
+    record = store.manifest.stages.get(stage)
+    summary = record.summary if record is not None else {}
+    found: Row = dict(summary.get("given", summary.get("params", {})))
+    if "${" in json.dumps(found):
+        raise KinedexError(
+            f"a parameter of {stage} has '${{' in it, which a pipeline file cannot repeat: run it by hand"
+        )
+    return found
+
+
+def _file(archive: Archive) -> Path:
+    return archive.path / FOLDER / f"{PIPELINE}.yaml"
+
+
+def _record_file(archive: Archive) -> Path:
+    return archive.path / FOLDER / f"{PIPELINE}.json"
+
+
+def _last(archive: Archive) -> Row | None:
+    path = _record_file(archive)
+    if not path.is_file():
+        return None
+    try:
+        found: Row = json.loads(path.read_text(encoding="utf-8"))
+        return found if {"before", "after", "undone"} <= found.keys() else None
+    except (ValueError, AttributeError):
+        return None
+
+
+def _write(path: Path, text: str) -> None:
+    with write_errors(path.parent):
+        path.parent.mkdir(exist_ok=True)
+        replace_file(path, lambda unfinished: unfinished.write_text(text, encoding="utf-8"))
+
+
+def learn(archive: Archive, asked: LearnQuestion, _request: Request) -> Row:
+    """Start to learn again and to annotate."""
+    store = archive.store()
+    if any(job.title == TITLE and job.state in ("waiting", "running") for job in jobs_of(archive).every()):
+        raise ConflictError("it is being learned again already; stop that job first, or wait for it")
+    stages = learning_stages(store, asked)
+    _put_classes(archive, store, stages)
+    document = {
+        "name": PIPELINE,
+        "description": "Templates from the labels of people too, and annotations with them.",
+        "stages": stages,
+    }
+    _write(_file(archive), yaml.safe_dump(document, sort_keys=False, allow_unicode=True))
+    stage = stage_of(store, None)
+    before = {"before": open_store(archive.path, at="newest").manifest.version, "stage": stage}
+
+    def note(job: Job) -> None:
+        after = open_store(archive.path, at="newest").manifest.version
+        record = {**before, "after": after, "undone": False, "job": job.id}
+        if after != before["before"]:
+            _write(_record_file(archive), json.dumps(record))
+        jobs_of(archive).prepare()  # who has learned once learns again
+
+    words = run_words(archive, _file(archive))
+    weights = tuple(_WEIGHTS[name] for name in stages)
+    return jobs_of(archive).add(Job(TITLE, words, len(stages), note, weights=weights, learns=True)).shown()
+
+
+TITLE = "Learn again"
+
+_WEIGHTS = {"learn_templates": 1.0, "learn_keyframes": 5.0, "annotate": 20.0}
+"""About how long the stages take compared with each other, over a large archive."""
+
+
+def _put_classes(archive: Archive, store: Store, stages: Row) -> None:
+    """Let the classes that people have labelled be annotated, where a class file does not have them.
+
+    The extended file stands beside the pipeline's. Without clips a class file cannot be used, since it names subclasses
+    that only clips have: then every class of a label is one of its own.
+    """
+    annotate = stages["annotate"]["params"]
+    files = class_files(annotate.get("classes", OWN))
+    if not files:
+        return
+    if CLIPS not in stages["learn_templates"]["params"]["examples"]:
+        annotate["classes"] = OWN
+        return
+    labels = store.labels().to_pylist()
+    names = sorted({row["class"] for row in labels if row["verdict"] == "positive" and row["limb"] is None})
+    added = classes_with(load_yaml(files[0]).mapping(), names)
+    if added is not None:
+        _write(path := archive.path / FOLDER / f"{PIPELINE}-classes.yaml", added)
+        annotate["classes"] = str(path.absolute())
+
+
+def classes_with(classes: Row, names: Sequence[str]) -> str | None:
+    """Return the text of a class file with further subclasses; None where it has them all.
+
+    Parameters
+    ----------
+    classes : dict
+        Class → its subclasses, or an entry with `subclasses`, as in a class file.
+    names : sequence of str
+        Subclasses. One that no entry takes becomes a class of its own; one that bears the name of a class joins it.
+    """
+    entries = {
+        str(name): entry if isinstance(entry, dict) else {"subclasses": entry} for name, entry in classes.items()
+    }
+    taken = [pattern for entry in entries.values() for pattern in entry.get("subclasses", ())]
+    missing = [name for name in names if not any(fnmatch.fnmatchcase(name, pattern) for pattern in taken)]
+    for name in missing:
+        entry = entries.setdefault(name, {"description": "labelled by people", "subclasses": []})
+        entry["subclasses"] = [*entry["subclasses"], glob.escape(name)]
+    return yaml.safe_dump(entries, sort_keys=False, allow_unicode=True) if missing else None
+
+
+def changes(archive: Archive, _request: Request) -> Row:
+    """Return what the last run changed: annotations that were added, that are gone, and that were moved or renamed."""
+    last = _last(archive)
+    if last is None:
+        return {"last": None, "counts": {}, "takes": 0, "total": 0, "rows": []}
+    try:
+        sides = [open_store(archive.path, at=last[key]) for key in ("before", "after")]
+    except StoreError as fault:
+        raise KinedexError(f"what was learned last cannot be compared any more: {fault}") from None
+    old = _segments(sides[0], last["stage"]) if last["stage"] is not None else []
+    found = [one for one in differences(old, _segments(sides[1], f"{PIPELINE}/annotate")) if one.change != "same"]
+    ids = archive.store().take_ids
+    rows = [_row(one, ids) for one in found[:MOST_CHANGES]]
+    return {
+        "last": last,
+        "counts": dict(Counter(one.change for one in found)),
+        "takes": len({row["take"] for row in map(_names, found)}),
+        "total": len(found),
+        "rows": rows,
+        "current": current_pipeline(archive.store().manifest),
+    }
+
+
+def _names(one: Difference) -> Row:
+    shown = one.after or one.before
+    assert shown is not None
+    return {"take": shown.take, "class": shown.label, "start": int(shown.start), "stop": int(shown.stop)}
+
+
+def _row(one: Difference, ids: dict[str, int]) -> Row:
+    before = one.before and {"class": one.before.label, "start": int(one.before.start), "stop": int(one.before.stop)}
+    named = _names(one)
+    return {**named, "take_id": ids.get(named["take"]), "change": one.change, "before": before}
+
+
+def _segments(store: Store, stage: str) -> list[Segment]:
+    rows = store.result("annotations", run=store.manifest.stages[annotate_stage(store, stage)].run)
+    return [Segment(row["take"], row["class"], row["start"], row["stop"]) for row in rows.to_pylist()]
+
+
+def undo(archive: Archive, _asked: NoQuestion, _request: Request) -> Row:
+    """Start to bring the annotations back that were current before the last run."""
+    last = _last(archive)
+    if last is None or last["undone"]:
+        raise KinedexError("nothing was learned again that could be undone")
+    open_store(archive.path, at=last["before"])
+
+    def note(_job: Job) -> None:
+        _write(_record_file(archive), json.dumps({**last, "undone": True}))
+
+    words = ("use", str(archive.path), PIPELINE, "--at", str(last["before"]), "--wait", "10m")
+    return jobs_of(archive).add(Job("Undo what was learned", words, then=note)).shown()
+
+
+routes = [
+    get("/api/learn", learning_facts),
+    post("/api/learn", learn, LearnQuestion, writes=True),
+    get("/api/learn/changes", changes),
+    post("/api/learn/undo", undo, NoQuestion, writes=True),
+]

@@ -1,0 +1,186 @@
+"""Maps that are computed in processes of their own, at low priority, for as long as somebody waits for them."""
+
+from __future__ import annotations
+
+import asyncio
+import importlib.util
+import multiprocessing
+import os
+import threading
+from collections import OrderedDict
+from collections.abc import AsyncIterator
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
+
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.maps.layout import PURPOSE
+from kinedex.ops.packages import MissingPackageError, extra_package
+from kinedex.pipelines.maps.archive_map import ArchiveMap, Unit, archive_map
+from kinedex.storage.store.store import open_store
+
+if TYPE_CHECKING:
+    from kinedex.explorer.archive import Archive
+    from kinedex.storage.store.store import Store
+
+KEPT = 4
+"""Maps that are kept: some 30 bytes a point."""
+
+LOOK_SECONDS = 0.2
+
+NICE = 5
+"""The priority of a process: what a person does meanwhile comes first."""
+
+Key = tuple[str, Unit]
+Step = tuple[int, int]
+
+
+class MapRun:
+    """The computation of a map in a process of its own.
+
+    Attributes
+    ----------
+    step : (int, int)
+        Steps done, and steps in all; both 0 until the first is reported.
+    result : ArchiveMap or None
+        The map, once it is there.
+    fault : KinedexError or None
+        The reason for which there is none.
+    waiting : int
+        The number of those who wait for it.
+    reader : threading.Thread
+        The thread that takes the reports. It alone waits for the process: of two threads that wait for one process,
+        the system tells only one how it ended, and the other may believe for a moment that it still runs.
+    """
+
+    def __init__(self, store: Store, unit: Unit) -> None:
+        self.step: Step = (0, 0)
+        self.result: ArchiveMap | None = None
+        self.fault: KinedexError | None = None
+        self.waiting = 0
+        self.stopped = False
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe(duplex=False)
+        arguments = (theirs, store.path, store.manifest.version, unit)
+        self._process = context.Process(target=_compute, args=arguments, name="kinedex-map", daemon=True)
+        self._process.start()
+        theirs.close()
+        self.reader = threading.Thread(target=self._read, name="map", daemon=True)
+        self.reader.start()
+
+    @property
+    def done(self) -> bool:
+        """True once there is a result or a fault."""
+        return self.result is not None or self.fault is not None
+
+    def stop(self) -> None:
+        """End the process; nobody waits for it."""
+        self.stopped = True
+        self._process.terminate()
+
+    def _read(self) -> None:
+        """Take what the process reports until it ends."""
+        with suppress(EOFError, OSError):
+            while not self.done:
+                found = self._pipe.recv()
+                if isinstance(found, ArchiveMap):
+                    self.result = found
+                elif isinstance(found, KinedexError):
+                    self.fault = found
+                else:
+                    self.step = found
+        self._process.join()
+        if not self.done:
+            self.fault = KinedexError(
+                f"the process that computes the map ended without a result (exit code {self._process.exitcode}); "
+                "the log of `kinedex explore` may show why, and memory may have run out"
+            )
+        self._pipe.close()
+
+
+def _compute(pipe: Connection, path: Path, version: int, unit: Unit) -> None:
+    """Compute a map, and send its progress and the map, or the error for which there is none."""
+    if hasattr(os, "nice"):
+        os.nice(NICE)
+    try:
+        # one thread: others work on this machine, and the sums have one order
+        with extra_package("threadpoolctl", "scikit-learn", PURPOSE, "map").threadpool_limits(1):
+            pipe.send(archive_map(open_store(path, at=version), unit, lambda done, total: pipe.send((done, total))))
+    except KinedexError as fault:
+        pipe.send(KinedexError(str(fault)))  # some classes have parameters that a pipe does not bring back
+    except BrokenPipeError:  # the server is gone
+        pass
+
+
+class Maps:
+    """The maps of an explorer: those that are there, and those that are being computed; used on one event loop."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[Key, ArchiveMap] = OrderedDict()
+        self._running: dict[Key, MapRun] = {}
+
+    async def find(self, store: Store, unit: Unit) -> AsyncIterator[Step | ArchiveMap]:
+        """Yield the steps of a computation as it goes on, and the map at the end.
+
+        A map is kept by the content of the takes: a version with other results alone has the same one. A computation
+        ends when all who iterate have stopped.
+
+        Parameters
+        ----------
+        store : Store
+            The store.
+        unit : {"takes", "windows"}
+            The points.
+
+        Raises
+        ------
+        KinedexError
+            There is no map; the message has the reason.
+        """
+        key = (store.manifest.content or str(store.manifest.version), unit)
+        if key in self._kept:
+            self._kept.move_to_end(key)
+            yield self._kept[key]
+            return
+        run = self._running.get(key)
+        if run is None or run.stopped:
+            run = self._running[key] = MapRun(store, unit)
+        run.waiting += 1
+        try:
+            seen: Step | None = None
+            while not run.done:
+                if run.step != seen:
+                    seen = run.step
+                    yield seen
+                await asyncio.sleep(LOOK_SECONDS)
+        finally:
+            run.waiting -= 1
+            if run.waiting == 0:
+                if not run.done:
+                    run.stop()
+                if self._running.get(key) is run:
+                    del self._running[key]
+        if run.fault is not None:
+            raise run.fault
+        assert run.result is not None
+        self._kept[key] = run.result
+        while len(self._kept) > KEPT:
+            self._kept.popitem(last=False)
+        yield run.result
+
+
+def require_extra() -> None:
+    """Raise a MissingPackageError if scikit-learn is not installed, without importing it."""
+    if importlib.util.find_spec("sklearn") is None:
+        extra_package("sklearn", "scikit-learn", PURPOSE, "map")
+        raise MissingPackageError  # not reached: the import has failed
+
+
+_MAPS: WeakKeyDictionary[Archive, Maps] = WeakKeyDictionary()
+
+
+def maps_of(archive: Archive) -> Maps:
+    """Return the maps of an explorer."""
+    return _MAPS.setdefault(archive, Maps())

@@ -1,0 +1,396 @@
+"""Motions for the page: joint positions as 16-bit integers, of one take as a stream and of many small intervals.
+
+An answer is a sequence of blocks. A block is a header of 48 bytes and the positions of consecutive stored frames,
+everything little-endian:
+
+    bytes 0 to 3      the letters KNX1
+    bytes 4 to 19     uint32: stored frames F, joints J, first analysis frame, step (analysis frames per stored frame)
+    bytes 20 to 39    float32: analysis frames per second, metres per unit, and the origin x, y, z in metres
+    bytes 40 to 47    zero
+    from byte 48      int16 (F, J, 3): position = origin + unit * number; −32768 is an unknown coordinate
+
+Every block has an origin and a unit of its own, so that a walk of kilometres is as precise as a step on the spot: the
+error of a coordinate is at most half a unit. A take is cut into blocks that extend over at most 65 m, so that a unit is
+at most 1 mm; it is larger only where joints of the same frame are farther apart.
+
+`GET /api/takes/ID/motion` answers with the blocks of a take; `POST /api/figures` with a count (uint32), and for each
+figure its length in bytes (uint32) and one block, which is moved and turned so that the body begins above the origin
+and faces the viewer (+Z) with its left towards +X.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import OrderedDict
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from threading import Lock
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field
+from starlette.responses import Response, StreamingResponse
+
+from kinedex.explorer.addresses import Question, get, post, take_of
+from kinedex.ops.body.facing_direction import Placement, facing_yaw, start_at_origin
+from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.ops.withdrawal import check_withdrawn
+from kinedex.storage.snapshot.frames import read_intervals
+from kinedex.storage.snapshot.parts import joint_positions
+from kinedex.storage.store.store import Store
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    from starlette.requests import Request
+
+    from kinedex.explorer.archive import Archive
+
+F32 = npt.NDArray[np.float32]
+
+MAGIC = b"KNX1"
+HEADER_BYTES = 48
+UNKNOWN = -32_768
+"""The number that stands for an unknown coordinate."""
+
+FINEST_M = 0.0001
+"""The least unit in metres."""
+
+BLOCK_FRAMES = 3600
+"""Most stored frames of a block: two minutes, 520 KB. Blocks grow to it."""
+
+WIDEST_M = 65.0
+"""Most extent of a block of several frames along an axis, for a unit of 1 mm."""
+
+FIRST_FRAMES = 150
+"""Stored frames of the first block, so that the first pose is there at once."""
+
+MOST_FIGURES = 500
+"""Most figures of one answer."""
+
+_LARGEST = 32_767
+_HEADER = struct.Struct("<4s4I5f8x")
+
+
+@dataclass(frozen=True)
+class Interval:
+    """The frames [start, stop) of a take."""
+
+    take_id: int
+    start: int
+    stop: int
+
+
+class PositionCache:
+    """Joint positions of takes that were read lately, within a bound of memory. Several threads may use it.
+
+    Parameters
+    ----------
+    most_bytes : int
+        The least recently used takes are dropped above it.
+    """
+
+    def __init__(self, most_bytes: int = 64_000_000) -> None:
+        self._most_bytes = most_bytes
+        self._bytes = 0
+        self._held: OrderedDict[tuple[str, int, int], F32] = OrderedDict()
+        self._lock = Lock()
+
+    def positions(self, store: Store, take_id: int) -> F32:
+        """Return the positions of a take, float32 (T, J, 3) in metres, NaN where unknown."""
+        return next(found for _, found in self.every(store, [take_id]))
+
+    def every(self, store: Store, take_ids: Iterable[int]) -> Iterator[tuple[int, F32]]:
+        """Yield the ids and the positions of takes: those at hand first, the others as they lie in the store."""
+        names = _names(store, take_ids)
+        missing = {}
+        for take_id, name in names.items():
+            held = self._at_hand(store, take_id)
+            if held is None:
+                missing[name] = take_id
+            else:
+                yield take_id, held
+        joints = store.feature_set.joints
+        for name, table in store.frames_of(missing, joints) if missing else ():
+            read = _positions(table, joints)
+            self._keep(self._key(store, missing[name]), read)
+            yield missing[name], read
+
+    def intervals(self, store: Store, items: Sequence[Interval]) -> Iterator[tuple[int, F32]]:
+        """Yield the places and the positions of intervals, in any order; of takes not at hand, no more is read."""
+        missing = []
+        for place, one in enumerate(items):
+            held = self._at_hand(store, one.take_id)
+            if held is None:
+                missing.append(place)
+            else:
+                yield place, held[one.start : one.stop]
+        asked = [(items[place].take_id, items[place].start, items[place].stop) for place in missing]
+        joints = store.feature_set.joints
+        for number, table in read_intervals(store.checked, store.manifest, asked, joints):
+            yield missing[number], _positions(table, joints)
+
+    def _key(self, store: Store, take_id: int) -> tuple[str, int, int]:
+        return str(store.path), store.manifest.version, take_id
+
+    def _at_hand(self, store: Store, take_id: int) -> F32 | None:
+        key = self._key(store, take_id)
+        with self._lock:
+            if key in self._held:
+                self._held.move_to_end(key)
+            return self._held.get(key)
+
+    def _keep(self, key: tuple[str, int, int], read: F32) -> None:
+        with self._lock:
+            if key not in self._held and read.nbytes <= self._most_bytes:
+                self._held[key] = read
+                self._bytes += read.nbytes
+            while self._bytes > self._most_bytes:
+                self._bytes -= self._held.popitem(last=False)[1].nbytes
+
+
+POSITIONS = PositionCache()
+"""The positions of the takes that pages have asked for lately."""
+
+
+def _positions(table: pa.Table, joints: Sequence[str]) -> F32:
+    """Return the positions in rows of a frames part, float32 (T, J, 3)."""
+    return np.ascontiguousarray(joint_positions(table, joints).transpose(2, 0, 1))
+
+
+def _names(store: Store, take_ids: Iterable[int]) -> dict[int, str]:
+    """Return the names of takes by their ids, each once."""
+    wanted = dict.fromkeys(take_ids)
+    names = {take_id: name for name, take_id in store.take_ids.items() if take_id in wanted}
+    for take_id in wanted:
+        if take_id not in names:
+            raise KinedexError(f"{store.path}: no take has the id {take_id}; `Store.takes()` lists those that are")
+    return {take_id: names[take_id] for take_id in wanted}
+
+
+def motion_blocks(
+    cache: PositionCache, store: Store, take_id: int, first: int = 0, stop: int | None = None, step: int = 1
+) -> Iterator[bytes]:
+    """Yield the blocks of a take, see the module.
+
+    Parameters
+    ----------
+    cache : PositionCache
+        Where positions are kept.
+    store : Store
+        The store of the take.
+    take_id : int
+        The take.
+    first, stop : int, optional
+        Analysis frames; the whole take unless given. An empty range yields one block without frames.
+    step : int, optional
+        Every step-th frame from the first on is sent.
+
+    Raises
+    ------
+    KinedexError
+        No take has this id.
+    ParameterError
+        The range is not within the take, or the step is not positive.
+    """
+    frames = frames_of(store, take_id)
+    end = frames if stop is None else stop
+    if not 0 <= first <= end <= frames:
+        raise ParameterError("first and stop", f"a range within [0, {frames}), the frames of the take", (first, end))
+    if step < 1:
+        raise ParameterError("step", "at least 1", step)
+    return _blocks(cache.positions(store, take_id)[first:end:step], store.rate_hz, first, step)
+
+
+def _blocks(positions: F32, rate_hz: float, first: int, step: int) -> Iterator[bytes]:
+    start, length = 0, FIRST_FRAMES
+    while start < len(positions) or start == 0:
+        part = positions[start : start + length]
+        while len(part) > 1 and _extent(part) > WIDEST_M:
+            part = part[: len(part) // 2]
+        yield packed(part, rate_hz, first + start * step, step)
+        start, length = start + max(len(part), 1), min(4 * length, BLOCK_FRAMES)
+
+
+def _extent(positions: F32) -> float:
+    """Return the largest extent of known places along an axis, in metres."""
+    low, high = _bounds(positions)
+    return float(np.nan_to_num(high - low, neginf=0.0).max(initial=0.0))
+
+
+def _bounds(positions: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.floating], npt.NDArray[np.floating]]:
+    """Return the least and the greatest x, y, z that are known; infinite where none is."""
+    # frames first: a pass along the long axis is ten times as fast as one along three numbers
+    low = np.fmin.reduce(np.fmin.reduce(positions, 0, initial=np.inf), 0, initial=np.inf)
+    return low, np.fmax.reduce(np.fmax.reduce(positions, 0, initial=-np.inf), 0, initial=-np.inf)
+
+
+def frames_of(store: Store, take_id: int) -> int:
+    """Return the number of analysis frames of a take.
+
+    Raises
+    ------
+    KinedexError
+        No take has this id.
+    """
+    if take_id not in store.take_frames:
+        raise KinedexError(f"{store.path}: no take has the id {take_id}; `Store.takes()` lists those that are")
+    return store.take_frames[take_id]
+
+
+def packed(positions: npt.NDArray[np.floating], rate_hz: float, first: int = 0, step: int = 1) -> bytes:
+    """Return one block.
+
+    Parameters
+    ----------
+    positions : float array (F, J, 3)
+        Metres, Y up; NaN where unknown.
+    rate_hz : float
+        Analysis frames per second.
+    first : int
+        Analysis frame of the first row.
+    step : int
+        Analysis frames from each row to the next.
+    """
+    places = np.asarray(positions, np.float64)
+    low, high = _bounds(places)
+    seen = np.isfinite(low) & np.isfinite(high)
+    origin = np.where(seen, (np.where(seen, low, 0.0) + np.where(seen, high, 0.0)) / 2, 0.0).astype(np.float32)
+    farthest = np.maximum(high - origin, origin - low)[seen].max(initial=0.0)
+    unit = np.float32(max(FINEST_M, float(farthest) / (_LARGEST - 1)))
+    numbers = np.rint((places - origin) / np.float64(unit))
+    known = np.isfinite(numbers)
+    if not known.all():
+        numbers[~known] = UNKNOWN
+    frames, joints = places.shape[:2]
+    header = _HEADER.pack(MAGIC, frames, joints, first, step, rate_hz, unit, *origin.tolist())
+    return header + numbers.astype("<i2").tobytes()
+
+
+def figures(cache: PositionCache, store: Store, items: Sequence[Interval], frames: int) -> bytes:
+    """Return many small motions in one answer, see the module.
+
+    Parameters
+    ----------
+    cache : PositionCache
+        Where positions are kept.
+    store : Store
+        The store of the takes.
+    items : sequence of Interval
+        The intervals, at most `MOST_FIGURES`; the answer has their order.
+    frames : int
+        Most stored frames of a figure, from 1 on: of a longer interval every second frame is sent, or every third, …
+
+    Raises
+    ------
+    KinedexError
+        No take has an id.
+    ParameterError
+        There are too many intervals, an interval is not within its take, or the number of frames is not positive.
+    """
+    if len(items) > MOST_FIGURES:
+        raise ParameterError("items", f"at most {MOST_FIGURES} intervals", len(items))
+    if frames < 1:
+        raise ParameterError("frames", "at least 1", frames)
+    for place, one in enumerate(items):
+        total = frames_of(store, one.take_id)
+        if not 0 <= one.start < one.stop <= total:
+            expected = f"0 <= start < stop <= {total}, the frames of the take"
+            raise ParameterError(f"interval {place + 1}", expected, (one.start, one.stop))
+    found: list[bytes] = [b""] * len(items)
+    for place, positions in cache.intervals(store, items):
+        check_withdrawn()
+        one = items[place]
+        step = -(-(one.stop - one.start) // frames)
+        turned = facing_viewer(positions[::step], store.feature_set.joints)
+        found[place] = packed(turned, store.rate_hz, one.start, step)
+    parts = [struct.pack("<I", len(found))]
+    for block in found:
+        parts += [struct.pack("<I", len(block)), block]
+    return b"".join(parts)
+
+
+def facing_viewer(positions: npt.NDArray[np.floating], joints: Sequence[str]) -> npt.NDArray[np.float64]:
+    """Move and turn a motion so that its body begins above the origin and faces +Z; heights stay.
+
+    The first frame in which both hips (or both shoulders) are known counts. A motion without one is only moved.
+
+    Parameters
+    ----------
+    positions : float array (T, J, 3)
+        Metres, Y up; NaN where unknown.
+    joints : sequence of str
+        Names of the joints.
+    """
+    places = np.asarray(positions, np.float64)
+    known: npt.NDArray[np.bool_] = np.asarray(np.isfinite(places).all(axis=2))
+    rows = np.flatnonzero(known.any(axis=1))
+    if not len(rows):
+        return places
+    yaws = np.full(len(places), np.nan)
+    for pair in (("lhip", "rhip"), ("lshoulder", "rshoulder")):
+        if set(pair) <= set(joints) and not np.isfinite(yaws).any():
+            left, right = (places[:, [joints.index(name)]] for name in pair)
+            yaws = facing_yaw(left, right)
+    whole = np.flatnonzero(np.isfinite(yaws))
+    row = int(whole[0]) if len(whole) else int(rows[0])
+    root = joints.index("root") if "root" in joints else 0
+    x, _, z = places[row, root] if known[row, root] else places[row][known[row]].mean(axis=0)
+    return start_at_origin(places, Placement(float(x), float(z), float(yaws[row]) if len(whole) else 0.0))
+
+
+class FigureItem(Question):
+    """An interval of a take."""
+
+    take_id: int
+    start: int
+    stop: int
+
+
+class FiguresQuestion(Question):
+    """Intervals to be shown as small figures."""
+
+    items: Annotated[list[FigureItem], Field(max_length=MOST_FIGURES)]
+    frames: Annotated[int, Field(ge=1, le=2000)] = 120
+
+
+def whole_number(request: Request, name: str, absent: int | None = None) -> int:
+    """Return a parameter of an address that is a whole number.
+
+    Parameters
+    ----------
+    request : Request
+        The request.
+    name : str
+        Name of the parameter.
+    absent : int, optional
+        The value without it; it must be there unless given.
+
+    Raises
+    ------
+    ParameterError
+        It is missing, or no whole number.
+    """
+    text = request.query_params.get(name)
+    if text is None and absent is not None:
+        return absent
+    try:
+        return int(text or "")
+    except ValueError:
+        raise ParameterError(name, f"a whole number in the address, such as {name}=30", text) from None
+
+
+def _motion(archive: Archive, request: Request) -> Response:
+    store, take = take_of(archive, request)
+    first, step = whole_number(request, "first", 0), whole_number(request, "step", 1)
+    stop = whole_number(request, "stop", frames_of(store, take))
+    blocks = motion_blocks(POSITIONS, store, take, first, stop, step)
+    return StreamingResponse(blocks, media_type="application/octet-stream")
+
+
+def _figures(archive: Archive, asked: FiguresQuestion, _request: Request) -> Response:
+    items = [Interval(one.take_id, one.start, one.stop) for one in asked.items]
+    return Response(figures(POSITIONS, archive.store(), items, asked.frames), media_type="application/octet-stream")
+
+
+routes = [get("/api/takes/{take:int}/motion", _motion), post("/api/figures", _figures, FiguresQuestion)]

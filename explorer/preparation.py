@@ -1,0 +1,105 @@
+"""Preparation: what first questions would wait for is loaded while a person still looks around.
+
+Kernels are compiled on the first call after an installation, and loaded from files later. The questions themselves are
+asked here, with little in them, in the order in which people come to them. Files of frames are compared with their
+checksums before the first figure of them moves.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from typing import TYPE_CHECKING
+
+from starlette.requests import Request
+
+from kinedex.ops.errors import KinedexError
+
+if TYPE_CHECKING:
+    from kinedex.explorer.archive import Archive
+    from kinedex.explorer.examples import ExamplesQuestion
+    from kinedex.storage.store.store import Store
+
+_LOG = logging.getLogger("kinedex.explorer")
+
+MOST_CHECKED = 8_000_000_000
+"""Files of frames of so many bytes together are checked ahead; of larger archives, each is when it is first needed."""
+
+EXAMPLE_FRAMES = 60
+
+_REQUEST = Request({"type": "http"})
+
+
+def prepare(archive: Archive) -> None:
+    """Ask a first question of each kind; one that cannot be answered is left.
+
+    Parameters
+    ----------
+    archive : Archive
+        The open store.
+    """
+    for step in (_open_sql, _ask_by_example, _check_frames, _ask_for_more, _ask_by_keyframes, _ask_for_doubtful):
+        begin = time.perf_counter()
+        try:
+            step(archive)
+            _LOG.info("%s: %.1f s", step.__name__, time.perf_counter() - begin)
+        except KinedexError as fault:  # such as that of an index that is still to be built
+            _LOG.info("%s: %s", step.__name__, fault)
+
+
+def _open_sql(archive: Archive) -> None:
+    archive.store().sql("SELECT take_id FROM suspect_takes WHERE take_id = -1")
+
+
+def _example(store: Store, number: int) -> tuple[int, ExamplesQuestion]:
+    """Return the id of a take, and the question for what is like its beginning."""
+    from kinedex.explorer.examples import ExamplesQuestion
+
+    longest = sorted(store.take_frames, key=lambda take_id: -store.take_frames[take_id])
+    chosen = longest[number % len(longest)]
+    interval = {"take_id": chosen, "start": 0, "stop": min(EXAMPLE_FRAMES, store.take_frames[chosen])}
+    return chosen, ExamplesQuestion.model_validate({"positives": (interval,)})
+
+
+def _ask_by_example(archive: Archive) -> None:
+    from kinedex.explorer.examples import HitQuestion, describe_hit, find_similar, warm_up
+
+    warm_up()  # in this thread: those of a search must end before the process can
+    if not archive.store().take_frames:
+        return
+    chosen, asked = _example(archive.store(), 0)
+    find_similar(archive, asked, _REQUEST)
+    find_similar(archive, asked.model_copy(update={"where": f"take_id = {chosen}"}), _REQUEST)
+    describe_hit(archive, HitQuestion(positives=asked.positives, hit=asked.positives[0]), _REQUEST)
+
+
+def _check_frames(archive: Archive) -> None:
+    store = archive.store()
+    if sum(part.bytes for part in store.manifest.frames) <= MOST_CHECKED:
+        for part in store.manifest.frames:
+            store.checked.part(part)
+
+
+def _ask_for_more(archive: Archive) -> None:
+    from kinedex.explorer.examples import ExamplesQuestion, find_similar
+
+    store = archive.store()
+    if not store.take_frames:
+        return
+    (one, other, unlike) = (_example(store, number)[1].positives for number in (0, 1, 2))
+    find_similar(archive, ExamplesQuestion(positives=one + other, negatives=unlike), _REQUEST)
+
+
+def _ask_by_keyframes(archive: Archive) -> None:
+    from kinedex.explorer.keyframes import KeyframesQuestion, find_keyframes
+
+    first, second = (feature.name for feature in archive.store().feature_set.features[:2])
+    poses = ({"on": (first,)}, {"on": (second,)})
+    asked = {"query": {"poses": poses, "gaps": ({"low": 0.0, "high": 1.0},)}, "limit": 1}
+    find_keyframes(archive, KeyframesQuestion.model_validate(asked), _REQUEST)
+
+
+def _ask_for_doubtful(archive: Archive) -> None:
+    from kinedex.explorer.doubtful import QueueQuestion, queue
+
+    queue(archive, QueueQuestion(limit=1), _REQUEST)

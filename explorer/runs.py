@@ -1,0 +1,220 @@
+"""Runs of pipelines: which there are, the plan with its reasons, the start of a run, the history, and metrics compared.
+
+`GET /api/pipelines` → {pipelines: [{id, name, description, path, shipped, problem, settings}]}, with settings as
+{name, default, last};
+`POST /api/runs/plan {pipeline, settings}` → {stages: [{stage, uses, inputs, reason, what, finished,
+seconds}], problem}, where `problem` is null or {setting, message}; `POST /api/runs` with the same body starts a job;
+`GET /api/runs` → {runs, total}, the newest first; `GET /api/runs/metrics` → {rows}. `pipeline` is an `id` of the list.
+
+A pipeline is a shipped one, or one that the store has run and whose file still exists. Settings are the texts of
+`--set`; the code that reads pipeline files checks them before a job begins, and they are words of an argument list.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import yaml
+from pydantic import Field
+
+from kinedex.catalog.configs import config_names, config_path, load_yaml, shipped_configs
+from kinedex.explorer.addresses import Question, get, post
+from kinedex.explorer.answers import NotFoundError
+from kinedex.explorer.jobs import Job, jobs_of, run_words
+from kinedex.explorer.reports import report_names
+from kinedex.explorer.same import command_line, same_query
+from kinedex.ops.errors import ConfigError, KinedexError
+from kinedex.pipelines.engine.config import Pipeline, load_pipeline
+from kinedex.pipelines.engine.plan import Step, make_plan
+from kinedex.storage.snapshot.shown_results import pipeline_runs
+from kinedex.storage.store.history import PipelineRun, list_runs
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from kinedex.explorer.archive import Archive
+
+Row = dict[str, Any]
+
+MOST_RUNS = 200
+"""Most runs of an answer, the newest first; `total` counts all."""
+
+METRICS = (
+    "SELECT pipeline, stage, evaluation, f1, p1, r1, f2, p2, r2 FROM all_metrics WHERE scope = 'pooled' "
+    "ORDER BY f1 DESC NULLS LAST, pipeline, stage, evaluation"
+)
+"""The query for the methods compared."""
+
+_SETTING = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")
+
+Text = Annotated[str, Field(max_length=10_000, pattern=r"^[^\x00]*$")]
+"""A text that may be a word of a command."""
+
+
+class RunQuestion(Question):
+    """A pipeline, and the texts of `--set` for its settings and for parameters of its stages."""
+
+    pipeline: Text
+    settings: dict[Text, Text] = Field(default_factory=dict)
+
+
+def list_pipelines(archive: Archive, _request: Request) -> Row:
+    """Return the pipelines that can be run, the shipped ones first."""
+    last = {run.pipeline: run for run in list_runs(archive.path)}
+    return {
+        "pipelines": [_described(id, path, last) for id, path in _files(archive).items()],
+        "command": command_line("kinedex", "history", "list", archive.path),
+    }
+
+
+def _files(archive: Archive) -> dict[str, Path]:
+    """Return id → file of the pipelines: shipped names, and the paths of others that the store has run."""
+    found = {name: config_path("pipelines", name) for name in config_names("pipelines")}
+    for run in list_runs(archive.path):
+        path = Path(run.path)
+        is_own = path.is_absolute() and path.suffix == ".yaml" and path.parent != shipped_configs() / "pipelines"
+        if is_own and path.is_file():
+            found[str(path)] = path
+    return found
+
+
+def _described(id: str, path: Path, last: dict[str, PipelineRun]) -> Row:
+    """Return a pipeline as its file describes it, with the settings of its last run; a wrong file has a problem."""
+    row = {"id": id, "name": path.stem, "description": "", "path": str(path), "shipped": id != str(path)}
+    try:
+        content = load_yaml(path).mapping()
+    except KinedexError as fault:
+        return row | {"settings": [], "problem": str(fault)}
+    name = str(content.get("name") or path.stem)
+    before = last[name].settings if name in last else {}
+    settings = content.get("settings")
+    known = settings if isinstance(settings, dict) else {}
+    shown = [
+        {"name": str(key), "default": _text(value), "last": _text(before.get(key))} for key, value in known.items()
+    ]
+    return row | {
+        "name": name,
+        "description": str(content.get("description") or ""),
+        "settings": shown,
+        "problem": None,
+    }
+
+
+def _text(value: object) -> str | None:
+    """Return a value as it is typed for `--set`; None where there is none."""
+    if value is None or isinstance(value, str):
+        return value
+    return (
+        yaml.safe_dump(value, default_flow_style=True, allow_unicode=True, width=10_000).removesuffix("...\n").strip()
+    )
+
+
+def plan(archive: Archive, asked: RunQuestion, _request: Request) -> Row:
+    """Return the stages of a pipeline with the reasons for which they would run, or the setting that is wrong."""
+    path = _file(archive, asked.pipeline)
+    words = [word for one in _assignments(asked) for word in ("--set", one)]
+    same = {"command": command_line("kinedex", "plan", asked.pipeline, "--store", archive.path, *words)}
+    try:
+        steps = make_plan(_load(path, asked), archive.path)
+    except KinedexError as fault:
+        return {"stages": [], "problem": {"setting": _wrong_setting(path, asked, fault), "message": str(fault)}, **same}
+    return {"stages": [_step_row(step) for step in steps], "problem": None, **same}
+
+
+def _file(archive: Archive, id: str) -> Path:
+    path = _files(archive).get(id)
+    if path is None:
+        raise NotFoundError(f"no pipeline {id} is shipped, and this store has run none with such a file")
+    return path
+
+
+def _assignments(asked: RunQuestion) -> list[str]:
+    for name in asked.settings:
+        if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", name):
+            raise KinedexError(f"settings: {name!r} is no name of a setting; expected NAME or STAGE.PARAMETER")
+    return [f"{name}={text}" for name, text in asked.settings.items()]
+
+
+def _load(path: Path, asked: RunQuestion) -> Pipeline:
+    """Return the pipeline with the settings filled in and checked."""
+    _assignments(asked)
+    return load_pipeline(path, asked.settings)
+
+
+def _wrong_setting(path: Path, asked: RunQuestion, fault: KinedexError) -> str | None:
+    """Return the setting that an error is about; None where it is about something else."""
+    given = re.match(r"--set ([A-Za-z0-9_.-]+)", str(fault))
+    if given is not None:
+        return str(given[1]) if given[1] in asked.settings else None
+    if not isinstance(fault, ConfigError) or not fault.key:
+        return next((name for name, text in asked.settings.items() if str(fault).startswith(f"{name} '{text}'")), None)
+    keys: list[str] = re.findall(r"[^.\[\]]+", fault.key)
+    if keys[0] == "settings" and len(keys) > 1:
+        return keys[1]
+    value: Any = load_yaml(path).data
+    for key in keys:
+        value = value.get(key) if isinstance(value, dict) else value
+    names = _SETTING.findall(value) if isinstance(value, str) else []
+    return str(names[0]) if names else None
+
+
+def _step_row(step: Step) -> Row:
+    return {
+        "stage": step.stage.name,
+        "uses": step.stage.uses,
+        "inputs": sorted(set(step.stage.inputs.values())),
+        "reason": step.reason,
+        "what": step.what,
+        "finished": step.record and step.record.finished,
+        "seconds": step.record and step.record.seconds,
+    }
+
+
+def start(archive: Archive, asked: RunQuestion, _request: Request) -> Row:
+    """Start a job that runs a pipeline; settings that are wrong are refused before it begins."""
+    pipeline = _load(_file(archive, asked.pipeline), asked)
+    words = run_words(archive, asked.pipeline, _assignments(asked))
+    return jobs_of(archive).add(Job(f"Run {pipeline.name}", words, len(pipeline.stages))).shown()
+
+
+def list_history(archive: Archive, _request: Request) -> Row:
+    """Return the runs of pipelines, the newest first, each with what ran, what was skipped, and why."""
+    store = archive.store()
+    shown = {row["pipeline_run"]: row for row in pipeline_runs(store.manifest).to_pylist()}
+    reports = report_names(archive)
+    runs = list_runs(archive.path)[::-1]
+    return {
+        "runs": [_run_row(run, shown.get(run.run), reports) for run in runs[:MOST_RUNS]],
+        "total": len(runs),
+        "command": command_line("kinedex", "history", "list", archive.path),
+    }
+
+
+def _run_row(run: PipelineRun, results: Row | None, reports: dict[tuple[str, str], list[str]]) -> Row:
+    """Return a run; reports are those of stages whose results still are those of this run."""
+    stages = [
+        {"stage": one.stage, "state": one.state, "reason": one.reason, "seconds": one.seconds} for one in run.stages
+    ]
+    own = [name for one in run.ran for name in reports.get((f"{run.pipeline}/{one.stage}", one.run), [])]
+    return {
+        "run": run.run, "pipeline": run.pipeline, "state": run.state, "begun": run.begun or run.finished,
+        "seconds": run.seconds, "version": run.version or None, "problem": run.problem or None,
+        "kinedex": run.kinedex, "written_by": run.command, "settings": run.settings, "stages": stages,
+        "reports": own, "views": results["views"] if results else [], "current": bool(results and results["current"]),
+    }  # fmt: skip
+
+
+def compare(archive: Archive, _request: Request) -> Row:
+    """Return precision, recall and F of every evaluation that the store holds, the best F (frames) first."""
+    return {"rows": archive.store().sql(METRICS).to_pylist(), **same_query(archive, METRICS)}
+
+
+routes = [
+    get("/api/pipelines", list_pipelines),
+    get("/api/runs", list_history),
+    get("/api/runs/metrics", compare),
+    post("/api/runs/plan", plan, RunQuestion),
+    post("/api/runs", start, RunQuestion, writes=True),
+]

@@ -1,0 +1,178 @@
+"""Selections of takes: filters by column and conditions of SQL, as clauses over the view `takes`.
+
+A column is one of takes, or `folder`: the folder of the source file. `chosen` names takes by their ids in few
+characters, so that an address can hold any choice of them (a lasso on the map): base64url (without `=`) of bits, the
+first byte and its highest bit first, of which the one with the number i is set for the take with the id i.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+from collections.abc import Collection, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from kinedex.explorer.addresses import Question
+from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
+from kinedex.storage.duck import identifier, quote
+
+if TYPE_CHECKING:
+    from kinedex.storage.store.store import Store
+
+SQL_SECONDS = 20.0
+"""The longest time of a question in SQL."""
+
+FOLDER = "folder"
+"""A column that takes do not have: the folder of the source file, below the folder of the archive."""
+
+_FOLDER = "coalesce(nullif(parse_dirpath(source, 'forward_slash'), ''), '.')"
+
+_PLAIN = frozenset({"groups", "order", "group", "table", "set", "limit", "offset", "all", "end", "case", "class"})
+"""Words of SQL that a column may have as its name; these are quoted."""
+
+Scalar = str | int | float | bool | None
+
+
+class Filter(Question):
+    """A condition on one column: it has one of some values, lies in a range, contains a text, or is chosen."""
+
+    column: str
+    values: tuple[Scalar, ...] | None = None
+    min: float | None = None
+    max: float | None = None
+    contains: str | None = None
+    chosen: str | None = None
+
+
+class Selection(Question):
+    """Takes that fit all of some filters and a condition of SQL."""
+
+    where: str | None = None
+    filters: tuple[Filter, ...] = ()
+
+
+def columns_with_nan(store: Store) -> frozenset[str]:
+    """Return the columns of takes that hold NaN somewhere, which people mean as no value."""
+    rows = store.take_rows
+    numbers = [field.name for field in rows.schema if pa.types.is_floating(field.type)]
+    return frozenset(name for name in numbers if pc.any(pc.is_nan(rows.column(name))).as_py())
+
+
+def expression(column: str, known: Sequence[str], *, shown: bool = False, nan: Collection[str] = ()) -> str:
+    """Return a column as SQL has it.
+
+    Parameters
+    ----------
+    column : str
+        Name of the column.
+    known : sequence of str
+        The columns of takes.
+    shown : bool, optional
+        Name the column, for a SELECT.
+    nan : collection of str, optional
+        Columns whose NaN counts as no value.
+
+    Raises
+    ------
+    KinedexError
+        Takes have no such column; the message names the nearest.
+    """
+    if column == FOLDER and FOLDER not in known:
+        return f"{_FOLDER} AS {FOLDER}" if shown else _FOLDER
+    if column not in known:
+        raise KinedexError(f"takes have no column '{column}'{did_you_mean(column, [*known, FOLDER])}")
+    name = column if column.isidentifier() and column.lower() not in _PLAIN else identifier(column)
+    if column not in nan:
+        return name
+    return f"nullif({name}, 'NaN'::DOUBLE) AS {name}" if shown else f"nullif({name}, 'NaN'::DOUBLE)"
+
+
+def condition_of(asked: Selection, known: Sequence[str], nan: Collection[str] = ()) -> str:
+    """Return a selection as a WHERE clause that begins with a space; empty where it has no condition."""
+    parts = [_condition(one, known, nan) for one in asked.filters]
+    if asked.where is not None and asked.where.strip():
+        text = asked.where.strip()
+        parts.append(f"({text}\n)" if "--" in text else f"({text})")  # a comment would hide the bracket
+    return f" WHERE {' AND '.join(parts)}" if parts else ""
+
+
+def _condition(one: Filter, known: Sequence[str], nan: Collection[str]) -> str:
+    """Return a filter as a condition."""
+    name = expression(one.column, known, nan=nan)
+    parts = []
+    if one.values is not None:
+        values = [value for value in one.values if value is not None]
+        choices = [f"{name} IN ({', '.join(map(_literal, values))})"] if values else []
+        choices += [f"{name} IS NULL"] if None in one.values else []
+        parts.append(f"({' OR '.join(choices)})" if choices else "false")
+    if one.min is not None:
+        parts.append(f"{name} >= {_number(one.min)}")
+    if one.max is not None:
+        parts.append(f"{name} <= {_number(one.max)}")
+    if one.contains:
+        parts.append(f"contains(lower({name}::VARCHAR), {quote(one.contains.lower())})")
+    if one.chosen is not None:
+        parts.append(_chosen(name, one.chosen))
+    return " AND ".join(parts) if parts else "true"
+
+
+def packed_ids(ids: npt.NDArray[np.int64]) -> str:
+    """Return ids as a filter's `chosen` has them.
+
+    Examples
+    --------
+    >>> packed_ids(np.array([1, 3, 9]))
+    'UEA'
+    """
+    marks = np.zeros(int(ids.max()) + 1 if len(ids) else 0, bool)
+    marks[ids] = True
+    return base64.urlsafe_b64encode(np.packbits(marks).tobytes()).decode().rstrip("=")
+
+
+FEW_IDS = 100
+"""Up to so many ids are listed in SQL; more are looked up in the bits, as a list of 33,000 takes half a second."""
+
+
+def _chosen(name: str, text: str) -> str:
+    """Return the condition that a column of integers is among those whose bits are set.
+
+    Raises
+    ------
+    ParameterError
+        The text is not base64url.
+    """
+    try:
+        octets = base64.b64decode(text + "=" * (-len(text) % 4), altchars=b"-_", validate=True)
+    except (binascii.Error, ValueError):
+        raise ParameterError("chosen", "the bits of ids in base64url, as the map writes them", text[:40]) from None
+    ids = np.flatnonzero(np.unpackbits(np.frombuffer(octets, np.uint8)))
+    if len(ids) == 0:
+        return "false"
+    if len(ids) <= FEW_IDS:
+        return f"{name} IN ({', '.join(map(str, ids.tolist()))})"
+    bit = f"get_bit(from_base64('{base64.b64encode(octets).decode()}')::BIT, {name}::INTEGER) = 1"
+    return f"CASE WHEN {name} BETWEEN 0 AND {8 * len(octets) - 1} THEN {bit} ELSE false END"
+
+
+def _literal(value: str | float | bool) -> str:
+    if isinstance(value, str):
+        return quote(value)
+    return str(value).lower() if isinstance(value, bool) else _number(value)
+
+
+def _number(value: float) -> str:
+    """Return a number as SQL has it, without a fraction that is zero."""
+    return repr(int(value)) if float(value).is_integer() and abs(value) < 2**53 else repr(value)
+
+
+def values_of(rows: pa.Table, column: str) -> list[Any]:
+    """Return the values of a column, `folder` included, of some rows of takes."""
+    if column == FOLDER and FOLDER not in rows.column_names:
+        return [source.rpartition("/")[0] or "." for source in rows.column("source").to_pylist()]
+    found: list[Any] = rows.column(column).to_pylist()
+    return found

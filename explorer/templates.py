@@ -1,0 +1,272 @@
+"""The learned templates of a store: the list with their pictures, one with its clips, and what distinguishes two.
+
+`GET /api/templates?stage=&kind=` → {stages: [name], stage, kind, kinds, templates: [row], delta, annotate, evaluate,
+ method, remarks}; a row is {name, class, columns, seconds, clips, wildcards, origin, remarks, tau, picture}, where
+ `tau` is null for a method without thresholds, and `picture` has a byte for each feature and column in base64: 200
+ times the share of the clips in which the feature is on.
+
+`GET /api/templates/one?stage=&kind=&template=` → {name, class, kind, stage, columns, seconds,
+ values: [feature][column], weights: [feature] or null, consistency: [feature], clips: [clip], missing,
+ far: {limit, median, spread} or null, poses, delta, tau, remarks, origin, heading}. A clip is {name, take, take_id,
+ start, stop, mirrored, to_others, to_template, far, frames}: the median cost to the other clips
+ (`Learned.clip_costs`), the least distance of the template within it, and for each column the frame that shows it.
+ `poses` is the place of the clip that the template fits best.
+
+`GET /api/templates/difference?stage=&kind=&template=&other=&other_stage=` → {first, second, columns: [[column of the
+ first, of the second]], values: [feature][aligned column], the one minus the other, share, features: [{bit, name,
+ difference, first, second, words}], summary}.
+"""
+
+from __future__ import annotations
+
+import base64
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.explorer.addresses import get
+from kinedex.explorer.answers import NotFoundError
+from kinedex.explorer.curves import kind_of
+from kinedex.explorer.same import command_line, python_lines
+from kinedex.explorer.template_use import TemplateUse, learning_stages, template_use
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.templates.derived_templates import Contrast, consistency, contrast
+from kinedex.ops.templates.templates import Template, quantise
+from kinedex.ops.wording import counted
+from kinedex.pipelines.templates.clip_checks import far_limit
+from kinedex.pipelines.templates.learning import SubclassTemplate
+from kinedex.pipelines.templates.stored_clips import StoredClip, poses_of_columns, stored_clips, template_costs
+from kinedex.pipelines.templates.template_text import contrast_lines, heading
+from kinedex.storage.store.store import Store
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from kinedex.explorer.archive import Archive
+
+Row = dict[str, Any]
+
+LEVELS = 200
+"""The number that stands for 1 in a picture."""
+
+
+def list_templates(archive: Archive, request: Request) -> Row:
+    """Return the templates of a stage with their pictures, and the stages that have templates."""
+    store = archive.store()
+    stages = learning_stages(store, "templates")
+    same = {"command": command_line("kinedex", "template", "list", archive.path)}
+    if not stages:
+        return {"stages": [], "templates": [], "remarks": [], **same}
+    use = use_of(store, request)
+    if use.stage != stages[0]:
+        same["command"] = command_line("kinedex", "template", "list", archive.path, "--stage", use.stage)
+    return {
+        "stages": stages,
+        "stage": use.stage,
+        "kind": use.kind,
+        "kinds": sorted(set(store.result("templates", stage=use.stage).column("kind").to_pylist()), reverse=True),
+        "templates": [_list_row(store, use, one) for one in use.templates],
+        "delta": use.params.delta,
+        "annotate": use.annotate,
+        "evaluate": use.evaluate,
+        "method": use.params.method,
+        "remarks": list(use.remarks),
+        **same,
+        "python": python_lines(archive.path, f"store.templates(stage={use.stage!r})"),
+    }
+
+
+def use_of(store: Store, request: Request, name: str = "stage") -> TemplateUse:
+    """Return the templates of the stage and of the kind that an address names."""
+    asked = request.query_params
+    stages = learning_stages(store, "templates")
+    stage = asked.get(name) or next(iter(stages), "")
+    if stage not in stages:
+        raise NotFoundError(f"no stage '{stage}' has templates; those that have: {', '.join(stages) or 'none'}")
+    return template_use(store, stage, kind_of(asked["kind"]) if "kind" in asked else None)
+
+
+def _list_row(store: Store, use: TemplateUse, one: SubclassTemplate) -> Row:
+    template = one.learned.template
+    label = use.class_of(one.subclass)
+    return {
+        "name": one.subclass,
+        "class": label,
+        "columns": len(template),
+        "seconds": len(template) / store.rate_hz,
+        "clips": len(one.clips),
+        "wildcards": 1 - quantise(template, use.params.delta).fixed / template.values.shape[1],
+        "origin": one.origin,
+        "remarks": list(one.remarks),
+        "tau": use.tau(label) if use.uses_thresholds else None,
+        "picture": picture(template.values),
+    }
+
+
+def picture(values: npt.NDArray[np.float64]) -> str:
+    """Return values of 0 to 1, (columns, features), as bytes in base64, feature by feature."""
+    return base64.b64encode(np.rint(LEVELS * values.T).astype(np.uint8).tobytes()).decode("ascii")
+
+
+def describe_template(archive: Archive, request: Request) -> Row:
+    """Return a template with the clips behind it."""
+    store = archive.store()
+    use = use_of(store, request)
+    one = named(use, request.query_params.get("template", ""))
+    template, label = one.learned.template, use.class_of(one.subclass)
+    clips = clip_rows(store, use, one)
+    shown = [row for row in clips if row["frames"] is not None]
+    nearest = min(shown, key=lambda row: (_distance(row), row["to_others"] or 0.0), default=None)
+    chosen = ["--kind", use.kind, "--stage", use.stage]
+    line = f"store.template({one.subclass!r}, {use.kind!r}, stage={use.stage!r}).plot()"
+    return {
+        "name": one.subclass,
+        "class": label,
+        "kind": use.kind,
+        "stage": use.stage,
+        "columns": len(template),
+        "seconds": len(template) / store.rate_hz,
+        "values": np.round(template.values.T, 3).tolist(),
+        "weights": None if template.feature_weights is None else template.feature_weights.tolist(),
+        "consistency": np.round(consistency(template), 3).tolist(),
+        "clips": clips,
+        "missing": len(one.clips) - len(clips),
+        "far": _far(one),
+        "poses": None if nearest is None else clips.index(nearest),
+        "delta": use.params.delta,
+        "tau": use.tau(label),
+        "rounds": one.learned.rounds,
+        "remarks": list(one.remarks),
+        "origin": one.origin,
+        "heading": heading(one, store.rate_hz).removeprefix(f"{one.subclass}, "),
+        "command": command_line("kinedex", "template", "show", archive.path, one.subclass, *chosen),
+        "python": python_lines(archive.path, line),
+    }
+
+
+def named(use: TemplateUse, name: str) -> SubclassTemplate:
+    """Return the template of a name; a NotFoundError where the stage has none."""
+    if all(one.subclass != name for one in use.templates):
+        raise NotFoundError(f"stage {use.stage} has no {use.kind} template of '{name}'; it may have been learned again")
+    return use.template(name)
+
+
+def clip_rows(store: Store, use: TemplateUse, one: SubclassTemplate) -> list[Row]:
+    """Return the clips behind a template, those farthest from the others first."""
+    clips = stored_clips(store, one)
+    costs = template_costs([one], clips, use.params.delta)[0] if clips else np.empty(0)
+    rows = [_clip_row(store, one, clip, float(cost)) for clip, cost in zip(clips, costs, strict=True)]
+    return sorted(rows, key=lambda row: (-(row["to_others"] or 0.0), -_distance(row), row["name"]))
+
+
+def _distance(row: Row) -> float:
+    cost = row["to_template"]
+    return float("inf") if cost is None else float(cost)
+
+
+def _clip_row(store: Store, one: SubclassTemplate, clip: StoredClip, cost: float) -> Row:
+    to_others, limit = one.learned.clip_costs, far_limit(one.learned.clip_costs)
+    own = to_others[clip.place] if clip.place < len(to_others) else None
+    return {
+        "name": clip.name,
+        "take": clip.take,
+        "take_id": store.take_ids[clip.take],
+        "start": clip.start,
+        "stop": clip.stop,
+        "mirrored": clip.mirrored,
+        "to_others": own,
+        "to_template": cost if np.isfinite(cost) else None,
+        "far": own is not None and limit is not None and own >= limit,
+        "frames": None if clip.mirrored else poses_of_columns(one.learned.template, clip).tolist(),
+    }
+
+
+def _far(one: SubclassTemplate) -> Row | None:
+    """Return the rule by which clips are far from the others, in numbers; None where there is none."""
+    costs = one.learned.clip_costs
+    limit = far_limit(costs)
+    if limit is None:
+        return None
+    median = float(np.median(costs))
+    return {"limit": limit, "median": median, "spread": float(np.median(np.abs(np.asarray(costs) - median)))}
+
+
+def describe_difference(archive: Archive, request: Request) -> Row:
+    """Return two templates laid along each other, and what distinguishes them."""
+    store, asked = archive.store(), request.query_params
+    use = use_of(store, request)
+    other_use = use_of(store, request, "other_stage") if asked.get("other_stage") else use
+    first, second = named(use, asked.get("template", "")), named(other_use, asked.get("other", ""))
+    one, other = first.learned.template, second.learned.template
+    if one.values.shape[1] != other.values.shape[1]:
+        raise ParameterError("templates", "templates of the same features", [first.subclass, second.subclass])
+    found = contrast(one, other, use.params.delta)
+    values = one.values[found.path[:, 0]] - other.values[found.path[:, 1]]
+    names = (first.subclass, second.subclass)
+    if names[0] == names[1]:
+        names = (f"{names[0]} ({use.stage})", f"{names[1]} ({other_use.stage})")
+    compared = int(found.compared.sum())
+    words = [first.subclass, second.subclass, "--kind", use.kind, "--stage", use.stage]
+    command = command_line("kinedex", "template", "diff", archive.path, *words)
+    stages = [f"store.template({name.subclass!r}, {use.kind!r}, stage={each.stage!r})"
+              for name, each in ((first, use), (second, other_use))]  # fmt: skip
+    return {
+        "first": names[0],
+        "second": names[1],
+        "columns": found.path.tolist(),
+        "values": np.round(values.T, 3).tolist(),
+        "share": int(np.abs(found.against).sum()) / compared if compared else None,
+        "features": _differences(store, names, (one, other), found, values),
+        "summary": next(iter(contrast_lines(names, found, store.feature_set, store.rate_hz))),
+        **({"command": command} if use.stage == other_use.stage else {}),
+        "python": python_lines(archive.path, f"print({stages[0]}.diff({stages[1]}, delta={use.params.delta:g}))"),
+    }
+
+
+def _differences(
+    store: Store,
+    names: tuple[str, str],
+    templates: tuple[Template, Template],
+    found: Contrast,
+    values: npt.NDArray[np.float64],
+) -> list[Row]:
+    """Return the features in the order of their mean difference along the path, each in words."""
+    means = np.abs(values).mean(axis=0)
+    rows = []
+    for bit in np.argsort(-means, kind="stable").tolist():
+        feature = store.feature_set.features[bit]
+        shares = [float(one.values[found.path[:, side], bit].mean()) for side, one in enumerate(templates)]
+        rows.append(
+            {
+                "bit": bit,
+                "name": feature.name,
+                "difference": float(means[bit]),
+                "first": shares[0],
+                "second": shares[1],
+                "words": _in_words(feature.description, names, shares, found, bit, store.rate_hz),
+            }
+        )
+    return rows
+
+
+def _in_words(what: str, names: tuple[str, str], shares: list[float], found: Contrast, bit: int, rate_hz: float) -> str:
+    """Return a sentence on one feature: where the two contradict each other, or how often it is on in each."""
+    parts = []
+    for side, sign in enumerate((1, -1)):
+        chosen = found.path[found.against[:, bit] == sign]
+        if len(chosen):
+            start, stop = chosen[:, side].min() / rate_hz, (chosen[:, side].max() + 1) / rate_hz
+            parts.append(
+                f"on in {names[side]} and off in {names[1 - side]} in {counted(len(chosen), 'column')} "
+                f"from {start:.2f} to {stop:.2f} s of {names[side]}"
+            )
+    text = "; ".join(parts) or f"on for {shares[0]:.0%} of {names[0]}, for {shares[1]:.0%} of {names[1]}"
+    return f"{what}: {text}"
+
+
+routes = [
+    get("/api/templates", list_templates),
+    get("/api/templates/one", describe_template),
+    get("/api/templates/difference", describe_difference),
+]

@@ -1,0 +1,131 @@
+"""Totals of takes: groups with their hours, values of a column with their counts.
+
+    POST /api/totals {where?, filters?, by: [one or two columns], order?: "hours" or "value", limit?}
+    → {groups: [{values: [value], takes, hours}], total: groups in all, takes, hours, command, python}
+    POST /api/values {where?, filters?, column, contains?, limit?}
+    → {column, values: [{value, takes}], distinct, empty, min?, max?, bins?: [{from, to, takes}]}
+
+Groups are sorted by hours, or by value as `POST /api/takes` sorts takes by these columns; values are sorted by their
+number of takes. `distinct` and `total` count what the limit cuts off.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import Field
+
+from kinedex.explorer.addresses import post
+from kinedex.explorer.conditions import own_words
+from kinedex.explorer.same import same_query
+from kinedex.explorer.selections import SQL_SECONDS, Selection, columns_with_nan, condition_of, expression
+from kinedex.explorer.store import NUMERIC
+from kinedex.storage.duck import quote, sql_type
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from kinedex.explorer.archive import Archive
+
+BINS = 24
+"""Bins of the histogram of a column of numbers."""
+
+Rows = Annotated[int, Field(ge=1, le=2000)]
+
+
+class TotalsQuestion(Selection):
+    """Takes in groups by one or two columns."""
+
+    by: Annotated[tuple[str, ...], Field(min_length=1, max_length=2)]
+    order: Literal["hours", "value"] = "hours"
+    limit: Rows = 200
+
+
+class ValuesQuestion(Selection):
+    """The values of a column; `contains` restricts texts."""
+
+    column: str
+    contains: str | None = None
+    limit: Rows = 200
+
+
+@own_words
+def totals(archive: Archive, asked: TotalsQuestion, _request: Request) -> dict[str, Any]:
+    """Return groups of takes with their hours."""
+    store = archive.store()
+    known = store.take_rows.column_names
+    nan = columns_with_nan(store)
+    shown = ", ".join(expression(column, known, shown=True, nan=nan) for column in asked.by)
+    keys = ", ".join(str(number + 1) for number in range(len(asked.by)))
+    values = ", ".join(f"{number + 1} ASC NULLS LAST" for number in range(len(asked.by)))
+    order = values if asked.order == "value" else f"hours DESC, {values}"
+    text = (
+        f"SELECT {shown}, count(*) AS takes, sum(seconds) / 3600 AS hours FROM takes{condition_of(asked, known, nan)} "
+        f"GROUP BY {keys} ORDER BY {order}"
+    )
+    counted = f"SELECT *, count(*) OVER () AS n, sum(takes) OVER () AS t, sum(hours) OVER () AS h FROM ({text})"
+    rows = list(
+        zip(
+            *store.answer(f"{counted} LIMIT {asked.limit}", timeout=SQL_SECONDS).table.to_pydict().values(), strict=True
+        )
+    )
+    width = len(asked.by)
+    return {
+        "groups": [{"values": row[:width], "takes": row[width], "hours": row[width + 1]} for row in rows],
+        "total": rows[0][width + 2] if rows else 0,
+        "takes": rows[0][width + 3] if rows else 0,
+        "hours": rows[0][width + 4] if rows else 0,
+        **same_query(archive, text),
+    }
+
+
+@own_words
+def values(archive: Archive, asked: ValuesQuestion, _request: Request) -> dict[str, Any]:
+    """Return the values of a column, and the histogram of numbers."""
+    store = archive.store()
+    known = store.take_rows.column_names
+    nan = columns_with_nan(store)
+    name, condition = expression(asked.column, known, nan=nan), condition_of(asked, known, nan)
+    inside = f"SELECT {name} AS value FROM takes{condition}"
+    fitting = f" AND contains(lower(value::VARCHAR), {quote(asked.contains.lower())})" if asked.contains else ""
+    grouped = (
+        f"SELECT value, count(*) AS takes, count(*) OVER () AS n FROM ({inside}) WHERE value IS NOT NULL{fitting} "
+        f"GROUP BY value ORDER BY takes DESC, value LIMIT {asked.limit}"
+    )
+    rows = store.answer(grouped, timeout=SQL_SECONDS).table.to_pylist()
+    empty = f"SELECT count(*) AS n FROM ({inside}) WHERE value IS NULL"
+    (missing,) = store.answer(empty, timeout=SQL_SECONDS).table.column("n").to_pylist()
+    answer: dict[str, Any] = {
+        "column": asked.column,
+        "values": [{"value": row["value"], "takes": row["takes"]} for row in rows],
+        "distinct": rows[0]["n"] if rows else 0,
+        "empty": missing,
+    }
+    field = store.take_rows.schema.field(asked.column) if asked.column in known else None
+    if field is not None and sql_type(field.type) in NUMERIC:
+        answer |= _histogram(archive, inside)
+    return answer
+
+
+def _histogram(archive: Archive, inside: str) -> dict[str, Any]:
+    """Return the least and greatest value, and the takes in bins between them."""
+    store = archive.store()
+    number = f"SELECT value::DOUBLE AS value FROM ({inside}) WHERE isfinite(value::DOUBLE)"
+    ends = f"SELECT min(value) AS low, max(value) AS high FROM ({number})"
+    low, high = store.answer(ends, timeout=SQL_SECONDS).table.to_pylist()[0].values()
+    if low is None:
+        return {"min": None, "max": None, "bins": []}
+    width = (high - low) / BINS or 1.0
+    text = (
+        f"SELECT least(floor((value - {low!r}) / {width!r}), {BINS - 1})::INTEGER AS bin, count(*) AS takes "
+        f"FROM ({number}) GROUP BY bin"
+    )
+    counts = {row["bin"]: row["takes"] for row in store.answer(text, timeout=SQL_SECONDS).table.to_pylist()}
+    bins = [
+        {"from": low + number * width, "to": low + (number + 1) * width, "takes": counts.get(number, 0)}
+        for number in range(BINS if high > low else 1)
+    ]
+    return {"min": low, "max": high, "bins": bins}
+
+
+routes = [post("/api/totals", totals, TotalsQuestion), post("/api/values", values, ValuesQuestion)]

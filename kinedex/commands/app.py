@@ -1,0 +1,360 @@
+"""The application `kinedex`: its help page, the options that every command has, and the report of errors."""
+
+from __future__ import annotations
+
+import errno
+import functools
+import inspect
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import asdict
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from kinedex.commands.command_list import ASK as ASK
+from kinedex.commands.command_list import COMMANDS, PANELS
+from kinedex.commands.command_list import MAINTAIN as MAINTAIN
+from kinedex.commands.command_list import RUN as RUN
+from kinedex.commands.command_list import SEARCH as SEARCH
+from kinedex.commands.command_list import TRACK as TRACK
+from kinedex.console.plain_values import convert_plain_values
+from kinedex.ops.errors import KinedexError, Remedy
+from kinedex.ops.escapes import json_escaped, visible_lines
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+FAILED, LEFT_OUT, TIMED_OUT, INTERRUPTED = 1, 3, 124, 130
+"""Exit codes: failed; done, but source files or labels were excluded; `--timeout` ended it; Ctrl-C stopped it."""
+
+_CODES = {"TimeLimitError": TIMED_OUT}
+"""Class of an error → exit code, where it is not `FAILED`."""
+
+Function = TypeVar("Function", bound=Callable[..., None])
+
+
+class HelpPage(TyperGroup):
+    """A group of commands whose help lists them by subject, and whose errors of usage are JSON after `--json`."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands, then the options in one paragraph: the page is one screen."""
+        self.format_commands(ctx, formatter)
+        options = ", ".join(one.opts[0] for one in self.get_params(ctx) if one.opts[0] != "--help")
+        if ctx.parent is not None:
+            formatter.write_paragraph()
+        formatter.write_text(f"Options: {options}{', ' * bool(options)}COMMAND --help")
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write a section of commands for each subject; a group within a group has one section."""
+        commands = self.listed()
+        width = max(len(name) for name, _ in commands)
+        formatter.write_paragraph()
+        for panel in (*PANELS, None):
+            rows = [
+                (name.ljust(width), one.get_short_help_str(formatter.width - width - 4))
+                for name, one in commands
+                if one.rich_help_panel == panel
+            ]
+            if rows:
+                formatter.write_heading(panel or "Commands")
+                formatter.indent()
+                formatter.write_dl(rows)
+                formatter.dedent()
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the options of the group."""
+        convert_plain_values(self.get_params(ctx))
+        return super().parse_args(ctx, args)
+
+    def listed(self) -> list[tuple[str, Any]]:
+        """Return the commands for the help, with their names."""
+        return list(self.commands.items())
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command that the arguments name."""
+        with _UsageErrors(args):
+            return super().resolve_command(ctx, args)
+
+
+class Command(TyperCommand):
+    """A command whose errors of usage are JSON after `--json`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments and options of the command."""
+        convert_plain_values(self.get_params(ctx))
+        with _UsageErrors(args):
+            return super().parse_args(ctx, args)
+
+
+class _UsageErrors:
+    """Report an error of usage as JSON where the arguments ask for JSON."""
+
+    def __init__(self, args: list[str]) -> None:
+        self._json = "--json" in args
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, _: TracebackType | None) -> None:
+        if self._json and isinstance(fault, Exception) and hasattr(fault, "format_message"):
+            code = int(getattr(fault, "exit_code", 2))
+            print_error(str(fault.format_message()), "UsageError", code, as_json=True)
+            raise typer.Exit(code) from None
+
+
+class Program(HelpPage):
+    """All commands: the help knows them by `command_list`, and each is imported when it is asked for."""
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        self.commands: Any = _Commands()
+
+    def listed(self) -> list[tuple[str, Any]]:
+        """Return the commands for the help, with their names; none is imported."""
+        return [
+            (name, TyperCommand(name, help=line.summary, rich_help_panel=line.panel)) for name, line in COMMANDS.items()
+        ]
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of all commands."""
+        return list(COMMANDS)
+
+
+_registered: dict[str, tuple[typer.Typer, str | None]] = {}
+"""Name → the command or group, which is an application of its own to Typer, and its panel, once it is imported."""
+
+
+class _Commands(Mapping[str, Any]):
+    """The commands by name, imported and made when they are first asked for."""
+
+    def __init__(self) -> None:
+        self._made: dict[str, Any] = {}
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._made:
+            for module in COMMANDS[name].modules.split():
+                import_module(f"kinedex.commands.{module}")
+            one, panel = _registered[name]
+            is_group = one.info.name == name
+            self._made[name] = typer.main.get_group(one) if is_group else typer.main.get_command(one)
+            self._made[name].rich_help_panel = panel
+        return self._made[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(COMMANDS)
+
+    def __len__(self) -> int:
+        return len(COMMANDS)
+
+
+app = typer.Typer(
+    name="kinedex",
+    cls=Program,
+    help="A motion archive that can be queried: motion in, SQL and reports out.",
+    epilog="Exit codes: 0 done, 1 failed, 2 usage, 3 some data excluded, 124 too long, 130 by Ctrl-C.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # rich takes longer to import than all of kinedex that the help needs
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        print(f"kinedex {version('kinedex')}")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """A motion archive that can be queried: motion in, SQL and reports out."""
+
+
+class TakesPage(HelpPage):
+    """A group of commands that lists takes where its first argument is the name of no command, but a store."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse arguments of the group, with the command in front that they lack."""
+        return super().parse_args(ctx, self.completed(args))
+
+    def completed(self, args: list[str]) -> list[str]:
+        """Return arguments with `list` before them unless they begin with a command."""
+        return ["list", *args] if args and args[0] not in self.commands and args[0] != "--help" else args
+
+
+def group(name: str, title: str, panel: str, cls: type[HelpPage] = HelpPage) -> typer.Typer:
+    """Add a group of commands to the application.
+
+    Parameters
+    ----------
+    name : str
+        Name of the group on the command line.
+    title : str
+        Help of the group.
+    panel : str
+        Section of the help that lists the group, one of `PANELS`.
+    cls : type of HelpPage
+        Class of the group.
+    """
+    made = typer.Typer(name=name, cls=cls, help=title, no_args_is_help=True, rich_markup_mode=None)
+    _registered[name] = made, panel
+    return made
+
+
+def command(
+    panel: str | None = None, *, of: typer.Typer | None = None, name: str | None = None, cls: type[Command] = Command
+) -> Callable[[Function], Function]:
+    """Register a function as a command that has the common options and reports its errors in one message.
+
+    Parameters
+    ----------
+    panel : str or None
+        Section of the help that lists the command, one of `PANELS`; None in a group.
+    of : typer.Typer or None
+        Group that the command belongs to; none unless given.
+    name : str or None
+        Name of the command; the function's name unless given.
+    cls : type of Command
+        Class of the command.
+    """
+
+    def register(function: Function) -> Function:
+        group = typer.Typer(add_completion=False, rich_markup_mode=None) if of is None else of
+        group.command(name, cls=cls)(_guarded(function))
+        if of is None:
+            _registered[name or function.__name__.replace("_", "-")] = group, panel
+        return function
+
+    return register
+
+
+QuietOption = Annotated[bool, typer.Option("--quiet", help="Print results and errors only.")]
+VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", help="Print log records to standard error.")]
+LogOption = Annotated[
+    Path | None, typer.Option("--log-file", metavar="FILE", help="Append log records to this file as JSON lines.")
+]
+COMMON_OPTIONS = {"quiet": (QuietOption, False), "verbose": (VerboseOption, False), "log_file": (LogOption, None)}
+"""The options that every command has: parameter → its type and its default."""
+
+NO_PATHS = ("scheduler", "note")
+"""Parameters of commands whose texts may be addresses with a scheme."""
+
+
+def _guarded(function: Callable[..., None]) -> Callable[..., None]:
+    """Return the command with the common options, which ends with one message where it fails."""
+
+    @functools.wraps(function)
+    def guarded(**arguments: Any) -> None:
+        from kinedex.console.logs import configure_logging
+        from kinedex.console.terminal import configure_messages
+        from kinedex.ops.local_paths import refuse_addresses
+        from kinedex.storage.ctrl_c import ctrl_c_in_statements
+
+        quiet, verbose, log_file = (arguments.pop(name) for name in COMMON_OPTIONS)
+        as_json = bool(arguments.get("as_json"))
+        configure_messages(quiet=quiet, to_stderr=as_json)
+        try:
+            refuse_addresses([value for name, value in arguments.items() if name not in NO_PATHS])
+            refuse_addresses(log_file)
+            configure_logging(quiet=quiet, verbose=verbose, log_file=log_file)
+            with _logged(function.__name__.replace("_", "-")), ctrl_c_in_statements():
+                function(**arguments)
+        except KinedexError as fault:
+            code = _CODES.get(type(fault).__name__, FAILED)
+            print_error(str(fault), type(fault).__name__, code, as_json, fault.remedy)
+            raise typer.Exit(code) from None
+        except typer.BadParameter as fault:
+            if not as_json:
+                raise
+            print_error(fault.format_message(), "UsageError", fault.exit_code, as_json)
+            raise typer.Exit(fault.exit_code) from None
+        except KeyboardInterrupt as fault:
+            with suppress(ValueError):  # not the main thread
+                signal.signal(signal.SIGINT, signal.SIG_IGN)
+            message = str(fault) or "stopped; the same command continues where it was"
+            print_error(message, "KeyboardInterrupt", INTERRUPTED, as_json)
+            raise typer.Exit(INTERRUPTED) from None
+        except OSError as fault:
+            if _is_closed_pipe(fault):
+                # The reader of the pipe is gone: nothing can be written to it, not even at exit.
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+                raise typer.Exit(0) from None
+            message = f"{fault.filename}: {fault.strerror}" if fault.filename else str(fault)
+            print_error(message, type(fault).__name__, FAILED, as_json)
+        except MemoryError:
+            print_error("out of memory; fewer --workers need less", "MemoryError", FAILED, as_json)
+        else:
+            return
+        raise typer.Exit(FAILED)
+
+    signature = inspect.signature(function, eval_str=True)
+    common = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+        for name, (kind, default) in COMMON_OPTIONS.items()
+    ]
+    guarded.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *common])  # type: ignore[attr-defined]
+    guarded.__annotations__ = {
+        **{name: one.annotation for name, one in signature.parameters.items()},
+        **{one.name: one.annotation for one in common},
+    }
+    return guarded
+
+
+@contextmanager
+def _logged(command: str) -> Iterator[None]:
+    """Log the begin and the end of a command; the terminal shows its errors, so that they are events."""
+    import logging
+    import time
+
+    log = logging.getLogger("kinedex.commands")
+    begin = time.perf_counter()
+    log.info("%s: begins", command, extra={"event": "command", "arguments": sys.argv[1:]})
+    try:
+        yield
+    except (KinedexError, OSError, KeyboardInterrupt) as fault:
+        log.error("%s: %s", command, str(fault) or type(fault).__name__, extra={"event": "error"})
+        raise
+    log.info("%s: done", command, extra={"event": "done", "seconds": round(time.perf_counter() - begin, 3)})
+
+
+def _is_closed_pipe(fault: OSError) -> bool:
+    """Return whether an error is that of a pipe without a reader, which Windows reports as an invalid argument."""
+    return isinstance(fault, BrokenPipeError) or (
+        os.name == "nt" and fault.errno == errno.EINVAL and fault.filename is None
+    )
+
+
+def print_error(message: str, kind: str, code: int, as_json: bool, remedy: Remedy | None = None) -> None:
+    """Print an error: one message on standard error, or one JSON object on standard output.
+
+    Parameters
+    ----------
+    message : str
+        What was found, what was expected, and the way out.
+    kind : str
+        Class of the error.
+    code : int
+        Exit code of the command.
+    as_json : bool
+        Print `{"error": {"type", "message", "exit_code", "remedy"}}`.
+    remedy : Remedy, optional
+        The way out.
+    """
+    if as_json:
+        error = {"type": kind, "message": message, "exit_code": code, "remedy": remedy and asdict(remedy)}
+        print(json_escaped(json.dumps({"error": error}, indent=1, ensure_ascii=False)))
+    else:
+        print(f"kinedex: {visible_lines(message)}", file=sys.stderr)

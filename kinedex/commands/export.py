@@ -1,0 +1,228 @@
+"""The command `export`, which writes motions of a store as files: a take, or a data set of clips."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from kinedex.commands.app import ASK, LEFT_OUT, command
+from kinedex.commands.options import AtOption, JsonOption, StorePath, WhereOption, seconds_of
+from kinedex.commands.output import print_json, print_message, print_path
+from kinedex.commands.store_access import open_for_reading
+from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.export.forms import FORMS, form_named
+
+if TYPE_CHECKING:
+    from kinedex.pipelines.export.request import How, What
+    from kinedex.storage.store.store import Store
+
+_METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0}
+
+
+def _metres_of(text: str | float) -> float:
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(mm|cm|m)", str(text).strip())
+    if match is None:
+        raise typer.BadParameter(f"'{text}' is no length; expected a number and its unit: 3cm, 25mm")
+    return float(match[1]) * _METRES[match[2]]
+
+
+def _shares_of(text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise KinedexError(f"--shares {text}: expected two or three numbers, such as 0.8,0.1,0.1") from None
+
+
+TakesArgument = Annotated[list[str] | None, typer.Argument(metavar="[TAKE...]", help="Takes; all unless given.")]
+PlaceOption = Annotated[
+    str | None,
+    typer.Option(
+        "--output", "-o", metavar="DIR_OR_FILE",
+        help="Folder of a data set; or the file of one take, TAKE.FORMAT in this folder unless given.",
+    ),
+]  # fmt: skip
+ClipFormatOption = Annotated[
+    str, typer.Option("--format", help=f"{', '.join(FORMS)}; the ending of the file unless given, else csv.")
+]
+JointsOption = Annotated[
+    bool, typer.Option("--joints", help="Write the 24 joints also where the source's own channels can be cut.")
+]
+AnnotationsOption = Annotated[bool, typer.Option("--annotations", help="Cut out annotated segments.")]
+LabelsOption = Annotated[bool, typer.Option("--labels", help="Cut out the labels of people.")]
+HitsOption = Annotated[str | None, typer.Option(metavar="NAME", help="Cut out the hits that were saved as NAME.")]
+RangesOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Cut out the rows of a CSV file: take,start,stop[,class].")
+]
+SqlOption = Annotated[
+    str | None, typer.Option(metavar="QUERY", help="Cut out the rows of a query: take[, start, stop, class, …].")
+]
+ClassOption = Annotated[
+    list[str] | None, typer.Option("--class", metavar="CLASS", help="Only this class; may be given several times.")
+]
+AnnotatedByOption = Annotated[
+    str | None,
+    typer.Option(
+        "--pipeline",
+        "--stage",
+        metavar="NAME",
+        help="PIPELINE, PIPELINE/STAGE or run that annotated; the current pipeline unless given.",
+    ),
+]
+ConfidenceOption = Annotated[float | None, typer.Option(min=0, max=1, help="Least confidence.")]
+MarginOption = Annotated[
+    float | None,
+    typer.Option(parser=seconds_of, metavar="DURATION", help="Time to add before and after each clip, as 0.2s."),
+]
+ContextOption = Annotated[
+    float | None,
+    typer.Option(
+        parser=seconds_of, metavar="DURATION",
+        help="Surroundings that files hold besides; the clip is inner_start to inner_stop of metadata.csv.",
+    ),
+]  # fmt: skip
+MinLengthOption = Annotated[
+    float | None, typer.Option(parser=seconds_of, metavar="DURATION", help="Least duration of an interval.")
+]
+MirrorOption = Annotated[
+    bool,
+    typer.Option("--mirror", help="Add a twin of each clip, left and right exchanged, in the name of its class, too."),
+]
+ResampleOption = Annotated[float | None, typer.Option(metavar="HZ", help="Frames per second of the files.")]
+InPlaceOption = Annotated[bool, typer.Option("--in-place", help="Begin each clip above the origin, facing +Z.")]
+SplitOption = Annotated[
+    str | None, typer.Option(metavar="COLUMN", help="Split by a column of takes, as actor; no value is in two splits.")
+]
+SharesOption = Annotated[str, typer.Option(help="Shares of train,val,test or of train,test, by seconds.")]
+SeedOption = Annotated[int, typer.Option(help="Number that draws another split, and other clips.")]
+BalanceOption = Annotated[
+    bool, typer.Option("--balance", help="In each split, take as many clips of each class as of its rarest.")
+]
+PerClassOption = Annotated[int | None, typer.Option(min=1, metavar="N", help="Most clips of a class.")]
+DistinctOption = Annotated[
+    float | None,
+    typer.Option(
+        parser=_metres_of, metavar="LENGTH", help="Leave out clips whose joints are nearer to another's, as 3cm."
+    ),
+]
+ProcessesOption = Annotated[int | None, typer.Option(min=1, help="Worker processes; one per core unless given.")]
+
+
+@command(ASK)
+def export(
+    store: StorePath,
+    takes: TakesArgument = None,
+    output: PlaceOption = None,
+    form: ClipFormatOption = "",
+    joints: JointsOption = False,
+    where: WhereOption = None,
+    annotations: AnnotationsOption = False,
+    labels: LabelsOption = False,
+    hits: HitsOption = None,
+    ranges: RangesOption = None,
+    sql: SqlOption = None,
+    classes: ClassOption = None,
+    pipeline: AnnotatedByOption = None,
+    min_confidence: ConfidenceOption = None,
+    margin: MarginOption = None,
+    context: ContextOption = None,
+    min_length: MinLengthOption = None,
+    mirror: MirrorOption = False,
+    resample: ResampleOption = None,
+    in_place: InPlaceOption = False,
+    split: SplitOption = None,
+    shares: SharesOption = "0.8,0.1,0.1",
+    seed: SeedOption = 0,
+    balance: BalanceOption = False,
+    per_class: PerClassOption = None,
+    distinct: DistinctOption = None,
+    workers: ProcessesOption = None,
+    at: AtOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write takes, or clips cut out of them, as files.
+
+    With one TAKE, -o is a file unless it is a folder or ends in a slash. Otherwise it is the folder of a data set, with
+    metadata.csv and dataset.json.
+    """
+    from kinedex.pipelines.export.request import How, What, source_of
+
+    kind, name = source_of(annotations=annotations, labels=labels, hits=hits, ranges=ranges, sql=sql)
+    what = What(kind, name, tuple(takes or ()), where, tuple(classes or ()), pipeline, min_confidence)
+    alone = what == What(takes=what.takes) and len(what.takes) == 1 and not _is_folder(output)
+    form = form or (Path(output).suffix.lstrip(".").lower() if alone and output else "") or "csv"
+    how = How(
+        form, joints, margin or 0.0, context or 0.0, min_length or 0.0, mirror, resample, in_place, split,
+        _shares_of(shares), seed, balance, per_class, distinct,
+    )  # fmt: skip
+    if alone:
+        _export_take(open_for_reading(store, at), what.takes[0], how, output, as_json)
+    elif output is None:
+        raise KinedexError("-o is missing: the folder of the data set, as in -o clips")
+    else:
+        _export_data_set(open_for_reading(store, at), what, how, Path(output), workers, as_json)
+
+
+def _is_folder(output: str | None) -> bool:
+    return output is not None and (output.endswith(("/", os.sep)) or Path(output).is_dir())
+
+
+def _export_take(store: Store, take: str, how: How, output: str | None, as_json: bool) -> None:
+    from kinedex.pipelines.export.single import export_take
+    from kinedex.storage.formats.labels.file_names import file_names
+
+    form = form_named(how.form)
+    # a take may be named as no file can be
+    (name,) = file_names([Path(take).name])
+    files = export_take(store, take, how, Path(output or f"{name}.{form.endings[0]}"))
+    if as_json:
+        seconds = store.take_frames[store.take_id(take)] / store.rate_hz
+        print_json(_document(store, files, clips=1, written=1, seconds=seconds))
+        return
+    for file in files:
+        print_path(file)
+
+
+def _document(store: Store, files: list[Path], **facts: object) -> dict[str, object]:
+    """Return what an export has made, as `--json` prints it; a take alone has no folder."""
+    empty: dict[str, object] = {
+        "folder": None,
+        "clips": 0,
+        "seconds": 0.0,
+        "written": 0,
+        "reused": 0,
+        "splits": {},
+        "excluded": {},
+    }
+    return {"store": store.path, "files": files, **empty, "remarks": [], **facts}
+
+
+def _export_data_set(store: Store, what: What, how: How, folder: Path, workers: int | None, as_json: bool) -> None:
+    """Write a data set; exit with `LEFT_OUT` where clips could not be written."""
+    from kinedex.console.terminal import Terminal
+    from kinedex.pipelines.engine.executors import make_executor
+    from kinedex.pipelines.export.export import export_data_set, summary_lines
+    from kinedex.pipelines.export.folder import DATA_SET, METADATA
+    from kinedex.pipelines.export.metadata import split_facts
+
+    executor = make_executor("processes", workers)
+    try:
+        done = export_data_set(store, what, how, folder, executor=executor, progress=Terminal().progress)
+    except BaseException:
+        executor.abort()
+        raise
+    executor.close()
+    if as_json:
+        files = [folder / METADATA, folder / DATA_SET]
+        facts = {"folder": folder, "clips": len(done.rows), "seconds": sum(row["seconds"] for row in done.rows)}
+        facts |= {"written": done.written, "reused": done.reused, "splits": split_facts(done.rows, how)}
+        print_json(_document(store, files, **facts, excluded=done.excluded, remarks=done.remarks))
+    else:
+        for line in summary_lines(done, how):
+            print_message(line)
+        print_path(folder / DATA_SET)
+    if done.excluded:
+        raise typer.Exit(LEFT_OUT)

@@ -1,0 +1,29 @@
+"""The package that runs, and the one that is installed."""
+
+from __future__ import annotations
+
+import json
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+from urllib.parse import urlparse
+from urllib.request import url2pathname
+
+
+def running_package() -> Path:
+    """Return the folder of the package that runs."""
+    return Path(__file__).parents[1].resolve()
+
+
+def installed_package() -> Path | None:
+    """Return the folder of the installed package; for an editable install, that of its checkout; None without one."""
+    try:
+        found = distribution("kinedex")
+    except PackageNotFoundError:
+        return None
+    try:
+        source = json.loads(found.read_text("direct_url.json") or "{}")
+    except json.JSONDecodeError:
+        source = {}
+    if source.get("dir_info", {}).get("editable"):
+        return Path(url2pathname(urlparse(source["url"]).path)).resolve() / "kinedex"
+    return Path(str(found.locate_file("kinedex"))).resolve()

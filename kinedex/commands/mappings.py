@@ -1,0 +1,129 @@
+"""Commands about skeleton mappings: mapping new, add, list, remove."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from kinedex.commands.app import MAINTAIN, command, group
+from kinedex.commands.options import JsonOption, StorePath, WaitOption, wait_of
+from kinedex.commands.output import print_json
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.escapes import visible
+
+mapping = group("mapping", "Make skeleton mappings, and keep them in a store.", MAINTAIN)
+
+
+@command(of=mapping)
+def new(
+    file: Annotated[Path, typer.Argument(help="Motion file.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="YAML", help="File to write.")],
+    person: Annotated[str, typer.Option(help="The person of a file of several.")] = "",
+    source: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Source root; the ASF of an AMC file is looked for up to it.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a skeleton mapping for a motion file, to be edited.
+
+    It is the mapping that fits the names of the file, or a proposal by what is recognised in it, also where the file is
+    refused. Comments name what is estimated and what was not found.
+    """
+    from kinedex.pipelines.inspection.mapping_proposal import propose_mapping
+
+    if output.exists() and not force:
+        raise KinedexError(f"{output}: exists already; give another name, or --force to overwrite it")
+    text = propose_mapping(file, output.stem, person, source)
+    try:
+        output.write_text(text, encoding="utf-8")
+    except OSError as fault:
+        raise KinedexError(f"{output}: cannot be written: {fault.strerror}") from None
+    if as_json:
+        print_json({"motion_file": file, "file": output, "yaml": text})
+        return
+    print(visible(f"{output}: edit it, and check it by `kinedex inspect {file} --skeleton {output}`"))
+
+
+@command(of=mapping)
+def add(
+    store: StorePath,
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILES...", help="Mappings or vocabularies (.yaml), or folders of them.")
+    ],
+    wait: WaitOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Keep mappings of your own in a store.
+
+    Every ingest adds them to the shipped ones; where the names of a file fit, they go first. A vocabulary of names is
+    added to the shipped one. One of the same name takes the place of the earlier one.
+    """
+    from kinedex.catalog.skeletons.own_mappings import own_files, parse_own
+    from kinedex.storage.store.store import open_store
+    from kinedex.storage.store.writer import StoreWriter
+
+    opened = open_store(store, at="newest")
+    found = [(parse_own(file, opened.feature_set.joints), file) for file in own_files(files)]
+    with StoreWriter.open(store, opened.feature_set, opened.rate_hz, wait_of(wait)) as writer:
+        for own, file in found:
+            writer.put_mapping(own.name, file.text)
+        writer.commit()
+    if as_json:
+        print_json({"store": store, "kept": [{"name": own.name, "file": file.path} for own, file in found]})
+        return
+    for own, file in found:
+        print(visible(f"{own.name}: kept in {store} ({file.path})"))
+    print("The next ingest reads the files of their formats again.")
+
+
+@command(of=mapping, name="list")
+def list_mappings(store: StorePath, as_json: JsonOption = False) -> None:
+    """List the mappings and vocabularies that a store keeps."""
+    from kinedex.catalog.skeletons.mappings import SkeletonMapping
+    from kinedex.catalog.skeletons.own_mappings import parse_own
+    from kinedex.pipelines.ingestion.chosen_mappings import stored_files
+    from kinedex.storage.store.store import open_store
+
+    opened = open_store(store, at="newest")
+    rows: list[dict[str, str]] = []
+    for file in stored_files(store, opened.manifest.mappings):
+        own = parse_own(file, opened.feature_set.joints)
+        kind = f"for {own.content.format} files" if isinstance(own.content, SkeletonMapping) else "names"
+        rows.append({"name": own.name, "kind": kind, "text": file.text})
+    if as_json:
+        print_json({"store": store, "mappings": rows})
+        return
+    for row in rows:
+        print(visible(f"{row['name']}  {row['kind']}"))
+    if not rows:
+        print(visible(f"{store} keeps no mappings; `kinedex mapping add {store} FILE` adds one"))
+
+
+@command(of=mapping)
+def remove(
+    store: StorePath,
+    name: Annotated[str, typer.Argument(help="Name of the mapping, as `kinedex mapping list STORE` prints it.")],
+    wait: WaitOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Remove a mapping from a store.
+
+    Takes that were read with it stay as they are until the next ingest.
+    """
+    from kinedex.storage.store.store import open_store
+    from kinedex.storage.store.writer import StoreWriter
+
+    opened = open_store(store, at="newest")
+    with StoreWriter.open(store, opened.feature_set, opened.rate_hz, wait_of(wait)) as writer:
+        if name not in writer.manifest.mappings:
+            known = writer.manifest.mappings
+            raise KinedexError(f"{store}: it keeps no mapping '{name}'{did_you_mean(name, known)}")
+        writer.put_mapping(name, None)
+        writer.commit()
+    if as_json:
+        print_json({"store": store, "removed": name})
+    else:
+        print(visible(f"{name}: removed from {store}"))

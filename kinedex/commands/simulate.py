@@ -1,0 +1,163 @@
+"""The commands `simulate …`, which make recordings of takes whose truth is known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from kinedex.commands.app import TRACK, command, group
+from kinedex.commands.options import AtOption, JsonOption, StorePath, WhereOption, interval_of
+from kinedex.commands.output import print_json, print_message, print_path
+from kinedex.commands.store_access import open_for_reading
+
+simulate = group("simulate", "Make recordings of takes, with their truth apart.", TRACK)
+
+
+@command(of=simulate)
+def cameras(
+    store: StorePath,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="New folder of the recordings.")],
+    seed: Annotated[int, typer.Option(min=0, help="Seed of cameras, errors and failures.")],
+    takes: Annotated[list[str] | None, typer.Argument(metavar="[TAKE...]", help="Takes to film.")] = None,
+    where: WhereOption = None,
+    count: Annotated[int, typer.Option("--cameras", max=100, metavar="N", help="Number of cameras, 2 at least.")] = 4,
+    keypoints: Annotated[
+        str, typer.Option(metavar="SET", help="Keypoint set, as coco-17, body-25 or halpe-26; or a file.")
+    ] = "coco-17-toes",
+    form: Annotated[str, typer.Option("--format", help="Keypoints as parquet or openpose.")] = "parquet",
+    silhouettes: Annotated[bool, typer.Option("--silhouettes", help="Write masks of the body, too.")] = False,
+    noise: Annotated[float, typer.Option(min=0, metavar="PX", help="Noise of keypoints in pixels.")] = 4.0,
+    failures: Annotated[float, typer.Option(min=0, max=100, metavar="RATE", help="Failures per second.")] = 0.67,
+    long: Annotated[
+        bool, typer.Option("--long", help="Let failures last 1.2 to 2.2 s instead of 0.4 to 1.2 s.")
+    ] = False,
+    at: AtOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Film takes by simulated cameras.
+
+    DIR/recordings.yaml names the recordings, as `kinedex track` reads them. DIR/truth has the true joints, and the
+    failures of the detector. The same command makes the same bytes.
+    """
+    from dataclasses import asdict, replace
+
+    from kinedex.console.terminal import Terminal
+    from kinedex.ops.simulation.cameras import CameraRing
+    from kinedex.ops.simulation.failures import LONG, FailureRate
+    from kinedex.ops.simulation.keypoints import Detector
+    from kinedex.ops.simulation.recording import Setup
+    from kinedex.ops.wording import counted
+    from kinedex.pipelines.simulation.camera_recordings import RECORDINGS, Request, simulate_cameras
+
+    rate = replace(LONG if long else FailureRate(), per_second=failures)
+    setup = Setup(CameraRing(count), Detector(noise_px=noise), rate)
+    request = Request(tuple(takes or ()), where, seed, setup, keypoints, form, silhouettes)
+    made = simulate_cameras(open_for_reading(store, at), request, output, Terminal().progress)
+    if as_json:
+        print_json(asdict(made) | {"recordings_file": made.folder / RECORDINGS})
+        return
+    number = counted(len(made.recordings), "recording")
+    print_message(f"{number} of {made.frames:,} frames with {counted(made.failures, 'failure')}, in {made.folder}")
+    print_path(made.folder / RECORDINGS)
+
+
+@command(of=simulate)
+def depth(
+    store: StorePath,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="New folder of the recordings.")],
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the body's sizes and of all errors.")],
+    takes: Annotated[list[str] | None, typer.Argument(metavar="[TAKE...]", help="Takes to film.")] = None,
+    where: WhereOption = None,
+    camera: Annotated[str, typer.Option(metavar="NAME", help="tof, tof_small or structured.")] = "tof",
+    body: Annotated[str, typer.Option(metavar="NAME", help="first or second; or a file.")] = "first",
+    azimuth: Annotated[
+        float, typer.Option(min=-360, max=360, metavar="DEGREES", help="Film from the person's left by this angle.")
+    ] = 0.0,
+    frames: Annotated[
+        str | None, typer.Option(metavar="A:B", help="Film frames A to B of each take, without B.")
+    ] = None,
+    at: AtOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Film takes by a simulated depth camera.
+
+    DIR/recordings.yaml names the recordings, as `kinedex reconstruct` reads them: depth images, the background and
+    the camera. DIR/truth has the true joints. The same command makes the same bytes.
+    """
+    from dataclasses import asdict
+
+    from kinedex.console.terminal import Terminal
+    from kinedex.ops.wording import counted
+    from kinedex.pipelines.simulation.depth_recordings import RECORDINGS, Request, simulate_depth
+
+    interval = None if frames is None else interval_of(frames)
+    request = Request(tuple(takes or ()), where, seed, camera, body, azimuth, interval)
+    made = simulate_depth(open_for_reading(store, at), request, output, Terminal().progress)
+    if as_json:
+        print_json(asdict(made) | {"recordings_file": made.folder / RECORDINGS})
+        return
+    for name, number in made.outside.items():
+        print_message(f"{name}: {counted(number, 'frame')} with a joint near the camera, or outside the image")
+    print_message(f"{counted(len(made.recordings), 'recording')} of {made.frames:,} frames, in {made.folder}")
+    print_path(made.folder / RECORDINGS)
+
+
+@command(of=simulate)
+def imu(
+    store: StorePath,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="New folder of the data set.")],
+    seed: Annotated[int, typer.Option(min=0, help="Seed of mounts, headings, clocks and all errors.")],
+    takes: Annotated[
+        list[str] | None, typer.Argument(metavar="[TAKE...]", help="Takes whose actors wear them.")
+    ] = None,
+    where: WhereOption = None,
+    limbs: Annotated[
+        list[str] | None,
+        typer.Option("--limb", metavar="LIMB", help="Limb or group with sensors, as lshank or hands; repeatable."),
+    ] = None,
+    grade: Annotated[
+        str, typer.Option(metavar="NAME", help="perfect, good, cheap or a device, as mpu-9250; or a file.")
+    ] = "good",
+    rate: Annotated[float, typer.Option(min=1, max=10_000, metavar="HZ", help="Samples per second.")] = 100.0,
+    form: Annotated[str, typer.Option("--format", help="parquet, npz or xsens-txt.")] = "parquet",
+    window: Annotated[float, typer.Option(metavar="SECONDS", help="Length of the windows with labels.")] = 2.0,
+    step: Annotated[float, typer.Option(metavar="SECONDS", help="From one window to the next.")] = 1.0,
+    stand: Annotated[
+        float,
+        typer.Option(min=0, max=60, metavar="SECONDS", help="Rest in the first pose before, and in the last after."),
+    ] = 0.0,
+    mount: Annotated[
+        str, typer.Option(help="random: a turn of its own for each actor and limb; limb: the axes of the limb.")
+    ] = "random",
+    at: AtOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Put simulated inertial sensors on the limbs of takes.
+
+    The takes' sources are read again at their own rate. DIR/README.md describes all files, and has code that loads the
+    windows: DIR/recordings has a folder for each take, DIR/windows.csv the class of each window, and DIR/truth mounts
+    and clocks. Pieces of takes shorter than a window are left out. The same command makes the same bytes.
+    """
+    from dataclasses import asdict
+
+    from kinedex.console.terminal import Terminal
+    from kinedex.ops.wording import counted
+    from kinedex.pipelines.simulation.imu_recordings import README, Request
+    from kinedex.pipelines.simulation.imu_sensors import Wearing
+    from kinedex.pipelines.simulation.imu_takes import simulate_imu
+    from kinedex.pipelines.simulation.imu_windows import Windowing
+
+    wearing = Wearing(seed, rate, stand_s=stand, mount=mount)
+    request = Request(tuple(limbs or ()), grade, wearing, form, Windowing(window, step))
+    made = simulate_imu(open_for_reading(store, at), takes or (), where, request, output, Terminal().progress)
+    if as_json:
+        print_json(asdict(made) | {"folder": output})
+        return
+    for remark in made.remarks():
+        print_message(remark)
+    print_message(
+        f"{counted(len(made.recordings), 'take')}, {made.seconds:,.1f} s, {made.samples:,} samples, in {output}"
+    )
+    print_path(output / README)

@@ -1,0 +1,151 @@
+"""Commands of tracking: track, stabilise."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from kinedex.commands.app import TRACK, command
+from kinedex.commands.options import (
+    ExecutorOption,
+    ForceOption,
+    JsonOption,
+    SetOption,
+    StorePath,
+    WaitOption,
+    WorkersOption,
+    assignments_of,
+    wait_of,
+)
+from kinedex.commands.output import print_json, print_message, show_outcome, show_table
+
+if TYPE_CHECKING:
+    from kinedex.pipelines.tracking.store_stabilisation import Explanation
+
+_SHOWN = ("round", "kind", "side", "class", "hit", "start_seconds", "stop_seconds", "cost", "kept", "reason")
+
+
+@command(TRACK)
+def track(
+    store: StorePath,
+    recordings: Annotated[Path, typer.Argument(help="YAML file: name of a recording → calibration, keypoints, rate.")],
+    only: Annotated[
+        list[str] | None,
+        typer.Option("--only", metavar="NAME", help="Only this recording; may be repeated."),
+    ] = None,
+    tracker: Annotated[str, typer.Option(help="take: all frames at once; frames: one after the other.")] = "take",
+    assign: SetOption = None,
+    force: ForceOption = None,
+    executor: ExecutorOption = "processes",
+    workers: WorkersOption = None,
+    wait: WaitOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Make takes of recordings by calibrated cameras.
+
+    A recording becomes the take NAME_tracked. This is the pipeline `track`. Recordings that are unchanged stay as they
+    are.
+    """
+    import json
+
+    from kinedex.console.terminal import Terminal
+    from kinedex.pipelines.engine.runner import run_pipeline
+
+    assignments = {"recordings": str(recordings), "track.tracker": tracker, **assignments_of(assign)}
+    if only:
+        assignments["observe.only"] = json.dumps(only)
+    outcome = run_pipeline(
+        "track", store, assignments=assignments, executor=executor, workers=workers, force=frozenset(force or ()),
+        terminal=Terminal(), wait_seconds=wait or 0.0,
+    )  # fmt: skip
+    show_outcome(outcome, store, as_json)
+
+
+@command(TRACK)
+def stabilise(
+    store: StorePath,
+    takes: Annotated[list[str], typer.Argument(metavar="TAKE...", help="Tracked takes, or any take with gaps.")],
+    priors: Annotated[
+        str | None, typer.Option(metavar="KINDS", help="archive, pose, logical; several with a comma between.")
+    ] = None,
+    tau: Annotated[float, typer.Option(min=1e-6, max=1, help="Distances below tau lend priors.")] = 0.13,
+    rounds: Annotated[int, typer.Option(min=1, max=20, help="Most rounds.")] = 2,
+    body: Annotated[
+        str, typer.Option(metavar="TAKE", help="Of 3D tracks: a take of the actor whose bone lengths count.")
+    ] = "estimate",
+    classes: Annotated[str, typer.Option(metavar="FILE", help="Class file with locomotion and marks.")] = "own",
+    explain: Annotated[bool, typer.Option("--explain", help="List hits and priors, withdrawn ones too.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Stabilise takes that are up to date, too.")] = False,
+    workers: WorkersOption = None,
+    wait: WaitOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Stabilise tracked takes by what the archive knows.
+
+    Each becomes a take NAME_stabilised. A take that was tracked is stabilised from the observations of its
+    recording, any other one as a 3D track without cameras. Templates are those of the store; without any, they are
+    learned from the takes whose class is known.
+    """
+    from kinedex.console.terminal import Terminal, message_console
+    from kinedex.pipelines.engine.executors import make_executor
+    from kinedex.pipelines.tracking.parameters import TrackParameters, stabilise_parameters
+    from kinedex.pipelines.tracking.store_stabilisation import explanations, stabilise_stored
+    from kinedex.storage.store.store import open_store
+
+    given: dict[str, object] = {"tau": tau, "rounds": rounds, "body": body, "classes": classes}
+    if priors is not None:
+        given["priors"] = [kind.strip() for kind in priors.split(",")]
+    params = stabilise_parameters(given)
+    pool = make_executor("processes" if len(takes) > 1 and workers != 1 else "serial", workers)
+    done = stabilise_stored(
+        store,
+        takes,
+        params,
+        TrackParameters.model_validate({}),
+        pool,
+        Terminal(message_console()),
+        wait_of(wait),
+        force,
+    )
+    pool.close()
+    found = explanations(open_store(store, at="newest"), list(dict.fromkeys(takes)))
+    if as_json:
+        print_json(
+            {"store": store, "takes": [_document(one) for one in found], "unchanged": done.unchanged,
+             "remarks": done.remarks}
+        )  # fmt: skip
+        return
+    for one in found:
+        _show(one, one.stabilised in done.unchanged, explain)
+
+
+def _document(one: Explanation) -> dict[str, object]:
+    return {
+        "take": one.take,
+        "stabilised": one.stabilised,
+        "recording": one.row["recording"],
+        "rounds": one.row["rounds"],
+        "hits": one.row["hits"],
+        "withdrawn": one.row["withdrawn"],
+        "moved_mm": round(one.moved_mm, 3),
+        "priors": one.priors.to_pylist(),
+    }
+
+
+def _show(one: Explanation, unchanged: bool, explain: bool) -> None:
+    """Show what became of a take."""
+    from kinedex.ops.wording import counted
+
+    if explain:
+        rows = one.priors.select(list(_SHOWN))
+        if rows.num_rows:
+            show_table(rows, "table", None)
+        else:
+            print_message(f"{one.take}: no motion of the archive was found within tau")
+    if unchanged:
+        print_message(
+            f"{one.take}: up to date as {one.stabilised}; {counted(one.row['hits'], 'hit')} lent priors, joints "
+            f"moved by {one.moved_mm:.1f} mm on average"
+        )

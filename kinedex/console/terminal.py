@@ -1,0 +1,176 @@
+"""Results and messages on the terminal: lines, progress bars, tables."""
+
+from __future__ import annotations
+
+import os
+import sys
+import textwrap
+from contextlib import AbstractContextManager
+from types import TracebackType
+from typing import Any, TextIO
+
+from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderHook, RenderResult
+from rich.segment import Segment
+
+from kinedex.console.pulse import Pulse
+from kinedex.console.streams import unescaped
+from kinedex.ops.escapes import visible, visible_lines, visible_text
+from kinedex.pipelines.engine.display import Line, ResultTable
+
+WIDE = 160
+"""Columns of a table that goes to a file or a pipe: wide enough that cells stay whole."""
+
+_messages = {"quiet": False, "to_stderr": False}
+
+
+def configure_messages(*, quiet: bool = False, to_stderr: bool = False) -> None:
+    """Choose whether messages and progress are printed, and where; results always go to standard output.
+
+    Parameters
+    ----------
+    quiet : bool
+        Print no messages.
+    to_stderr : bool
+        Print messages to standard error, so that standard output holds the result alone.
+    """
+    _messages.update(quiet=quiet, to_stderr=to_stderr)
+
+
+def is_quiet() -> bool:
+    """Return whether `configure_messages` has chosen to print no messages."""
+    return _messages["quiet"]
+
+
+def make_console() -> Console:
+    """Return a console that prints results to standard output."""
+    return _console(stderr=False, quiet=False)
+
+
+def collecting_terminal(file: TextIO) -> Terminal:
+    """Return a terminal whose lines and tables go to a text that nobody sees at once."""
+    return Terminal(Console(file=file))
+
+
+def page_by_page(console: Console) -> AbstractContextManager[object]:
+    """Return a context in which a console shows what is printed in the system's pager; `less` ends at a short text."""
+    os.environ.setdefault("LESS", "FRX")
+    return console.pager(styles=True)
+
+
+def message_console() -> Console:
+    """Return a console that prints messages as `configure_messages` has chosen."""
+    return _console(stderr=_messages["to_stderr"], quiet=_messages["quiet"])
+
+
+def _console(*, stderr: bool, quiet: bool) -> Console:
+    file = unescaped(sys.stderr if stderr else sys.stdout)
+    console = EscapingConsole(highlight=False, emoji=False, soft_wrap=True, file=file, quiet=quiet)
+    if console.is_terminal:
+        return console
+    return EscapingConsole(highlight=False, emoji=False, soft_wrap=True, file=file, quiet=quiet, width=WIDE)
+
+
+class EscapingConsole(Console):
+    """A rich console that escapes the texts in everything it prints; layout and styles are rich's own."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.push_render_hook(_Hook())
+
+
+class _Hook(RenderHook):
+    def process_renderables(self, renderables: list[ConsoleRenderable]) -> list[ConsoleRenderable]:
+        return [_Escaped(one) for one in renderables]
+
+
+class _Escaped:
+    def __init__(self, shown: ConsoleRenderable) -> None:
+        self._shown = shown
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Render what is shown, and escape its texts."""
+        for text, style, control in console.render(self._shown, options):
+            yield Segment(text if control else visible_text(text), style, control)
+
+
+class Progress:
+    """One progress bar; a context manager. Where the output is no terminal, lines report it every now and then."""
+
+    def __init__(self, console: Console, pulse: Pulse, description: str, total: int | None) -> None:
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+        from rich.progress import Progress as Bars
+
+        self._bars = Bars(
+            TextColumn("    {task.description}"),
+            BarColumn(bar_width=30),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            *(() if total is None else (TextColumn("left"), TimeRemainingColumn())),
+            console=console,
+            transient=True,
+            disable=console.quiet or not console.is_terminal,
+        )
+        self._task = self._bars.add_task(description, total=total)
+        self._during = pulse.during(description, total)
+
+    def __enter__(self) -> Progress:
+        self._bars.start()
+        self._step = self._during.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._during.__exit__(kind, fault, trace)
+        self._bars.stop()
+
+    def advance(self, n: int = 1) -> None:
+        """Move the bar by n."""
+        self._bars.advance(self._task, n)
+        self._step.done += n
+
+
+class Terminal:
+    """Messages, tables and progress bars of a pipeline run; the stages and the runner log what they show."""
+
+    def __init__(self, console: Console | None = None) -> None:
+        self.console = console or message_console()
+        self._pulse = Pulse(self._beat)
+
+    def _beat(self, text: str) -> None:
+        """Print a line about a long step, unless a terminal shows a bar."""
+        if not self.console.is_terminal:
+            self.console.print(f"    {visible_lines(text)}", markup=False)
+
+    def during(self, name: str) -> AbstractContextManager[object]:
+        """Report a step every now and then while a `with` statement runs."""
+        return self._pulse.during(name)
+
+    def say(self, text: str) -> None:
+        """Print one indented line as it is (no markup); in a terminal a long one goes on below, between two words."""
+        text = visible_lines(text)
+        if self.console.is_terminal:
+            text = "\n".join(self._wrapped(line) for line in text.splitlines())
+        self._pulse.speak()
+        self.console.print(f"    {text}", markup=False)
+
+    def _wrapped(self, line: str) -> str:
+        # a path longer than a line stays one word, so that it can be copied
+        return textwrap.fill(
+            line, max(self.console.width, 40) - 4, subsequent_indent=" " * 8, break_long_words=False,
+            break_on_hyphens=False,
+        )  # fmt: skip
+
+    def heading(self, text: str) -> None:
+        """Print one line that begins a step."""
+        self.console.print(visible(text), markup=False, style="bold")
+
+    def show(self, *parts: ResultTable | Line) -> None:
+        """Print tables of results, and lines between them."""
+        from kinedex.console.tables import result_tables
+
+        self.console.print(result_tables(parts))
+
+    def progress(self, description: str, total: int | None = None) -> Progress:
+        """Return a progress bar, to be used in a `with` statement."""
+        return Progress(self.console, self._pulse, description, total)

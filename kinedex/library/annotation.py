@@ -1,0 +1,385 @@
+"""Annotation of takes by templates, and evaluation of annotations, as functions on data frames."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from kinedex.catalog.classes import OWN, Classes, MotionClass, load_classes
+from kinedex.library.arguments import checked
+from kinedex.library.query import Query, resolved_queries
+from kinedex.library.store import Store
+from kinedex.library.take import Take
+from kinedex.library.template import Template
+from kinedex.ops.errors import KinedexError
+from kinedex.ops.wording import counted
+from kinedex.ops.words import ALL_KNOWN, TakeWords
+from kinedex.pipelines.annotation.annotators import Annotator, make_annotator
+from kinedex.pipelines.annotation.batches import TakeAnnotation, annotate_words, split_takes
+from kinedex.pipelines.annotation.confidence_calibration import uncalibrated
+from kinedex.pipelines.annotation.methods import annotation_method
+from kinedex.pipelines.annotation.parameters import least_frames
+from kinedex.pipelines.annotation.tables import annotations_table
+from kinedex.pipelines.evaluation.annotation_scores import evaluate as compare_with_truth
+from kinedex.pipelines.evaluation.annotation_scores import metrics_rows
+from kinedex.pipelines.evaluation.ground_truth import GroundTruth, Manual, place_ground_truth
+from kinedex.pipelines.search.not_applied import known_of
+from kinedex.storage.formats.labels.ground_truth import read_ground_truth
+from kinedex.storage.store.store import data_frame
+
+
+@checked
+def annotate(
+    takes: Store | Take | Iterable[Take],
+    templates: Template | str | Iterable[Template | str],
+    method: str = "best",
+    *,
+    classes: str | Path = OWN,
+    delta: float = 0.05,
+    tau: float = 0.13,
+    min_seconds: float = 0.0,
+    queries: Query | Iterable[Query] = (),
+    where: str | None = None,
+) -> pl.DataFrame:
+    """Annotate takes with the classes of templates; the takes need not be in a store.
+
+    Parameters
+    ----------
+    takes : Store, Take, or iterable of Take
+        The takes to annotate; of a store those that `where` selects.
+    templates : Template, str, or an iterable of them
+        One template for each class (subclass); names are those of templates that the store has learned.
+    method : str
+        "best" explains all frames of a take together by templates in a row with background between them; "thesis"
+        labels the frames where a template fits below tau; or the name of a plugin's method.
+    classes : str or Path, optional
+        "own" makes every template a class of its own; else a class file, by its shipped name or its path.
+    delta : float, optional
+        Entries of a template within delta of 0 or 1 count, the others are wildcards.
+    tau : float, optional
+        Of the method "thesis": distances below tau make an annotation.
+    min_seconds : float, optional
+        The shortest annotation.
+    queries : Query or sequence of Query, optional
+        A template is matched within the hits of the queries for its class, and in all frames where there are none.
+    where : str, optional
+        A SQL filter over the columns of takes, for a store; by default all takes are annotated.
+
+    Returns
+    -------
+    polars.DataFrame
+        One row per annotated segment, by take name and start: take, take_id (null outside of a store), class, subclass,
+        start, stop (frames, stop excluded), start_seconds, stop_seconds, cost, confidence (not calibrated: that of
+        other archives; the pipeline calibrates it), method, margin.
+
+    Raises
+    ------
+    KinedexError
+        There is no take or template, two of them have the same name, or their features differ.
+    ConfigError
+        The class file is wrong; the message names the line.
+
+    Warns
+    -----
+    UserWarning
+        A template is wildcards alone, or nearly so; or a template or query is not applied to takes whose bodies lack
+        too many of the joints that it asks for.
+
+    Examples
+    --------
+    >>> found = kinedex.annotate(take, [Template.from_clip(take, 0, 30, name="begin")])
+    >>> found.select("take", "class", "start").columns
+    ['take', 'class', 'start']
+    """
+    chosen_method = annotation_method(method)
+    given = _templates_of(takes, templates)
+    chosen = _StoredWords(takes, where) if isinstance(takes, Store) else _LoadedWords(takes)
+    _check_features(chosen.feature_set.digest, given)
+    annotator = make_annotator(
+        chosen.feature_set,
+        [one.learned for one in given],
+        load_classes(classes, {one.name for one in given} | (set() if classes == OWN else chosen.labels)),
+        delta,
+        tau,
+        resolved_queries(queries, chosen.feature_set, chosen.rate_hz),
+        method=chosen_method,
+        clips=lambda: _clips_of(given) or chosen.every_word(),
+        min_frames=least_frames(min_seconds, chosen.rate_hz),
+    )
+    annotator = replace(annotator, confidence=uncalibrated(method, len(annotator.classes)))
+    for remark in [*annotator.remarks, *annotator.remarks_on(chosen.known())]:
+        warnings.warn(remark, stacklevel=2)
+    return _table(chosen.annotate(annotator), annotator, chosen)
+
+
+class _LoadedWords:
+    """The words of takes that are given one by one, whether they are in a store or not."""
+
+    def __init__(self, takes: Take | Iterable[Take]) -> None:
+        self.takes = sorted([takes] if isinstance(takes, Take) else takes, key=lambda take: take.label)
+        names = [take.label for take in self.takes]
+        if not names:
+            raise KinedexError("no take to annotate: `takes` is empty")
+        if len(set(names)) < len(names):
+            double = next(name for name in names if names.count(name) > 1)
+            raise KinedexError(f"two takes are named '{double}'; give them different names")
+        if len({(take.feature_set.digest, take.rate_hz) for take in self.takes}) > 1:
+            raise KinedexError("the takes have different feature sets or rates; annotate them one by one")
+        self.feature_set, self.rate_hz = self.takes[0].feature_set, self.takes[0].rate_hz
+        self.names = dict(enumerate(names))
+        self.ids = {place: take.take_id for place, take in enumerate(self.takes)}
+
+    @property
+    def labels(self) -> set[str]:
+        """Return the classes of the takes, as far as they have one."""
+        return {str(take.info["class"]) for take in self.takes if take.info.get("class")}
+
+    def words(self, places: Sequence[int]) -> TakeWords:
+        """Return the words of some takes, by their places."""
+        every = [self.takes[place].words() for place in places]
+        offsets = np.cumsum([0, *map(len, every)]).astype(np.int64)
+        masks = np.array([self.takes[place].known for place in places], np.uint64)
+        known = None if (masks == ALL_KNOWN).all() else masks
+        return TakeWords(np.array(places, np.int64), offsets, np.concatenate(every), known)
+
+    def annotate(self, annotator: Annotator) -> Iterator[TakeAnnotation]:
+        """Annotate the takes batch by batch."""
+        for batch in split_takes(self.names, map(len, self.takes)):
+            yield from annotate_words(annotator, self.words(batch))
+
+    def known(self) -> dict[int, int]:
+        """Return the masks of the takes that lack features, by their places."""
+        return {place: take.known for place, take in enumerate(self.takes) if take.known != ALL_KNOWN}
+
+    def every_word(self) -> list[Any]:
+        """Return the words of all takes."""
+        return [take.words() for take in self.takes if take.known == ALL_KNOWN] or [take.words() for take in self.takes]
+
+
+class _StoredWords:
+    """The words of the takes that a filter selects in a store."""
+
+    def __init__(self, store: Store, where: str | None) -> None:
+        takes = store.takes(where)
+        if not takes.height:
+            raise KinedexError(f"no take to annotate: the filter `{where}` selects none of the {len(store)} takes")
+        self.store, self.frames = store, takes["frames"].to_list()
+        self.feature_set, self.rate_hz = store.feature_set, store.rate_hz
+        self.names = dict(takes.select("take_id", "name").iter_rows())
+        self.ids: dict[int, int | None] = {take_id: take_id for take_id in self.names}
+
+    @property
+    def labels(self) -> set[str]:
+        """Return the classes of all takes of the store."""
+        return set(self.store.takes()["class"].drop_nulls())
+
+    def annotate(self, annotator: Annotator) -> Iterator[TakeAnnotation]:
+        """Annotate the takes batch by batch."""
+        stored = self.store.stored
+        for batch in split_takes(self.names, self.frames):
+            yield from annotate_words(annotator, stored.words(batch), store=stored)
+
+    def known(self) -> dict[int, int]:
+        """Return the masks of the takes that lack features, by their ids."""
+        return known_of(self.store.stored.known, self.names)
+
+    def every_word(self) -> list[Any]:
+        """Return the words of all takes of the store, annotated or not."""
+        return [self.store.stored.words().best_known]
+
+
+def _templates_of(takes: object, templates: Template | str | Iterable[Template | str]) -> list[Template]:
+    wanted = [templates] if isinstance(templates, Template | str) else list(templates)
+    names = [one for one in wanted if isinstance(one, str)]
+    if names and not isinstance(takes, Store):
+        raise KinedexError(f"'{names[0]}' is the name of a template, which only a store knows: store.template(…)")
+    given = [takes.template(one) if isinstance(one, str) else one for one in wanted]  # type: ignore[attr-defined]
+    if not given:
+        raise KinedexError("no template to annotate with: `templates` is empty")
+    called = [one.name for one in given]
+    if len(set(called)) < len(called):
+        double = next(name for name in called if called.count(name) > 1)
+        raise KinedexError(f"two templates are named '{double}'; learn one from the clips of both")
+    return given
+
+
+def _check_features(digest: str, templates: Sequence[Template]) -> None:
+    for one in templates:
+        if one.feature_set.digest != digest:
+            raise KinedexError(f"template '{one.name}' has other features ({one.feature_set.name}) than the takes")
+
+
+def _clips_of(templates: Sequence[Template]) -> list[Any]:
+    """Return the words of the clips of templates, each clip once."""
+    return list({name: words for one in templates for name, words in one.examples().items()}.values())
+
+
+def _table(found: Iterable[TakeAnnotation], annotator: Annotator, chosen: _LoadedWords | _StoredWords) -> pl.DataFrame:
+    frame = data_frame(annotations_table(found, annotator, chosen.names, chosen.rate_hz, ""))
+    ids = pl.col("take_id").replace_strict(chosen.ids, return_dtype=pl.Int64)
+    return frame.drop("run").with_columns(ids).select("take", "take_id", pl.exclude("take", "take_id"))
+
+
+class Evaluation:
+    """The comparison of annotations with ground truth.
+
+    A notebook shows its table. The measures are undefined (None) where there was nothing to find or nothing found.
+
+    Attributes
+    ----------
+    table : polars.DataFrame
+        One row for everything ("pooled"), for each class and for each take: scope, name, p1, r1 and f1 (precision,
+        recall and F over frames), p2, r2 and f2 (over segments), and the counts that they are made of.
+    takes : tuple of str
+        The takes that were compared.
+    remarks : tuple of str
+        Labels that could not be used, one sentence each.
+
+    Examples
+    --------
+    >>> evaluation = kinedex.evaluate(annotations, annotations)
+    >>> evaluation.f_frames
+    1.0
+    """
+
+    def __init__(self, table: pl.DataFrame, takes: Sequence[str], remarks: Sequence[str]) -> None:
+        self.table = table
+        self.takes = tuple(takes)
+        self.remarks = tuple(remarks)
+
+    @property
+    def f_frames(self) -> float | None:
+        """Return F (frames) over everything.
+
+        Returns
+        -------
+        float or None
+            The harmonic mean of precision and recall over pairs of frame and class.
+        """
+        return self._pooled("f1")
+
+    @property
+    def f_segments(self) -> float | None:
+        """Return F (segments) over everything.
+
+        Returns
+        -------
+        float or None
+            The harmonic mean of precision and recall over segments, which are right where they overlap.
+        """
+        return self._pooled("f2")
+
+    def _pooled(self, measure: str) -> float | None:
+        value: float | None = self.table.filter(pl.col("scope") == "pooled")[measure][0]
+        return value
+
+    def __repr__(self) -> str:
+        shown = ["–" if value is None else f"{value:.3f}" for value in (self.f_frames, self.f_segments)]
+        return f"Evaluation({counted(len(self.takes), 'take')}, F (frames) {shown[0]}, F (segments) {shown[1]})"
+
+    def _repr_html_(self) -> str:
+        return self.table._repr_html_()
+
+
+@checked
+def evaluate(
+    annotations: pl.DataFrame,
+    ground_truth: pl.DataFrame | str | Path | Sequence[str | Path],
+    *,
+    takes: Store | Take | Iterable[Take] | None = None,
+) -> Evaluation:
+    """Compare annotations with ground truth, over frames and over segments (thesis, Section 5.4).
+
+    Parameters
+    ----------
+    annotations : polars.DataFrame
+        Segments with the columns take, class, start and stop, such as `annotate` returns.
+    ground_truth : polars.DataFrame, str, Path, or a sequence of paths
+        Segments with the same columns in the same frames, or label files (CSV, JSON, ELAN, WebVTT, Audacity). A row of
+        the data frame whose class is null states that its take was labelled and has no segment.
+    takes : Store, Take or iterable of Take, optional
+        The takes that were annotated. Label files need it, since they count frames of the source file or seconds; with
+        a data frame it limits the comparison to these takes.
+
+    Returns
+    -------
+    Evaluation
+        Precision, recall and F. Only takes that the ground truth names are compared; classes that were never annotated
+        count as missed.
+
+    Raises
+    ------
+    KinedexError
+        A column is missing, label files are given without takes, or no take has ground truth.
+    SourceError
+        A label file is wrong, or a segment ends behind its take; the message names file and line.
+
+    Examples
+    --------
+    >>> truth = annotations.select("take", "class", "start", "stop")
+    >>> kinedex.evaluate(annotations, truth).f_segments
+    1.0
+    """
+    _check_columns("annotations", annotations)
+    if isinstance(ground_truth, pl.DataFrame):
+        truth = _truth_of_frame(ground_truth, None if takes is None else set(_takes_table(takes)["name"]))
+    else:
+        if takes is None:
+            raise KinedexError("label files count source frames or seconds: pass `takes`, a store or the takes")
+        paths = [ground_truth] if isinstance(ground_truth, str | Path) else list(ground_truth)
+        truth = _truth_of_files(paths, takes, annotations)
+    classes = annotations["class"].unique().sort().to_list()
+    found = compare_with_truth("annotations", annotations.to_arrow(), truth, classes)
+    table = data_frame(metrics_rows(found, ""))
+    return Evaluation(table.drop("run", "evaluation"), truth.takes, truth.remarks)
+
+
+def _check_columns(name: str, frame: pl.DataFrame) -> None:
+    if not isinstance(frame, pl.DataFrame):
+        raise KinedexError(f"{name}: must be a polars data frame, as `annotate` returns, got {type(frame).__name__}")
+    missing = [column for column in ("take", "class", "start", "stop") if column not in frame.columns]
+    if missing:
+        raise KinedexError(f"{name}: the data frame must have a column '{missing[0]}', got {', '.join(frame.columns)}")
+
+
+def _truth_of_frame(frame: pl.DataFrame, annotated: set[str] | None) -> GroundTruth:
+    _check_columns("ground_truth", frame)
+    names = set(frame["take"]) if annotated is None else annotated & set(frame["take"])
+    if not names:
+        raise KinedexError("ground_truth: no segment is of a take that was annotated")
+    segments = [
+        Manual(-1, row["take"], row["class"], row["start"], row["stop"], row["start"], row["stop"], "data frame")
+        for row in frame.select("take", "class", "start", "stop").unique(maintain_order=True).iter_rows(named=True)
+        if row["take"] in names and row["class"] is not None
+    ]
+    return GroundTruth(tuple(segments), tuple(sorted(names)))
+
+
+def _truth_of_files(
+    paths: Sequence[str | Path], takes: Store | Take | Iterable[Take], annotations: pl.DataFrame
+) -> GroundTruth:
+    files = [read_ground_truth(path) for path in paths]
+    every = _takes_table(takes)
+    table = every.filter(pl.col("name").is_in([take for file in files for take in file.takes]))
+    labels = sorted({*annotations["class"].unique(), *(one.label for file in files for one in file.segments)})
+    classes = Classes(tuple(MotionClass(label, "", (label,)) for label in labels))
+    return place_ground_truth(files, table, every["name"], classes, "miss")
+
+
+def _takes_table(takes: Store | Take | Iterable[Take]) -> pl.DataFrame:
+    """Return name, take_id, source_frames, source_rate_hz and rate_hz of takes."""
+    columns = ["take_id", "name", "source_frames", "source_rate_hz", "rate_hz"]
+    if isinstance(takes, Store):
+        return takes.takes().select(columns)
+    every = [takes] if isinstance(takes, Take) else list(takes)
+    rows = [
+        {**{column: take.info.get(column) for column in columns}, "take_id": place, "name": take.label}
+        for place, take in enumerate(every)
+    ]
+    return pl.DataFrame(rows, infer_schema_length=None)

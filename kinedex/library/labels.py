@@ -1,0 +1,358 @@
+"""The labels of people in a store, as a Python object."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from kinedex.library.arguments import checked_methods
+from kinedex.ops.errors import KinedexError, ParameterError
+from kinedex.ops.wording import counted
+from kinedex.storage.store.store import Store as StoredTakes
+from kinedex.storage.store.store import data_frame
+
+if TYPE_CHECKING:
+    import os
+
+    import polars as pl
+
+    from kinedex.pipelines.labels.decisions import Recorded
+
+
+@checked_methods
+class Labels:
+    """The labels of people in a store; `Store.labels` gives them.
+
+    A label states that a person finds a class in an interval of a take, or, with the verdict "negative", that it is not
+    there. Labels are recorded at once, while others read or write the store: the next commit of a writer publishes
+    them, and no command removes them. A label that is changed or taken back stays in the history.
+
+    Examples
+    --------
+    >>> row = {"take": take.name, "class": "nod", "start": 3, "stop": 12}
+    >>> made = store.labels.add([row], annotator="ann")
+    >>> store.labels.table("class = 'nod'").select("take", "start", "stop", "origin").row(0)[1:]
+    (3, 12, 'drawn')
+    >>> removed = store.labels.remove(made["id"])
+    >>> store.labels.table("class = 'nod'").height
+    0
+    """
+
+    def __init__(self, stored: StoredTakes) -> None:
+        self._stored = stored
+
+    def __repr__(self) -> str:
+        return f"Labels({str(self._stored.path)!r}, {counted(len(self), 'label')})"
+
+    def __len__(self) -> int:
+        return int(self._stored.labels().num_rows)
+
+    def table(self, where: str | None = None, *, history: bool = False) -> pl.DataFrame:
+        """Return labels as rows.
+
+        Parameters
+        ----------
+        where : str, optional
+            A SQL filter over the columns of the view `labels`, such as ``"class = 'walk' AND annotator = 'ann'"``.
+        history : bool, optional
+            Also return rows that others replace or withdraw; the column ``current`` divides them.
+
+        Returns
+        -------
+        polars.DataFrame
+            One row per label, in the order in which they were made: the columns of the view `labels`.
+
+        Raises
+        ------
+        KinedexError
+            The filter is not valid; the message names the columns.
+        StoreError
+            Labels are damaged.
+
+        Examples
+        --------
+        >>> store.labels.table().columns[:5]
+        ['take', 'take_id', 'class', 'start', 'stop']
+        """
+        from kinedex.pipelines.labels.selection import Selection, selected
+        from kinedex.storage.snapshot.label_view import shown_labels
+
+        found = selected(shown_labels(self._stored), Selection(where=where, every=True), "label", keep_order=True)
+        return found if history else found.filter(found["current"]).drop("current")
+
+    def add(
+        self,
+        rows: Iterable[Mapping[str, Any]] | pl.DataFrame,
+        *,
+        annotator: str | None = None,
+        note: str | None = None,
+    ) -> pl.DataFrame:
+        """Record labels.
+
+        Parameters
+        ----------
+        rows : polars.DataFrame or iterable of mapping
+            ``take``, ``class``, ``start`` and ``stop`` (frames, half-open); and, as far as they are known, ``verdict``
+            ("positive" or "negative"), ``limb``, ``origin`` ("drawn" unless given), ``confidence``, ``note``,
+            ``annotator``, ``source``, and ``replaces``, the id of the label whose place it takes.
+        annotator : str, optional
+            The person, for rows that name none.
+        note : str, optional
+            A remark, for rows that have none.
+
+        Returns
+        -------
+        polars.DataFrame
+            The new rows, with their ids; a label that the store has already is none of them.
+
+        Raises
+        ------
+        KinedexError
+            A take is not in the store, or an interval is not within its take.
+        ParameterError
+            A value is out of its domain; nothing is recorded.
+
+        Examples
+        --------
+        >>> made = store.labels.add([{"take": take.name, "class": "nod", "start": 0, "stop": 5, "verdict": "negative"}])
+        >>> made["verdict"].to_list()
+        ['negative']
+        >>> store.labels.remove(made["id"]).height
+        1
+        """
+        from kinedex.pipelines.labels.decisions import record
+
+        given = [dict(row) for row in (rows.to_dicts() if hasattr(rows, "to_dicts") else rows)]
+        frames = dict(zip(self._stored.take_ids, self._stored.take_rows.column("frames").to_pylist(), strict=True))
+        for row in given:
+            missing = [name for name in ("take", "class", "start", "stop") if row.get(name) is None]
+            if missing:
+                raise ParameterError("rows", "take, class, start and stop in every row", f"a row without {missing[0]}")
+            self._stored.take_id(row["take"])
+            if row["stop"] > frames[row["take"]]:
+                raise KinedexError(f"stop {row['stop']} is beyond the end of {row['take']}, at {frames[row['take']]}")
+            row["origin"] = row.get("origin") or "drawn"
+            row["annotator"] = row.get("annotator") or annotator
+            row["note"] = row.get("note") or note
+        return _rows(record(self._stored, given))
+
+    def change(
+        self,
+        id: str,
+        *,
+        label: str | None = None,
+        start: int | None = None,
+        stop: int | None = None,
+        verdict: Literal["positive", "negative"] | None = None,
+        annotator: str | None = None,
+    ) -> pl.DataFrame:
+        """Give a label another class, other edges or another verdict; the label before stays in the history.
+
+        Parameters
+        ----------
+        id : str
+            The id of the label, or its beginning.
+        label : str, optional
+            The class that it has from now on.
+        start, stop : int, optional
+            Its frames [start, stop).
+        verdict : {"positive", "negative"}, optional
+            Whether the interval shows the class.
+        annotator : str, optional
+            The person.
+
+        Returns
+        -------
+        polars.DataFrame
+            The row that takes its place, with an id of its own.
+
+        Raises
+        ------
+        KinedexError
+            No label has such an id, or several have; or another label says the same already.
+        ParameterError
+            Nothing would change, or the interval is not within the take.
+
+        Examples
+        --------
+        >>> made = store.labels.add([{"take": take.name, "class": "nod", "start": 3, "stop": 12}])
+        >>> changed = store.labels.change(made["id"][0], stop=10)
+        >>> changed.select("start", "stop", "origin").row(0)
+        (3, 10, 'corrected')
+        >>> store.labels.remove(changed["id"]).height
+        1
+        """
+        from kinedex.pipelines.labels.edits import change_label
+
+        values = {"class": label, "start": start, "stop": stop, "verdict": verdict}
+        return _rows(change_label(self._stored, id, annotator=annotator, **values))
+
+    def remove(self, ids: Iterable[str], *, annotator: str | None = None, note: str | None = None) -> pl.DataFrame:
+        """Take labels back; they stay in the history.
+
+        Parameters
+        ----------
+        ids : iterable of str
+            Ids of labels, or beginnings of ids.
+        annotator : str, optional
+            The person who takes them back.
+        note : str, optional
+            The reason.
+
+        Returns
+        -------
+        polars.DataFrame
+            The rows that withdraw them.
+
+        Raises
+        ------
+        KinedexError
+            No label has such an id, or several have.
+
+        Examples
+        --------
+        >>> made = store.labels.add([{"take": take.name, "class": "nod", "start": 3, "stop": 12}])
+        >>> store.labels.remove(made["id"], note="a slip")["verdict"].to_list()
+        ['withdrawn']
+        """
+        from kinedex.pipelines.labels.decisions import labels_by_id, withdraw
+
+        found = labels_by_id(self._stored, list(ids))
+        return _rows(withdraw(self._stored, found, annotator=annotator, note=note))
+
+    def accept(
+        self, annotations: pl.DataFrame, *, annotator: str | None = None, note: str | None = None
+    ) -> pl.DataFrame:
+        """Make annotations labels.
+
+        Parameters
+        ----------
+        annotations : polars.DataFrame
+            Rows of the view `annotations`, such as ``store.results("annotations")`` returns.
+        annotator : str, optional
+            The person who decides.
+        note : str, optional
+            A remark.
+
+        Returns
+        -------
+        polars.DataFrame
+            The new labels; annotations that were accepted before are none of them.
+
+        Examples
+        --------
+        >>> sure = store.results("annotations").head(2)
+        >>> made = store.labels.accept(sure, annotator="ann")
+        >>> made["origin"].to_list()
+        ['accepted', 'accepted']
+        >>> store.labels.remove(made["id"]).height
+        2
+        """
+        return self._decide(annotations, True, annotator, note)
+
+    def reject(
+        self, annotations: pl.DataFrame, *, annotator: str | None = None, note: str | None = None
+    ) -> pl.DataFrame:
+        """Make annotations negative labels: examples of what their class is not.
+
+        Parameters
+        ----------
+        annotations : polars.DataFrame
+            Rows of the view `annotations`.
+        annotator : str, optional
+            The person who decides.
+        note : str, optional
+            A remark.
+
+        Returns
+        -------
+        polars.DataFrame
+            The new labels.
+
+        Examples
+        --------
+        >>> made = store.labels.reject(store.results("annotations").head(1))
+        >>> made["verdict"].to_list()
+        ['negative']
+        >>> store.labels.remove(made["id"]).height
+        1
+        """
+        return self._decide(annotations, False, annotator, note)
+
+    def _decide(self, annotations: pl.DataFrame, accept: bool, annotator: str | None, note: str | None) -> pl.DataFrame:
+        from kinedex.pipelines.labels.decisions import decide
+
+        missing = [name for name in ("take", "class", "start", "stop") if name not in annotations.columns]
+        if missing:
+            raise ParameterError("annotations", "rows of the view annotations", f"a table without {missing[0]}")
+        return _rows(decide(self._stored, annotations, accept=accept, annotator=annotator, note=note))
+
+    def read(
+        self,
+        files: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+        *,
+        corrects: Literal["annotations", "labels"] | None = None,
+        stage: str | None = None,
+        annotator: str | None = None,
+        note: str | None = None,
+    ) -> pl.DataFrame:
+        """Record the segments of label files as labels.
+
+        Parameters
+        ----------
+        files : path or sequence of paths
+            Label files (.csv, .json, .eaf, .vtt, .txt), or folders of them.
+        corrects : {"annotations", "labels"}, optional
+            The files are those that were exported, corrected by a person: what is the same in them is accepted, what
+            was moved is corrected, what is missing is rejected (an annotation) or taken back (a label).
+        stage : str, optional
+            The stage whose annotations were corrected; that of the current pipeline unless given.
+        annotator : str, optional
+            The person.
+        note : str, optional
+            A remark.
+
+        Returns
+        -------
+        polars.DataFrame
+            The new labels.
+
+        Raises
+        ------
+        SourceError
+            A file cannot be read, or a segment ends behind its take.
+        KinedexError
+            No take of the files is in the store.
+
+        Examples
+        --------
+        >>> file = folder / "mine.csv"
+        >>> _ = file.write_text(f"take,class,start_seconds,stop_seconds\\n{take.name},nod,0.1,0.5\\n")
+        >>> made = store.labels.read(file)
+        >>> made["origin"].to_list()
+        ['imported']
+        >>> store.labels.remove(made["id"]).height
+        1
+        """
+        from kinedex.pipelines.labels.decisions import import_corrected_labels, import_corrections, import_labels
+        from kinedex.pipelines.labels.label_files import label_files
+
+        paths = [files] if isinstance(files, str) or not isinstance(files, Sequence) else files
+        found = label_files([Path(path) for path in paths])
+        if corrects == "annotations":
+            return _rows(import_corrections(self._stored, found, stage, annotator=annotator, note=note))
+        if corrects == "labels":
+            return _rows(import_corrected_labels(self._stored, found, annotator=annotator, note=note))
+        if corrects is not None:
+            raise ParameterError("corrects", '"annotations" or "labels"', corrects)
+        return _rows(import_labels(self._stored, found, annotator=annotator, note=note))
+
+
+def _rows(done: Recorded) -> pl.DataFrame:
+    """Return the new rows; what was excluded is a warning."""
+    import warnings
+
+    for remark in done.remarks:
+        warnings.warn(remark, UserWarning, stacklevel=4)
+    return data_frame(done.rows)

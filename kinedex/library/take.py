@@ -1,0 +1,373 @@
+"""Takes as Python objects: read from a motion file, made from an array, or opened from a store."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.features import FeatureSet, load_feature_set
+from kinedex.library.arguments import checked_methods
+from kinedex.library.array_body import body_of_array
+from kinedex.library.take_frames import F32, U64, Frames, FrameSource, LoadedFrames
+from kinedex.ops.errors import ParameterError
+from kinedex.ops.words import ALL_KNOWN, NO_WORD
+
+if TYPE_CHECKING:
+    import polars as pl
+
+    from kinedex.storage.formats.motion.reader import Body
+
+ANALYSIS_RATE_HZ = 30.0
+"""The rate at which takes are analysed, in frames per second."""
+
+PLAYED_SECONDS = 120.0
+"""The longest part of a take that a notebook carries for its player: some 200 kB."""
+
+FEATURES = "body40"
+"""The feature set that is used where none is named."""
+
+F64 = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+
+
+@checked_methods
+class Take:
+    """One recorded motion, at the analysis rate of 30 frames per second.
+
+    Takes come from `kinedex.read`, from `Take.from_positions`, and from a store: ``store["name"]``. A take of a store
+    reads its frames when they are first needed. ``take[30:90]`` is a take of the frames from 30 up to 89.
+
+    Attributes
+    ----------
+    name : str
+        The name of the take.
+    take_id : int or None
+        The id in its store; None for a take that is in no store.
+    interval : tuple of int or None
+        The frames [start, stop) of the whole take that this is an interval of; None for a whole take.
+    rate_hz : float
+        Frames per second of all arrays of the take.
+    feature_set : FeatureSet
+        The meaning of the bits of its words.
+    info : dict
+        The columns of the take in the view `takes` of SQL, as far as they are known: source, format, skeleton, unit,
+        source_rate_hz, source_frames, seconds, actor, class and others. Later versions may add entries.
+
+    Examples
+    --------
+    >>> take = kinedex.read(motion_file)
+    >>> take.positions.shape == (len(take), 24, 3)
+    True
+    >>> take.features()["rknee_bent"].sum() <= len(take)
+    True
+    """
+
+    def __init__(
+        self,
+        name: str,
+        source: FrameSource,
+        length: int,
+        feature_set: FeatureSet,
+        rate_hz: float,
+        info: Mapping[str, Any],
+        take_id: int | None = None,
+        interval: tuple[int, int] | None = None,
+    ) -> None:
+        self.name = name
+        self.interval = interval
+        self.take_id = take_id
+        self.rate_hz = rate_hz
+        self.feature_set = feature_set
+        self.info = dict(info)
+        self._source = source
+        self._length = length
+
+    @classmethod
+    def from_positions(
+        cls,
+        positions: npt.ArrayLike,
+        rate: float,
+        *,
+        name: str = "array",
+        joints: Sequence[str] | None = None,
+        orientation: npt.ArrayLike | None = None,
+        feature_set: str | Path = FEATURES,
+    ) -> Take:
+        """Make a take from an array of joint positions.
+
+        Parameters
+        ----------
+        positions : array_like of float, shape (T, J, 3)
+            Joint positions in metres, Y up. A frame in which a joint is NaN is invalid; a joint that is NaN in all
+            frames is unknown, and so are the features that need it.
+        rate : float
+            Frames per second of the array.
+        name : str, optional
+            The name of the take.
+        joints : sequence of str, optional
+            The names of the J joints, in any order; by default the 24 joints of the feature set in their order. Joints
+            of the feature set that are not among them are unknown.
+        orientation : array_like of float, shape (T, 4), optional
+            The root's orientation as unit quaternions w, x, y, z. By default it is estimated from hips and spine.
+        feature_set : str or Path, optional
+            A shipped feature set, or the path of a YAML file.
+
+        Returns
+        -------
+        Take
+            The motion at the analysis rate; positions between two frames of the array are interpolated linearly.
+
+        Raises
+        ------
+        ParameterError
+            An array has another shape, the rate is out of range, or a joint has no known name.
+
+        Examples
+        --------
+        >>> standing = np.repeat(take.positions[:1], 120, axis=0)
+        >>> len(Take.from_positions(standing, rate=60))
+        60
+        """
+        features = load_feature_set(feature_set)
+        body = body_of_array(positions, rate, features, joints, orientation)
+        return take_of_body(name, body, features)
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return self._length
+
+    def __getitem__(self, frames: slice) -> Take:
+        """Return the take of an interval of the frames.
+
+        Parameters
+        ----------
+        frames : slice
+            Start and stop, counted as in a list; the step must be 1.
+
+        Returns
+        -------
+        Take
+            A take of the same name whose frame 0 is the first frame of the interval.
+
+        Raises
+        ------
+        ParameterError
+            The index is no slice, or its step is not 1.
+
+        Examples
+        --------
+        >>> len(take[10:40])
+        30
+        """
+        if not isinstance(frames, slice) or frames.step not in (None, 1):
+            raise ParameterError("frames", "a slice with step 1, such as take[30:90]", frames)
+        start, stop, _ = frames.indices(self._length)
+        stop = max(start, stop)
+        info = {**self.info, "frames": stop - start, "seconds": (stop - start) / self.rate_hz}
+        source = self._source.part(start, stop)
+        first = self.interval[0] if self.interval else 0
+        of_whole = (first + start, first + stop)
+        return Take(self.name, source, stop - start, self.feature_set, self.rate_hz, info, self.take_id, of_whole)
+
+    def __repr__(self) -> str:
+        return f"Take({self.label!r}, {self._length} frames, {self.seconds:.2f} s)"
+
+    def _repr_html_(self) -> str:
+        from kinedex.reports.notebook_html import Shown, take_html
+
+        facts = [
+            ("frames", f"{len(self):,} at {self.rate_hz:g} Hz, {self.seconds:.2f} s"),
+            ("invalid frames", f"{int((~self.valid).sum()):,}"),
+            *((name, str(self.info[name])) for name in ("class", "actor", "source", "skeleton") if self.info.get(name)),
+            *(("warning", warning) for warning in self.warnings),
+        ]
+        played = self[: round(PLAYED_SECONDS * self.rate_hz)].positions
+        return take_html(Shown(self.label, facts, self.joints, played, len(self), self.rate_hz))
+
+    @property
+    def label(self) -> str:
+        """Return the name of the take, with its interval where it is not a whole take.
+
+        Returns
+        -------
+        str
+            For example ``"walk_01"``, or ``"walk_01[30:90]"``.
+        """
+        return self.name if self.interval is None else f"{self.name}[{self.interval[0]}:{self.interval[1]}]"
+
+    @property
+    def seconds(self) -> float:
+        """Return the duration in seconds.
+
+        Returns
+        -------
+        float
+            The number of frames divided by the rate.
+        """
+        return self._length / self.rate_hz
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Return the names of the joints, in the order of `positions`.
+
+        Returns
+        -------
+        tuple of str
+            24 names for the shipped feature set.
+        """
+        return self.feature_set.joints
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Return what a user should know about how the file was read.
+
+        Returns
+        -------
+        tuple of str
+            One sentence each; empty where nothing is remarkable.
+        """
+        return tuple(self.info.get("warnings") or ())
+
+    @property
+    def known(self) -> int:
+        """Return the mask of the features that the body has the joints for.
+
+        Returns
+        -------
+        int
+            The bits of a word; all 64 bits are set where every feature is known.
+        """
+        mask = self.info.get("known")
+        return int(ALL_KNOWN) if mask is None else int(mask)
+
+    @property
+    def unknown_features(self) -> tuple[str, ...]:
+        """Return the features that are unknown, as the body lacks joints.
+
+        Returns
+        -------
+        tuple of str
+            Their names, in the order of their numbers; empty for a whole body.
+        """
+        return tuple(self.feature_set.named(~self.known & self.feature_set.every_bit))
+
+    @cached_property
+    def _frames(self) -> Frames:
+        return self._source.frames()
+
+    @property
+    def positions(self) -> F32:
+        """Return the positions of the joints.
+
+        Returns
+        -------
+        float32 array (T, J, 3)
+            Metres, Y up; NaN where a joint is not known.
+        """
+        return self._frames.positions
+
+    @property
+    def orientation(self) -> F32:
+        """Return the orientation of the root.
+
+        Returns
+        -------
+        float32 array (T, 4)
+            Unit quaternions w, x, y, z; NaN where it is not known.
+        """
+        return self._frames.orientation
+
+    @property
+    def valid(self) -> Bool:
+        """Return which frames are valid; other frames have no word and take part in nothing.
+
+        Returns
+        -------
+        bool array (T,)
+            False where a joint that the body has is not known.
+        """
+        valid: Bool = self.words() != NO_WORD
+        return valid
+
+    def words(self) -> U64:
+        """Return the word of every frame: its features as bits.
+
+        Returns
+        -------
+        uint64 array (T,)
+            Bit i − 1 is feature Fi; ``0xFFFFFFFFFFFFFFFF`` in invalid frames.
+
+        Examples
+        --------
+        >>> words = take.words()
+        >>> words.dtype, len(words) == len(take)
+        (dtype('uint64'), True)
+        """
+        return self._words
+
+    @cached_property
+    def _words(self) -> U64:
+        return self._source.words()
+
+    def features(self) -> pl.DataFrame:
+        """Return the features of every frame.
+
+        Returns
+        -------
+        polars.DataFrame
+            T rows and one Boolean column per feature (40 for the shipped feature set), named after it; null in invalid
+            frames, and in the columns of features that are unknown. ``.to_numpy()`` is the array (T, 40).
+
+        Examples
+        --------
+        >>> take.features().shape == (len(take), 40)
+        True
+        """
+        return feature_table(self.words(), self.feature_set, self.known)
+
+
+def feature_table(words: U64, feature_set: FeatureSet, known: int) -> pl.DataFrame:
+    """Return one row per word and one Boolean column per feature, null in invalid frames and where it is unknown."""
+    import polars as pl
+
+    columns = {one.name: words & np.uint64(1 << (one.number - 1)) != 0 for one in feature_set.features}
+    frame, valid = pl.DataFrame(columns), words != NO_WORD
+    shown = frame if valid.all() else frame.select(pl.when(pl.Series(valid)).then(pl.all()))
+    unknown = feature_set.named(~known & feature_set.every_bit)
+    return shown.with_columns(pl.lit(None, pl.Boolean).alias(name) for name in unknown)
+
+
+def take_of_body(name: str, body: Body, feature_set: FeatureSet, about: Mapping[str, Any] | None = None) -> Take:
+    """Analyse a body as ingest does, and return it as a take."""
+    from kinedex.pipelines.ingestion.analysis import analyse, blind, known_features
+    from kinedex.pipelines.ingestion.quality import QUALITY_COLUMNS, judged
+
+    positions, orientation, words = analyse(body, feature_set, ANALYSIS_RATE_HZ)
+    known = known_features(feature_set, body)
+    figures, doubts = judged(body, feature_set.joints, QUALITY_COLUMNS)
+    frames = Frames(
+        np.ascontiguousarray(positions.transpose(2, 0, 1), np.float32),
+        np.ascontiguousarray(orientation.T, np.float32),
+        words,
+    )
+    info = {
+        "name": name,
+        **(about or {}),
+        "skeleton": body.skeleton,
+        "unit": body.unit,
+        "source_rate_hz": body.rate_hz,
+        "source_frames": body.frames,
+        "rate_hz": ANALYSIS_RATE_HZ,
+        "frames": len(words),
+        "seconds": body.frames / body.rate_hz,
+        "invalid_frames": int(np.count_nonzero(words == NO_WORD)),
+        "warnings": [*body.warnings, *blind(feature_set, body), *doubts],
+        "known": None if known == feature_set.every_bit else known,
+        **figures,
+    }
+    return Take(name, LoadedFrames(frames), len(words), feature_set, ANALYSIS_RATE_HZ, info)

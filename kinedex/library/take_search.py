@@ -1,0 +1,330 @@
+"""Search in a store from Python: keyframe queries, templates that were learned, and rankings by templates."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from kinedex.library.take import Take
+from kinedex.library.take_collection import TakeCollection
+from kinedex.library.take_frames import U64
+from kinedex.ops.errors import ParameterError
+from kinedex.storage.store.store import data_frame
+
+if TYPE_CHECKING:
+    import polars as pl
+
+    from kinedex.catalog.queries.keyframe_query import KeyframeQuery
+    from kinedex.library.query import Query
+    from kinedex.library.template import Template
+    from kinedex.ops.templates.templates import Kind
+
+_BESIDE_HITS = ("run", "saved_as")
+
+
+class TakeSearch(TakeCollection):
+    """The takes of a store with searches and rankings of them."""
+
+    def search(self, query: Query | Iterable[Query] | str | Path, *, where: str | None = None) -> pl.DataFrame:
+        """Search keyframe queries.
+
+        Parameters
+        ----------
+        query : Query, sequence of Query, str or Path
+            Queries, or a query file: a shipped name, or the path of a YAML file, of which all queries are searched.
+        where : str, optional
+            A SQL filter over the columns of takes.
+
+        Returns
+        -------
+        polars.DataFrame
+            One row per range of frames that holds hits, in the order of queries, take names and starts: query,
+            take_id, take, start, stop (frames), start_seconds, stop_seconds.
+
+        Raises
+        ------
+        KinedexError
+            A query is over features that the store does not have, or the filter is not valid.
+        ConfigError
+            The query file is wrong; the message names the line.
+        StoreError
+            The index is missing or stale; the message names the command that builds it.
+
+        Warns
+        -----
+        UserWarning
+            A query is not applied to takes whose bodies lack joints, or by its known entries only.
+
+        Examples
+        --------
+        >>> "squat" in store.search("example")["query"]
+        True
+        """
+        from kinedex.library.query import resolved_queries
+        from kinedex.pipelines.search.search import load_query_file, search_remarks, search_store
+
+        if isinstance(query, str | Path):
+            queries: Sequence[KeyframeQuery] = load_query_file(query, self.feature_set, rate_hz=self.rate_hz)
+        else:
+            queries = resolved_queries(query, self.feature_set, self.rate_hz)
+        for remark in search_remarks(self.stored, queries, where):
+            warnings.warn(remark, stacklevel=2)
+        return data_frame(search_store(self.stored, queries, where)).drop(_BESIDE_HITS)
+
+    def map(self, unit: Literal["takes", "windows"] = "takes") -> pl.DataFrame:
+        """Lay out the takes in two dimensions by their words, so that takes of similar motion are close together.
+
+        It needs ``pip install 'kinedex[map]'``, and takes seconds to a minute. Of more than 5,000 points a random
+        choice is laid out, and the others are put beside the most similar of these.
+
+        Parameters
+        ----------
+        unit : {"takes", "windows"}, optional
+            A point is a take, or a window of some four seconds of one.
+
+        Returns
+        -------
+        polars.DataFrame
+            One row per point, in the order of takes: take_id, take, start, stop (frames), x, y (between −1 and 1),
+            cluster (0 is the largest, null for none), and traits: the features that set the cluster apart.
+
+        Raises
+        ------
+        KinedexError
+            scikit-learn is not installed.
+
+        Examples
+        --------
+        >>> places = store.map()
+        >>> places.height == len(store)
+        True
+        """
+        import polars as pl
+
+        from kinedex.pipelines.maps.archive_map import archive_map, trait_words
+
+        if unit not in ("takes", "windows"):
+            raise ParameterError("unit", "'takes' or 'windows'", unit)
+        found = archive_map(self.stored, unit)
+        names = {take_id: name for name, take_id in self.stored.take_ids.items()}
+        descriptions = [feature.description for feature in self.feature_set.features]
+        texts = [trait_words(one.traits, descriptions) for one in found.clusters]
+        clusters = [None if number < 0 else number for number in found.numbers.tolist()]
+        return pl.DataFrame(
+            {
+                "take_id": found.take_ids,
+                "take": [names[take_id] for take_id in found.take_ids.tolist()],
+                "start": found.starts,
+                "stop": found.stops,
+                "x": found.places[:, 0],
+                "y": found.places[:, 1],
+                "cluster": pl.Series(clusters, dtype=pl.Int64),
+                "traits": pl.Series([None if one is None else texts[one] for one in clusters], dtype=pl.String),
+            }
+        )
+
+    def templates(self, *, stage: str | None = None) -> pl.DataFrame:
+        """Return the list of the templates that pipelines have learned.
+
+        Parameters
+        ----------
+        stage : str, optional
+            Only the templates of this stage: ``"pipeline/stage"``, or the name of the pipeline.
+
+        Returns
+        -------
+        polars.DataFrame
+            One row per template: stage, subclass, kind, columns, seconds, clips and others.
+
+        Raises
+        ------
+        KinedexError
+            The store has no templates yet.
+
+        Examples
+        --------
+        >>> store.templates().select("subclass", "kind").height > 0
+        True
+        """
+        from kinedex.pipelines.templates.stored_templates import templates_overview
+
+        return data_frame(templates_overview(self.stored, 0.05, stage))
+
+    def template(self, name: str, kind: Kind = "soft", *, stage: str | None = None) -> Template:
+        """Return a template that a pipeline has learned.
+
+        Parameters
+        ----------
+        name : str
+            The class (subclass) of the template.
+        kind : {"soft", "hard"}
+            The kind of the template.
+        stage : str, optional
+            The stage that learned it, where several did: ``"pipeline/stage"``, or the name of the pipeline.
+
+        Returns
+        -------
+        Template
+            The template.
+
+        Raises
+        ------
+        KinedexError
+            There is none of that name or kind, or several stages have one.
+
+        Examples
+        --------
+        >>> store.template("squat1Reps").kind
+        'soft'
+        """
+        from kinedex.library.template import Template
+        from kinedex.pipelines.templates.stored_templates import choose_template
+
+        learned = choose_template(self.stored, name, kind, stage)
+        return Template(learned, self.feature_set, self.rate_hz, lambda: self._clips(learned.clips))
+
+    def _clips(self, names: Sequence[str]) -> Mapping[str, U64]:
+        """Return the words of those of the clips that are still takes of the store, or intervals of them."""
+        from kinedex.pipelines.templates.examples import interval_of
+
+        places = {name: interval_of(name, self._rows) for name in names}
+        return {name: self.words(take)[frames] for name, (take, frames) in places.items() if take in self._rows}
+
+    def rank(
+        self,
+        template: Template | str | Sequence[Template | str],
+        top: int | None = 20,
+        *,
+        tau: float = 0.1,
+        delta: float = 0.1,
+        queries: Query | Iterable[Query] | None = None,
+        where: str | None = None,
+        workers: int | None = None,
+        mirror: bool = False,
+    ) -> pl.DataFrame:
+        """Rank the places of the store by how well templates fit them.
+
+        Parameters
+        ----------
+        template : Template, str, or a sequence of them
+            Templates, names of learned templates, or paths of template files.
+        top : int, optional
+            The largest number of hits of a template; None returns all.
+        tau : float, optional
+            Distances below tau make a hit.
+        delta : float, optional
+            Entries of a template within delta of 0 or 1 count, the others are wildcards.
+        queries : Query or sequence of Query, optional
+            A template is ranked within the hits of the queries whose target has its name; in all frames where there
+            are none.
+        where : str, optional
+            A SQL filter over the columns of takes.
+        workers : int, optional
+            The number of threads; that of the cores unless given. The hits do not depend on it.
+        mirror : bool, optional
+            True ranks by the mirror images of the templates, too: the same motions of the other side of the body.
+
+        Returns
+        -------
+        polars.DataFrame
+            One row per hit, the best of each template first: template, rank, take_id, take, start, stop (frames),
+            start_seconds, stop_seconds, cost; with `mirror` also mirrored, which is true of hits by an image.
+
+        Raises
+        ------
+        KinedexError
+            A template cannot be found or is wildcards alone, no take is selected, or features cannot be mirrored.
+        ParameterError
+            The number of hits or the threshold is out of range.
+
+        Warns
+        -----
+        UserWarning
+            Templates are excluded or not applied to some takes, or some have no query where others do; or one has no
+            hit: the warning names its nearest place and the tau that makes it one.
+
+        Examples
+        --------
+        >>> hits = store.rank("squat1Reps", top=3)
+        >>> hits.columns[:4]
+        ['template', 'rank', 'take_id', 'take']
+        """
+        from kinedex.library.query import resolved_queries
+        from kinedex.library.template import Template
+        from kinedex.pipelines.ranking.store_ranking import rank_store
+
+        if top is not None and top < 1:
+            raise ParameterError("top", "at least 1, or None", top)
+        if not tau > 0:
+            raise ParameterError("tau", "above 0", tau)
+        wanted = [template] if isinstance(template, Template | str) else list(template)
+        found = rank_store(
+            self.stored,
+            [one.named if isinstance(one, Template) else one for one in wanted],
+            queries=None if queries is None else resolved_queries(queries, self.feature_set, self.rate_hz),
+            delta=delta,
+            tau=tau,
+            top=top,
+            where=where,
+            workers=workers,
+            mirror=mirror,
+            nearest=1,
+        )
+        for remark in (*found.remarks, *found.misses(tau, "tau=")):
+            warnings.warn(remark, stacklevel=2)
+        return data_frame(found.table()).drop("run")
+
+    def similar(
+        self,
+        take: str | int | Take,
+        start: int | str | None = None,
+        stop: int | str | None = None,
+        top: int | None = 20,
+        *,
+        tau: float = 0.1,
+        delta: float = 0.1,
+        where: str | None = None,
+        workers: int | None = None,
+    ) -> pl.DataFrame:
+        """Rank the places of the store by how similar they are to an example.
+
+        Parameters
+        ----------
+        take : str, int or Take
+            The take that is the example or holds it. A `Take` may be of no store, and then start and stop count its own
+            frames.
+        start, stop : int or str, optional
+            The frames of the example within the take, ``45`` or ``"1.5s"``, stop excluded; the whole take unless given.
+        top : int, optional
+            The largest number of hits; None returns all.
+        tau : float, optional
+            Distances below tau make a hit.
+        delta : float, optional
+            Entries of the template within delta of 0 or 1 count, the others are wildcards.
+        where : str, optional
+            A SQL filter over the columns of takes.
+        workers : int, optional
+            The number of threads; that of the cores unless given. The hits do not depend on it.
+
+        Returns
+        -------
+        polars.DataFrame
+            One row per hit as for `rank`, the best first; the example itself is among them where it is searched.
+
+        Raises
+        ------
+        KinedexError
+            There is no such take, the interval is not inside it, or it has invalid frames in the middle.
+
+        Examples
+        --------
+        >>> store.similar(take, 0, 30, top=1)["cost"][0]
+        0.0
+        """
+        from kinedex.library.template import Template
+
+        whole = take if isinstance(take, Take) else self[take]
+        example = Template.from_clip(whole, start, stop)
+        return self.rank(example, top, tau=tau, delta=delta, where=where, workers=workers)

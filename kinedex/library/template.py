@@ -1,0 +1,431 @@
+"""Motion templates as Python objects: learned from takes, made from one clip, or read from a file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.features import FeatureSet, load_feature_set
+from kinedex.catalog.template_files import NamedTemplate, read_templates
+from kinedex.library.arguments import checked_methods
+from kinedex.library.take import ANALYSIS_RATE_HZ, FEATURES, Take
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.templates.derived_templates import Contrast, contrast
+from kinedex.ops.templates.templates import Kind, Learned
+from kinedex.ops.words import ALL_KNOWN, U64
+from kinedex.pipelines.templates.learning import SubclassTemplate, learned_of, learned_template, usable_clips
+from kinedex.pipelines.templates.template_text import contrast_lines, heading
+
+if TYPE_CHECKING:
+    import polars as pl
+
+    from kinedex.library.picture import Picture
+
+F64 = npt.NDArray[np.float64]
+Examples = Callable[[], Mapping[str, U64]]
+
+
+def _no_examples() -> dict[str, U64]:
+    return {}
+
+
+@checked_methods
+class Template:
+    """A motion template: what the examples of a class have in common, column by column.
+
+    Templates come from `Template.learn`, `Template.from_clip`, `Template.load`, and from a store that a pipeline has
+    learned templates for: ``store.template("squat")``. ``len(template)`` is the number of columns.
+
+    Attributes
+    ----------
+    name : str
+        The name of the class (subclass) that the template stands for.
+    kind : str
+        "soft": shares of the clips; "hard": what all clips have in common.
+    values : float64 array (N, f)
+        The share of the clips in which each of f features is on, 0 to 1, in N columns.
+    weights : float64 array (N,)
+        The weight of each column, about 1.
+    feature_weights : float64 array (f,) or None
+        How much each feature counts; None where all count the same.
+    clips : tuple of str
+        The names of the clips that it was learned from; empty for a template of a file.
+    remarks : tuple of str
+        What a user should know about the clips, one sentence each.
+    rate_hz : float
+        Columns per second.
+    feature_set : FeatureSet
+        The features of the columns.
+
+    Examples
+    --------
+    >>> template = Template.learn(clips, name="squat")
+    >>> template.values.shape == (len(template), 40)
+    True
+    """
+
+    def __init__(
+        self,
+        learned: SubclassTemplate,
+        feature_set: FeatureSet,
+        rate_hz: float = ANALYSIS_RATE_HZ,
+        examples: Examples = _no_examples,
+    ) -> None:
+        self.learned = learned
+        self.feature_set = feature_set
+        self.rate_hz = rate_hz
+        self.examples = examples
+        self.name = learned.subclass
+        self.kind = learned.kind
+        self.clips = learned.clips
+        self.remarks = learned.remarks
+        self.values = learned.learned.template.values
+        self.weights = learned.learned.template.weights
+        self.feature_weights = learned.learned.template.feature_weights
+
+    @classmethod
+    def learn(
+        cls,
+        takes: Iterable[Take],
+        name: str | None = None,
+        kind: Kind = "soft",
+        *,
+        weights: Mapping[str, float] | None = None,
+    ) -> Template:
+        """Learn a template from clips of one class.
+
+        Parameters
+        ----------
+        takes : iterable of Take
+            The clips: whole takes, or intervals of takes such as ``take[30:90]``.
+        name : str, optional
+            The name of the class; by default the column `class` of the takes, which then must be the same in all.
+        kind : {"soft", "hard"}
+            "soft" averages the clips; "hard" keeps what all of them have in common.
+        weights : mapping of str to float, optional
+            How much features count, by name, 1 unless given; a feature of weight 0 counts nowhere.
+
+        Returns
+        -------
+        Template
+            The template, the same to the last bit as that of a pipeline over the same clips.
+
+        Raises
+        ------
+        KinedexError
+            There is no clip, no name, or no clip without invalid frames in its middle.
+
+        Examples
+        --------
+        >>> template = Template.learn(clips, name="squat", weights={"rhand_fast": 0})
+        >>> template.clips == tuple(sorted(clip.name for clip in clips))
+        True
+        """
+        from kinedex.pipelines.templates.recipes import feature_weights
+
+        every = list(takes)
+        if not every:
+            raise KinedexError("no clip to learn from: `takes` is empty")
+        features = _common_features(every)
+        called = _common_class(every) if name is None else name
+        words = {label: take.words() for label, take in sorted((take.label, take) for take in every)}
+        if len(words) < len(every):
+            raise KinedexError("two of the clips have the same name and interval; each clip counts once")
+        known = {take.label: take.known for take in every if take.known != ALL_KNOWN}
+        actors = {take.label: str(take.info.get("actor") or "") for take in every}
+        training = usable_clips(called, words, known, actors)
+        counts = feature_weights(weights or {}, features)
+        found = learned_template(training, kind, learned_of(training, kind, len(features.features), counts))
+        return cls(found, features, every[0].rate_hz, lambda: words)
+
+    @classmethod
+    def from_clip(
+        cls, take: Take, start: int | str | None = None, stop: int | str | None = None, name: str | None = None
+    ) -> Template:
+        """Make a template of one example.
+
+        Parameters
+        ----------
+        take : Take
+            The take that is the example or holds it.
+        start, stop : int or str, optional
+            The frames of the example, ``45`` or ``"1.5s"``, stop excluded; the whole take unless given. Invalid frames
+            at the ends are cut off.
+        name : str, optional
+            The name of the template; that of the take unless given.
+
+        Returns
+        -------
+        Template
+            The template, with one column per frame.
+
+        Raises
+        ------
+        KinedexError
+            The interval is not inside the take, or has invalid frames in the middle.
+
+        Examples
+        --------
+        >>> len(Template.from_clip(take, 0, 30))
+        30
+        """
+        from kinedex.pipelines.templates.stored_templates import frame_range, template_of_frames
+
+        first, last = frame_range(take.name, len(take), take.rate_hz, start, stop)
+        features = len(take.feature_set.features)
+        made = template_of_frames(take.words(), take.name, first, last, features, name or take.name, take.known)
+        example = {take[first:last].label: take.words()[first:last]}
+        return cls(_unlearned(made, made.description), take.feature_set, take.rate_hz, lambda: example)
+
+    @classmethod
+    def load(cls, path: str | Path, name: str | None = None, *, feature_set: str | Path = FEATURES) -> Template:
+        """Read a template file.
+
+        Parameters
+        ----------
+        path : str or Path
+            A file ending in .yaml, .yml or .csv.
+        name : str, optional
+            The template to read where the file has several.
+        feature_set : str or Path, optional
+            The feature set that the file refers to.
+
+        Returns
+        -------
+        Template
+            The template.
+
+        Raises
+        ------
+        ConfigError
+            The file is wrong; the message names the line.
+        KinedexError
+            The file has no template of this name, or has several and none is named.
+
+        Examples
+        --------
+        >>> template.save(folder / "squat.yaml")
+        >>> bool((Template.load(folder / "squat.yaml").values == template.values).all())
+        True
+        """
+        features = load_feature_set(feature_set)
+        found = {one.name: one for one in read_templates(path, features)}
+        if name is None and len(found) > 1:
+            raise KinedexError(f"{path} holds {len(found)} templates; pass `name`: {', '.join(found)}")
+        if name is not None and name not in found:
+            raise KinedexError(f"{path} has no template '{name}'{did_you_mean(name, found)}")
+        return cls(_unlearned(found[name or next(iter(found))], f"from {Path(path).name}"), features)
+
+    def save(self, path: str | Path) -> None:
+        """Write the template to a file that people can edit.
+
+        Parameters
+        ----------
+        path : str or Path
+            A path ending in .yaml or .yml; or in .csv, where the file must be named after the template and the weights
+            of columns are not kept.
+
+        Raises
+        ------
+        KinedexError
+            The ending or the name does not fit, or the folder is missing.
+
+        Examples
+        --------
+        >>> template.save(folder / "squat.yaml")
+        """
+        from kinedex.pipelines.templates.template_output import write_template
+
+        write_template(self.named, self.feature_set, Path(path))
+
+    @property
+    def named(self) -> NamedTemplate:
+        """Return the template as template files hold it.
+
+        Returns
+        -------
+        NamedTemplate
+            Name, template and description.
+        """
+        return NamedTemplate(self.name, self.learned.learned.template, self.description)
+
+    @property
+    def description(self) -> str:
+        """Return one line about what the template is and how it was made.
+
+        Returns
+        -------
+        str
+            Name, kind, duration and origin.
+        """
+        return heading(self.learned, self.rate_hz)
+
+    def __len__(self) -> int:
+        """Return the number of columns."""
+        return len(self.values)
+
+    def __repr__(self) -> str:
+        return f"Template({self.description!r})"
+
+    def _repr_html_(self) -> str:
+        return self.plot().svg()
+
+    def plot(self, delta: float = 0.05) -> Picture:
+        """Draw the template and what of it counts.
+
+        Parameters
+        ----------
+        delta : float, optional
+            Values within delta of 0 and 1 count as off and on; the others are wildcards.
+
+        Returns
+        -------
+        Picture
+            The matrix of features over time, which a notebook shows.
+
+        Examples
+        --------
+        >>> template.plot()
+        Picture('squat')
+        """
+        from kinedex.library.picture import Picture
+        from kinedex.reports.template_figures import template_figure
+
+        note = self.description.split(": ", 1)[-1]
+        template = self.learned.learned.template
+        return Picture(template_figure(template, self.name, note, delta, self.feature_set, self.rate_hz))
+
+    def diff(self, other: Template, delta: float = 0.05) -> Difference:
+        """Compare two templates: the features that contradict each other, and when.
+
+        Parameters
+        ----------
+        other : Template
+            The template to compare with, over the same features.
+        delta : float, optional
+            Values within delta of 0 and 1 count as off and on; the others contradict nothing.
+
+        Returns
+        -------
+        Difference
+            The contradictions as a table, as text and as a picture.
+
+        Raises
+        ------
+        KinedexError
+            The templates have different features.
+
+        Examples
+        --------
+        >>> template.diff(template).table.height
+        0
+        """
+        if self.feature_set.digest != other.feature_set.digest:
+            raise KinedexError(
+                f"the templates have different features: {self.feature_set.name} and {other.feature_set.name}"
+            )
+        found = contrast(self.learned.learned.template, other.learned.learned.template, delta)
+        return Difference(self, other, found, delta)
+
+
+class Difference:
+    """The contradictions of two templates that were laid along each other.
+
+    ``print(difference)`` describes them in words.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The names of the two templates.
+    share : float
+        The share of contradictions among the entries that are wildcards in neither template; NaN where there are none.
+
+    Examples
+    --------
+    >>> difference = template.diff(Template.from_clip(take))
+    >>> 0 <= difference.share <= 1
+    True
+    """
+
+    def __init__(self, first: Template, second: Template, found: Contrast, delta: float) -> None:
+        self.names = (first.name, second.name)
+        compared = int(found.compared.sum())
+        self.share = int(np.abs(found.against).sum()) / compared if compared else float("nan")
+        self._first, self._second, self._found, self._delta = first, second, found, delta
+
+    def __str__(self) -> str:
+        return "\n".join(contrast_lines(self.names, self._found, self._first.feature_set, self._first.rate_hz))
+
+    def __repr__(self) -> str:
+        return f"Difference({self.names[0]!r}, {self.names[1]!r}, share={self.share:.3f})"
+
+    def _repr_html_(self) -> str:
+        return self.plot().svg()
+
+    @property
+    def table(self) -> pl.DataFrame:
+        """Return the contradictions, those of the most columns first.
+
+        Returns
+        -------
+        polars.DataFrame
+            Columns feature, on_in and off_in (names of the templates), columns (how many), on_start_seconds,
+            on_stop_seconds, off_start_seconds and off_stop_seconds (when, in either template).
+        """
+        import polars as pl
+
+        rows = []
+        for index, feature in enumerate(self._first.feature_set.features):
+            for on, sign in enumerate((1, -1)):
+                path = self._found.path[self._found.against[:, index] == sign]
+                if len(path):
+                    spans = [(path[:, side].min(), path[:, side].max() + 1) for side in (on, 1 - on)]
+                    times = [float(end) / self._first.rate_hz for span in spans for end in span]
+                    rows.append((feature.name, self.names[on], self.names[1 - on], len(path), *times))
+        times_of = {f"{side}_{end}_seconds": pl.Float64 for side in ("on", "off") for end in ("start", "stop")}
+        schema = {"feature": pl.String, "on_in": pl.String, "off_in": pl.String, "columns": pl.Int64, **times_of}
+        return pl.DataFrame(rows, schema, orient="row").sort("columns", descending=True, maintain_order=True)
+
+    def plot(self) -> Picture:
+        """Draw the two templates along each other, and where they contradict each other.
+
+        Returns
+        -------
+        Picture
+            Three matrices of features over time, which a notebook shows.
+
+        Examples
+        --------
+        >>> template.diff(Template.from_clip(take, name="other")).plot()
+        Picture('squat and other')
+        """
+        from kinedex.library.picture import Picture
+        from kinedex.reports.template_figures import contrast_figure
+
+        one, other = self._first.learned.learned.template, self._second.learned.learned.template
+        note = str(self).splitlines()[0]
+        features, rate_hz = self._first.feature_set, self._first.rate_hz
+        return Picture(contrast_figure(one, other, self.names, self._found, self._delta, note, features, rate_hz))
+
+
+def _unlearned(made: NamedTemplate, origin: str) -> SubclassTemplate:
+    """Return a template that no averaging has made, with its origin."""
+    return SubclassTemplate(made.name, "soft", Learned(made.template, 0, ()), (), origin)
+
+
+def _common_features(takes: list[Take]) -> FeatureSet:
+    names = {take.feature_set.digest: take.feature_set.name for take in takes}
+    if len(names) > 1:
+        raise KinedexError(f"the takes have different feature sets: {', '.join(sorted(names.values()))}")
+    return takes[0].feature_set
+
+
+def _common_class(takes: list[Take]) -> str:
+    found = sorted({str(take.info.get("class")) for take in takes if take.info.get("class")})
+    if len(found) != 1 or any(not take.info.get("class") for take in takes):
+        raise KinedexError(f"the takes are of {', '.join(found) or 'no class'}; pass `name`, the class of the template")
+    return found[0]

@@ -1,0 +1,214 @@
+"""Figures of matrices of features over time with named rows, as SVG or PNG."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, ImageDraw, ImageFont
+
+from kinedex.ops.errors import KinedexError
+from kinedex.reports.axes import time_axis
+from kinedex.reports.pixels import Colour
+
+U8 = npt.NDArray[np.uint8]
+
+ENDINGS = (".svg", ".png")
+
+_ROW, _MOST_WIDTH, _LEAST_CELL, _MOST_CELL = 15, 620, 2, 12
+_NAMES, _NOTES, _EDGE, _HEAD, _GAP, _FOOT = 168, 96, 16, 92, 18, 44
+_TEXT, _FAINT, _RULE, _FRAME = (34, 34, 34), (110, 110, 110), (200, 80, 10), (120, 120, 120)
+_FINE = 2  # PNGs are this many times larger than SVGs
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One matrix: its caption, and a colour for each entry, uint8 (features, columns, 3)."""
+
+    caption: str
+    colours: U8
+
+
+@dataclass(frozen=True)
+class MatrixFigure:
+    """Panels side by side over the same named rows.
+
+    Attributes
+    ----------
+    title, note : str
+        The lines at the top.
+    rows : sequence of str
+        Names of the rows.
+    panels : sequence of Panel
+        The matrices.
+    notes_head : str
+        Heading of the notes.
+    notes : sequence of str
+        Text to the right of each row.
+    rules : sequence of int
+        Rows, counted from 0, with a thin line above.
+    legend : sequence of (Colour, str)
+        Colours and their meaning.
+    rate_hz : float
+        Columns per second.
+    """
+
+    title: str
+    note: str
+    rows: Sequence[str]
+    panels: Sequence[Panel]
+    notes_head: str
+    notes: Sequence[str]
+    rules: Sequence[int]
+    legend: Sequence[tuple[Colour, str]]
+    rate_hz: float
+
+
+class Canvas(Protocol):
+    """A canvas for rectangles and texts; lengths are in SVG units."""
+
+    def rectangle(self, x: float, y: float, width: float, height: float, colour: Colour) -> None:
+        """Fill a rectangle."""
+        ...
+
+    def text(self, x: float, y: float, text: str, size: int, colour: Colour, anchor: str = "start") -> None:
+        """Write a line on the base line y; the anchor at x is start, middle or end."""
+        ...
+
+    def content(self) -> bytes:
+        """Return the content of the file."""
+        ...
+
+
+def write_figure(figure: MatrixFigure, path: Path) -> None:
+    """Write a figure in the format of the ending of its path, .svg or .png.
+
+    Raises
+    ------
+    KinedexError
+        If the path has another ending.
+    OSError
+        If the file cannot be written.
+    """
+    if path.suffix.lower() not in ENDINGS:
+        raise KinedexError(f"{path}: expected an ending of {' or '.join(ENDINGS)}, got '{path.suffix}'")
+    path.write_bytes(draw(figure, path.suffix.lower().lstrip(".")))
+
+
+def draw(figure: MatrixFigure, form: str) -> bytes:
+    """Draw a figure as "svg" or "png"."""
+    columns = [panel.colours.shape[1] for panel in figure.panels]
+    cell = min(max(_MOST_WIDTH / sum(columns), _LEAST_CELL), _MOST_CELL)
+    inner = cell * sum(columns) + _GAP * (len(columns) - 1)
+    width = max(2 * _EDGE + _NAMES + inner + _NOTES, 2 * _EDGE + 7.2 * len(figure.note))
+    height = _HEAD + _ROW * len(figure.rows) + _FOOT
+    canvas: Canvas = Svg(width, height, figure.title) if form == "svg" else Png(width, height)
+    canvas.text(_EDGE, 28, figure.title, 18, _TEXT)
+    canvas.text(_EDGE, 48, figure.note, 12, _FAINT)
+    _legend(canvas, figure)
+    for row, name in enumerate(figure.rows):
+        canvas.text(_EDGE + _NAMES - 8, _HEAD + _ROW * row + 11, name, 11, _TEXT, "end")
+        canvas.text(_EDGE + _NAMES + inner + 8, _HEAD + _ROW * row + 11, figure.notes[row], 11, _TEXT)
+    canvas.text(_EDGE + _NAMES + inner + 8, _HEAD - 8, figure.notes_head, 11, _FAINT)
+    left: float = _EDGE + _NAMES
+    for panel in figure.panels:
+        _panel(canvas, figure, panel, left, cell)
+        left += cell * panel.colours.shape[1] + _GAP
+    return canvas.content()
+
+
+def _legend(canvas: Canvas, figure: MatrixFigure) -> None:
+    at: float = _EDGE
+    for colour, words in figure.legend:
+        canvas.rectangle(at - 1, 57, 12, 12, _FRAME)
+        canvas.rectangle(at, 58, 10, 10, colour)
+        canvas.text(at + 16, 67, words, 11, _TEXT)
+        at += 34 + 6.1 * len(words)
+
+
+def _panel(canvas: Canvas, figure: MatrixFigure, panel: Panel, left: float, cell: float) -> None:
+    rows, columns, _ = panel.colours.shape
+    width = cell * columns
+    canvas.text(left, _HEAD - 8, panel.caption, 11, _FAINT)
+    canvas.rectangle(left - 1, _HEAD - 1, width + 2, _ROW * rows + 1, _FRAME)
+    for row in range(rows):
+        colours = panel.colours[row]
+        cuts = np.flatnonzero((colours[1:] != colours[:-1]).any(axis=1)) + 1
+        for start, stop in zip([0, *cuts.tolist()], [*cuts.tolist(), columns], strict=True):
+            red, green, blue = (int(channel) for channel in colours[start])
+            canvas.rectangle(
+                left + cell * start, _HEAD + _ROW * row, cell * (stop - start), _ROW - 1, (red, green, blue)
+            )
+    for row in figure.rules:
+        canvas.rectangle(left - 1, _HEAD + _ROW * row - 1, width + 2, 1, _RULE)
+    seconds = columns / figure.rate_hz
+    for percent, text in time_axis(seconds, most=max(1, int(width / 45)), room=0.9).ticks:
+        x = left + width * percent / 100
+        canvas.rectangle(x, _HEAD + _ROW * rows, 1, 5, _FRAME)
+        canvas.text(x, _HEAD + _ROW * rows + 17, text, 11, _FAINT)
+
+
+class Svg:
+    """A canvas whose content is SVG."""
+
+    def __init__(self, width: float, height: float, title: str) -> None:
+        size = f'width="{width:.0f}" height="{height:.0f}" viewBox="0 0 {width:.0f} {height:.0f}"'
+        self._parts = [
+            f'<svg xmlns="http://www.w3.org/2000/svg" {size} font-family="Helvetica, Arial, sans-serif">',
+            f"<title>{escape(title)}</title>",
+            '<rect width="100%" height="100%" fill="#fff"/>',
+            '<g shape-rendering="crispEdges">',
+        ]
+        self._texts: list[str] = []
+
+    def rectangle(self, x: float, y: float, width: float, height: float, colour: Colour) -> None:
+        """Fill a rectangle."""
+        self._parts.append(
+            f'<rect x="{x:.6g}" y="{y:.6g}" width="{width:.6g}" height="{height:.6g}" fill="{_hex(colour)}"/>'
+        )
+
+    def text(self, x: float, y: float, text: str, size: int, colour: Colour, anchor: str = "start") -> None:
+        """Write a line."""
+        place = f'x="{x:.6g}" y="{y:.6g}" font-size="{size}" fill="{_hex(colour)}"'
+        end = "" if anchor == "start" else f' text-anchor="{anchor}"'
+        self._texts.append(f"<text {place}{end}>{escape(text)}</text>")
+
+    def content(self) -> bytes:
+        """Return the content of the file."""
+        return "\n".join([*self._parts, "</g>", *self._texts, "</svg>", ""]).encode()
+
+
+class Png:
+    """A canvas whose content is PNG, with Pillow's own font, which is the same on all systems."""
+
+    def __init__(self, width: float, height: float) -> None:
+        self._image = Image.new("RGB", (round(width * _FINE), round(height * _FINE)), (255, 255, 255))
+        self._pen = ImageDraw.Draw(self._image)
+
+    def rectangle(self, x: float, y: float, width: float, height: float, colour: Colour) -> None:
+        """Fill a rectangle."""
+        right, bottom = round((x + width) * _FINE) - 1, round((y + height) * _FINE) - 1
+        corner = round(x * _FINE), round(y * _FINE)
+        self._pen.rectangle([*corner, max(right, corner[0]), max(bottom, corner[1])], fill=colour)
+
+    def text(self, x: float, y: float, text: str, size: int, colour: Colour, anchor: str = "start") -> None:
+        """Write a line."""
+        at = {"start": "ls", "middle": "ms", "end": "rs"}[anchor]
+        font = ImageFont.load_default(size * _FINE)
+        self._pen.text((x * _FINE, y * _FINE), text, font=font, fill=colour, anchor=at)
+
+    def content(self) -> bytes:
+        """Return the content of the file."""
+        out = io.BytesIO()
+        self._image.save(out, "PNG", optimize=True)
+        return out.getvalue()
+
+
+def _hex(colour: Colour) -> str:
+    return "#" + "".join(f"{channel:02x}" for channel in colour)

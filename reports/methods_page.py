@@ -1,0 +1,161 @@
+"""The page that compares methods of annotation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from jinja2 import Environment
+
+from kinedex.ops.evaluation.detection import THRESHOLDS
+from kinedex.ops.wording import digits
+from kinedex.pipelines.evaluation.study import SplitResult, Study, boundary_summary, take_title
+from kinedex.pipelines.evaluation.tables import (
+    MEASURE_NAMES,
+    between,
+    described,
+    headings,
+    outcome_text,
+    overlap_notes,
+    row,
+    sentence,
+    six,
+)
+from kinedex.pipelines.templates.nearest_examples import Key
+from kinedex.reports.method_figures import (
+    HEIGHT,
+    ROOMS,
+    WIDTH,
+    ConfusionTable,
+    Strips,
+    Sweep,
+    boundary_errors,
+    confusion_table,
+    error_ticks,
+    strips,
+    sweeps,
+)
+from kinedex.reports.motions import Motions, motions_json
+from kinedex.reports.page_environment import page_environment
+from kinedex.reports.palette import colour_rules, colour_slot
+from kinedex.reports.plots import HistogramBar
+
+MOST_ROWS = 300
+"""Largest number of rows of a list of takes or segments; the page has the number of further ones."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """The figures and tables of one split; `labels` are the classes of its tables."""
+
+    result: SplitResult
+    labels: tuple[str, ...]
+    takes: tuple[Strips, ...]
+    sweeps: tuple[Sweep, ...]
+    confusion: dict[str, ConfusionTable]
+    bars: dict[str, list[HistogramBar]]
+
+
+def methods_page(study: Study, motions: Motions | None = None, near: Mapping[Key, int] | None = None) -> str:
+    """Render a comparison of methods.
+
+    Parameters
+    ----------
+    study : Study
+        The comparison.
+    motions : Motions or None
+        Motions of the player by the titles of takes; None for a page without player.
+    near : mapping of (title, class, start, stop) to int, or None
+        Place of the nearest example of a segment in `motions.near`.
+
+    Returns
+    -------
+    str
+        A complete HTML page without outside references; equal studies give equal text.
+    """
+    labels = _labels(study)
+    light, dark = colour_rules(len(labels))
+    return (
+        _environment()
+        .get_template("methods.html.j2")
+        .render(
+            study=study,
+            sections=[_section(study, result, labels, near or {}) for result in study.splits],
+            labels=labels,
+            slots={label: colour_slot(index) for index, label in enumerate(labels)},
+            numbers={label: index + 1 for index, label in enumerate(labels)},
+            headings=headings(study),
+            overlap_notes=overlap_notes(study),
+            thresholds=THRESHOLDS,
+            width=WIDTH,
+            rooms=ROOMS,
+            height=HEIGHT,
+            error_ticks=error_ticks(),
+            measure_names=MEASURE_NAMES,
+            most=MOST_ROWS,
+            motions=motions,
+            motions_json=motions_json(motions),
+            light=light,
+            dark=dark,
+        )
+    )
+
+
+def _labels(study: Study) -> list[str]:
+    """Return the labels of all splits, the classes first."""
+    found = list(study.classes)
+    for result in study.splits:
+        for judgement in result.judgements.values():
+            found += [label for label in judgement.by_class if label not in found]
+    return found
+
+
+def _section(study: Study, result: SplitResult, labels: list[str], near: Mapping[Key, int]) -> Section:
+    numbers = {label: index + 1 for index, label in enumerate(labels)}
+    lead = result.leading
+    ordered = {lead: result.outcomes[lead], **result.outcomes}
+    test_takes = {test_take.name: test_take for test_take in result.test_takes}
+    judgement = result.judgements[lead]
+    used = tuple(
+        label
+        for label in judgement.by_class
+        if any(
+            one.by_class[label].frames_automatic + one.by_class[label].frames_manual
+            for one in result.judgements.values()
+        )
+    )
+    takes = [
+        strips(
+            take_title(study, result, test_takes[name]),
+            what,
+            test_takes[name],
+            ordered,
+            numbers,
+            study.rate_hz,
+            {method: one.by_take[name] for method, one in result.judgements.items()},
+            {key[1:]: place for key, place in near.items() if key[0] == take_title(study, result, test_takes[name])},
+        )
+        for what, name in result.shown().items()
+    ]
+    bars = {
+        end: boundary_errors(judgement.boundaries[:, column], study.rate_hz)
+        for column, end in enumerate(("start", "stop"))
+    }
+    confusion = {name: confusion_table(result.judgements[name].confusion, numbers) for name in ordered}
+    return Section(result, used, tuple(takes), tuple(sweeps(result.sweep)), confusion, bars)
+
+
+def _environment() -> Environment:
+    filters: dict[str, Callable[..., object]] = {
+        "digits": digits,
+        "between": between,
+        "described": described,
+        "sentence": sentence,
+        "row": row,
+        "outcome_text": outcome_text,
+        "six": six,
+        "boundaries": boundary_summary,
+        "sortable": lambda value: "" if value is None or math.isnan(value) else value,
+    }
+    return page_environment(filters)

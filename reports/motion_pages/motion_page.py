@@ -1,0 +1,202 @@
+"""A page of small moving figures in groups, each of which a click opens in the player; one file, no network."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from kinedex.ops.body.joint_tree import JOINT_PARENTS
+from kinedex.ops.wording import counted
+from kinedex.pipelines.engine.page_files import write_page
+from kinedex.reports.motion_pages.examples import Examples
+from kinedex.reports.motions import Motions, motions_json
+from kinedex.reports.page_environment import page_environment
+from kinedex.reports.palette import colour_rules, colour_slot
+from kinedex.storage.store.store import Store
+
+NOTHING = Markup("")
+
+MARGIN = 10
+"""Frames before and after a clip that the player can show."""
+
+
+@dataclass(frozen=True)
+class Clip:
+    """An interval of a take as a figure of a page.
+
+    Attributes
+    ----------
+    take : str
+        Name of the take.
+    start, stop : int
+        The frames [start, stop).
+    title : str
+        The line below the figure that is read first.
+    facts : tuple of str
+        Further lines.
+    examples : str
+        Name of the examples of which the nearest stands beside it in the player; empty for none.
+    """
+
+    take: str
+    start: int
+    stop: int
+    title: str
+    facts: tuple[str, ...] = ()
+    examples: str = ""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Clips under a heading, as many as are shown, and the number of all."""
+
+    name: str
+    clips: tuple[Clip, ...]
+    total: int
+
+
+@dataclass(frozen=True)
+class MotionPage:
+    """The content of a page.
+
+    Attributes
+    ----------
+    title : str
+        Heading of the page.
+    lead : str
+        The sentence below it.
+    noun : str
+        The noun for a figure, such as "hit".
+    groups : sequence of Group
+        The figures.
+    remarks : sequence of str
+        Sentences at the end.
+    head : Markup
+        HTML above the figures, such as a matrix.
+    """
+
+    title: str
+    lead: str
+    noun: str
+    groups: Sequence[Group]
+    remarks: Sequence[str] = ()
+    head: Markup = NOTHING
+
+    @property
+    def shown(self) -> int:
+        """Number of figures."""
+        return sum(len(group.clips) for group in self.groups)
+
+    @property
+    def total(self) -> int:
+        """Number of all that could be shown."""
+        return sum(group.total for group in self.groups)
+
+    @property
+    def amount(self) -> str:
+        """A sentence about how many are shown out of how many, and the option that shows more."""
+        if self.shown == self.total:
+            return f"{counted(self.total, self.noun)}."
+        return f"{self.shown:,} of {counted(self.total, self.noun)}; --figures {self.total} shows all."
+
+
+def shares(counts: Sequence[int], most: int) -> list[int]:
+    """Return how many of each group are shown, so that all have as many as there is room for."""
+    given = [0] * len(counts)
+    while sum(given) < min(most, sum(counts)):
+        open_groups = [place for place, count in enumerate(counts) if given[place] < count]
+        room = max(1, (most - sum(given)) // len(open_groups))
+        for place in open_groups[: most - sum(given)]:
+            given[place] += min(room, counts[place] - given[place])
+    return given
+
+
+def grouped(clips: Sequence[Clip], name_of: Callable[[Clip], str], most: int) -> list[Group]:
+    """Return clips in groups, in the order of their first clips, `most` of them in all."""
+    found: dict[str, list[Clip]] = {}
+    for clip in clips:
+        found.setdefault(name_of(clip), []).append(clip)
+    given = shares([len(own) for own in found.values()], most)
+    return [
+        Group(name, tuple(own[:count]), len(own))
+        for (name, own), count in zip(found.items(), given, strict=True)
+        if own
+    ]
+
+
+def write_motion_page(store: Store, page: MotionPage, path: Path, examples: Examples | None = None) -> None:
+    """Write a page.
+
+    Parameters
+    ----------
+    store : Store
+        The store of the takes.
+    page : MotionPage
+        The content.
+    path : Path
+        The file.
+    examples : Examples, optional
+        The examples that clips name.
+
+    Raises
+    ------
+    KinedexError
+        The folder of the file does not exist.
+    """
+    write_page(render(store, page, examples), path)
+
+
+def render(store: Store, page: MotionPage, examples: Examples | None = None) -> str:
+    """Return the HTML of a page; parameters as for `write_motion_page`. Equal content gives equal bytes."""
+    return (
+        page_environment()
+        .get_template("figures.html.j2")
+        .render(title=page.title, page=page, **figures_of(store, page.groups, examples))
+    )
+
+
+def figures_of(store: Store, groups: Sequence[Group], examples: Examples | None = None) -> dict[str, Any]:
+    """Return what a template needs for moving figures of clips and their player.
+
+    Parameters
+    ----------
+    store : Store
+        The store of the takes.
+    groups : sequence of Group
+        The figures.
+    examples : Examples, optional
+        The examples that clips name.
+
+    Returns
+    -------
+    dict
+        The variables of the template: the motions, the nearest examples and the colours of the groups.
+    """
+    clips = [clip for group in groups for clip in group.clips]
+    motions = _empty(store).with_pieces(store, [(clip.take, clip.start, clip.stop) for clip in clips], MARGIN)
+    near: dict[Clip, tuple[int, str]] = {}
+    if examples is not None:
+        found = {clip: one for clip, one in examples.nearest(store, clips).items() if one is not None}
+        motions = motions.with_near(store, [(one.take, one.start, one.stop, one.frames) for one in found.values()])
+        near = {clip: (place, one.take) for place, (clip, one) in enumerate(found.items())}
+    light, dark = colour_rules(len(groups))
+    return {
+        "scripts": True,
+        "motions": motions,
+        "motions_json": motions_json(motions),
+        "near": near,
+        "slot": colour_slot,
+        "rate_hz": store.rate_hz,
+        "light": light,
+        "dark": dark,
+    }
+
+
+def _empty(store: Store) -> Motions:
+    joints = tuple(joint for joint in store.feature_set.joints if joint in JOINT_PARENTS)
+    parents = tuple(joints.index(parent) if (parent := JOINT_PARENTS[joint]) in joints else -1 for joint in joints)
+    return Motions((), joints, parents, "")

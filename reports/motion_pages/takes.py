@@ -1,0 +1,96 @@
+"""The takes of a store as a wall of small moving figures, in groups."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import pyarrow as pa
+
+from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.wording import counted
+from kinedex.reports.motion_pages import FIGURES
+from kinedex.reports.motion_pages.motion_page import Clip, MotionPage, grouped, write_motion_page
+from kinedex.storage.store.store import Store
+
+LONGEST_SECONDS = 10.0
+"""A longer take moves for so long, in its middle."""
+
+FOLDER = "folder"
+"""The group of takes where no column makes any: the folder of their file."""
+
+_GROUPS = ("class", "actor")
+"""The columns that takes are grouped by, the first one of which there is more than one value."""
+
+
+def write_takes_page(
+    store: Store,
+    takes: pa.Table,
+    path: Path,
+    *,
+    group: str | None = None,
+    most: int = FIGURES,
+) -> str:
+    """Write a page of takes, and return the sentence about how many it shows.
+
+    Parameters
+    ----------
+    store : Store
+        The store of the takes.
+    takes : pyarrow.Table
+        Rows of takes, with all of their columns.
+    path : Path
+        The file, ending in .html.
+    group : str, optional
+        The column to group by, or "folder"; class, actor or folder unless given, the first with several values.
+    most : int, optional
+        Largest number of figures; every group has its share of them.
+
+    Raises
+    ------
+    KinedexError
+        Takes have no such column.
+    """
+    rows = takes.to_pylist()
+    if group is not None and group not in (FOLDER, *takes.column_names):
+        raise KinedexError(f"--group {group}: takes have no column '{group}'{did_you_mean(group, takes.column_names)}")
+    by = group or _group_of(rows)
+    clips = {
+        _clip(row, store.rate_hz): _value(row, by)
+        for row in sorted(rows, key=lambda row: (by != FOLDER and row[by] is None, _value(row, by)))
+    }
+    groups = grouped(list(clips), clips.__getitem__, most)
+    seconds = sum(row["seconds"] for row in rows)
+    title = f"Takes of {store.path.resolve().name}"
+    lead = f"{counted(len(rows), 'take')}, {seconds / 60:.1f} minutes, by {by}."
+    page = MotionPage(title, lead, "take", groups)
+    write_motion_page(store, page, path)
+    return page.amount
+
+
+def _group_of(rows: Sequence[dict[str, Any]]) -> str:
+    """Return the first column of which the takes have several values, but not one of each."""
+    for name in _GROUPS:
+        if 1 < len({row[name] for row in rows}) < max(2, len(rows)):
+            return name
+    return FOLDER
+
+
+def _value(row: dict[str, Any], by: str) -> str:
+    if by == FOLDER:
+        return str(PurePosixPath(row["source"]).parent).replace(".", "(top folder)", 1)
+    return f"without {by}" if row[by] is None else str(row[by])
+
+
+def _clip(row: dict[str, Any], rate_hz: float) -> Clip:
+    frames = int(row["frames"])
+    shown = min(frames, round(LONGEST_SECONDS * rate_hz))
+    start = (frames - shown) // 2
+    length = f"{frames / rate_hz:.1f} s"
+    if shown < frames:
+        length = f"{shown / rate_hz:.0f} of {length}, from {start / rate_hz:.1f} s"
+    facts = [length, *(str(row[name]) for name in ("class", "actor") if row.get(name) is not None)]
+    return Clip(
+        row["name"], start, start + shown, row["name"], (facts[0], ", ".join(facts[1:])) if facts[1:] else (length,)
+    )

@@ -1,0 +1,172 @@
+"""The figures of the first screen and of the tables by class and by group: what was found, where, and how surely."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from kinedex.ops.evaluation.metrics import Counts, pooled
+from kinedex.reports.data import ReportData, Score, Segment
+from kinedex.reports.take_groups import by_group
+
+MOVING = 4
+"""So many of the surest hits, and of the most doubtful ones, move on the first screen."""
+
+BARS = 20
+"""Classes on the first screen; the table has all."""
+
+
+@dataclass(frozen=True)
+class Totals:
+    """The sums over all takes: segments, classes, takes with a segment, seconds of takes, and seconds with a label."""
+
+    segments: int
+    classes: int
+    takes: int
+    seconds: float
+    labelled: float
+
+    @property
+    def share(self) -> float:
+        """Return the share of the time that has a label."""
+        return self.labelled / self.seconds if self.seconds else 0.0
+
+
+@dataclass(frozen=True)
+class ClassFindings:
+    """The segments of a class: their number, takes and seconds, and the median and the least of their confidences."""
+
+    label: str
+    segments: int
+    takes: int
+    seconds: float
+    confidence: float | None
+    least: float | None
+
+
+@dataclass(frozen=True)
+class GroupFindings:
+    """A group of takes: its takes and seconds, what was found in it, its commonest classes, and its agreement."""
+
+    name: str
+    takes: tuple[str, ...]
+    seconds: float
+    segments: int
+    labelled: float
+    common: tuple[str, ...]
+    f1: float | None
+    f2: float | None
+
+
+def totals(data: ReportData) -> Totals:
+    """Sum up the automatic segments; a frame with several labels counts once."""
+    rates = {take.name: take.rate_hz for take in data.takes}
+    return Totals(
+        segments=len(data.automatic),
+        classes=len({one.label for one in data.automatic}),
+        takes=len({one.take for one in data.automatic}),
+        seconds=sum(take.seconds for take in data.takes),
+        labelled=sum(frames / rates[take] for take, frames in _labelled(data.automatic).items()),
+    )
+
+
+def class_findings(data: ReportData) -> list[ClassFindings]:
+    """Return what was found of each class, the longest time first; classes that were not found come last."""
+    rates = {take.name: take.rate_hz for take in data.takes}
+    grouped: dict[str, list[Segment]] = defaultdict(list)
+    for one in data.automatic:
+        grouped[one.label].append(one)
+    rows = []
+    for label in data.labels():
+        own = grouped[label]
+        sure = [one.confidence for one in own if one.confidence is not None]
+        rows.append(
+            ClassFindings(
+                label=label,
+                segments=len(own),
+                takes=len({one.take for one in own}),
+                seconds=sum((one.stop - one.start) / rates[one.take] for one in own),
+                confidence=float(np.median(sure)) if sure else None,
+                least=min(sure, default=None),
+            )
+        )
+    return sorted(rows, key=lambda row: (-row.seconds, row.label))
+
+
+def group_findings(data: ReportData) -> list[GroupFindings]:
+    """Return what was found in each group of takes; empty where takes are not grouped."""
+    if not data.grouped_by:
+        return []
+    rows = {take.name: take for take in data.takes}
+    scores = data.take_scores()
+    labelled = _labelled(data.automatic)
+    segments: dict[str, list[str]] = defaultdict(list)
+    for one in data.automatic:
+        segments[one.take].append(one.label)
+    found = []
+    for group, names in by_group({take.name: take.group for take in data.takes}, list(rows)).items():
+        labels = Counter(label for name in names for label in segments[name])
+        f1, f2 = _agreement([scores[name] for name in names if name in scores])
+        found.append(
+            GroupFindings(
+                name=group,
+                takes=tuple(names),
+                seconds=sum(rows[name].seconds for name in names),
+                segments=sum(labels.values()),
+                labelled=sum(labelled.get(name, 0) / rows[name].rate_hz for name in names),
+                common=tuple(label for label, _ in sorted(labels.items(), key=lambda pair: (-pair[1], pair[0]))[:3]),
+                f1=f1,
+                f2=f2,
+            )
+        )
+    return found
+
+
+def surest(segments: Sequence[Segment], count: int = MOVING) -> list[Segment]:
+    """Return the most confident segments, of different classes as far as there are."""
+    return _of_classes(sorted(segments, key=lambda one: (-(one.confidence or 0.0), _cost(one), one.key)), count)
+
+
+def most_doubtful(segments: Sequence[Segment], count: int = MOVING) -> list[Segment]:
+    """Return the least confident segments, of different classes as far as there are."""
+    known = [one for one in segments if one.confidence is not None]
+    return _of_classes(sorted(known, key=lambda one: (one.confidence, -_cost(one), one.key)), count)
+
+
+def _cost(segment: Segment) -> float:
+    return segment.cost if segment.cost is not None else 0.0
+
+
+def _of_classes(ranked: Sequence[Segment], count: int) -> list[Segment]:
+    """Return the first segment of each class in turn, then the second ones, up to a number, in the given order."""
+    seen: Counter[str] = Counter()
+    rounds = []
+    for place, one in enumerate(ranked):
+        rounds.append((seen[one.label], place))
+        seen[one.label] += 1
+    chosen = sorted(rounds)[:count]
+    return [ranked[place] for _, place in sorted(chosen, key=lambda pair: pair[1])]
+
+
+def _labelled(segments: Sequence[Segment]) -> dict[str, int]:
+    """Return the frames of each take that have a label, each once."""
+    grouped: dict[str, list[tuple[int, int]]] = defaultdict(list)
+    for one in segments:
+        grouped[one.take].append((one.start, one.stop))
+    found = {}
+    for take, ranges in grouped.items():
+        last, count = 0, 0
+        for start, stop in sorted(ranges):
+            count += max(0, stop - max(start, last))
+            last = max(last, stop)
+        found[take] = count
+    return found
+
+
+def _agreement(scores: Sequence[Score]) -> tuple[float | None, float | None]:
+    """Return F (frames) and F (segments) of takes together."""
+    counts = pooled(Counts(*(getattr(score, field.name) for field in fields(Counts))) for score in scores)
+    return (counts.f1, counts.f2) if scores else (None, None)

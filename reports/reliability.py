@@ -1,0 +1,107 @@
+"""The reliability diagram of a page: the share of right segments by their confidence."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinedex.ops.evaluation.reliability import Bucket, auroc, brier, reliability
+from kinedex.reports.data import ReportData, Segment
+
+SIDE = 200.0
+"""The width and the height of the diagram, in SVG units."""
+
+_MARGIN = 3.0
+
+
+@dataclass(frozen=True)
+class Bar:
+    """One bucket in SVG units: the bar of its share, the interval of the share, and the mean confidence.
+
+    Attributes
+    ----------
+    bucket : Bucket
+        Its numbers.
+    x, y, width, height : float
+        The place of the bar.
+    low, high : float
+        The ends of the interval from above.
+    says : (float, float)
+        The place at which the share would be the mean confidence.
+    """
+
+    bucket: Bucket
+    x: float
+    y: float
+    width: float
+    height: float
+    low: float
+    high: float
+    says: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class ReliabilityFigure:
+    """The reliability of the segments that ground truth judges.
+
+    Attributes
+    ----------
+    bars : tuple of Bar
+        The buckets that have segments.
+    segments, right : int
+        All segments, and the right ones.
+    auroc : float
+        The probability that a right segment has a higher confidence than a wrong one; NaN where all are right or wrong.
+    brier : float
+        The mean squared difference of confidence and truth.
+    """
+
+    bars: tuple[Bar, ...]
+    segments: int
+    right: int
+    auroc: float
+    brier: float
+
+
+def reliability_figure(data: ReportData) -> ReliabilityFigure | None:
+    """Lay out the reliability diagram; None without ground truth, or without confidences.
+
+    A segment is right if manual segments of its class cover most of its frames.
+    """
+    judged = set(data.take_scores()) | {one.take for one in data.manual}
+    manual = defaultdict(list)
+    for one in data.manual:
+        manual[one.take, one.label].append((one.start, one.stop))
+    known = [one for one in data.automatic if one.take in judged and one.confidence is not None]
+    if not known or not data.manual:
+        return None
+    confidences = np.array([one.confidence for one in known], np.float64)
+    right = np.array([_is_right(one, manual[one.take, one.label]) for one in known])
+    bars = tuple(_bar(one) for one in reliability(confidences, right) if one.count)
+    return ReliabilityFigure(bars, len(known), int(right.sum()), auroc(confidences, right), brier(confidences, right))
+
+
+def _is_right(one: Segment, manual: Iterable[tuple[int, int]]) -> bool:
+    covered = np.zeros(one.stop - one.start, np.bool_)
+    for start, stop in manual:
+        covered[max(start - one.start, 0) : max(stop - one.start, 0)] = True
+    return bool(2 * covered.sum() > len(covered))
+
+
+def _bar(bucket: Bucket) -> Bar:
+    low, high = bucket.interval
+    height = SIDE * bucket.share
+    says = SIDE * bucket.confidence
+    return Bar(
+        bucket,
+        SIDE * bucket.low + _MARGIN,
+        SIDE - height,
+        SIDE * (bucket.high - bucket.low) - 2 * _MARGIN,
+        height,
+        SIDE * (1 - low),
+        SIDE * (1 - high),
+        (says, SIDE - says),
+    )

@@ -1,0 +1,92 @@
+"""The nearest example clips of the segments on a page that compares methods, of the clips that a fold learned from."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+
+import numpy as np
+
+from kinedex.ops.templates.nearest_clip import nearest_clips
+from kinedex.ops.words import U64
+from kinedex.pipelines.engine.display import Progress, no_progress
+from kinedex.pipelines.evaluation.study import SplitResult, Study, take_title
+from kinedex.pipelines.evaluation.test_takes import TestTake
+from kinedex.pipelines.templates.learning import TrainingClips
+from kinedex.pipelines.templates.nearest_examples import Example, Key, stored_clips, words_of
+from kinedex.reports.motions import Motions
+from kinedex.storage.store.store import Store
+
+
+def with_study(
+    store: Store, study: Study, motions: Motions, progress: Progress = no_progress
+) -> tuple[Motions, dict[Key, int]]:
+    """Add to the motions of a page the nearest example of every segment that it can play, manual ones included.
+
+    Parameters
+    ----------
+    store : Store
+        The store of the takes and the clips.
+    study : Study
+        The comparison.
+    motions : Motions
+        The motions of the takes with a timeline, by their titles.
+    progress : callable
+        Makes a progress bar of a description and a number of takes.
+
+    Returns
+    -------
+    motions : Motions
+        With the motions of the examples.
+    near : dict of (title, class, start, stop) to int
+        The place of each nearest example in `motions.near`.
+    """
+    near: dict[Key, Example] = {}
+    shown = [(result, name) for result in study.splits for name in dict.fromkeys(result.shown().values())]
+    with progress("nearest examples", len(shown)) as bar:
+        for result, name in shown:
+            fold, take = next((fold, take) for fold in result.folds for take in fold.test_takes if take.name == name)
+            title = take_title(study, result, take)
+            if motions.has(title, 0, take.frames):
+                near |= _of_take(store, title, take, result, _by_class(store, fold.clips, study.class_of))
+            bar.advance()
+    found = motions.with_near(store, [(one.take, one.start, one.stop, one.frames) for one in near.values()])
+    return found, {key: place for place, key in enumerate(near)}
+
+
+def _by_class(
+    store: Store, clips: tuple[TrainingClips, ...], classes: Mapping[str, str]
+) -> dict[str, list[tuple[str, int, int]]]:
+    """Return the clips of each class as take, start and stop, without those in the mirror."""
+    found: dict[str, list[tuple[str, int, int]]] = defaultdict(list)
+    for one in clips:
+        found[classes.get(one.subclass, one.subclass)] += stored_clips(
+            store, one.names[: len(one.names) - one.mirrored]
+        )
+    return found
+
+
+def _of_take(
+    store: Store, title: str, take: TestTake, result: SplitResult, clips: Mapping[str, list[tuple[str, int, int]]]
+) -> dict[Key, Example]:
+    """Return the nearest example of each segment of a take."""
+    named = {take_id: name for name, take_id in store.take_ids.items()}
+    whole: U64 = np.concatenate([*words_of(store, [named[part] for part in take.take_ids]).values()])
+    intervals: dict[str, dict[tuple[int, int], None]] = defaultdict(dict)
+    for label, start, stop in take.truth:
+        intervals[label][start, stop] = None
+    for outcome in result.outcomes.values():
+        for one in outcome[take.name]:
+            intervals[one.label][one.start, one.stop] = None
+    found = {}
+    for label, own in intervals.items():
+        places = [(start, stop) for start, stop in own if start < stop]
+        if clips.get(label) and places:
+            words = words_of(store, sorted({name for name, _, _ in clips[label]}))
+            parts = [words[name][start:stop] for name, start, stop in clips[label]]
+            features = len(store.feature_set.features)
+            nearest = nearest_clips(parts, [whole[start:stop] for start, stop in places], features)
+            for (start, stop), one_near in zip(places, nearest, strict=True):
+                example = Example(*clips[label][one_near.clip], one_near.cost, one_near.frames)
+                found[title, label, start, stop] = example
+    return found

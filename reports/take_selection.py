@@ -1,0 +1,172 @@
+"""The choice of takes for a report that cannot show all.
+
+With ground truth these are the worst, those around the median and the best; without it, those in which most was found
+and those that deserve a look.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
+from kinedex.reports.data import Segment
+
+OPEN_ALL, OPEN = 10, 6
+"""Up to `OPEN_ALL` timelines are all open; of more, `OPEN` come first and the others are folded."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The takes of a page.
+
+    Attributes
+    ----------
+    shown : tuple of str
+        The takes with a timeline, in the order of the page.
+    left_out : tuple of str
+        The others, by name.
+    reason : str
+        The order in words.
+    folded : int
+        So many of the shown ones, the last, are folded.
+    look : tuple of str
+        Those of them that deserve a look.
+    """
+
+    shown: tuple[str, ...]
+    left_out: tuple[str, ...]
+    reason: str
+    folded: int = 0
+    look: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Findings:
+    """The segments of a take: their number and frames, the least confidence, and how many another method doubts."""
+
+    segments: int
+    frames: int
+    least: float
+    doubted: int
+
+
+def findings_of(segments: Iterable[Segment]) -> dict[str, Findings]:
+    """Sum up the automatic segments of each take."""
+    found: dict[str, Findings] = {}
+    for one in segments:
+        old = found.get(one.take, Findings(0, 0, 1.0, 0))
+        sure = 1.0 if one.confidence is None else one.confidence
+        found[one.take] = Findings(
+            old.segments + 1, old.frames + one.stop - one.start, min(old.least, sure),
+            old.doubted + (one.doubted is not None),
+        )  # fmt: skip
+    return found
+
+
+def choose_takes(
+    names: Sequence[str],
+    f1: Mapping[str, float],
+    *,
+    findings: Mapping[str, Findings] | None = None,
+    wanted: Sequence[str] | None = None,
+    max_takes: int = 40,
+) -> Choice:
+    """Choose the takes whose timelines are shown.
+
+    Parameters
+    ----------
+    names : sequence of str
+        All annotated takes.
+    f1 : mapping of str to float
+        F (frames) of the takes that have ground truth.
+    findings : mapping of str to Findings or None
+        What was found in each take, for takes without ground truth.
+    wanted : sequence of str or None
+        Exactly these takes, in this order; None chooses.
+    max_takes : int
+        Largest number of takes where they are chosen: a third each from the worst, the middle and the best, or half
+        each of those with the most segments and of those that deserve a look.
+
+    Returns
+    -------
+    Choice
+        Takes with ground truth come first, the worst leading. Of many takes, a few from the start, the middle and the
+        end of this order come first, and the others are folded. Where no take has ground truth, those with the most
+        segments come first; those that deserve a look have the most segments that another method doubts, or the least
+        confident one.
+
+    Raises
+    ------
+    ParameterError
+        If `max_takes` is not positive.
+    KinedexError
+        If a wanted take was not annotated.
+    """
+    if max_takes < 1:
+        raise ParameterError("max_takes", "at least 1", max_takes)
+    if wanted is not None:
+        for name in wanted:
+            if name not in names:
+                raise KinedexError(f"takes: no annotated take is named '{name}'{did_you_mean(name, names)}")
+        return Choice(tuple(wanted), tuple(sorted(set(names) - set(wanted))), "as requested")
+    if not f1:
+        return _by_findings(names, findings or {}, max_takes)
+    choice = _ranked(names, f1, max_takes)
+    if len(choice.shown) <= OPEN_ALL:
+        return choice
+    first = worst_middle_best(choice.shown, OPEN)
+    rest = [name for name in choice.shown if name not in first]
+    return replace(choice, shown=(*first, *rest), folded=len(rest))
+
+
+def _by_findings(names: Sequence[str], findings: Mapping[str, Findings], max_takes: int) -> Choice:
+    """Choose takes without ground truth by what was found in them."""
+    most = sorted(
+        (name for name in names if name in findings),
+        key=lambda name: (-findings[name].segments, -findings[name].frames, name),
+    )
+    looks = sorted(most, key=lambda name: (-findings[name].doubted, findings[name].least, name))
+    empty = sorted(set(names) - set(most))
+    if len(names) <= OPEN_ALL and len(names) <= max_takes:
+        doubted = tuple(name for name in looks if findings[name].doubted)
+        return Choice((*most, *empty), (), "the take with the most segments first", look=doubted)
+    look = looks[: max_takes // 2]
+    rest = [name for name in most if name not in look][: max_takes - len(look)]
+    first = [*rest[: OPEN // 2], *look[: OPEN - len(rest[: OPEN // 2])]]
+    shown = [*first, *(name for name in (*rest, *look) if name not in first)]
+    reason = "the takes with the most segments first, then those that deserve a look: "
+    doubts = any(one.doubted for one in findings.values())
+    reason += "where another method disagrees most" if doubts else "those with the least confident segments"
+    left_out = tuple(sorted(set(names) - set(shown)))
+    return Choice(tuple(shown), left_out, reason, len(shown) - len(first), tuple(look))
+
+
+def _ranked(names: Sequence[str], f1: Mapping[str, float], max_takes: int) -> Choice:
+    ranked = sorted((name for name in names if name in f1), key=lambda name: (f1[name], name))
+    unranked = sorted(name for name in names if name not in f1)
+    if len(names) <= max_takes:
+        return Choice((*ranked, *unranked), (), "all takes, the lowest F (frames) first")
+    shown = worst_middle_best(ranked, max_takes)
+    rest = max_takes - len(shown)
+    shown = [*shown, *unranked[:rest]]
+    reason = "the worst, the middle and the best by F (frames), the lowest first"
+    return Choice(tuple(shown), tuple(sorted(set(names) - set(shown))), reason)
+
+
+def worst_middle_best(ranked: Sequence[str], count: int) -> list[str]:
+    """Return `count` names of a ranked list: from its start, around its median, and from its end."""
+    if len(ranked) <= count:
+        return list(ranked)
+    worst = (count + 2) // 3
+    best = (count + 1) // 3
+    middle = count - worst - best
+    rest = len(ranked) - best - worst
+    first = worst + (rest - middle) // 2
+    return [*ranked[:worst], *ranked[first : first + middle], *ranked[len(ranked) - best :]]
+
+
+def median_take(f1: Mapping[str, float]) -> str | None:
+    """Return the median take by F (frames), the lower one of two; None where no take has ground truth."""
+    ranked = sorted(f1, key=lambda name: (f1[name], name))
+    return ranked[(len(ranked) - 1) // 2] if ranked else None
