@@ -1,1 +1,1 @@
-"""The flow: stages and their configuration, plan, runner, executors, reports, the command line."""
+"""The flow: stages and their configuration, plan, runner and executors, and the services by subject."""

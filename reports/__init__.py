@@ -1,1 +1,1 @@
-"""Reports: the results of a pipeline on one HTML page that needs nothing else, and figures of templates."""
+"""All drawing: pages that need nothing else, pictures and films of motions, and the stages that only draw."""

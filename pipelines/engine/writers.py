@@ -1,4 +1,4 @@
-"""Drawing by name: stages that compute and also draw name the function that draws, which lies in a room above."""
+"""Writers of pages by name: a stage that computes and also draws names the function that draws, in a room above."""
 
 from __future__ import annotations
 
