@@ -7,7 +7,7 @@ import sys
 import textwrap
 from contextlib import AbstractContextManager
 from types import TracebackType
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderHook, RenderResult
 from rich.segment import Segment
@@ -15,7 +15,9 @@ from rich.segment import Segment
 from kinedex.console.pulse import Pulse
 from kinedex.console.streams import unescaped
 from kinedex.ops.escapes import visible, visible_lines, visible_text
-from kinedex.pipelines.engine.display import Line, ResultTable
+
+if TYPE_CHECKING:
+    from kinedex.pipelines.engine.display import Line, ResultTable
 
 WIDE = 160
 """Columns of a table that goes to a file or a pipe: wide enough that cells stay whole."""
