@@ -44,9 +44,9 @@ def body_of_array(
     places = [feature_set.joints.index(name) for name in names]
     for start in range(0, len(given), _BLOCK):
         placed[places, :, start : start + _BLOCK] = given[start : start + _BLOCK].transpose(1, 2, 0)
-    lost = np.isnan(placed).any(axis=1)
-    unknown = lost.all(axis=1)
-    valid: Bool = ~lost[~unknown].any(axis=0)
+    lost: Bool = np.any(np.isnan(placed), axis=1)
+    unknown: Bool = np.all(lost, axis=1)
+    valid: Bool = ~np.any(lost[~unknown], axis=0)
     if unknown.all() or not valid.any():
         raise ParameterError("positions", "finite for every joint in at least one frame", "NaN in every frame")
     warnings: list[str] = []
