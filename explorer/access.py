@@ -1,4 +1,4 @@
-"""Access to the server: a token, the names it listens on, and no request from another site."""
+"""Control access to the server by a token and by host names, and refuse requests from other sites."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 MOST_BYTES = 4 * 2**20
-"""The longest body of a request."""
+"""The largest body of a request that is accepted, in bytes."""
 
 EVERYWHERE = ("0.0.0.0", "::")
 """Hosts that stand for every address of this machine."""
@@ -32,7 +32,7 @@ POLICY = (
     "connect-src 'self'; font-src 'self'; worker-src 'self'; base-uri 'none'; form-action 'none'; "
     "frame-ancestors 'none'"
 )
-"""The content policy: a page loads nothing from elsewhere, no inline script, and styles by the nonce of the answer."""
+"""The Content-Security-Policy: a page loads from this server alone, runs no inline script; styles need the nonce."""
 
 HEADERS = {
     "x-content-type-options": "nosniff",
@@ -41,7 +41,7 @@ HEADERS = {
     "cross-origin-opener-policy": "same-origin",
     "cross-origin-resource-policy": "same-origin",
 }
-"""Headers of every answer."""
+"""The security headers that every response gets."""
 
 
 def new_token() -> str:
@@ -51,16 +51,16 @@ def new_token() -> str:
 
 @dataclass(frozen=True)
 class Rules:
-    """Who may ask.
+    """The rules by which requests are admitted.
 
     Attributes
     ----------
     token : str
         Anyone with the token may ask; it is sent once in the address, then in a cookie, or as a bearer token.
     port : int
-        The port; cookies of several servers of one machine differ by it.
+        The port, which is part of the cookie's name, so that servers on one machine do not share a cookie.
     hosts : frozenset of str
-        Names in the header Host; addresses of the Internet protocol count besides them where others may connect.
+        Host names that are accepted in the header Host; any IP address is too, if `open_to_others`.
     open_to_others : bool
         True if the server listens on more than the loopback device.
     """
@@ -85,8 +85,7 @@ class Rules:
     def is_known_host(self, header: str) -> bool:
         """Return whether a header Host names this server.
 
-        The port may differ, as it does behind a tunnel. A name that a foreign page brings in (DNS rebinding) is none
-        of ours.
+        The port may differ, as it does behind a tunnel. Other names are refused, as they are a sign of DNS rebinding.
         """
         name = _host_name(header)
         return name in self.hosts or (self.open_to_others and _is_address(name))
@@ -128,8 +127,8 @@ def _host_name(header: str) -> str:
 def is_from_elsewhere(request: Request) -> bool:
     """Return whether another site made a request.
 
-    A browser reports the site in Sec-Fetch-Site, and in Origin with everything that is not plain navigation. To go to
-    a page is allowed from anywhere: it shows its data to this browser alone.
+    A browser reports the site in Sec-Fetch-Site, and in Origin with everything that is not plain navigation. Plain
+    navigation to the page is allowed from any site, because its data is shown to this browser alone.
     """
     origin = request.headers.get("origin")
     host = request.headers.get("host", "")
@@ -142,14 +141,14 @@ def is_from_elsewhere(request: Request) -> bool:
 
 
 class Access:
-    """Refuse requests that break the rules, before anything else sees them; add the headers of safety to all answers.
+    """Refuse requests that break the rules before the application sees them; add security headers to all responses.
 
     Parameters
     ----------
     app : ASGI application
         The application that is protected.
     rules : Rules
-        Who may ask.
+        The rules by which requests are admitted.
     """
 
     def __init__(self, app: ASGIApp, rules: Rules) -> None:
@@ -185,7 +184,7 @@ class Access:
                 raise
 
     def _refusal(self, request: Request) -> Response | None:
-        """Return the answer to a request that goes no further; None for one that may."""
+        """Return the response that refuses or redirects a request; None if the request is admitted."""
         rules = self.rules
         if not rules.is_known_host(request.headers.get("host", "")):
             names = ", ".join(sorted(rules.hosts))
@@ -207,7 +206,7 @@ class Access:
         return HTMLResponse(_PAGE.format(text=html.escape(WAY_IN)), 401)
 
     def _admission(self, request: Request) -> Response:
-        """Return the way to the same address without the token, with the cookie that stands for it."""
+        """Return a redirect to the same address without the token, which sets the token as a cookie."""
         rest = [pair for pair in parse_qsl(request.url.query, keep_blank_values=True) if pair[0] != "token"]
         path = "/" + request.url.path.lstrip("/")
         answer = RedirectResponse(f"{path}?{urlencode(rest)}" if rest else path, 303)
@@ -231,7 +230,7 @@ def too_long() -> Response:
 
 
 class _Bounded:
-    """The body of a request, which fails once it is longer than allowed, whatever its header announced."""
+    """The body of a request, which raises TooLongError once it is longer than allowed, whatever Content-Length is."""
 
     def __init__(self, receive: Receive) -> None:
         self._receive = receive

@@ -1,8 +1,8 @@
-"""Addresses of the server: functions of a subject become routes that read and check what they are asked.
+"""Make the routes of the server from functions that answer requests; request bodies are parsed and checked first.
 
 A function gets the archive and runs in a thread, so that it may wait for SQL, files and kernels. It returns a mapping,
-which is sent as JSON, or a response of its own. Where the page has gone meanwhile, or asks something else, a function
-that only reads ends early (`ops.withdrawal`).
+which is sent as JSON, or a response of its own. If the page closes the connection or sends another request instead, a
+function that only reads is cancelled (`ops.withdrawal`).
 
     routes = [get("/api/store", describe), post("/api/takes", find_takes, TakesQuestion)]
 """
@@ -26,7 +26,7 @@ from kinedex.ops.withdrawal import withdrawn_when
 
 
 class Question(BaseModel):
-    """The body of a request; a field that it does not have is an error."""
+    """The base class of request bodies; an unknown field is an error."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
@@ -37,14 +37,14 @@ Result = Mapping[str, Any] | Response
 
 
 def get(path: str, function: Callable[[Archive, Request], Result]) -> Route:
-    """Return the route of a question that the address holds whole.
+    """Return the route of a GET address, whose path and query hold all parameters.
 
     Parameters
     ----------
     path : str
         Path of the address, with parameters in braces.
     function : callable
-        Returns the answer to the archive and the request, whose `path_params` and `query_params` it reads.
+        Called with the archive and the request, whose `path_params` and `query_params` it reads; returns the answer.
     """
 
     async def endpoint(request: Request) -> Response:
@@ -56,14 +56,14 @@ def get(path: str, function: Callable[[Archive, Request], Result]) -> Route:
 def post(
     path: str, function: Callable[[Archive, Asked, Request], Result], asked: type[Asked], *, writes: bool = False
 ) -> Route:
-    """Return the route of a question with a body.
+    """Return the route of a POST address, whose requests have a JSON body.
 
     Parameters
     ----------
     path : str
         Path of the address, with parameters in braces.
     function : callable
-        Returns the answer to the archive, the body and the request.
+        Called with the archive, the parsed body and the request; returns the answer.
     asked : type of Question
         Model of the body.
     writes : bool, optional
@@ -77,7 +77,7 @@ def post(
                 "this explorer was started with --read-only and writes nothing; start `kinedex explore` without it"
             )
         body = asked.model_validate_json(await request.body())
-        if writes:  # a decision that was sent is kept
+        if writes:  # it runs to its end even if the page has gone
             return _response(await to_thread.run_sync(function, archive, body, request))
         return _response(await _unless_gone(request, function, archive, body, request))
 
@@ -87,7 +87,7 @@ def post(
 
 
 async def _unless_gone(request: Request, function: Callable[..., Result], *values: object) -> Result:
-    """Call a function in a thread, and let its work be withdrawn once the connection of the request is closed."""
+    """Call a function in a thread, and cancel its work once the connection of the request is closed."""
     gone = Event()
     watch = asyncio.create_task(_watch(request, gone))
     try:
@@ -98,7 +98,7 @@ async def _unless_gone(request: Request, function: Callable[..., Result], *value
 
 
 async def _watch(request: Request, gone: Event) -> None:
-    """Wait for the end of a connection, after the request was read."""
+    """Wait until a connection is closed, and set an event then; the body of the request was read before."""
     while (await request.receive())["type"] != "http.disconnect":
         pass
     gone.set()

@@ -1,4 +1,4 @@
-"""The answers of the server: JSON without NaN, and one form for every error."""
+"""Responses of the server: JSON without NaN, and one format for all errors."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger("kinedex.explorer")
 
 EXACT = 2**53
-"""Larger integers are sent as text: the numbers of a page do not hold them."""
+"""Larger integers are sent as text, because JavaScript cannot represent them exactly."""
 
 
 class NotFoundError(KinedexError):
@@ -46,7 +46,7 @@ class Json(Response):
 
 
 def _exact(value: Any) -> Any:
-    """Return a JSON value with integers that a page cannot hold as text."""
+    """Return a JSON value in which integers that JavaScript cannot represent exactly are text."""
     if isinstance(value, dict):
         return {name: _exact(part) for name, part in value.items()}
     if isinstance(value, list):
@@ -55,7 +55,7 @@ def _exact(value: Any) -> Any:
 
 
 def error_answer(status: int, kind: str, message: str, remedy: Remedy | None = None) -> Json:
-    """Return an error as every page reads it.
+    """Return the JSON response for an error, in the format that all pages read.
 
     Parameters
     ----------
@@ -85,9 +85,9 @@ _STATUS: dict[type[KinedexError], int] = {
 
 
 async def fault_answer(_request: Request, fault: Exception) -> Response:
-    """Answer a request that failed; the log alone has tracebacks."""
+    """Return the response for a request that failed; a traceback goes to the log only."""
     if isinstance(fault, ClientDisconnect | WithdrawnError):
-        return Response(status_code=499)  # nobody waits for it
+        return Response(status_code=499)  # the client has disconnected
     if isinstance(fault, KinedexError):
         status = next(_STATUS[kind] for kind in type(fault).__mro__ if kind in _STATUS)
         return error_answer(status, type(fault).__name__, str(fault), fault.remedy)

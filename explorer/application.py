@@ -1,4 +1,4 @@
-"""The application of the explorer: the routes of all subjects, the built page, and one answer to every fault."""
+"""The ASGI application of the explorer: the routes of all subjects, the built page, and the handler of errors."""
 
 from __future__ import annotations
 
@@ -62,11 +62,11 @@ SUBJECTS = (
 """The modules whose `routes` the application has."""
 
 FIRST = frozenset({"events", "quality", "store", "takes", "totals"})
-"""Those that the first page needs. The others are imported once it has been shown: some bring numba or polars."""
+"""The subjects that the first page needs. The others are imported after it is shown: some import numba or polars."""
 
 
 PAUSE_SECONDS = 1.5
-"""The time from the answer with the page to the import of what it needs later."""
+"""Seconds from sending the page to importing the subjects that it needs later."""
 
 
 def make_application(archive: Archive, rules: Rules, built: Path = BUILT) -> ASGIApp:
@@ -77,7 +77,7 @@ def make_application(archive: Archive, rules: Rules, built: Path = BUILT) -> ASG
     archive : Archive
         The open store.
     rules : Rules
-        Who may ask.
+        The rules by which requests are admitted.
     built : Path, optional
         The folder of the built page.
     """

@@ -63,7 +63,7 @@ class Archive:
         """Return the newest version that has its index.
 
         What a caller holds stays valid until it lets go of it: the version is leased for as long. While one thread
-        opens a newer version, the others get the one before it, or the fault of the last look.
+        opens a newer version, the others get the one before it, or the error of the last attempt.
 
         Raises
         ------
@@ -97,7 +97,7 @@ class Archive:
         return {"version": version, "labels": f"{hash((version, self._journal)):x}"}
 
     def labels_changed(self) -> None:
-        """Read the labels anew when they are next asked for, and report the change to all pages."""
+        """Drop the cached labels, and tell all pages that labels have changed."""
         self._journal = self._journal_files()
         self._store.forget_labels()
         self.events.publish("labels", {})
@@ -118,7 +118,7 @@ class Archive:
             self.events.publish("labels", {})
 
     def _newest_files(self) -> tuple[int, str]:
-        """Return the newest version and the newest index, whose changes make it worth to open the store again.
+        """Return the newest version and the newest index file; if either has changed, the store must be reopened.
 
         Raises
         ------

@@ -1,8 +1,8 @@
-"""The segments of one class in held-out takes, found by the method of a pipeline with its templates or an edited one.
+"""Annotate held-out takes with one class, by the method of a pipeline and with its templates or an edited one.
 
-All is as in the stage `annotate` of the pipeline: method, δ, τ, classes, keyframe queries, shortest segment. An edited
-template takes the place of the learned one as it does from a file of `learn_templates.template_files`: it has no clips,
-which `method: best` would learn its background from, and which `each_example` would make templates of.
+All settings are those of the stage `annotate` of the pipeline: method, δ, τ, classes, keyframe queries, shortest
+segment. An edited template replaces the learned one as a template of `learn_templates.template_files` would: it has no
+clips, so that `method: best` cannot learn its background from them, nor `each_example` make templates of them.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ MATCHES = MatchMemory()
 
 @dataclass(frozen=True)
 class PipelineMaterial:
-    """All that a pipeline annotates with besides templates; each is read when it is first needed.
+    """The inputs of a pipeline's annotation besides templates; each is read when it is first needed.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class PipelineMaterial:
         Parameters
         ----------
         templates : sequence of SubclassTemplate
-            The templates; one without clips is of a file.
+            The templates; those without clips come from a file.
         classes : Classes
             The classes to label with.
         taus : mapping of str to float
@@ -127,7 +127,7 @@ class PipelineMaterial:
 
 
 def word_batches(store: Store, take_ids: Sequence[int]) -> list[TakeWords]:
-    """Return the words of takes as the batches that one thread each annotates, in the order of their ids."""
+    """Return the words of takes, sorted by take id, in batches of which each is annotated by one thread."""
     words = stored_words(store, take_ids)
     found, first = [], 0
     for batch in split_takes(words.take_ids.tolist(), words.frames.tolist()):

@@ -1,4 +1,4 @@
-"""Conditions of SQL that people write: their faults in their own words, and those over more views than takes."""
+"""SQL conditions that users type: errors that quote them, and conditions over other views than `takes`."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Answer = Callable[["Archive", Asked, "Request"], dict[str, Any]]
 
 
 def own_words(function: Answer[Asked]) -> Answer[Asked]:
-    """Return the function of an address, whose faults quote the condition of a person and no statement around it.
+    """Wrap the function of an address, so that SQL errors quote the user's condition and not the statement around it.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def matching_takes(store: Store, where: str) -> npt.NDArray[np.int64]:
     try:
         found = store.answer(f"SELECT take_id FROM takes WHERE (\n{text}\n)", timeout=SQL_SECONDS).table
     except KinedexError as fault:
-        if type(fault) is not KinedexError:  # it took too long, or nobody waits for it
+        if type(fault) is not KinedexError:  # it took too long, or the client has disconnected
             raise
         raise KinedexError(in_own_words(str(fault), text)) from None
     ids: npt.NDArray[np.int64] = found.column("take_id").to_numpy()
@@ -79,12 +79,12 @@ def matching_takes(store: Store, where: str) -> npt.NDArray[np.int64]:
 
 
 def in_own_words(message: str, text: str) -> str:
-    """Return a message about a condition that stood on lines of its own, with the place in the condition.
+    """Return DuckDB's error message with the position in the user's condition in place of that in the statement.
 
     Parameters
     ----------
     message : str
-        What was reported; the condition began on line 2.
+        The message of DuckDB about a statement in which the condition begins on line 2.
     text : str
         The condition.
 
@@ -124,7 +124,7 @@ def over_takes_alone(store: Store, asked: Selection) -> Selection:
     store : Store
         The store that is asked.
     asked : Selection
-        What a person asks for.
+        The selection as the user made it.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Distance curves over a take, the warping paths of hits, and two intervals in step, for the page.
+"""Distance curves over a take, the warping paths of hits, and DTW alignments of two intervals, for the page.
 
 `GET /api/takes/ID/templates` answers with `templates_of_take`; `GET /api/takes/ID/curve` with one little-endian float32
 per analysis frame: the cost of the best match that ends there, ∞ where there is none; `GET /api/takes/ID/hit` with
@@ -43,10 +43,10 @@ if TYPE_CHECKING:
 Row = dict[str, Any]
 
 DELTA = 0.05
-"""Values of a template within this of 0 and 1 count, where no stage of annotation states another number."""
+"""The default δ: values of a template within δ of 0 or 1 count, the others are wildcards."""
 
 MOST_ALIGNED = 1800
-"""Most frames of each of two intervals in step: a minute, for which the table of costs takes 26 MB."""
+"""Most frames of each of two aligned intervals: a minute, for which the matrix of costs takes 26 MB."""
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,7 @@ def nearest_hit(store: Store, take_id: int, choice: TemplateChoice, frame: int, 
     """Return the hit of a template that is nearest to a frame of a take, with its warping path.
 
     A hit that contains the frame comes first, the cheapest of several; then the one that ends nearest to it. Without a
-    hit below τ it is the cheapest place of the take.
+    hit below τ the cheapest match of the take is returned.
 
     Parameters
     ----------
@@ -282,7 +282,7 @@ def _example(store: Store, learned: SubclassTemplate, hit: U64) -> Row | None:
 
 
 def aligned_intervals(store: Store, one: Interval, other: Interval) -> Row:
-    """Return two intervals in step: for each frame of the first the frame of the second, by DTW of their words.
+    """Align two intervals by DTW of their words: return for each frame of the first the frame of the second.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ _PLACE = ["take", "start", "stop"]
 
 
 class QueueQuestion(Question):
-    """A block of the queue."""
+    """A request for a block of the queue."""
 
     stage: str | None = None
     classes: tuple[str, ...] = ()
@@ -83,7 +83,7 @@ def queue(archive: Archive, asked: QueueQuestion, _request: Request) -> Row:
 
 
 def _clause(asked: QueueQuestion, where: str | None) -> str:
-    """Return what is asked for as a clause of SQL that begins with a space; empty where it is everything."""
+    """Return the filters of a question as a WHERE clause that begins with a space; empty without filters."""
     takes, classes = (", ".join(map(quote, names)) for names in (asked.takes, asked.classes))
     parts = [f"({where}\n)" if "--" in where else f"({where})"] if where else []
     parts += [f"take IN ({takes})"] if takes else []
@@ -94,9 +94,9 @@ def _clause(asked: QueueQuestion, where: str | None) -> str:
 def with_verdicts(store: Store, annotations: pl.DataFrame) -> pl.DataFrame:
     """Return annotations with the verdict of the label that decides on each, and its id as `label`.
 
-    A label decides on an annotation of its class or subclass with the same edges; a corrected one decides on the
-    annotations that it overlaps, and any other that the frames show the class, on those with which it shares half of
-    the frames of both: annotations that were learned again begin and end a little elsewhere.
+    A label decides on an annotation of its class or subclass that has the same start and stop. A corrected label also
+    decides on all annotations that it overlaps, and any other positive label on those with which its intersection over
+    union is at least 0.5, because annotations of newly learned templates begin and end at slightly other frames.
     """
     labels = data_frame(store.labels()).filter(pl.col("limb").is_null())
     labels = labels.select("take", "start", "stop", pl.col("class").alias("named"), "verdict", "id", "origin")

@@ -3,7 +3,8 @@
 The kinds are `version` (a newer version of the store can be read), `labels` (labels have changed), `job` (the
 progress of a job, `{id, title, state, done?, total?, message?}`) and `trouble` ({message}: the store cannot be read);
 each carries one JSON object. A stream begins with `state` ({version, labels}), by which a page that has not listened
-for a while knows whether it missed anything, and with the jobs that run. `state` also ends trouble.
+for a while knows whether it missed anything, and with the jobs that run. After `trouble`, another `state` reports that
+the store can be read again.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ if TYPE_CHECKING:
     from starlette.requests import Request
 
 WAIT_SECONDS = 1.0
-"""While a page listens, the store is looked at so often."""
+"""Seconds from one check of the store for changes to the next, while a page listens."""
 
 QUIET_SECONDS = 15.0
-"""After so long without a message an empty one is sent, so that connections that are gone are noticed."""
+"""Seconds without a message after which an empty one is sent, so that closed connections are noticed."""
 
 
 class Events:
@@ -49,7 +50,7 @@ class Events:
         kind : str
             Name of the event: version, labels or job.
         message : mapping
-            What happened, as JSON has it.
+            The content of the message, which is sent as a JSON object.
         """
         chunk = _encoded(kind, message)
         if kind == "job":
@@ -71,7 +72,7 @@ class Events:
                 loop.call_soon_threadsafe(queue.put_nowait, chunk)
 
     async def listen(self, look: Callable[[], Mapping[str, object]]) -> AsyncIterator[bytes]:
-        """Yield the messages as they come, and look for news of the store meanwhile.
+        """Yield the messages as they come, and check the store for changes meanwhile.
 
         Parameters
         ----------
@@ -111,21 +112,21 @@ class Events:
                 yield chunk or b": quiet\n\n"
 
     async def _news(self, known: _Known) -> list[bytes]:
-        """Return what a listener does not know of the store yet; with its state, the jobs that run."""
+        """Return the messages that a listener lacks: the state of the store and the jobs that run, or the trouble."""
         news = await known.news()
         with self._lock:
             return [news, *self._running.values()] if news else []
 
 
 class _Known:
-    """The knowledge of a listener about the store: its state, or why it cannot be read; nothing at first."""
+    """What a listener was last told about the store: that it can be read, or why not; nothing at first."""
 
     def __init__(self, look: Callable[[], Mapping[str, object]]) -> None:
         self._look = look
         self._trouble: str | None = None
 
     async def news(self) -> bytes:
-        """Look at the store, and return the message where it cannot be read any more, or can be read again."""
+        """Check the store; return a message if it can no longer, or again, be read, else an empty one."""
         state: Mapping[str, object] = {}
         try:
             state = await to_thread.run_sync(self._look)

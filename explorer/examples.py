@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 NAME = "example"
 
 SHOWN_SECONDS = 3.0
-"""The curve of a hit is shown so long before and after it."""
+"""Seconds before and after a hit for which its distance curve is shown."""
 
 MOST_EXAMPLES = 500
 MOST_SECONDS = 60.0
@@ -62,7 +62,7 @@ Examples = Annotated[tuple[ChosenHit, ...], Field(max_length=MOST_EXAMPLES)]
 
 
 class ExamplesQuestion(Selection):
-    """Intervals to search by."""
+    """A search by example: intervals to be similar to, and others not to."""
 
     positives: Annotated[Examples, Field(min_length=1)]
     negatives: Examples = ()
@@ -74,7 +74,7 @@ class ExamplesQuestion(Selection):
 
 
 class HitQuestion(ExamplesQuestion):
-    """A hit of a search by example."""
+    """A search by example, and one of its hits."""
 
     hit: ChosenHit
 
@@ -185,7 +185,7 @@ def describe_hit(archive: Archive, asked: HitQuestion, _request: Request) -> dic
     features = _features(store)
     contradicted: list[dict[str, Any]] = []
     if path is not None:
-        visited = path.columns == np.rint(path.columns)  # the others are frames that a (1,2) step skips
+        visited = path.columns == np.rint(path.columns)  # fractional columns belong to frames that a (1,2) step skips
         asked_values = template.values(len(features))[path.columns[visited].astype(np.int64)]
         seen = bits(words[path.start : hit.stop][visited], len(features))
         wrong = ((asked_values != WILDCARD) & (asked_values != seen)).mean(axis=0)
@@ -204,7 +204,7 @@ def describe_hit(archive: Archive, asked: HitQuestion, _request: Request) -> dic
 
 
 def _fitted(store: Store, asked: HitQuestion, hit: ChosenInterval) -> QuantisedTemplate:
-    """Return the template as it was matched with a hit: mirrored or not, and for what its take knows."""
+    """Return the template as it was matched with a hit: mirrored or not, with the features known in its take."""
     made = _template(store, asked)
     whole = RankedTemplate(asked.name, quantise(made.named.template, asked.delta))
     if hit.mirrored:
@@ -224,7 +224,7 @@ def write_template(archive: Archive, asked: ExamplesQuestion, _request: Request)
 
 
 def save_labels(archive: Archive, asked: LabelsQuestion, _request: Request) -> dict[str, Any]:
-    """Record accepted hits as positive labels of a class and rejected ones as negative; they are on disk then."""
+    """Record accepted hits as positive labels of a class and rejected ones as negative, on disk before it returns."""
     store = archive.store()
     names = {take_id: name for name, take_id in store.take_ids.items()}
     rows = [

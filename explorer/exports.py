@@ -83,7 +83,7 @@ class ExportQuestion(Question):
 
 
 def export_facts(archive: Archive, _request: Request) -> Row:
-    """Return the forms, and the last export of this server."""
+    """Return the formats of exports, and the job of the last export of this server."""
     last = [job for job in jobs_of(archive).every() if job.title == TITLE]
     return {
         "forms": [{"name": name, "meaning": form.meaning} for name, form in FORMS.items()],
@@ -92,7 +92,7 @@ def export_facts(archive: Archive, _request: Request) -> Row:
 
 
 def request_of(store: Store, asked: ExportQuestion) -> What:
-    """Return the intervals that a question of the page means."""
+    """Return the source of the intervals that a request of the page exports."""
     kind, name = asked.what.kind, asked.what.name
     if asked.hits:
         kind, name = "sql", _hits_query(asked.hits)
@@ -120,7 +120,7 @@ def _hits_query(hits: tuple[Hit, ...]) -> str:
 
 
 def folder_of(archive: Archive, text: str) -> Path:
-    """Return the folder that a person has typed.
+    """Return the path of the folder that the user has typed, after checks.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def folder_of(archive: Archive, text: str) -> Path:
 
 
 def words_of(archive: Archive, what: What, how: How, folder: str) -> tuple[str, ...]:
-    """Return the words of `kinedex export` that write a request."""
+    """Return the arguments of the `kinedex export` command that performs a request."""
     plain = How()
     words = [
         "export",
@@ -170,11 +170,11 @@ def words_of(archive: Archive, what: What, how: How, folder: str) -> tuple[str, 
 
 
 _ARGUMENTS = {"form": "format", "rate_hz": "resample"}
-"""Fields of `How` that `Store.export` names otherwise."""
+"""Fields of `How` → their names as arguments of `Store.export`, where these differ."""
 
 
 def python_line(what: What, how: How, folder: str) -> str:
-    """Return the line of Python that writes a request."""
+    """Return the line of Python that performs a request."""
     named: Row = {} if what.kind == "takes" else {what.kind: True if what.kind not in NAMES else str(what.name)}
     parts = {"where": what.where, "classes": what.classes, "pipeline": what.pipeline}
     named |= {key: value for key, value in parts.items() if value}

@@ -134,7 +134,7 @@ def _better_threshold(prepared: Prepared, found: Row | None) -> str | None:
 
 
 def _without_effect(prepared: Prepared, asked: EditQuestion) -> list[str]:
-    """Return a remark on edits that the method of the pipeline does not heed."""
+    """Return a remark on edits that the method of the pipeline ignores."""
     method = prepared.use.params.annotation_method
     weights = sorted(name for name, weight in asked.weights.items() if weight not in (0, 1))
     if not issubclass(method, BestMethod) or not weights:
@@ -146,7 +146,7 @@ def _without_effect(prepared: Prepared, asked: EditQuestion) -> list[str]:
 
 
 def _judged(prepared: Prepared, edit: Edit, compete: bool, best: dict[str, float | None], progress: Progress) -> Row:
-    """Return the rows of the template before and after an edit, and what it finds in vain and misses after it."""
+    """Return the rows of the template before and after an edit, and its false and missed segments after the edit."""
     used = edit.tau if prepared.use.uses_thresholds else None
     wanted = _wanted(prepared, edit, best)
     known = prepared.counts if not edit.template else {}
@@ -181,7 +181,7 @@ def _judged(prepared: Prepared, edit: Edit, compete: bool, best: dict[str, float
 
 
 def _wanted(prepared: Prepared, edit: Edit, best: dict[str, float | None]) -> list[Wanted]:
-    """Return the rows of the table."""
+    """Return the pairs of template and threshold that are the rows of the table."""
     if not prepared.use.uses_thresholds:
         return [Wanted("learned", "pipeline", None), *([Wanted("edited", "used", None)] if edit.template else [])]
     rows = [Wanted("learned", "pipeline", prepared.tau), Wanted("learned", "best", best["learned"])]
@@ -226,7 +226,7 @@ def _counts(prepared: Prepared, found: Sequence[tuple[Segment, ...]]) -> Counts:
 
 
 def _mistakes(prepared: Prepared, found: Sequence[tuple[Segment, ...]]) -> Row:
-    """Return the segments that overlap no true one, the surest first, and the true ones that nothing overlaps."""
+    """Return the found segments that overlap no true one, cheapest first, and true ones that no found one overlaps."""
     names = {take_id: name for name, take_id in prepared.store.take_ids.items()}
     wrong, missed = [], []
     for take, own in zip(prepared.takes, found, strict=True):

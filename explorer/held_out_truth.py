@@ -20,10 +20,10 @@ Source = Literal["evaluation", "labels"]
 SOURCES: tuple[Source, ...] = ("evaluation", "labels")
 
 MOST_SECONDS = 3600.0
-"""Takes of so many seconds in all are judged by at once; more are judged by where somebody asks for all of them."""
+"""Most seconds of held-out takes, in all, for an evaluation, unless all takes are asked for."""
 
 Segments = dict[str, list[tuple[int, int]]]
-"""The frames [start, stop) of the segments of one class, by the name of the take; none in a take without it."""
+"""Name of a take → the segments [start, stop) of one class in it, in frames; an empty list if it has none."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class HeldOut:
     among_examples : int
         Takes with ground truth that the class has examples of, and that are not judged by.
     missing : str
-        The reason for which there is no take, and what to do; empty where there are some.
+        The reason why there is no held-out take, and what to do; empty if there are some.
     remarks : tuple of str
         What was excluded, and what the numbers do not say.
     """
@@ -66,7 +66,7 @@ def held_out_takes(
     *,
     everything: bool = False,
 ) -> HeldOut:
-    """Return the takes with ground truth that no example of a class is of.
+    """Return the takes with ground truth from which no example of a class was taken.
 
     Parameters
     ----------

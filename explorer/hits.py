@@ -1,4 +1,4 @@
-"""Hits as every way of asking answers with them.
+"""Hits in the form in which all searches return them, and their labels.
 
 {take_id, take, start, stop, cost: number or null, mirrored, name}: the frames [start, stop) of a take, what they cost,
 whether they fit the mirror image, and the template or query that found them.
@@ -33,7 +33,7 @@ MOST_HITS = 500
 """Most hits of one answer."""
 
 SHARED = 0.5
-"""Two intervals are of the same place if they share so much of the shorter one, as the page marks verdicts."""
+"""Least overlap, as a share of the shorter interval, at which a label counts for a hit; the page uses it, too."""
 
 Limit = Annotated[int, Field(ge=1, le=MOST_HITS)]
 
@@ -48,7 +48,7 @@ class ChosenHit(Question):
     mirrored: bool = False
 
     def interval(self, store: Store) -> ChosenInterval:
-        """Return the interval as searches take it.
+        """Check the interval, and return it as an argument of searches.
 
         Raises
         ------
@@ -71,13 +71,13 @@ class ChosenHit(Question):
 
 
 class LabelledQuestion(Question):
-    """Hits whose labels are wanted."""
+    """A request for the labels of hits."""
 
     hits: Annotated[tuple[ChosenHit, ...], Field(max_length=MOST_HITS)]
 
 
 def find_labels(archive: Archive, asked: LabelledQuestion, _request: Request) -> dict[str, Any]:
-    """Return the labels of hits, those that share most first."""
+    """Return the labels of each hit, by the share of overlap, the largest first."""
     store = archive.store()
     names = {take_id: name for name, take_id in store.take_ids.items()}
     places = [one.interval(store) for one in asked.hits]

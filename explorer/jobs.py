@@ -44,10 +44,10 @@ FOLDER = "jobs"
 """The folder of the store with the logs of jobs."""
 
 LOOK_SECONDS = 0.3
-"""The progress of a job is read so often."""
+"""Seconds from one reading of a job's progress to the next."""
 
 END_SECONDS = 20.0
-"""A job that is stopped may take so long; then it is killed, which costs what it has not committed."""
+"""Seconds that a stopped job may take to end; then it is killed, and what it has not committed is lost."""
 
 MOST_LOG_BYTES = 200_000
 """The end of a log that is sent; the file has all of it."""
@@ -70,8 +70,8 @@ class Job:
     then : callable, optional
         Called with the job when it is done.
     check : callable, optional
-        Called before the job begins; a KinedexError is the reason why it does not, for instance since the store is not
-        any more what was planned while it waited.
+        Called before the job begins. If it raises a KinedexError, the job fails with its message; for instance, because
+        the store has changed since the job was planned.
     weights : tuple of float
         How long its stages take compared with each other, for progress; all alike unless given.
     learns : bool
@@ -97,7 +97,7 @@ class Job:
     stopping: bool = False
 
     def shown(self) -> dict[str, Any]:
-        """Return the job as pages have it."""
+        """Return the job as a JSON object for pages."""
         keys = ("id", "title", "state", "stopping", "done", "message", "begun", "finished", "version", "problem")
         part = self.part or 0.0
         weights = self.weights or (1.0,) * self.steps
@@ -250,11 +250,11 @@ class Jobs:
         except Exception as fault:  # the thread must go on with the next job
             code, problem = 1, str(fault)
         with suppress(OSError):
-            job.version = max(versions(self._path), default=None)  # there is none of a store that somebody has removed
+            job.version = max(versions(self._path), default=None)  # the store may have been removed meanwhile
         state: State = "done" if code in (0, 3) else "stopped" if job.stopping else "failed"
         job.problem = problem if state == "failed" else None
         job.state = state
-        job.finished = _now()  # the last one: who finds it finds all others
+        job.finished = _now()  # set last: a reader who sees it sees all other results
         with self._lock:
             self._process = None
 

@@ -1,4 +1,4 @@
-"""Label files that the person names: read with their differences first, taken in then, and written for other tools.
+"""Preview label files as differences from the labels there are, import them, and export labels for other tools.
 
 `POST /api/labels/read {paths: [path], corrects?: "annotations" or "labels", stage?}` shows what would be recorded, and
 records nothing; its `checksum` is that of the files. `POST /api/labels/import` with the same and this checksum records
@@ -54,7 +54,7 @@ class FilesQuestion(Question):
 
 
 class ImportQuestion(FilesQuestion):
-    """Files to take in, as they were read."""
+    """Files to import, with the checksum that they had when they were read."""
 
     checksum: str
     annotator: Annotated[str, Field(max_length=200)] | None = None

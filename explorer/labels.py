@@ -4,7 +4,7 @@
 with rows of the view `labels` or `label_history`.
 
 `POST /api/labels/decide {take, annotator?, changes: [change]}` records edits of the labels of one take; all of them or
-none. A change is one of
+none of them. A change is one of
 
     {do: "draw", id, class, start, stop, verdict?, limb?, note?}
     {do: "change", id, label, class?, start?, stop?, verdict?}       another class, other edges, another verdict
@@ -14,9 +14,9 @@ none. A change is one of
     {do: "accept" or "reject", id, stage, class, subclass, start, stop, seen?}
     {do: "restore", ids: [id, …], made: [id, …], back: [id, …]}     undo the edit that made rows of others, or redo it
 
-An id is 32 hexadecimal digits that the page makes, and `label` is the id of a label. The answer is on its way only
-after the journal is on disk; a request that is sent again records nothing twice. A label that was changed meanwhile
-gives the status 409 and a `ConflictError`, and nothing is recorded. `command` and `python` of the answer make the same
+An id is 32 hexadecimal digits that the page makes, and `label` is the id of a label. The answer is sent only after the
+journal is on disk; a request that is sent again records nothing twice. If a label was changed meanwhile, the answer is
+a `ConflictError` with status 409, and nothing is recorded. `command` and `python` of the answer make the same
 decisions, one line each.
 """
 
@@ -58,7 +58,7 @@ Name = Annotated[str, Field(min_length=1, max_length=1000)]
 Frame = Annotated[int, Field(ge=0)]
 
 _DECIDING = threading.Lock()
-"""Held while a decision is compared with the labels and recorded, so that of two tabs one is second."""
+"""Held while a request is checked against the labels and recorded, so that requests of two tabs follow each other."""
 
 
 class Draw(Question):
@@ -74,7 +74,7 @@ class Draw(Question):
     note: str | None = None
 
     def apply(self, edits: LabelEdits, take: str, _store: Store) -> None:
-        """Make the edit."""
+        """Add this change to the edits of the take."""
         more = {"verdict": self.verdict, "limb": self.limb, "note": self.note}
         edits.draw(self.id, take, self.label, self.start, self.stop, **more)
 
@@ -91,7 +91,7 @@ class Change(Question):
     verdict: Literal["positive", "negative"] | None = None
 
     def apply(self, edits: LabelEdits, _take: str, _store: Store) -> None:
-        """Make the edit."""
+        """Add this change to the edits of the take."""
         values = {"class": self.label, "start": self.start, "stop": self.stop, "verdict": self.verdict}
         edits.change(self.id, self.of, **values)
 
@@ -105,7 +105,7 @@ class Split(Question):
     at: Frame
 
     def apply(self, edits: LabelEdits, _take: str, _store: Store) -> None:
-        """Make the edit."""
+        """Add this change to the edits of the take."""
         edits.split(self.ids, self.label, self.at)
 
 
@@ -117,7 +117,7 @@ class Join(Question):
     labels: Annotated[tuple[Id, ...], Field(min_length=2, max_length=MOST_CHANGES)]
 
     def apply(self, edits: LabelEdits, _take: str, _store: Store) -> None:
-        """Make the edit."""
+        """Add this change to the edits of the take."""
         edits.join(self.ids, self.labels)
 
 
@@ -129,7 +129,7 @@ class Withdraw(Question):
     label: Id
 
     def apply(self, edits: LabelEdits, _take: str, _store: Store) -> None:
-        """Make the edit."""
+        """Add this change to the edits of the take."""
         edits.withdraw(self.id, self.label)
 
 
@@ -146,7 +146,7 @@ class Decide(Question):
     seen: Id | None = None
 
     def apply(self, edits: LabelEdits, take: str, store: Store) -> None:
-        """Make the edit; an annotation that is gone since is decided on as the person saw it."""
+        """Add this change to the edits; an annotation that has been removed since is decided on as the page showed it."""
         row: Row = {"take": take, "class": self.label, "subclass": self.subclass or ""}
         row |= {"start": self.start, "stop": self.stop, "confidence": None}
         found = next((one for one in _annotations_of(store, self.stage, take) if _is_same(one, row)), row)
@@ -162,7 +162,7 @@ class Restore(Question):
     back: Annotated[tuple[Id, ...], Field(max_length=MOST_CHANGES)] = ()
 
     def apply(self, edits: LabelEdits, _take: str, _store: Store) -> None:
-        """Make the edit."""
+        """Add this change to the edits of the take."""
         edits.restore(self.ids, self.made, self.back)
 
 
@@ -178,7 +178,7 @@ class Decisions(Question):
 
 
 def decide(archive: Archive, asked: Decisions, _request: Request) -> Row:
-    """Record edits; what is answered is on disk."""
+    """Record edits of the labels of a take; they are on disk before the answer is sent."""
     with _DECIDING:
         store = archive.store()
         _require_take(store, asked.take)
@@ -215,7 +215,7 @@ def _is_same(one: Row, other: Row) -> bool:
 
 
 def _shown(row: Row) -> Row:
-    """Return a row of labels as pages have it."""
+    """Return a row of labels as a JSON object for pages."""
     return {**row, "created": row["created"].isoformat(timespec="seconds")}
 
 
@@ -321,7 +321,7 @@ def _learned(store: Store, stage: str | None) -> Row:
 
 
 class LabelsQuestion(Question):
-    """A block of the labels of a store."""
+    """A request for a block of the labels of a store."""
 
     where: str | None = None
     history: bool = False

@@ -1,4 +1,4 @@
-"""The lanes of a take: words, statements of people and of methods on one time axis, and marks of its quality.
+"""The lanes of a take: words, labels, annotations, other results and faults of quality on one time axis.
 
 `GET /api/takes/ID` and `GET /api/take?name=` answer with `take_document`, `GET /api/takes/ID/words` with one
 little-endian uint64 per analysis frame (bit i − 1 is feature Fi; 2⁶⁴ − 1 in an invalid frame),
@@ -116,7 +116,7 @@ def take_lanes(cache: PositionCache, store: Store, take_id: int) -> Row:
     Parameters
     ----------
     cache : PositionCache
-        Where positions are kept.
+        The cache of joint positions.
     store : Store
         The store of the take.
     take_id : int
@@ -249,17 +249,17 @@ def _ranked_lanes(store: Store, take_id: int) -> list[Row]:
 
 
 def _limb_error_lanes(store: Store, take_id: int) -> list[Row]:
-    """Return where limbs are wrong or jump as sensors report it, a lane for each limb."""
+    """Return the segments in which a limb is wrong or jumps according to sensors, a lane for each limb."""
     return _limb_lanes(store, take_id, "limb_error_runs", "kind AS class, peak_deg, mean_deg, tau_deg", "errors")
 
 
 def _limb_label_lanes(store: Store, take_id: int) -> list[Row]:
-    """Return where people have marked limbs as wrong, a lane for each limb."""
+    """Return the segments in which people have labelled a limb as wrong, a lane for each limb."""
     return _limb_lanes(store, take_id, "limb_labels", "coalesce(annotator, 'wrong') AS class", "marked")
 
 
 def _limb_lanes(store: Store, take_id: int, view: str, text: str, name: str) -> list[Row]:
-    """Return the segments of a view of limbs, whose source frames become those of the analysis by their times."""
+    """Return the segments of a view of limbs, with source frames converted to analysis frames by time."""
     columns = f"limb, start_seconds, stop_seconds, {text}"
     rows = store.sql(_PLAIN.format(columns=columns, view=view), [take_id]).to_pylist()
     for row in rows:

@@ -1,4 +1,4 @@
-"""Learn again from labels in the background: the settings, the run, the list of its changes, and the way back.
+"""Learn again from labels in the background: the settings, the run, the list of its changes, and undo.
 
 `GET /api/learn` answers with `learning_facts`, `POST /api/learn {examples?, method?, where?}` starts a job,
 `GET /api/learn/changes` lists what the last one changed, and `POST /api/learn/undo` starts a job that brings the
@@ -58,7 +58,7 @@ class LearnQuestion(Question):
 
 
 def learning_facts(archive: Archive, _request: Request) -> Row:
-    """Return the settings with which it would be learned again, and the last time.
+    """Return the settings that learning again would use, and the versions before and after its last run.
 
     Returns
     -------
@@ -113,11 +113,11 @@ def learning_stages(store: Store, asked: LearnQuestion) -> Row:
         templates["examples"] = [*([CLIPS] if "clips" in asked.examples else []), LABELS, *others]
     chosen = {"method": asked.method, "where": (asked.where or "").strip() or None}
     annotate |= {key: value for key, value in chosen.items() if value is not None}
-    templates["methods"] = [annotate.get("templates", "soft")]  # of the two kinds, the one that annotates
-    # few labels are no picture of an archive: each of them counts, rejected ones too
+    templates["methods"] = [annotate.get("templates", "soft")]  # soft or hard, whichever the annotation uses
+    # few labels do not represent an archive, so each of them, rejected ones too, counts as an example of its own
     annotate["each_example"] = CLIPS not in templates["examples"] and annotate.get("method") == "best"
     if annotate["each_example"]:
-        annotate["store_curves"] = False  # they are those of averaged templates, which label nothing then
+        annotate["store_curves"] = False  # the curves are of averaged templates, which are not used then
     return {"learn_templates": {"params": templates}, **stages, "annotate": {"params": annotate}}
 
 
@@ -159,7 +159,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def learn(archive: Archive, asked: LearnQuestion, _request: Request) -> Row:
-    """Start to learn again and to annotate."""
+    """Start the job that learns again from labels and annotates."""
     store = archive.store()
     if any(job.title == TITLE and job.state in ("waiting", "running") for job in jobs_of(archive).every()):
         raise ConflictError("it is being learned again already; stop that job first, or wait for it")
@@ -179,7 +179,7 @@ def learn(archive: Archive, asked: LearnQuestion, _request: Request) -> Row:
         record = {**before, "after": after, "undone": False, "job": job.id}
         if after != before["before"]:
             _write(_record_file(archive), json.dumps(record))
-        jobs_of(archive).prepare()  # who has learned once learns again
+        jobs_of(archive).prepare()  # somebody who has learned once is likely to learn again
 
     words = run_words(archive, _file(archive))
     weights = tuple(_WEIGHTS[name] for name in stages)
@@ -193,10 +193,10 @@ _WEIGHTS = {"learn_templates": 1.0, "learn_keyframes": 5.0, "annotate": 20.0}
 
 
 def _put_classes(archive: Archive, store: Store, stages: Row) -> None:
-    """Let the classes that people have labelled be annotated, where a class file does not have them.
+    """Extend the class file of the stages by classes that people have labelled and that it lacks.
 
-    The extended file stands beside the pipeline's. Without clips a class file cannot be used, since it names subclasses
-    that only clips have: then every class of a label is one of its own.
+    The extended file is written beside the file of the pipeline. Without clips as examples, a class file cannot be
+    used, since it names subclasses that only clips have: then every class of a label becomes a class of its own.
     """
     annotate = stages["annotate"]["params"]
     files = class_files(annotate.get("classes", OWN))
@@ -275,7 +275,7 @@ def _segments(store: Store, stage: str) -> list[Segment]:
 
 
 def undo(archive: Archive, _asked: NoQuestion, _request: Request) -> Row:
-    """Start to bring the annotations back that were current before the last run."""
+    """Start the job that restores the annotations that were current before the last run."""
     last = _last(archive)
     if last is None or last["undone"]:
         raise KinedexError("nothing was learned again that could be undone")

@@ -1,4 +1,4 @@
-"""Maps that are computed in processes of their own, at low priority, for as long as somebody waits for them."""
+"""Compute maps in processes of their own, at low priority, and stop each when no client waits for it any longer."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from kinedex.storage.store.store import Store
 
 KEPT = 4
-"""Maps that are kept: some 30 bytes a point."""
+"""Most maps that are cached, with some 30 bytes a point."""
 
 LOOK_SECONDS = 0.2
 
 NICE = 5
-"""The priority of a process: what a person does meanwhile comes first."""
+"""The niceness of a process, so that other requests of the user run first."""
 
 Key = tuple[str, Unit]
 Step = tuple[int, int]
@@ -81,7 +81,7 @@ class MapRun:
         self._process.terminate()
 
     def _read(self) -> None:
-        """Take what the process reports until it ends."""
+        """Receive the reports of the process until it ends."""
         with suppress(EOFError, OSError):
             while not self.done:
                 found = self._pipe.recv()
@@ -105,11 +105,11 @@ def _compute(pipe: Connection, path: Path, version: int, unit: Unit) -> None:
     if hasattr(os, "nice"):
         os.nice(NICE)
     try:
-        # one thread: others work on this machine, and the sums have one order
+        # one thread, to leave the other cores free and to add in a fixed order
         with extra_package("threadpoolctl", "scikit-learn", PURPOSE, "map").threadpool_limits(1):
             pipe.send(archive_map(open_store(path, at=version), unit, lambda done, total: pipe.send((done, total))))
     except KinedexError as fault:
-        pipe.send(KinedexError(str(fault)))  # some classes have parameters that a pipe does not bring back
+        pipe.send(KinedexError(str(fault)))  # some subclasses cannot be unpickled
     except BrokenPipeError:  # the server is gone
         pass
 
@@ -124,8 +124,8 @@ class Maps:
     async def find(self, store: Store, unit: Unit) -> AsyncIterator[Step | ArchiveMap]:
         """Yield the steps of a computation as it goes on, and the map at the end.
 
-        A map is kept by the content of the takes: a version with other results alone has the same one. A computation
-        ends when all who iterate have stopped.
+        A map is cached by the content of the takes, so that versions that differ in results alone share it. A
+        computation is stopped when all iterators have been closed.
 
         Parameters
         ----------

@@ -71,7 +71,7 @@ async def _lines(request: Request, archive: Archive, store: Store, unit: Unit) -
 
 
 def _described(archive: Archive, store: Store, unit: Unit, found: ArchiveMap) -> dict[str, Any]:
-    """Return a map as pages have it."""
+    """Return a map as a JSON object for pages."""
     takes, owner = np.unique(found.take_ids, return_inverse=True)
     names = {take_id: name for name, take_id in store.take_ids.items()}
     places = np.round(found.places.astype(np.float64), 4)
@@ -124,7 +124,7 @@ def cluster_title(one: Cluster) -> str:
 
 
 class MapTakesQuestion(Selection):
-    """The values of a column of the takes that fit."""
+    """A request for the values of a column of the takes that fit filters."""
 
     column: str
 
@@ -136,7 +136,7 @@ def map_takes(archive: Archive, asked: MapTakesQuestion, _request: Request) -> d
     known = store.take_rows.column_names
     nan = columns_with_nan(store)
     name, condition = expression(asked.column, known, nan=nan), condition_of(asked, known, nan)
-    # values of all takes: a sign stays that of its value, whatever the filters leave
+    # values of all takes, so that a value keeps its mark on the map, whatever the filters exclude
     every = store.answer(f"SELECT {name} AS value FROM takes ORDER BY take_id", timeout=SQL_SECONDS).table
     text = f"SELECT take_id, {name} AS value FROM takes{condition}"
     fitting = store.answer(f"SELECT take_id FROM takes{condition}", timeout=SQL_SECONDS).table

@@ -101,7 +101,7 @@ class PositionCache:
         return next(found for _, found in self.every(store, [take_id]))
 
     def every(self, store: Store, take_ids: Iterable[int]) -> Iterator[tuple[int, F32]]:
-        """Yield the ids and the positions of takes: those at hand first, the others as they lie in the store."""
+        """Yield the ids and the positions of takes: cached ones first, then the others in the order of the store."""
         names = _names(store, take_ids)
         missing = {}
         for take_id, name in names.items():
@@ -117,7 +117,7 @@ class PositionCache:
             yield missing[name], read
 
     def intervals(self, store: Store, items: Sequence[Interval]) -> Iterator[tuple[int, F32]]:
-        """Yield the places and the positions of intervals, in any order; of takes not at hand, no more is read."""
+        """Yield the index and the positions of each interval, in any order; of takes not cached, only it is read."""
         missing = []
         for place, one in enumerate(items):
             held = self._at_hand(store, one.take_id)
@@ -171,12 +171,12 @@ def _names(store: Store, take_ids: Iterable[int]) -> dict[int, str]:
 def motion_blocks(
     cache: PositionCache, store: Store, take_id: int, first: int = 0, stop: int | None = None, step: int = 1
 ) -> Iterator[bytes]:
-    """Yield the blocks of a take, see the module.
+    """Yield the blocks of a take, in the format that the module describes.
 
     Parameters
     ----------
     cache : PositionCache
-        Where positions are kept.
+        The cache of joint positions.
     store : Store
         The store of the take.
     take_id : int
@@ -268,12 +268,12 @@ def packed(positions: npt.NDArray[np.floating], rate_hz: float, first: int = 0, 
 
 
 def figures(cache: PositionCache, store: Store, items: Sequence[Interval], frames: int) -> bytes:
-    """Return many small motions in one answer, see the module.
+    """Return many small motions in one answer, in the format that the module describes.
 
     Parameters
     ----------
     cache : PositionCache
-        Where positions are kept.
+        The cache of joint positions.
     store : Store
         The store of the takes.
     items : sequence of Interval

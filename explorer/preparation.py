@@ -1,8 +1,8 @@
-"""Preparation: what first questions would wait for is loaded while a person still looks around.
+"""Load kernels, indexes and files in the background that the first requests of a page would otherwise wait for.
 
-Kernels are compiled on the first call after an installation, and loaded from files later. The questions themselves are
-asked here, with little in them, in the order in which people come to them. Files of frames are compared with their
-checksums before the first figure of them moves.
+Kernels are compiled on the first call after an installation, and loaded from files later. To load them, small requests
+of each kind are made here, in the order in which users usually make them. The checksums of frame files are verified
+before the first of them is shown.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger("kinedex.explorer")
 
 MOST_CHECKED = 8_000_000_000
-"""Files of frames of so many bytes together are checked ahead; of larger archives, each is when it is first needed."""
+"""Most bytes of frame files that are verified ahead; in a larger archive, each is verified when it is first read."""
 
 EXAMPLE_FRAMES = 60
 
@@ -31,7 +31,7 @@ _REQUEST = Request({"type": "http"})
 
 
 def prepare(archive: Archive) -> None:
-    """Ask a first question of each kind; one that cannot be answered is left.
+    """Make a small request of each kind; one that fails is logged and skipped.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def prepare(archive: Archive) -> None:
         try:
             step(archive)
             _LOG.info("%s: %.1f s", step.__name__, time.perf_counter() - begin)
-        except KinedexError as fault:  # such as that of an index that is still to be built
+        except KinedexError as fault:  # for instance because the index has not been built yet
             _LOG.info("%s: %s", step.__name__, fault)
 
 
@@ -52,7 +52,7 @@ def _open_sql(archive: Archive) -> None:
 
 
 def _example(store: Store, number: int) -> tuple[int, ExamplesQuestion]:
-    """Return the id of a take, and the question for what is like its beginning."""
+    """Return the id of a take, and a search by example for intervals similar to its beginning."""
     from kinedex.explorer.examples import ExamplesQuestion
 
     longest = sorted(store.take_frames, key=lambda take_id: -store.take_frames[take_id])
@@ -64,7 +64,7 @@ def _example(store: Store, number: int) -> tuple[int, ExamplesQuestion]:
 def _ask_by_example(archive: Archive) -> None:
     from kinedex.explorer.examples import HitQuestion, describe_hit, find_similar, warm_up
 
-    warm_up()  # in this thread: those of a search must end before the process can
+    warm_up()  # in this thread, because the process cannot end before the threads of a search do
     if not archive.store().take_frames:
         return
     chosen, asked = _example(archive.store(), 0)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 F64 = npt.NDArray[np.float64]
 
 KEPT = 2
-"""So many templates at most keep the words of their held-out takes in memory, between two edits."""
+"""Most templates whose held-out takes' words are kept in memory between two edits."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ class Prepared:
 
 
 class PreparedTemplates:
-    """The templates that are being edited, the least recently used are forgotten. Several threads may use it."""
+    """An LRU cache of the templates that are being edited. Several threads may use it."""
 
     def __init__(self) -> None:
         self._held: OrderedDict[tuple[object, ...], Prepared] = OrderedDict()

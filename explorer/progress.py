@@ -28,7 +28,7 @@ LOOK_SECONDS = 0.1
 
 
 class Progress:
-    """The steps of some work that are done and that there are; one thread counts them, and another one looks."""
+    """The number of steps of some work, done and in all; one thread counts them while another one reads the numbers."""
 
     def __init__(self) -> None:
         self.step = (0, 0)
@@ -55,7 +55,8 @@ def post_with_progress(path: str, function: Function[Asked], asked: type[Asked])
     path : str
         Path of the address.
     function : callable
-        Returns the answer to the archive, the body, the request and the progress that it advances; it only reads.
+        Called with the archive, the body, the request and the progress, which it advances; returns the answer. It must
+        not write.
     asked : type of Question
         Model of the body.
     """
@@ -76,7 +77,7 @@ def post_with_progress(path: str, function: Function[Asked], asked: type[Asked])
 
 
 async def fault_line(request: Request, fault: Exception) -> bytes:
-    """Return the line {error, status} of a fault that came up after the status of the response was sent."""
+    """Return the line {error, status} for an error that was raised after the status of the response was sent."""
     answer = await fault_answer(request, fault)
     error = json.loads(bytes(answer.body) or b'{"error": {"type": "WithdrawnError", "message": ""}}')
     return json.dumps({**error, "status": answer.status_code}).encode() + b"\n"

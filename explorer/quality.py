@@ -1,4 +1,4 @@
-"""The reservations about an archive: suspect takes, warnings, duplicates, and files that ingest excluded.
+"""Answers about the quality of an archive: suspect takes, warnings, duplicates, and files that ingest excluded.
 
 GET /api/quality → {figures: [{figure, meaning, unit, low, high, advice, takes}], warnings: [{warning, takes}],
                     invalid: {takes, frames}, command, python}
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from kinedex.explorer.archive import Archive
 
 ROWS = 2000
-"""Most rows of one answer; how many there are in all stands beside them."""
+"""Most rows of one answer; `total` counts all."""
 
 FLAGS = 50_000
 """Most flags of takes that a page gets."""
@@ -42,7 +42,7 @@ _EXCLUDED = "SELECT source, file, line, error, message, logged_at FROM ingest_lo
 
 
 def quality(archive: Archive, _request: Request) -> dict[str, Any]:
-    """Return how many takes have which reservation."""
+    """Return how many takes exceed each limit of quality, have each warning, and have invalid frames."""
     store = archive.store()
     advice = {figure.name: figure.advice for figure in FIGURES}
     figures = store.answer(_SUSPECT, timeout=SQL_SECONDS).table.to_pylist()

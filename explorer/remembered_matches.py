@@ -1,4 +1,4 @@
-"""The thesis's method with a memory: the matches of templates that have not changed since are not computed again."""
+"""The thesis's method with a cache: the matches of unchanged templates are not computed again."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Found = tuple[I64, I64, F64]
 Key = tuple[object, ...]
 
 MOST_BYTES = 200_000_000
-"""The matches that were needed last are kept up to so many bytes: those of 28 templates in 100 hours take 110 MB."""
+"""Most bytes of cached matches, of which the least recently used are dropped; 28 templates in 100 h take 110 MB."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,12 @@ class Held:
 
 
 class MatchMemory:
-    """The matches of templates in the words of some takes, within a bound. Several threads may use it.
+    """A bounded LRU cache of the matches of templates in the words of takes. Several threads may use it.
 
     Parameters
     ----------
     most_bytes : int, optional
-        The bound.
+        The most bytes of all matches in the cache.
     """
 
     def __init__(self, most_bytes: int = MOST_BYTES) -> None:
@@ -76,7 +76,7 @@ class MatchMemory:
         return held.below(tau)
 
     def put(self, key: Key, tau: float, found: Found) -> None:
-        """Keep the matches of a key, in the place of those below a lower threshold."""
+        """Keep the matches of a key; they replace those that were kept for a lower threshold."""
         starts, ends, costs = found
         held = Held(tau, starts.astype(np.int32), ends.astype(np.int32), costs)
         with self._lock:
@@ -89,14 +89,14 @@ class MatchMemory:
 
 @dataclass(frozen=True)
 class RememberingThesisMethod(ThesisMethod):
-    """Label frames as `ThesisMethod` does, with matches that are kept from one annotation to the next.
+    """Label frames as `ThesisMethod` does, with matches that are cached from one annotation to the next.
 
     Attributes
     ----------
     memory : MatchMemory
-        The matches.
+        The cache of matches.
     scope : tuple
-        The store and its version: takes are told apart by their ids.
+        The store and its version, which are part of the cache's keys, because take ids are unique within these only.
     """
 
     memory: MatchMemory = field(default_factory=MatchMemory, compare=False)
@@ -104,7 +104,7 @@ class RememberingThesisMethod(ThesisMethod):
 
     @classmethod
     def prepare(cls, templates: ClassTemplates, clips: Callable[[], Sequence[U64]]) -> RememberingThesisMethod:
-        """Make the method with a memory of its own."""
+        """Make the method with a cache of its own."""
         return cls(templates.quantised, templates.class_index, templates.thresholds)
 
     def matches(self, words: TakeWords, ranges: Sequence[I64]) -> Matches:
@@ -130,6 +130,6 @@ class RememberingThesisMethod(ThesisMethod):
 
 
 def content_of(template: QuantisedTemplate) -> tuple[bytes, bytes, bytes]:
-    """Return all that the matches of a template in whole takes depend on, besides its threshold and the words."""
+    """Return what the matches of a template in whole takes depend on, besides threshold and words, for cache keys."""
     weights = b"" if template.feature_weights is None else template.feature_weights.tobytes()
     return template.mask.tobytes(), template.value.tobytes(), weights

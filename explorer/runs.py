@@ -45,7 +45,7 @@ METRICS = (
     "SELECT pipeline, stage, evaluation, f1, p1, r1, f2, p2, r2 FROM all_metrics WHERE scope = 'pooled' "
     "ORDER BY f1 DESC NULLS LAST, pipeline, stage, evaluation"
 )
-"""The query for the methods compared."""
+"""The SQL query for the metrics of all evaluations."""
 
 _SETTING = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")
 
@@ -54,7 +54,7 @@ Text = Annotated[str, Field(max_length=10_000, pattern=r"^[^\x00]*$")]
 
 
 class RunQuestion(Question):
-    """A pipeline, and the texts of `--set` for its settings and for parameters of its stages."""
+    """A request with a pipeline, and texts as of `--set` for its settings and parameters of its stages."""
 
     pipeline: Text
     settings: dict[Text, Text] = Field(default_factory=dict)
@@ -81,7 +81,7 @@ def _files(archive: Archive) -> dict[str, Path]:
 
 
 def _described(id: str, path: Path, last: dict[str, PipelineRun]) -> Row:
-    """Return a pipeline as its file describes it, with the settings of its last run; a wrong file has a problem."""
+    """Return a pipeline with the settings of its last run; `problem` has the error if its file is wrong."""
     row = {"id": id, "name": path.stem, "description": "", "path": str(path), "shipped": id != str(path)}
     try:
         content = load_yaml(path).mapping()
@@ -193,7 +193,7 @@ def list_history(archive: Archive, _request: Request) -> Row:
 
 
 def _run_row(run: PipelineRun, results: Row | None, reports: dict[tuple[str, str], list[str]]) -> Row:
-    """Return a run; reports are those of stages whose results still are those of this run."""
+    """Return a run as JSON; it has the reports of those stages whose current results are of this run."""
     stages = [
         {"stage": one.stage, "state": one.state, "reason": one.reason, "seconds": one.seconds} for one in run.stages
     ]

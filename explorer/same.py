@@ -35,7 +35,7 @@ def python_lines(store: Path, *lines: str) -> str:
 
 
 def same_query(archive: Archive, text: str) -> dict[str, str]:
-    """Return the shell line and the Python lines that ask a store for the rows of a query."""
+    """Return the command and the Python lines that run a SQL query on the store."""
     return {
         "command": command_line("kinedex", "sql", archive.path, text),
         "python": python_lines(archive.path, f"store.sql({text!r})"),

@@ -29,7 +29,7 @@ def same_decisions(archive: Archive, rows: Iterable[Row], known: Mapping[str, Ro
         Rows by their ids: those that `rows` replace.
     """
     lines = []
-    gone: set[str] = set()  # of the two parts of a label, the first takes its place, and the second is a new one
+    gone: set[str] = set()  # when a label is split, the first part replaces it, and the second is a new label
     for row in rows:
         before = row.get("replaces") or ""
         lines.append(_line(archive, row, None if before in gone else known.get(before)))

@@ -1,8 +1,8 @@
 """Selections of takes: filters by column and conditions of SQL, as clauses over the view `takes`.
 
-A column is one of takes, or `folder`: the folder of the source file. `chosen` names takes by their ids in few
-characters, so that an address can hold any choice of them (a lasso on the map): base64url (without `=`) of bits, the
-first byte and its highest bit first, of which the one with the number i is set for the take with the id i.
+A column is one of the view `takes`, or `folder`: the folder of the source file. `chosen` is a set of take ids in few
+characters, so that an address can hold any set of takes (a lasso on the map): a bit set in base64url without `=`, in
+which bit i, counted from the highest bit of the first byte, is set if the take with id i is chosen.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from kinedex.storage.store.store import Store
 
 SQL_SECONDS = 20.0
-"""The longest time of a question in SQL."""
+"""The longest time of a SQL query, in seconds."""
 
 FOLDER = "folder"
 """A column that takes do not have: the folder of the source file, below the folder of the archive."""
@@ -39,7 +39,7 @@ Scalar = str | int | float | bool | None
 
 
 class Filter(Question):
-    """A condition on one column: it has one of some values, lies in a range, contains a text, or is chosen."""
+    """A condition on one column: its value is one of a list, lies in a range, contains a text, or is chosen."""
 
     column: str
     values: tuple[Scalar, ...] | None = None
@@ -57,7 +57,7 @@ class Selection(Question):
 
 
 def columns_with_nan(store: Store) -> frozenset[str]:
-    """Return the columns of takes that hold NaN somewhere, which people mean as no value."""
+    """Return the columns of takes that hold NaN somewhere; filters treat NaN as a missing value."""
     rows = store.take_rows
     numbers = [field.name for field in rows.schema if pa.types.is_floating(field.type)]
     return frozenset(name for name in numbers if pc.any(pc.is_nan(rows.column(name))).as_py())
@@ -135,7 +135,7 @@ def packed_ids(ids: npt.NDArray[np.int64]) -> str:
 
 
 FEW_IDS = 100
-"""Up to so many ids are listed in SQL; more are looked up in the bits, as a list of 33,000 takes half a second."""
+"""Most ids that are listed in SQL; more are looked up in the bit set, as a list of 33,000 ids takes half a second."""
 
 
 def _chosen(name: str, text: str) -> str:

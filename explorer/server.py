@@ -1,4 +1,4 @@
-"""The server of the explorer: a socket, uvicorn, and an end that Ctrl-C brings about quietly."""
+"""The server of the explorer: its socket, uvicorn, and a clean end on Ctrl-C."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ HEAD_BYTES = 64 * 1024
 """The longest address with its headers: one that names a choice of takes is long."""
 
 HEAPS, M_ARENA_MAX = 2, -8
-"""Heaps of the C library that all threads share, and the number of that setting in glibc's malloc.h."""
+"""The number of malloc heaps that all threads share, and the number of that setting in glibc's malloc.h."""
 
 GRACE_SECONDS = 2
-"""Requests that run when the server stops may take so long."""
+"""Seconds that requests may take to end when the server stops."""
 
 
 def open_socket(host: str, port: int | None) -> socket.socket:
@@ -93,14 +93,14 @@ def _refused(host: str, port: int, fault: OSError) -> KinedexError:
 
 
 class Server(uvicorn.Server):
-    """Uvicorn, which ends the streams of events first when it is stopped: pages would keep it waiting."""
+    """A uvicorn server that, when stopped, first ends the streams of events, which would keep it waiting."""
 
     def __init__(self, config: uvicorn.Config, archive: Archive) -> None:
         super().__init__(config)
         self._archive = archive
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
-        """Stop after the requests that run."""
+        """End the streams of events, and stop once the current requests have been answered."""
         self._archive.events.close()
         super().handle_exit(sig, frame)
 
@@ -174,15 +174,15 @@ def serve(
 
 
 def _exit(number: int, _frame: FrameType | None) -> None:
-    """Leave by an exception: uvicorn raises a signal once more when it has ended, and jobs are to end after it."""
+    """Raise SystemExit on a signal, so that jobs are ended: uvicorn raises its signal once more when it has ended."""
     raise SystemExit(128 + number)
 
 
 def share_heaps() -> None:
     """Let the threads of this process share two heaps, where the C library is glibc.
 
-    It would give each thread a heap of its own, and each keeps what is freed in pieces: over 100 hours the memory of
-    a server grew by some 8 MiB with each search.
+    By default glibc gives each thread a heap of its own, and each keeps freed memory in fragments: with an archive of
+    100 hours, the memory of a server grew by some 8 MiB with each search.
     """
     if sys.platform == "linux":
         setting = getattr(ctypes.CDLL(None), "mallopt", None)
@@ -191,7 +191,7 @@ def share_heaps() -> None:
 
 
 def _open(shown: str) -> None:
-    """Open an address in the browser of a desktop; one that runs in a terminal would take this one."""
+    """Open an address in a graphical browser; without a display, none is opened, as a text browser would take over."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         return
     Thread(target=webbrowser.open, args=[shown], daemon=True).start()

@@ -1,4 +1,4 @@
-"""The server's end of a process that has imported what learning needs, and waits for its command."""
+"""Start and use a spare process, which has imported the modules for learning and waits for a command."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PROGRAM = "kinedex.explorer.waiting_command"
 
 
 class SpareProcess:
-    """The server's end of a process that waits for a command.
+    """The server's handle of a process that waits for a command.
 
     Parameters
     ----------

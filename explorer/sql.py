@@ -1,4 +1,4 @@
-"""SQL that only reads, block by block.
+"""Run read-only SQL queries, and return their rows block by block.
 
 `POST /api/ask/sql` {text, offset?, limit? ≤ 1000}
 → {columns: [{name, type}], rows: [[value]], offset, total, counted, kept, seconds, version,
@@ -38,13 +38,13 @@ MOST_BYTES = 100_000_000
 """Most bytes of all results that are kept."""
 
 SECONDS = 30.0
-"""A query may take so long."""
+"""The longest time of a query, in seconds."""
 
 BLOCK = 1000
 
 
 class SqlQuestion(Question):
-    """A statement, and the rows of its result that are wanted."""
+    """A request for rows of the result of a statement."""
 
     text: Annotated[str, Field(min_length=1, max_length=100_000)]
     offset: Annotated[int, Field(ge=0)] = 0
@@ -52,7 +52,7 @@ class SqlQuestion(Question):
 
 
 class Results:
-    """The results of the latest statements, within a bound of memory; any thread may use it."""
+    """A cache of the results of the latest statements, bounded in memory; any thread may use it."""
 
     def __init__(self, most_bytes: int = MOST_BYTES) -> None:
         self._most_bytes = most_bytes
@@ -144,7 +144,7 @@ def hits_of(store: Store, table: pa.Table) -> list[dict[str, Any]] | None:
 
 
 def list_views(archive: Archive, _request: Request) -> dict[str, Any]:
-    """Return the views of SQL with their columns, those of takes with what this store declares."""
+    """Return the SQL views with their columns; `takes` has the columns that this store declares, too."""
     takes = archive.store().take_rows.schema
     views = []
     for view in VIEWS:

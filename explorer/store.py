@@ -1,4 +1,4 @@
-"""`GET /api/store`: what the open store is, and the names that pages need everywhere.
+"""`GET /api/store` describes the open store, and returns the names that all pages need.
 
 {name, path, version, takes, hours, rate_hz, read_only, joints: [name], parents: [index or -1],
  features: [{bit, name, group, description}], columns: [{name, type, numeric}], classes: [name],
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def describe(archive: Archive, _request: Request) -> dict[str, Any]:
-    """Return what the open store is."""
+    """Return the facts about the open store, and the names of its joints, features, columns and classes."""
     store = archive.store()
     seconds = store.take_rows.column("seconds").to_pylist()
     return {
@@ -46,7 +46,7 @@ def describe(archive: Archive, _request: Request) -> dict[str, Any]:
 
 
 def parents_of(joints: tuple[str, ...]) -> list[int]:
-    """Return the index of the joint that each joint hangs from, −1 for none among them."""
+    """Return the index of each joint's parent, −1 if it is not among the joints."""
     parents = [JOINT_PARENTS.get(joint) for joint in joints]
     return [-1 if parent is None or parent not in joints else joints.index(parent) for parent in parents]
 
@@ -61,7 +61,7 @@ def features_of(store: Store) -> list[dict[str, Any]]:
 
 
 STAGES = {"annotate": ("annotations",), "learn": ("templates", "queries")}
-"""The work of a stage → the kinds of results by which it is known."""
+"""The purpose of a stage → the kinds of results that such stages store."""
 
 
 def stages_of(store: Store, kinds: tuple[str, ...]) -> list[str]:

@@ -1,4 +1,4 @@
-"""`POST /api/takes`: the takes that fit some filters, in an order, block by block.
+"""`POST /api/takes` returns the takes that fit filters, sorted, block by block.
 
 {where?: SQL condition, filters?: [{column, values?: [value or null], min?, max?, contains?}],
  sort?: [{column, descending?}], columns?: [name], offset?, limit? ≤ 500}
@@ -41,7 +41,7 @@ BLOCK = 500
 """Most rows of one answer."""
 
 KEPT = 32
-"""Questions whose takes are kept in their order; each is some bytes a take."""
+"""Most queries whose sorted takes are cached; each needs some bytes a take."""
 
 
 class Sort(Question):
@@ -52,7 +52,7 @@ class Sort(Question):
 
 
 class TakesQuestion(Selection):
-    """A block of the takes that fit conditions, in an order."""
+    """A request for a block of the takes that fit conditions, sorted."""
 
     sort: tuple[Sort, ...] = ()
     columns: tuple[str, ...] | None = None
@@ -77,7 +77,7 @@ class Found:
 
 
 class Orders:
-    """The takes of the latest questions, so that a page that scrolls sorts once."""
+    """A cache of the sorted takes of the latest queries, so that they are sorted once while a page scrolls."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

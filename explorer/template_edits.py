@@ -38,7 +38,7 @@ Factor = Annotated[float, Field(ge=0, le=1000)]
 
 
 class EditQuestion(Question):
-    """A template of a stage, and how it is edited."""
+    """A request with a learned template, and the edits of it."""
 
     stage: str
     kind: Kind
@@ -130,7 +130,7 @@ def _pipeline_command(archive: Archive, use: TemplateUse, label: str, file: str 
 
 
 def _shipped_name(path: str) -> str:
-    """Return the name of a pipeline that kinedex ships, for another one its path."""
+    """Return the name of a pipeline that kinedex ships, else its path."""
     name = Path(path).stem
     try:
         return name if config_path("pipelines", name) == Path(path) else path

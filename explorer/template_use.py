@@ -1,4 +1,4 @@
-"""The use that a pipeline makes of the templates that one of its stages has learned: classes, δ, τ, evaluation."""
+"""How a pipeline uses the templates that one of its stages has learned: classes, δ, τ, evaluation."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class TemplateUse:
     classes : Classes
         The classes that the pipeline annotates with; every template is a class of its own where it does not annotate.
     params : AnnotationParameters
-        The parameters of its annotation, those of an annotation by default where it has none.
+        The parameters of its annotation; the defaults if it does not annotate.
     thresholds : dict of str to float
-        τ of every class, also where it was calibrated.
+        τ of every class, whether set or calibrated.
     annotate, evaluate : str, optional
         The stages that annotate with these templates, and that have compared that with ground truth.
     keyframes : str, optional
@@ -134,7 +134,7 @@ def _learned_queries(store: Store, annotate: str) -> str | None:
 
 
 def _reader(store: Store, stage: str, uses: str, role: str) -> str | None:
-    """Return the stage of some work in the same pipeline that reads the results of a stage, the last one that ran."""
+    """Return the stage of kind `uses` whose input `role` is a stage of the same pipeline: the last that ran, or None."""
     pipeline, _, name = stage.partition("/")
     found = [
         record
@@ -147,7 +147,7 @@ def _reader(store: Store, stage: str, uses: str, role: str) -> str | None:
 
 
 def _parameters(store: Store, annotate: str | None) -> tuple[AnnotationParameters, list[str]]:
-    """Return the parameters of an annotation, those by default where they cannot be read."""
+    """Return the parameters of an annotation, the defaults if they cannot be read, and remarks."""
     usual = AnnotationParameters.model_validate({})
     if annotate is None:
         return usual, []

@@ -34,7 +34,7 @@ Rows = Annotated[int, Field(ge=1, le=2000)]
 
 
 class TotalsQuestion(Selection):
-    """Takes in groups by one or two columns."""
+    """A request for totals of takes, grouped by one or two columns."""
 
     by: Annotated[tuple[str, ...], Field(min_length=1, max_length=2)]
     order: Literal["hours", "value"] = "hours"
@@ -42,7 +42,7 @@ class TotalsQuestion(Selection):
 
 
 class ValuesQuestion(Selection):
-    """The values of a column; `contains` restricts texts."""
+    """A request for the values of a column; only texts that have `contains` in them, if it is given."""
 
     column: str
     contains: str | None = None

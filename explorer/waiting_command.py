@@ -1,8 +1,8 @@
-"""`python -m kinedex.explorer.waiting_command`: be ready for learning before it is asked for.
+"""`python -m kinedex.explorer.waiting_command` imports the modules for learning, and waits for a command to run.
 
 Imports take longer than learning. This process imports the stages, loads their kernels, and reads one line from
-standard input: {"words": [of the command after `kinedex`], "log": file}. It runs this command as `kinedex` would, with
-its output in the file. Without a line it ends: when the server has gone, or after `IDLE_SECONDS`.
+standard input: {"words": [arguments of `kinedex`], "log": file}. It runs this command as `kinedex` would, with its
+output in the file. It ends without a command if the server ends, or after `IDLE_SECONDS`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from runpy import run_module
 from threading import Timer
 
 IDLE_SECONDS = 600.0
-"""It waits so long for a command; it takes some 200 MB of memory."""
+"""Seconds that the process waits for a command; it takes some 200 MB of memory."""
 
 STAGES = ("learn_templates", "annotate")
 
@@ -55,9 +55,9 @@ def prepare() -> None:
 
 def main() -> None:
     """Prepare, wait for a command, and run it."""
-    with suppress(Exception):  # what is wrong is wrong for the command, too, which reports it
+    with suppress(Exception):  # the command will meet the same error, and reports it
         prepare()
-    limit = Timer(IDLE_SECONDS, os._exit, [1])  # no success, should a command come in the same moment
+    limit = Timer(IDLE_SECONDS, os._exit, [1])  # not 0, because a command may have been sent at the same moment
     limit.daemon = True
     limit.start()
     line = sys.stdin.readline()
