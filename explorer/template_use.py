@@ -134,7 +134,7 @@ def _learned_queries(store: Store, annotate: str) -> str | None:
 
 
 def _reader(store: Store, stage: str, uses: str, role: str) -> str | None:
-    """Return the stage of kind `uses` whose input `role` is a stage of the same pipeline: the last that ran, or None."""
+    """Return the last-run stage of kind `uses` whose input `role` is a stage of the same pipeline, or None."""
     pipeline, _, name = stage.partition("/")
     found = [
         record

@@ -1,1 +1,1 @@
-"""All drawing: pages that need nothing else, pictures and films of motions, and the stages that only draw."""
+"""Reports: self-contained HTML pages, pictures and films of motions, and the stages that write them."""

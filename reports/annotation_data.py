@@ -77,7 +77,7 @@ def read_report_data(
     own_stage : str or None
         The stage that reads; its record is omitted.
     curves_take : str or None
-        Take whose distance curves are shown; the median by F (frames) for None.
+        Take whose distance curves are shown; for None, the take with the median F (frames).
 
     Returns
     -------
@@ -142,7 +142,7 @@ def read_report_data(
 
 
 def _not_applied(reader: Reader) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    """Return the templates and queries that were not applied to some takes, with these."""
+    """Return the templates and queries that were not applied to some takes, each with the names of these takes."""
     table = reader.frame("not_applied").select("kind", "name", "take").unique().sort("kind", "name", "take")
     grouped = table.group_by("kind", "name", maintain_order=True).agg("take")
     return tuple((f"{kind} {name}", tuple(takes)) for kind, name, takes in grouped.iter_rows())
@@ -157,7 +157,7 @@ class Reader:
         self._inputs = inputs
 
     def table(self, kind: str, role: str | None = None) -> pa.Table:
-        """Return the rows of a kind that the stage of its usual role, or of another one, made."""
+        """Return the rows of a kind of result, stored by the stage of `role`, or by that of its role in `ROLES`."""
         return self._store.result(kind, stage=f"{self._pipeline}/{self._inputs.get(role or ROLES[kind])}")
 
     def frame(self, kind: str) -> pl.DataFrame:
@@ -165,7 +165,7 @@ class Reader:
         return data_frame(self.table(kind))
 
     def other_annotations(self, own: pl.DataFrame) -> tuple[str | None, pl.DataFrame | None]:
-        """Return the method and the annotations of the last other stage that annotated the same takes differently."""
+        """Return method and annotations of the last other stage that annotated the same takes by another method."""
         method, takes = set(own["method"]), set(self.frame("annotated_takes")["take"])
         mine = f"{self._pipeline}/{self._inputs.get('annotations')}"
         stages = [record for key, record in self._store.manifest.stages.items() if key != mine]
@@ -180,7 +180,7 @@ class Reader:
         return None, None
 
     def curves(self, columns: str, take: str | None = None) -> pa.Table:
-        """Return some columns of the distance curves, which are long, of all takes or of one."""
+        """Return some columns of the distance curves of all takes or of one; all columns would be large."""
         annotate = self.record("annotations")
         chosen = f"SELECT {columns} FROM distance_curves WHERE run = $run AND ($take IS NULL OR take = $take)"
         return self._store.sql(chosen, {"run": annotate.run if annotate else "", "take": take})
@@ -221,14 +221,14 @@ def _scores(reader: Reader, role: str) -> tuple[Score, ...]:
 
 
 def _subclasses(pairs: pl.DataFrame, annotations: pl.DataFrame) -> dict[str, tuple[str, ...]]:
-    """Return the subclasses of each class: all, or those that were found where no curves are stored."""
+    """Return the subclasses of each class: all, or only those with annotations if no curves are stored."""
     columns = ["class", "subclass"]
     both = pl.concat([pairs.select(columns), annotations.select(columns)]).drop_nulls().unique().sort(columns)
     return {str(label): tuple(group["subclass"]) for (label,), group in both.group_by("class", maintain_order=True)}
 
 
 def _takes(store: Store, takes: pl.DataFrame, annotated: Sequence[str]) -> tuple[str, tuple[TakeRow, ...]]:
-    """Return what the annotated takes are grouped by, and their rows."""
+    """Return the name of the column that annotated takes are grouped by, and the rows of the takes."""
     takes = takes.filter(pl.col("name").is_in(annotated))
     named = [name for name, column in store.manifest.columns.items() if column.origin in ("pattern", "metadata")]
     grouped_by, groups = take_groups(takes, named)
@@ -244,7 +244,7 @@ def _warnings(takes: pl.DataFrame) -> tuple[tuple[str, str], ...]:
 
 
 def _automatic(frame: pl.DataFrame, others: pl.DataFrame | None) -> tuple[Segment, ...]:
-    """Return annotations as segments, with what another method found where it does not agree."""
+    """Return annotations as segments, with the classes that another method found instead where it disagrees."""
     found: dict[str, list[tuple[str, int, int]]] = {}
     for take, *one in others.select("take", "class", "start", "stop").iter_rows() if others is not None else ():
         found.setdefault(take, []).append(tuple(one))
@@ -297,7 +297,7 @@ def _curves(reader: Reader, take: str | None) -> tuple[Curve, ...]:
 def _templates(
     reader: Reader, annotate: StageRow | None, subclasses: Mapping[str, Sequence[str]]
 ) -> tuple[tuple[Template, ...], int]:
-    """Read the templates of the kind that annotated, and count the others."""
+    """Read the templates of the kind (soft or hard) that the annotation used, and count the others."""
     kind = str(annotate.params.get("templates", "soft")) if annotate else "soft"
     labels = {subclass: label for label, own in subclasses.items() for subclass in own}
     rows = reader.table("templates").to_pylist()

@@ -1,4 +1,4 @@
-"""The page about the annotation of an archive, one HTML file that needs nothing else."""
+"""The page about the annotation of an archive, one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -38,18 +38,18 @@ from kinedex.reports.take_selection import Choice, choose_takes, findings_of
 from kinedex.reports.timelines import Timeline, overlap, timeline
 
 DELTA_SHOWN = 0.05
-"""The δ of the quantised view where the δ of the annotation is not stored."""
+"""The δ of the quantised view if the δ of the annotation is not stored."""
 
 ROWS = 500
-"""Largest number of rows of a table or list; the page has the number of further ones."""
+"""Largest number of rows of a table or list; the page states how many more there are."""
 
 CARDS = 16
-"""Number of templates that are not folded."""
+"""Number of templates that are shown unfolded."""
 
 
 @dataclass(frozen=True)
 class Gaps:
-    """Classes that only one side of the evaluation has."""
+    """Classes that only the ground truth, or only the templates, have."""
 
     without_template: tuple[str, ...]
     without_manual: tuple[str, ...]
@@ -63,7 +63,7 @@ def shown_takes(data: ReportData, takes: Sequence[str] | None = None, max_takes:
 
 
 def hits_to_play(data: ReportData) -> list[Segment]:
-    """Return the segments that a page must play: those that move on the first screen, and those to look at first."""
+    """Return the segments that a page must play: moving figures of its first screen, and the first to be reviewed."""
     return [*surest(data.automatic), *most_doubtful(data.automatic), *in_order(data.automatic)[:LOOKS]]
 
 
@@ -141,7 +141,7 @@ def class_slots(data: ReportData) -> dict[str, int]:
 def _findings(
     data: ReportData, slots: Mapping[str, int], motions: Motions | None, near: Mapping[Key, int]
 ) -> dict[str, object]:
-    """Return what was found, for the first screen, the tables and the list of segments."""
+    """Return the variables of the page about annotations: its first screen, the tables and the list of segments."""
     confirmed = confirmations(data)
     rates = {take.name: take.rate_hz for take in data.takes}
     by_class = class_findings(data)
@@ -169,7 +169,7 @@ def _findings(
 
 
 def _measures(data: ReportData, labels: Sequence[str]) -> dict[str, object]:
-    """Return the measures of agreement with the ground truth."""
+    """Return the variables of the page about agreement with the ground truth."""
     return {
         "held": data.pooled(data.held_out),
         "by_class": data.scores_of(data.evaluation, "class"),
@@ -185,7 +185,7 @@ def _measures(data: ReportData, labels: Sequence[str]) -> dict[str, object]:
 
 
 def _figures(data: ReportData, slots: Mapping[str, int], choice: Choice, near: Mapping[Key, int]) -> dict[str, object]:
-    """Return timelines, templates and curves."""
+    """Return the variables of the page for timelines, templates and distance curves."""
     delta = DELTA_SHOWN if data.delta is None else data.delta
     figure = curves_of(data, slots)
     return {
@@ -287,7 +287,7 @@ def lowest(scores: Sequence[Score], count: int) -> list[Score]:
 
 
 def unseen(data: ReportData) -> list[str]:
-    """Return the folds without an example clip, whose templates are those of all clips."""
+    """Return the folds from which no clip was learned, so that their templates are learned from all clips."""
     if not data.learned_from:
         return []
     return [score.name for score in data.scores_of(data.held_out, "fold") if score.name not in data.learned_from]

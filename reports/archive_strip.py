@@ -14,13 +14,13 @@ from kinedex.reports.data import Segment, TakeRow
 from kinedex.reports.take_groups import by_group
 
 BINS = 1000
-"""The axis has so many columns, however long the archive is: pages stay small."""
+"""Number of columns of the axis; it does not depend on the length of the archive, so that pages stay small."""
 
 STEPS = 10
-"""Heights of a column: its share of labelled frames in tenths."""
+"""Number of heights of a column, which shows its share of labelled frames in tenths."""
 
 MOST_NAMED = 2000
-"""Up to so many takes have their names on the page, for the readout under the pointer."""
+"""Most takes whose names are on the page, to be shown at the pointer; with more takes, there are no names."""
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
@@ -38,7 +38,7 @@ class Band:
 
 @dataclass(frozen=True)
 class Area:
-    """The columns of a class as the path of their outline, in a box of `BINS` × `STEPS`."""
+    """The columns of a class as the SVG path of their outline, in a box of `BINS` × `STEPS` units."""
 
     label: str
     slot: int
@@ -126,7 +126,7 @@ def _shares(ranges: Sequence[tuple[int, int]], total: int) -> F64:
 
 
 def _heights(shares: F64) -> I64:
-    """Return heights in tenths; a column with any labelled frame has one at least."""
+    """Return shares as heights from 0 to `STEPS`; a column with any labelled frame has at least height 1."""
     heights: I64 = np.where(shares > 1e-9, np.clip(np.round(shares * STEPS), 1, STEPS), 0).astype(np.int64)
     return heights
 
@@ -142,7 +142,7 @@ def _strip(shares: Mapping[str, F64], slots: Mapping[str, int]) -> list[Area]:
 
 
 def _area(label: str, slot: int, heights: I64) -> Area:
-    """Return the outline of columns; neighbours of one height are one rectangle."""
+    """Return the outline of columns, in which neighbours of equal height are one rectangle."""
     cuts = np.flatnonzero(np.diff(heights)) + 1
     starts, stops = [0, *cuts.tolist()], [*cuts.tolist(), len(heights)]
     parts = [

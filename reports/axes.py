@@ -1,4 +1,4 @@
-"""Time axes with round steps in seconds; positions are in percent of the width of a figure."""
+"""Compute time axes with round steps in seconds; positions are in percent of the width of a figure."""
 
 from __future__ import annotations
 

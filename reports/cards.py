@@ -1,4 +1,4 @@
-"""Cards of templates: two images, a time axis, and the origin of the template."""
+"""Cards that show templates on a page: two images, a time axis, and the origin of the template."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from kinedex.reports.page_environment import page_environment
 
 
 def comparison_page(comparisons: Sequence[Comparison]) -> str:
-    """Return comparisons as one HTML page without any outside reference."""
+    """Return comparisons as one self-contained HTML page."""
     environment = page_environment({"digits": digits, "signed": signed, "remarks": remarks, "settings": settings})
     return environment.get_template("compared.html.j2").render(
         comparisons=comparisons, verdicts=VERDICTS, header=HEADER

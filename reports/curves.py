@@ -15,12 +15,12 @@ from kinedex.reports.data import Curve, Segment, TakeRow
 from kinedex.reports.timelines import Bar, bar
 
 HEIGHT = 200  # units of the vertical axis of a panel
-POINTS = 1600  # of a longer curve the lowest and highest values of short intervals are drawn
+POINTS = 1600  # of curves with more frames, only the lowest and highest values of short intervals are drawn
 
 
 @dataclass(frozen=True)
 class Minimum:
-    """A local minimum below τ, as a path of zero or more frames along a plateau."""
+    """A mark of a local minimum below τ: a stroke along its plateau, of length 0 for a single frame."""
 
     path: str
     tip: str
@@ -28,7 +28,7 @@ class Minimum:
 
 @dataclass(frozen=True)
 class Panel:
-    """The curve of one class: the least over its subclasses."""
+    """The plot of one class, whose curve is the least cost over its subclasses."""
 
     label: str
     slot: int

@@ -11,7 +11,7 @@ from kinedex.reports.motions import MOST_BYTES, Motions
 from kinedex.storage.store.store import Store
 
 MOST_PIECES = 500
-"""So many segments at most get a motion of their own, where that of their take is not embedded."""
+"""Most segments that are embedded as motions of their own, because their whole takes are not embedded."""
 
 
 def with_hits(
@@ -33,7 +33,7 @@ def with_hits(
     hits : sequence of Segment
         Segments that the page must be able to play.
     others : sequence of Segment
-        Further segments of the page; as many of them as fit get their motion, the first `MOST_PIECES` at most.
+        Further segments of the page; the motions of as many as fit are added, of the first `MOST_PIECES` at most.
     templates : sequence of Template
         Learned templates, with the names of their clips.
     progress : callable

@@ -21,7 +21,7 @@ F64 = npt.NDArray[np.float64]
 MOST_GIF_FRAMES = 1500
 """Frames of a GIF, a minute at its rate; the library holds all of them in memory."""
 
-_VIEWS = (("front", 0, 2, 1.0), ("side", 2, 0, -1.0))  # axes to the right and away, and the sign of what is nearer
+_VIEWS = (("front", 0, 2, 1.0), ("side", 2, 0, -1.0))  # axes to the right and in depth, sign of the near side
 _WIDE, _HIGH, _HEAD, _FOOT = 320, 400, 44, 40  # pixels of a view, and of what lies above and below the figure
 _FINE = 2  # frames are drawn this many times larger and then reduced, so that lines are smooth
 _PAPER, _FLOOR, _TEXT, _FAINT = "#ffffff", "#9a8f80", "#222222", "#777777"
@@ -191,7 +191,7 @@ class _Film:
             yield image.reduce(_FINE)
 
     def _ground(self) -> Image.Image:
-        """Return the picture of what no frame changes, in its fine size."""
+        """Return the picture of all that is the same in every frame, before its size is reduced."""
         image = Image.new("RGB", (self.size[0] * _FINE, self.size[1] * _FINE), _PAPER)
         pen = ImageDraw.Draw(image)
         _write(pen, 12, 8, self.motion.name[:60], 14, _TEXT)

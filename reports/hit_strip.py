@@ -108,7 +108,7 @@ def _draw_row(pen: ImageDraw.ImageDraw, row: StripRow, joints: Sequence[str], to
 
 
 def _turned(points: npt.NDArray[np.float64], joints: Sequence[str]) -> npt.NDArray[np.float64]:
-    """Return points (J, 3, F) about Y as seen half from the front of the body in its first known frame."""
+    """Return points (J, 3, F) turned about Y, so that the body is seen obliquely from the front in its first frame."""
     if not {"lhip", "rhip"} <= set(joints):
         return points
     across = points[joints.index("lhip")] - points[joints.index("rhip")]

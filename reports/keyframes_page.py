@@ -36,7 +36,7 @@ LINES = HISTORY_COLUMNS[:3]
 
 @dataclass(frozen=True)
 class Course:
-    """One line of the figure of generations: its name, its path in SVG units, and its last value."""
+    """One curve of the plot over generations: its name, its path in SVG units, and its last value."""
 
     name: str
     path: str
@@ -45,7 +45,7 @@ class Course:
 
 @dataclass(frozen=True)
 class Cell:
-    """An entry of a matrix in SVG units: on or off, its strength (0 to 1), its query, and its tooltip."""
+    """A cell of a matrix: its place in SVG units, on or off, its strength (0 to 1), its query, and its tooltip."""
 
     x: float
     y: int
@@ -154,7 +154,7 @@ def keyframes_page(
 
 
 def courses(histories: Sequence[F64]) -> list[Course]:
-    """Average histories over runs and classes and lay them out (thesis, Figure 4.3 a).
+    """Average the histories of runs over all runs and classes, and return them as curves (thesis, Figure 4.3 a).
 
     Parameters
     ----------

@@ -50,9 +50,9 @@ class MarkedRun:
     start_s, stop_s : float
         Seconds of the take.
     peak_deg, mean_deg : float or None
-        Its errors; None for manual ones and where no frame counts.
+        The largest and the mean error; None in manual intervals, and where no frame counts.
     jump : bool
-        The take's limb jumps there.
+        True if the limb of the take jumps in this interval.
     """
 
     start_s: float
@@ -71,7 +71,7 @@ class LimbErrors:
     limb : str
         Its name.
     basis : str
-        How its orientation is known.
+        The basis of its orientation.
     times : float64 array (T,)
         Seconds of the source's frames.
     degrees, swing, twist : float64 array (T,)
@@ -149,7 +149,7 @@ class TakeErrors:
 
 @dataclass(frozen=True)
 class Refusal:
-    """A take, recording or sensor that was left out, with the reason."""
+    """A take, recording or sensor that was excluded, with the reason."""
 
     take: str
     what: str
@@ -161,7 +161,7 @@ def refusals(
     calibrations: Sequence[Mapping[str, Any]],
     log: Sequence[Mapping[str, Any]],
 ) -> list[Refusal]:
-    """Return what was left out, and why; a sensor without a clock is not listed beside its recording.
+    """Return the takes, recordings and sensors that were excluded, with reasons; of a recording that was, no sensors.
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ class StoredErrors:
         )  # fmt: skip
 
     def _limb(self, take_id: int, limb: str, basis: str, rows: pa.Table) -> LimbErrors:
-        """Return a limb; where several recordings cover a frame, one in which it counts goes before the others."""
+        """Return the errors of a limb; if several recordings cover a frame, one in which it counts is used."""
         own = rows.filter(pc.equal(rows.column("limb"), limb))
         frame, valid = own.column("source_frame").to_numpy(), _floats(own, "valid") > 0.0
         order = np.lexsort((~valid, frame))
@@ -245,7 +245,7 @@ class StoredErrors:
         )  # fmt: skip
 
     def _manual(self, take_id: int, limb: str) -> dict[str, tuple[MarkedRun, ...]]:
-        """Return what each annotator marked in a limb; nothing from any of them is a row of its own."""
+        """Return annotator → the intervals of a limb that he marked; empty if he looked at it and marked none."""
         found: dict[str, list[MarkedRun]] = {who: [] for who in self._annotators}
         for row in self._labels:
             if (row["take_id"], row["limb"]) == (take_id, limb):
@@ -255,7 +255,7 @@ class StoredErrors:
 
 
 UNNAMED = "manual"
-"""The name of annotators that label files do not name."""
+"""The name of an annotator whom the label file does not name."""
 
 
 def _floats(rows: pa.Table, column: str) -> F64:

@@ -22,7 +22,7 @@ CHART_WIDTH, CHART_HEIGHT = 260.0, 130.0
 """Size of a plot of precision, recall and F in SVG units."""
 
 TAU_TOP_DEG = 120.0
-"""The end of its axis."""
+"""The end of the axis of τ in these plots, in degrees."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,9 @@ class Box:
     left, width : float
         Place in the timeline, in percent.
     text : str
-        What is known of it.
+        The text of its tooltip.
     jump : bool
-        The take's limb jumps there; its frames count nowhere.
+        True if the limb of the take jumps there; such frames are in no measure.
     """
 
     start: int

@@ -58,9 +58,9 @@ class AgreementCard:
     found_by : str
         What is compared with the annotator: frames above τ, the runs of the page, or another annotator.
     chart : AgreementChart or None
-        The plot over τ; None for limbs that only the table has, and for annotators that are compared.
+        The plot over τ; None for limbs that are in the table only, and where two annotators are compared.
     at : dict
-        The row of `limb_error_metrics` at the τ that is next to that of the page.
+        The row of `limb_error_metrics` whose τ is nearest to that of the page.
     """
 
     name: str
@@ -122,7 +122,7 @@ class ShownTake:
 
 @dataclass(frozen=True)
 class PageContent:
-    """All that the page shows.
+    """The content of the page.
 
     Attributes
     ----------
@@ -141,11 +141,11 @@ class PageContent:
     triads : list of dict
         Packed axes of limbs for the player.
     without_axes : int
-        Takes whose axes had no room.
+        Number of takes whose axes were omitted, because the page would become too large.
     agreement : sequence of AgreementCard
         The agreement with annotators.
     left_out : sequence of Refusal
-        What was left out.
+        The takes, recordings and sensors that were excluded.
     mappings : sequence of MappingCurve
         The demonstration of the thesis's Figure 7.14; empty where the page does not have it.
     """
@@ -164,7 +164,7 @@ class PageContent:
 
 
 SIMULATED = "simulated"
-"""The word in the names of annotators that are nobody."""
+"""The word in the names of annotators that marks labels as simulated."""
 
 
 def limb_errors_page(store: Store, keys: StageKeys, title: str, most: int, *, demonstration: bool = False) -> str:
@@ -179,7 +179,7 @@ def limb_errors_page(store: Store, keys: StageKeys, title: str, most: int, *, de
     title : str
         The title.
     most : int
-        So many takes are shown, those first of whose frames the largest share is wrong.
+        Most takes that are shown: those of whose frames the largest share is wrong.
     demonstration : bool
         Show how a wrong mapping between sensor and limb hides errors (thesis, Figure 7.14).
     """
@@ -201,7 +201,7 @@ def limb_errors_page(store: Store, keys: StageKeys, title: str, most: int, *, de
 
 
 def _triads(store: Store, keys: StageKeys, takes: Sequence[TakeErrors]) -> tuple[list[dict[str, Any]], int]:
-    """Return the axes of the first takes, as far as a page has room, and the number of takes that have none for it."""
+    """Return the packed axes of the first takes that fit into the page, and the number of takes that do not fit."""
     worn = WornTakes(store, keys.limbs, keys.sensors)
     clocks = stored_clocks(store, keys.clocks)
     found: list[dict[str, Any]] = []
@@ -253,7 +253,7 @@ def agreement_cards(rows: Sequence[Mapping[str, Any]], tau: float) -> list[Agree
 
 
 def _place(card: AgreementCard) -> tuple[int, str, int]:
-    """Return what cards are sorted by: limbs, and sensors before the runs, before annotators."""
+    """Return the sort key of a card: by limbs, then frames above τ before runs before annotators."""
     detectors = (SENSORS, RUNS)
     detector = card.at["detector"]
     rank = detectors.index(detector) if detector in detectors else len(detectors)
@@ -267,7 +267,7 @@ _SCOPES = ("all", "group", "limb")
 
 
 def _alike(row: Mapping[str, Any], other: Mapping[str, Any] | None) -> bool:
-    """Return whether the measures of runs are those of the frames above τ, which stand there already."""
+    """Return whether the measures of runs equal those of the frames above τ, so that they need no row of their own."""
     names = ("p1", "r1", "p2", "r2")
     return row["detector"] == RUNS and other is not None and all(row[name] == other[name] for name in names)
 

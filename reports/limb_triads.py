@@ -1,4 +1,4 @@
-"""Axes of limbs inside of a page, for its player: as the take has them, and as the sensors report them."""
+"""Embed the axes of limbs in a page for its player: those of the take, and those that sensors measured."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The demonstration of Figure 7.14: with a wrong mapping between sensor and limb, errors of a track are not seen."""
+"""The example of the thesis's Figure 7.14: a wrong mapping between sensor and limb hides errors of a track."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MOUNT = np.radians(100.0 / math.hypot(0.69, 1.0, 0.69)) * np.array([-0.69, 1.0, 
 """A wrong mount, 100 degrees off, as a rotation vector; the thesis does not print its own."""
 
 WORLD = np.radians([0.0, 50.0, 70.0])
-"""A world that is wrong, too, as a rotation vector."""
+"""A wrong rotation between the worlds of sensor and track, as a rotation vector."""
 
 TOP_DEG = 180.0
 """The end of the axis of errors; y is 0 there."""

@@ -78,7 +78,7 @@ class Canvas(Protocol):
         ...
 
     def text(self, x: float, y: float, text: str, size: int, colour: Colour, anchor: str = "start") -> None:
-        """Write a line on the base line y; the anchor at x is start, middle or end."""
+        """Write a line of text with its base line at y; `anchor` is the part of it at x: start, middle or end."""
         ...
 
     def content(self) -> bytes:

@@ -72,9 +72,9 @@ class Block:
     room : int or None
         Width of a strip in pixels, one of `ROOMS`, from which on the number has room; None where it never has.
     wrong : bool
-        True where the other side has no segment of the class on these frames.
+        True if the ground truth (for a manual segment: the first method) has no segment of the class on these frames.
     tip, called : str
-        Tooltip, and title in the player.
+        The tooltip, and the title in the player.
     start, stop : int
         Analysis frames.
     near : int or None
@@ -248,7 +248,7 @@ def room_for(number: int, share: float) -> int | None:
 
 
 def confusion_table(confusion: Confusion, numbers: Mapping[str, int]) -> ConfusionTable:
-    """Lay out a confusion matrix without empty rows, and without the column of labels too few where it is empty."""
+    """Lay out a confusion matrix without empty rows, and without the column of missing labels if it is empty."""
     given = [str(numbers[label]) for label in confusion.classes]
     few = confusion.frames[:, -1].any()
     heads = [*zip([*given, "–", "+"], confusion.columns, strict=True)][: None if few else -1]

@@ -42,7 +42,7 @@ from kinedex.reports.palette import colour_rules, colour_slot
 from kinedex.reports.plots import HistogramBar
 
 MOST_ROWS = 300
-"""Largest number of rows of a list of takes or segments; the page has the number of further ones."""
+"""Largest number of rows of a list of takes or segments; the page states how many more there are."""
 
 
 @dataclass(frozen=True)

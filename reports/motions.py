@@ -1,4 +1,4 @@
-"""Motions inside of a page, for its player: joint positions, packed to a few bytes per frame."""
+"""Embed motions in a page for its player: joint positions, packed to a few bytes per frame."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ class Motions:
         return replace(found, near=tuple(near))
 
     def beside(self, motions: Sequence[Motion]) -> Motions:
-        """Return the motions with others of the same time beside them, each a nearest example from its first frame."""
+        """Return the motions with others over the same frames, each added as an example that is played beside."""
         first = len(self.motions)
         near = ((first + i, (0, *[PACKED_STEP] * (-(-one.frames // PACKED_STEP) - 1))) for i, one in enumerate(motions))
         return replace(self, motions=(*self.motions, *motions), near=(*self.near, *near))

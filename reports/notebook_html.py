@@ -43,7 +43,7 @@ _CONTROLS = """<div id="player" hidden>
 
 @dataclass(frozen=True)
 class Shown:
-    """A take as its HTML shows it.
+    """The data of a take that its HTML shows.
 
     label : the name. facts: (what, text) in order. joints: J names. positions: float array (T, J, 3) in metres, of the
     frames that are played; frames: how many the take has. rate_hz: frames per second.
@@ -58,7 +58,7 @@ class Shown:
 
 
 def take_html(take: Shown) -> str:
-    """Return a take as HTML: its facts, and a player in a frame that shares neither style nor script with the page."""
+    """Return a take as HTML: its facts, and a player in an iframe, isolated from the styles and scripts of the page."""
     page = escape(player_page(take), quote=True)
     player = (
         f'<iframe srcdoc="{page}" sandbox="allow-scripts" title="Player of {escape(take.label, quote=True)}" '

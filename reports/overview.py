@@ -1,4 +1,4 @@
-"""The figures of the first screen and of the tables by class and by group: what was found, where, and how surely."""
+"""Compute the numbers of the first screen and of the tables by class and by group of an annotation report."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from kinedex.reports.data import ReportData, Score, Segment
 from kinedex.reports.take_groups import by_group
 
 MOVING = 4
-"""So many of the surest hits, and of the most doubtful ones, move on the first screen."""
+"""Number of the most confident, and of the least confident segments, that are moving figures on the first screen."""
 
 BARS = 20
-"""Classes on the first screen; the table has all."""
+"""Most classes on the first screen; the table has all of them."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class ClassFindings:
 
 @dataclass(frozen=True)
 class GroupFindings:
-    """A group of takes: its takes and seconds, what was found in it, its commonest classes, and its agreement."""
+    """A group of takes: its takes and seconds, its segments, most frequent classes, and agreement with ground truth."""
 
     name: str
     takes: tuple[str, ...]
@@ -74,7 +74,7 @@ def totals(data: ReportData) -> Totals:
 
 
 def class_findings(data: ReportData) -> list[ClassFindings]:
-    """Return what was found of each class, the longest time first; classes that were not found come last."""
+    """Return the totals of each class, sorted by duration, the longest first; classes without segments come last."""
     rates = {take.name: take.rate_hz for take in data.takes}
     grouped: dict[str, list[Segment]] = defaultdict(list)
     for one in data.automatic:
@@ -97,7 +97,7 @@ def class_findings(data: ReportData) -> list[ClassFindings]:
 
 
 def group_findings(data: ReportData) -> list[GroupFindings]:
-    """Return what was found in each group of takes; empty where takes are not grouped."""
+    """Return the totals of each group of takes; empty if takes are not grouped."""
     if not data.grouped_by:
         return []
     rows = {take.name: take for take in data.takes}
@@ -141,7 +141,7 @@ def _cost(segment: Segment) -> float:
 
 
 def _of_classes(ranked: Sequence[Segment], count: int) -> list[Segment]:
-    """Return the first segment of each class in turn, then the second ones, up to a number, in the given order."""
+    """Return up to `count` segments: the first of each class in turn, then the second ones, in the given order."""
     seen: Counter[str] = Counter()
     rounds = []
     for place, one in enumerate(ranked):
@@ -167,6 +167,6 @@ def _labelled(segments: Sequence[Segment]) -> dict[str, int]:
 
 
 def _agreement(scores: Sequence[Score]) -> tuple[float | None, float | None]:
-    """Return F (frames) and F (segments) of takes together."""
+    """Return F (frames) and F (segments) over the pooled counts of takes."""
     counts = pooled(Counts(*(getattr(score, field.name) for field in fields(Counts))) for score in scores)
     return (counts.f1, counts.f2) if scores else (None, None)

@@ -1,4 +1,4 @@
-"""Points of a depth camera inside of a page, for its player: a few of those that the tracker saw of the person."""
+"""Embed points of a depth camera in a page for its player: a sample of the points of the person in each frame."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from kinedex.storage.formats.depth.recording import read_recording
 F64 = npt.NDArray[np.float64]
 
 POINTS = 160
-"""So many points of a frame are drawn."""
+"""Number of points of a frame that are drawn."""
 
 MOST_BYTES = 6_000_000
 """The largest size of all points of a page."""
@@ -41,7 +41,7 @@ def packed_points(row: Mapping[str, Any], frames: int, rate_hz: float) -> dict[s
     Returns
     -------
     dict or None
-        What the player reads; None where the recording is there no more.
+        The object that the player reads; None if the recording no longer exists.
     """
     if row["file"] is None or not Path(row["file"]).is_file():
         return None

@@ -1,4 +1,4 @@
-"""Jumps of takes made from depth: frames whose pose an archive lent, with what each hypothesis cost."""
+"""Jumps of takes made from depth: frames whose pose is from the pose database, with the costs of the hypotheses."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from kinedex.pipelines.reconstruction.explanations import explained_votes
 from kinedex.storage.store.store import Store
 
 MOST_JUMPS = 30
-"""Jumps of a take in its table; where there are more, those that cost so much less."""
+"""Most jumps of a take in its table: of more, those that reduced the cost most."""
 
 MARGIN_S = 0.5
-"""So much is played before and after a jump."""
+"""Seconds that are played before and after a jump."""
 
 
 @dataclass(frozen=True)
 class Jump:
-    """A frame whose pose an archive lent.
+    """A frame whose pose is from the pose database.
 
     Attributes
     ----------
@@ -32,13 +32,13 @@ class Jump:
     direction : str
         Direction of time that it was found in.
     archive_take, archive_frame : str, int
-        The take that lent the pose, and its frame.
+        The take and frame of the archive that the pose is from.
     candidate : int
         Its number among the candidates of the frame, from 1.
     lookup_cost, trial_cost, cost : float or None
-        What the pose cost in the lookup, after a short fit, and in the vote.
+        The cost of the pose in the lookup, after a short fit, and in the vote.
     followed_cost : float or None
-        What the pose that follows from the frame before cost in the vote; None where there is none.
+        The cost in the vote of the pose that was tracked from the frame before; None if there is none.
     start, stop : int
         Analysis frames around it.
     """
@@ -114,7 +114,7 @@ def _jump(vote: Mapping[str, Any], followed: float | None, source_hz: float, tot
 
 
 def _most_telling(jumps: Sequence[Jump]) -> Jumps:
-    """Return jumps, of many those that cost so much less than what follows; a start counts as the greatest."""
+    """Return the jumps of a table: of many, those that reduced the cost most; starts of tracking come first."""
 
     def gain(one: Jump) -> float:
         return float("inf") if one.followed_cost is None else one.followed_cost - one.cost

@@ -36,7 +36,7 @@ MOST_COST_M = 0.15
 """The cost that fills a strip."""
 
 LENDERS = 8
-"""Takes of the archive in the table of those that lent poses."""
+"""Most takes of the archive in the table of those that poses are from."""
 
 VOTES = "archive lent the pose"
 """The lane of frames whose pose is that of the database."""
@@ -53,7 +53,7 @@ class Interval:
     left, width : float
         Place in the strip, in percent.
     text : str
-        What is known of them.
+        The text of its tooltip.
     """
 
     start: int
@@ -80,17 +80,17 @@ class ReconstructedOnPage:
     bins : tuple of float
         Costs of the poses in strips, as a share of `MOST_COST_M`.
     lanes : dict of str to tuple of Interval
-        Intervals of frames by what they have in common.
+        Name of a lane → its intervals of frames.
     lenders : tuple of (str, int)
-        Takes of the archive with the number of frames that they lent a pose to.
+        Takes of the archive with the number of frames whose pose is from them.
     errors : dict or None
         The row of `reconstruction_errors` of the take.
     joints : tuple of dict
         Its rows of joints or markers, the worst first.
     jumps : Jumps
-        The frames whose pose the archive lent.
+        The frames whose pose is from the pose database.
     near : int
-        The place of its truth among the motions beside others; −1 where there is none to be seen.
+        Index of the motion of its ground truth in `Motions.near`; −1 if none can be shown.
     """
 
     take: str
@@ -121,7 +121,7 @@ def reconstruction_page(store: Store, stage: str, evaluation: str | None, title:
     title : str
         The title.
     most : int
-        So many takes are shown, those first that are farthest from the truth, or that cost most.
+        Most takes that are shown: those farthest from the truth, or with the largest costs.
     """
     live = set(store.manifest.live_takes)
     rows = {str(row["take"]): row for row in earlier_rows(store, "reconstructions", stage) if row["take_id"] in live}
@@ -151,7 +151,7 @@ def reconstruction_page(store: Store, stage: str, evaluation: str | None, title:
 def _truths(
     store: Store, rows: Sequence[Mapping[str, Any]], errors: Sequence[Mapping[str, Any]], joints: tuple[str, ...]
 ) -> dict[str, Motion]:
-    """Return the motion of each take as the truth has it, where one is known that has joints and is still there."""
+    """Return the ground truth of each take as a motion, for takes whose truth still exists and has joints."""
     judged = {row["take"] for row in errors if row["scope"] == "take"}
     found: dict[str, Motion] = {}
     for row in (row for row in rows if row["take"] in judged and row["file"] and Path(row["file"]).is_file()):
@@ -170,7 +170,7 @@ def _truths(
 
 
 def _clouds(store: Store, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return the points of the first takes, as far as a page has room for them."""
+    """Return the packed points of the first takes that fit into the page."""
     found: list[dict[str, Any]] = []
     room = MOST_BYTES
     for row in rows:

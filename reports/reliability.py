@@ -1,4 +1,4 @@
-"""The reliability diagram of a page: the share of right segments by their confidence."""
+"""The reliability diagram of a page: the share of correct segments by their confidence."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class Bar:
     x, y, width, height : float
         The place of the bar.
     low, high : float
-        The ends of the interval from above.
+        The y of both ends of the interval of the share, from the top.
     says : (float, float)
-        The place at which the share would be the mean confidence.
+        The point on the diagonal, at which the share of correct segments equals the mean confidence.
     """
 
     bucket: Bucket

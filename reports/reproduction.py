@@ -19,8 +19,8 @@ def command(pipeline: str, store_path: Path, records: Sequence[StageRow]) -> str
     """Return the shell commands that repeat the last run of a pipeline in a new store beside this one.
 
     For a shipped pipeline it is `kinedex run` with every parameter that differs from the file, which does not need the
-    store. Otherwise the first command makes a pipeline file of what the store's history holds, wherever the file that
-    was run is now, and the second one runs it.
+    store. Otherwise the first command writes a pipeline file from the store's history, because the original file may be
+    gone, and the second one runs it.
 
     Parameters
     ----------

@@ -95,7 +95,7 @@ class Variant:
 
 @dataclass(frozen=True)
 class Course:
-    """One measure over the stiffness: its names, its path in SVG units, and its points."""
+    """The curve of one measure over the stiffness: its names, its path in SVG units, and its points."""
 
     name: str
     words: str

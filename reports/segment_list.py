@@ -14,10 +14,10 @@ from kinedex.reports.motions import Motions, script_json
 from kinedex.storage.formats.csv_cells import csv_line
 
 MOST_ROWS = 5000
-"""The page has so many segments at most, the least confident ones; the CSV file beside it has all."""
+"""Most segments on the page, the least confident ones; the CSV file beside it has all."""
 
 LOOKS = 25
-"""So many segments to look at first."""
+"""Number of segments that the page proposes to review first."""
 
 SEGMENTS = "report.segments.csv"
 """The file of all segments, beside the page."""
@@ -41,7 +41,7 @@ class SegmentList:
     shown : tuple of Segment
         Those on the page, the least confident first.
     looks : tuple of Segment
-        The first of them, which a person looks at first.
+        The first of them, which the page proposes to review first.
     rows_json : Markup
         The rows for the page's script.
     """
@@ -53,7 +53,7 @@ class SegmentList:
 
 
 def in_order(segments: Sequence[Segment]) -> list[Segment]:
-    """Return segments in the order in which a person looks at them."""
+    """Return segments in the order of review, the least confident first."""
     rows = [(*one.key, one.confidence, place) for place, one in enumerate(segments)]
     schema = {"take": pl.String, "class": pl.String, "start": pl.Int64, "stop": pl.Int64,
               "confidence": pl.Float64, "place": pl.Int64}  # fmt: skip

@@ -39,7 +39,7 @@ MOVED = 8
 
 @dataclass(frozen=True)
 class ShownPrior:
-    """An interval that got priors.
+    """An interval to which a prior was applied.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class ShownTake:
     """A stabilised take on the page.
 
     `bins` are shares of trusted keypoints, `figures` the metrics by part, before and after, and `moved_mm` is the mean
-    way of all joints.
+    displacement of all joints.
     """
 
     take: str
@@ -104,7 +104,7 @@ class ShownTake:
 
     @property
     def withdrawn_seconds(self) -> float:
-        """The time in which priors were withdrawn."""
+        """The total duration of intervals whose priors were withdrawn, in seconds."""
         return (
             len({frame for one in self.withdrawn for frame in range(one.start, one.stop)}) * self.seconds / self.frames
         )
@@ -138,7 +138,7 @@ def stabilised_page(store: Store, stage: str, title: str, most: int) -> str:
     title : str
         The title.
     most : int
-        So many takes are shown, those first that have moved most.
+        Most takes that are shown: those whose joints have moved most.
     """
     rows = {str(row["take"]): row for row in earlier_rows(store, "tracks", stage) if row["take_id"] in _live(store)}
     moved = {take: _moved(store, stage, take) for take in rows}
@@ -229,7 +229,7 @@ def _metrics(store: Store, take: str) -> dict[str, float]:
 
 
 def _rays(store: Store, row: Mapping[str, Any], stage: str, frames: int) -> dict[str, Any] | None:
-    """Return the rays of the limbs' keypoints as the player draws them: the points of rays that are next to joints."""
+    """Return the rays of the limbs' keypoints for the player: on each ray, the point nearest to the joint."""
     name = row["recording"]
     if name is None:
         return None

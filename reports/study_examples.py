@@ -1,4 +1,4 @@
-"""The nearest example clips of the segments on a page that compares methods, of the clips that a fold learned from."""
+"""Find the nearest example clip of each segment on a page that compares methods, among the clips of its fold."""
 
 from __future__ import annotations
 

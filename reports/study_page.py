@@ -1,4 +1,4 @@
-"""The page of a comparison of methods with all that it plays, as its stage writes it."""
+"""Make the page that compares methods, with the motions that it plays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The groups of takes on a page: by the column that divides them into a few groups, such as the actor."""
+"""Group the takes of a page by a column that divides them into a few groups, such as the actor."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import PurePosixPath
 import polars as pl
 
 FEWEST, MOST = 2, 40
-"""Numbers of groups that are worth a heading each."""
+"""Least and largest number of groups for which takes are grouped."""
 
 NONE = "other"
 """The group of takes without a value."""
@@ -19,7 +19,7 @@ _EMPTY = (None, "")
 
 
 def take_groups(takes: pl.DataFrame, columns: Sequence[str]) -> tuple[str, dict[str, str]]:
-    """Choose what takes are grouped by: the actor, or else the one of `columns` with the most values, or the folder.
+    """Group takes by the actor, or else by the one of `columns` with the most values, or by the folder.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def take_groups(takes: pl.DataFrame, columns: Sequence[str]) -> tuple[str, dict[
     Returns
     -------
     name : str
-        What the groups are, empty where nothing divides the takes into `FEWEST` to `MOST` groups.
+        Name of the column, "folder", or empty if nothing divides the takes into `FEWEST` to `MOST` groups.
     groups : dict of str to str
         Name of a take → its group.
     """

@@ -1,7 +1,7 @@
-"""The choice of takes for a report that cannot show all.
+"""Choose the takes of a report that cannot show all.
 
-With ground truth these are the worst, those around the median and the best; without it, those in which most was found
-and those that deserve a look.
+With ground truth these are the takes with the lowest F, around the median, and with the highest F; without it, those
+with the most segments and those with the most doubtful segments.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
 from kinedex.reports.data import Segment
 
 OPEN_ALL, OPEN = 10, 6
-"""Up to `OPEN_ALL` timelines are all open; of more, `OPEN` come first and the others are folded."""
+"""Up to `OPEN_ALL` timelines are all unfolded; of more, only the first `OPEN` are."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,9 @@ class Choice:
     reason : str
         The order in words.
     folded : int
-        So many of the shown ones, the last, are folded.
+        Number of takes at the end of `shown` that are folded.
     look : tuple of str
-        Those of them that deserve a look.
+        Those of them with the most doubtful segments.
     """
 
     shown: tuple[str, ...]
@@ -81,12 +81,12 @@ def choose_takes(
     f1 : mapping of str to float
         F (frames) of the takes that have ground truth.
     findings : mapping of str to Findings or None
-        What was found in each take, for takes without ground truth.
+        The totals of segments of each take, for takes without ground truth.
     wanted : sequence of str or None
         Exactly these takes, in this order; None chooses.
     max_takes : int
         Largest number of takes where they are chosen: a third each from the worst, the middle and the best, or half
-        each of those with the most segments and of those that deserve a look.
+        each of those with the most segments and of those with the most doubtful ones.
 
     Returns
     -------
@@ -121,7 +121,7 @@ def choose_takes(
 
 
 def _by_findings(names: Sequence[str], findings: Mapping[str, Findings], max_takes: int) -> Choice:
-    """Choose takes without ground truth by what was found in them."""
+    """Choose takes without ground truth by the numbers of their segments and of doubtful ones."""
     most = sorted(
         (name for name in names if name in findings),
         key=lambda name: (-findings[name].segments, -findings[name].frames, name),

@@ -12,7 +12,7 @@ from kinedex.reports.data import Score, Segment, TakeRow
 
 @dataclass(frozen=True)
 class Bar:
-    """One segment: its place in percent, whether the other side agrees, its tooltip, and its analysis frames.
+    """One segment: its place in percent, whether annotation and ground truth agree, its tooltip, and its frames.
 
     `agrees` is None where the take has no ground truth. `near` is the place of its nearest example in the page's list.
     """

@@ -24,7 +24,7 @@ class Trace:
 
 
 def trace(costs: Sequence[float]) -> Trace | None:
-    """Lay out the costs before each round and after the last; None where nothing was averaged."""
+    """Lay out the costs before each round and after the last; None if no clips were averaged."""
     if len(costs) < 2:
         return None
     step = (_RIGHT - _LEFT) / (len(costs) - 1)

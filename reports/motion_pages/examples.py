@@ -1,4 +1,4 @@
-"""Examples that stand beside hits: of the clips of a template, or of one example, that which resembles a hit most."""
+"""Find the example that a page plays beside a hit: the nearest clip of its template, or the example of the search."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Interval = tuple[str, int, int]
 
 
 class HasExamples(Protocol):
-    """An interval that names its examples."""
+    """An interval with the name of its examples."""
 
     @property
     def take(self) -> str: ...

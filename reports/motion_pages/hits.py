@@ -88,7 +88,7 @@ def best_hits(store: Store, hits: pa.Table, stage: str, each: int) -> dict[str, 
     Returns
     -------
     dict
-        The variables of a template: `groups`, and those of `figures_of`.
+        The variables of a page template: `groups`, and those of `figures_of`.
     """
     rows = sorted(hits.to_pylist(), key=lambda row: (row["template"], row["rank"]))
     names = list(dict.fromkeys(row["template"] for row in rows))
@@ -136,7 +136,7 @@ def write_ranking(
     store : Store
         The store of the takes.
     hits : pyarrow.Table
-        Rows of the kind `ranked_hits`: the hits, or the nearest places where there is none.
+        Rows of the kind `ranked_hits`: the hits, or the nearest intervals if there is no hit.
     html, picture : Path or None
         The files, ending in .html and .png; None writes none.
     tau : float

@@ -1,4 +1,4 @@
-"""A page of small moving figures in groups, each of which a click opens in the player; one file, no network."""
+"""A self-contained page of small moving figures in groups; a click on a figure opens it in the player."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Clip:
     start, stop : int
         The frames [start, stop).
     title : str
-        The line below the figure that is read first.
+        The first line below the figure.
     facts : tuple of str
         Further lines.
     examples : str
@@ -160,7 +160,7 @@ def render(store: Store, page: MotionPage, examples: Examples | None = None) -> 
 
 
 def figures_of(store: Store, groups: Sequence[Group], examples: Examples | None = None) -> dict[str, Any]:
-    """Return what a template needs for moving figures of clips and their player.
+    """Return the variables that a page template needs for moving figures of clips and their player.
 
     Parameters
     ----------

@@ -15,10 +15,10 @@ from kinedex.reports.motion_pages.motion_page import Clip, MotionPage, grouped, 
 from kinedex.storage.store.store import Store
 
 LONGEST_SECONDS = 10.0
-"""A longer take moves for so long, in its middle."""
+"""Longest motion of a figure in seconds; of a longer take, the middle is shown."""
 
 FOLDER = "folder"
-"""The group of takes where no column makes any: the folder of their file."""
+"""The name of the grouping by the folder of the file, which is used if no column is suitable."""
 
 _GROUPS = ("class", "actor")
 """The columns that takes are grouped by, the first one of which there is more than one value."""

@@ -103,7 +103,7 @@ def _medoids(words: Sequence[U64], paths: Sequence[I64], columns: int) -> list[t
 
 
 def _figure(store: Store, clip: Interval, frame: int) -> F64:
-    """Return the joints of a frame of a clip (J, 2), seen half from the front: metres to the right and up."""
+    """Return the joints (J, 2) of a frame of a clip, seen obliquely from the front: metres to the right and up."""
     take, start, _ = clip
     joints = list(store.feature_set.joints)
     points = joint_positions(store.frames(take, start + frame, start + frame + 1), tuple(joints))[:, :, 0]

@@ -1,1 +1,1 @@
-"""Stages that draw a page of what others stored, one in each module; no stage imports another."""
+"""Stages that draw a page from the results of other stages, one in each module; no stage imports another."""

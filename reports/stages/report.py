@@ -20,7 +20,7 @@ from kinedex.storage.store.store import Store
 
 
 class Params(BaseModel):
-    """The parameters of the stage `report`: what the page shows where it cannot show everything."""
+    """The parameters of the stage `report`, which select the takes, curves and motions of the page."""
 
     model_config = ConfigDict(extra="forbid")
 
