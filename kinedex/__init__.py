@@ -5,7 +5,7 @@
 >>> hits = store.rank(kinedex.Template.from_clip(take, 0, 30)) # what is like the first second of the take?
 >>> runs = store.runs("lknee_bent", min_seconds=0.5)           # when is the left knee bent?
 
-docs/python.md shows ten tasks, docs/stability.md documents what is stable.
+docs/python.md shows ten tasks, docs/stability.md lists the interfaces that stay stable.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def __getattr__(name: str) -> object:
 
 
 def _installed_version() -> str:
-    """Return the version of the installed distribution; that of an unknown one is 0."""
+    """Return the version of the installed distribution, or 0 if none is installed."""
     from importlib.metadata import PackageNotFoundError, version
 
     try:

@@ -1,1 +1,1 @@
-"""The commands of the command line, by what people use them for: one function a command."""
+"""The commands of `kinedex`, in modules by subject; each command is one function."""

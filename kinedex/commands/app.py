@@ -42,7 +42,7 @@ Function = TypeVar("Function", bound=Callable[..., None])
 
 
 class HelpPage(TyperGroup):
-    """A group of commands whose help lists them by subject, and whose errors of usage are JSON after `--json`."""
+    """A group of commands whose help lists them by subject, and whose usage errors are JSON if `--json` is given."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the commands, then the options in one paragraph: the page is one screen."""
@@ -85,7 +85,7 @@ class HelpPage(TyperGroup):
 
 
 class Command(TyperCommand):
-    """A command whose errors of usage are JSON after `--json`."""
+    """A command whose usage errors are JSON if `--json` is given."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments and options of the command."""
@@ -95,7 +95,7 @@ class Command(TyperCommand):
 
 
 class _UsageErrors:
-    """Report an error of usage as JSON where the arguments ask for JSON."""
+    """Print usage errors as JSON if the arguments contain `--json`."""
 
     def __init__(self, args: list[str]) -> None:
         self._json = "--json" in args
@@ -111,7 +111,7 @@ class _UsageErrors:
 
 
 class Program(HelpPage):
-    """All commands: the help knows them by `command_list`, and each is imported when it is asked for."""
+    """The group of all commands, which the help lists from `command_list`; each is imported when it is first used."""
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
@@ -184,10 +184,10 @@ def root(
 
 
 class TakesPage(HelpPage):
-    """A group of commands that lists takes where its first argument is the name of no command, but a store."""
+    """A group whose command `list` runs if the first argument is a store and not the name of a command."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse arguments of the group, with the command in front that they lack."""
+        """Parse the arguments of the group, after `list` was put before them if they name no command."""
         return super().parse_args(ctx, self.completed(args))
 
     def completed(self, args: list[str]) -> list[str]:
@@ -254,7 +254,7 @@ NO_PATHS = ("scheduler", "note")
 
 
 def _guarded(function: Callable[..., None]) -> Callable[..., None]:
-    """Return the command with the common options, which ends with one message where it fails."""
+    """Wrap a command: add the common options, and print one message and set the exit code if it fails."""
 
     @functools.wraps(function)
     def guarded(**arguments: Any) -> None:
@@ -282,7 +282,7 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
             print_error(fault.format_message(), "UsageError", fault.exit_code, as_json)
             raise typer.Exit(fault.exit_code) from None
         except KeyboardInterrupt as fault:
-            with suppress(ValueError):  # not the main thread
+            with suppress(ValueError):  # signals can be set in the main thread only
                 signal.signal(signal.SIGINT, signal.SIG_IGN)
             message = str(fault) or "stopped; the same command continues where it was"
             print_error(message, "KeyboardInterrupt", INTERRUPTED, as_json)
@@ -315,7 +315,7 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
 
 @contextmanager
 def _logged(command: str) -> Iterator[None]:
-    """Log the begin and the end of a command; the terminal shows its errors, so that they are events."""
+    """Log the begin, the end and errors of a command, as events, which are not repeated on standard error."""
     import logging
     import time
 
@@ -331,7 +331,7 @@ def _logged(command: str) -> Iterator[None]:
 
 
 def _is_closed_pipe(fault: OSError) -> bool:
-    """Return whether an error is that of a pipe without a reader, which Windows reports as an invalid argument."""
+    """Return whether an error means that the reader of a pipe is gone; Windows reports it as an invalid argument."""
     return isinstance(fault, BrokenPipeError) or (
         os.name == "nt" and fault.errno == errno.EINVAL and fault.filename is None
     )

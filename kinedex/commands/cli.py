@@ -27,11 +27,11 @@ def main() -> None:
 
 
 def _leave_a_running_statement(code: object) -> None:
-    """End the process at once where a SQL statement does not stop.
+    """End the process at once if a SQL statement still runs.
 
-    Python would take DuckDB apart under the statement, or under the thread that frees what it held. Nothing is lost:
-    SQL opens a store for reading alone, holds no lock, the prompt has written its history, and DuckDB removes the
-    temporary files of processes that are gone.
+    A usual exit of Python would unload DuckDB while the statement, or the thread that frees its memory, still runs.
+    Nothing is lost: SQL opens a store read-only and holds no lock, the prompt has written its history, and DuckDB
+    removes the temporary files of ended processes.
     """
     running = sys.modules.get("kinedex.storage.interruption")
     if running is not None and running.is_running():

@@ -1,4 +1,4 @@
-"""The demo: the main job on a synthetic archive, which is made where it is missing, or on an archive of the user."""
+"""Run the demos: a pipeline on a synthetic archive, which is made if it is missing, or on an archive of the user."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from kinedex.storage.store.store import open_store
 ACTORS, SEED = 5, 2026
 
 FILMED, LEAST_FRAMES = "al", 45
-"""The actor who is filmed in the demos of tracking and depth, in clips of so many frames at least."""
+"""The actor who is filmed in the demos of tracking and depth, and the least number of frames of a filmed clip."""
 
 DEPTH_TAKES = 6
-"""So many clips are filmed in the demo of depth."""
+"""Number of clips that are filmed in the demo of depth."""
 
 
 def run_demo(
@@ -172,7 +172,7 @@ def run_depth_demo(store: Path, minutes: float, executor: str, workers: int | No
 
 
 def run_settled(pipeline: str, store: Path, settings: Mapping[str, str], run: Mapping[str, Any]) -> Outcome:
-    """Run a pipeline that makes takes of recordings, and again, so that its index has these takes.
+    """Run a pipeline that makes takes from recordings, and run it again, so that the index has these takes.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def archive_folder(store: Path, minutes: float) -> Path:
 
 
 def refuse_other_takes(store: Path, data: Path) -> None:
-    """Refuse a store that a demo with this archive has not made, before anything is written.
+    """Raise an error, before anything is written, if a store was not made by a demo from this archive.
 
     Parameters
     ----------
@@ -255,7 +255,7 @@ def refuse_other_takes(store: Path, data: Path) -> None:
 
 
 def recordings_folder(store: Path, minutes: float) -> Path:
-    """Return the folder of a demo's recordings: one for each length of the archive, since the takes differ."""
+    """Return the folder of a demo's recordings, which depends on the length of the archive, as the takes do."""
     return store.parent / f"{store.name}-recordings-{minutes:g}min"
 
 

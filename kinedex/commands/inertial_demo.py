@@ -1,4 +1,4 @@
-"""The demo of inertial sensors: takes wear simulated sensors, are broken on purpose, and are judged by the sensors."""
+"""The demo of inertial sensors: simulate sensors on takes, inject errors into the takes, and find them again."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from kinedex.pipelines.recordings.stored_results import earlier_rows
 from kinedex.storage.store.store import Store, open_store
 
 PIPELINE = "chapter7"
-"""The pipeline that breaks takes on purpose and judges them by sensors."""
+"""The pipeline that injects errors into takes and detects them by sensors."""
 
 TAKES, LEAST_S = 4, 15.0
-"""So many takes of so many seconds at least wear sensors."""
+"""Number of takes with simulated sensors, and their least duration in seconds."""
 
 TRUTH = Path("truth") / "sensors.csv"
 
 
 def run_inertial_demo(store: Path, minutes: float, executor: str, workers: int | None, console: Console) -> Outcome:
-    """Put simulated sensors on takes of a synthetic archive, break the takes, and judge them by the sensors.
+    """Simulate sensors on takes of a synthetic archive, inject errors into the takes, and detect them by the sensors.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def _long_takes(store: Store) -> list[str]:
 
 
 def figures(store: Store, recordings: Path) -> list[str]:
-    """Return lines that compare clocks, mounts and errors with the truth of the simulated sensors.
+    """Return lines of text that compare estimated clocks, mounts and errors with the truth of the simulation.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The package that runs, and the one that is installed."""
+"""Find the folders of the running package and of the installed one, which can differ in a checkout."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from urllib.request import url2pathname
 
 
 def running_package() -> Path:
-    """Return the folder of the package that runs."""
+    """Return the folder of the `kinedex` package that is running."""
     return Path(__file__).parents[1].resolve()
 
 

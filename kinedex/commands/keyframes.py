@@ -138,7 +138,7 @@ def export(
 
 
 def _stored(store: Store, classes: list[str] | None, pipeline: str | None) -> StoredQueries:
-    """Return the learned queries, and report where older ones fit as well."""
+    """Return the newest learned queries, and print which other stages have some of the same classes."""
     from kinedex.pipelines.keyframes.stored_queries import stored_queries
 
     found = stored_queries(store, classes, pipeline)

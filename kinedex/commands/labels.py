@@ -89,7 +89,7 @@ def export(
 def _segments(
     store: Store, option: str | None, stage: str | None, takes: Sequence[str], where: str | None
 ) -> tuple[Sequence[TakeLabels], str, int]:
-    """Return what an option exports, the annotations of a stage for None: its takes, its origin, what was rejected."""
+    """Return the segments that an option exports (None: annotations): by take, their origin, the number rejected."""
     from kinedex.pipelines.annotation.labels import annotate_stage, classes_of_takes, labels_kept, labels_of
     from kinedex.pipelines.inertial.limb_error_labels import limb_error_labels, limb_error_stage
 

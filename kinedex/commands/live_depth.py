@@ -25,14 +25,14 @@ from kinedex.pipelines.recordings.runs import COMPILING, is_compiled, renew_inde
 from kinedex.storage.store.store import open_store
 
 PATIENCE_S = 600.0
-"""A take waits so long for another writer of the store, unless --wait is given."""
+"""Seconds to wait for another writer of the store before a take is saved, unless --wait is given."""
 
 
 def follow_and_save(
     store: Path, folder: Path, camera: Path, background: Path | None, body: str, form: str, idle: float | None,
     wait: float | None, as_json: bool,
 ) -> None:  # fmt: skip
-    """Reconstruct the frames that are written into a folder, print each, and save them all as a take in the end."""
+    """Reconstruct each frame that is written into a folder, print it, and save all as a take at the end."""
     if not is_compiled(near_maps):
         print_message(COMPILING)
     tracker = LiveTracker.open(store, camera, _live_body(body), background, None, _form(form), keep=True)
@@ -49,7 +49,7 @@ def follow_and_save(
 
 
 def _follow(live: LiveRecording, idle: float | None, as_json: bool) -> None:
-    """Print the frames as they come, and in the end how long they took."""
+    """Print frames as they are reconstructed, and their latencies at the end."""
     tracker, frames, unseen = live.tracker, 0, 0
     latencies: list[float] = []
     try:
@@ -76,8 +76,8 @@ def _latencies(latencies: list[float]) -> str:
 
 
 def _save(store: Path, live: LiveRecording, wait: float, as_json: bool) -> None:
-    """Save what was seen as a take; as a motion file beside the user where the store cannot be written."""
-    with suppress(KeyboardInterrupt):  # then the take has mean bones
+    """Save the frames as a take, or as a motion file in the working directory if the store cannot be written."""
+    with suppress(KeyboardInterrupt):  # if it is interrupted, the take has the mean bone lengths
         live.tracker.measure()
     if not live.is_seen:
         print_message(
@@ -108,7 +108,7 @@ def _save(store: Path, live: LiveRecording, wait: float, as_json: bool) -> None:
 
 @contextmanager
 def _ended_by_signals() -> Iterator[None]:
-    """Let the signals that end a process, as of a closed terminal, end only what is done meanwhile."""
+    """Turn signals that end a process, such as that of a closed terminal, into KeyboardInterrupt in the block."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

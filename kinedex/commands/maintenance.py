@@ -119,7 +119,7 @@ _NAME_COLUMNS = (
 
 
 def _fault(file: Path, fault: KinedexError) -> KinedexError:
-    """Return the fault of a file that is no motion; a table may hold readings of sensors."""
+    """Return the error for a file without motion; for a table, with a hint that it may hold sensor readings."""
     if file.suffix.lower() in (".csv", ".tsv"):
         return KinedexError(f"{fault}\n  if it holds readings of inertial sensors: {_NAME_COLUMNS}")
     return fault
@@ -137,7 +137,7 @@ def _unknown_sensor_file(file: Path) -> KinedexError:
 
 
 def _is_sensor_file(file: Path) -> bool:
-    """Return whether a file holds readings of sensors; one that cannot be motion and has none is an error."""
+    """Return whether a file holds sensor readings; raise an error if it can hold neither these nor motion."""
     ending = file.suffix.lower()
     if not file.is_file() or ending not in (*_SENSOR_ENDINGS, ".csv", ".tsv"):
         return False

@@ -120,7 +120,7 @@ def seconds_of(text: str | float) -> float:
 
 
 def wait_of(seconds: float | None) -> Wait:
-    """Return the patience that `--wait` asks for; while it lasts, messages report for whom the command waits."""
+    """Return the `Wait` for the seconds of `--wait`, which prints the process that the command waits for."""
     from kinedex.storage.lock import Wait
 
     return Wait(seconds or 0.0, print_message, "--wait 10m")

@@ -1,4 +1,4 @@
-"""Results on standard output: tables in the format asked for, JSON objects, and how a pipeline ended."""
+"""Print results on standard output: tables in a chosen format, JSON objects, and outcomes of pipelines."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def print_path(path: Path) -> None:
 
 
 def is_for_people(form: str, output: Path | None) -> bool:
-    """Return whether `show_table` will print a table on a terminal."""
+    """Return whether `show_table` prints a formatted table on a terminal with these arguments."""
     return form == "table" and output is None and sys.stdout.isatty()
 
 
@@ -50,7 +50,7 @@ FEW = 10
 """Number of failures that the end of a run shows in full."""
 
 ROWS = 200
-"""Number of rows that a terminal shows unless another is asked for; how many more there are is reported."""
+"""Number of rows that a terminal shows by default; a line below gives the number of further ones."""
 
 
 def show_table(table: pa.Table, form: str, output: Path | None, *, paged: bool = False) -> None:
@@ -90,7 +90,7 @@ def show_table(table: pa.Table, form: str, output: Path | None, *, paged: bool =
     elif form == "parquet" and sys.stdout.isatty():
         raise KinedexError("a terminal cannot show Parquet: write it to a file with --output FILE")
     else:
-        # a terminal escapes text; a pipe gets what a file would hold
+        # a terminal gets escaped text, a pipe the same bytes as a file
         sys.stdout.write(data.decode()) if sys.stdout.isatty() else sys.stdout.buffer.write(data)
 
 
@@ -167,7 +167,7 @@ def _failure_lines(outcome: Outcome, store: Path) -> list[str]:
 
 
 def _file_lines(outcome: Outcome) -> list[str]:
-    """Return lines about the source files of a run that remembers failures, each kind with its files."""
+    """Return lines about the source files of a run that stores known failures: a line for each kind, with files."""
     files = outcome.files
     failed = [f"failed: {one.reason}" for one in files.failed[:FEW]]
     if len(files.failed) > FEW:
@@ -178,7 +178,7 @@ def _file_lines(outcome: Outcome) -> list[str]:
 
 
 def _files(outcome: Outcome) -> dict[str, object]:
-    """Return the source files of a run as JSON has them."""
+    """Return the source files of a run as a JSON object."""
     files = outcome.files
     failures = {
         kind: [{"file": one.file, "reason": one.reason} for one in some]

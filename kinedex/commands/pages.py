@@ -1,4 +1,4 @@
-"""The options `--html` and `-o FILE.png` of commands that show motions."""
+"""Write the page of `--html` and the picture of `-o FILE.png` for commands that show motions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Pages:
-    """The page and the picture that a command is asked for.
+    """The page and the picture that a command was asked to write.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Pages:
     Raises
     ------
     KinedexError
-        The page does not end in .html, or its folder does not exist; so that no search is done in vain.
+        The page does not end in .html, or its folder does not exist; this is checked before the search.
     """
 
     html: Path | None

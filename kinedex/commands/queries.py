@@ -134,7 +134,7 @@ def _refuse_contradictions(explain: bool, save: str | None, at: int | str | None
 
 
 def _show_hits(hits: pa.Table, shown: pa.Table, save: str | None, run: str | None) -> None:
-    """Show the first hits as a table with a line on all below it, or the line alone where they were saved."""
+    """Print the first hits as a table, and a line with the totals below; only the line if hits were saved."""
     if save is not None:
         print_message(f"{counted(hits.num_rows, 'hit')} saved as '{save}' (run {run})")
         return

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 NEAREST = 5
-"""Places that are shown of a template without a hit."""
+"""Number of nearest intervals that are shown for a template without a hit."""
 
 TemplatesArgument = Annotated[
     list[str] | None,
@@ -124,7 +124,7 @@ def _read_queries(name: str, store: Store) -> tuple[KeyframeQuery, ...]:
 
 
 def _show_hits(found: StoreRanking, tau: float, summary: str) -> None:
-    """Print the hits, or the nearest places where there are none, as a table with a line below it."""
+    """Print the hits, or the nearest intervals if there is no hit, as a table with a line below it."""
     table = found.table()
     if not table.num_rows and found.nearest_table().num_rows:
         print_message(f"No hit below {tau:g}; the nearest places, which are none:")
@@ -144,7 +144,7 @@ def _interval(store: Store, take: str | None, start: str | None, stop: str | Non
 
 
 def _check_source(names: list[str], every: bool, take: str | None, start: str | None, stop: str | None) -> None:
-    """Raise where not exactly one source of templates is given."""
+    """Raise an error unless exactly one source of templates is given."""
     sources = [text for text, given in (("TEMPLATE", names), ("--all", every), ("--take", take is not None)) if given]
     if len(sources) > 1:
         raise KinedexError(
@@ -159,7 +159,7 @@ def _check_source(names: list[str], every: bool, take: str | None, start: str | 
 def _summary(rankings: Sequence[Ranking], tau: float, top: int, preselected: bool, seconds: float) -> str:
     """Return the line below the table: hits, frames, the shares that were not searched, and the time.
 
-    Where a template has as many hits as asked for, there may be more of it.
+    If a template has as many hits as were asked for, the line adds that there may be more.
     """
     from kinedex.ops.wording import counted
 

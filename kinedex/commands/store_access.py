@@ -1,4 +1,4 @@
-"""Opening of the version of a store that a command reads."""
+"""Open the version of a store that a command reads."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def open_for_reading(store: Path, at: str | None, files: Iterable[Path] = ()) -> Store:
     """Open the version of a store that `--at` names, or else the newest that has its index.
 
-    A line on standard error reports where this is not the newest version.
+    If this is not the newest version, a line on standard error reports it.
 
     Parameters
     ----------
@@ -51,9 +51,9 @@ def open_for_reading(store: Path, at: str | None, files: Iterable[Path] = ()) ->
 
 
 def _leave_pandas_out() -> None:
-    """Keep PyArrow from importing pandas, as it does with the first list that it is given, to recognise its objects.
+    """Prevent PyArrow from importing pandas, which it does on the first conversion of a list, if it is installed.
 
-    It takes as long as all else that a command imports. `to_pandas` of a table imports it later all the same.
+    That import takes as long as all others of a command. `to_pandas` of a table still imports it later.
     """
     if "pandas" in sys.modules:
         return
@@ -69,7 +69,7 @@ def _leave_pandas_out() -> None:
 
 class _NoPandas:
     def find_spec(self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None) -> None:
-        """Refuse pandas."""
+        """Raise ModuleNotFoundError for pandas."""
         if fullname == "pandas":
             raise ModuleNotFoundError(name=fullname)
 

@@ -139,7 +139,7 @@ def _print_database(store: Store, as_json: bool) -> None:
 
 
 def _bound_memory() -> None:
-    """Let allocations fail that the machine has no memory for; DuckDB's own limit does not count texts and lists.
+    """Limit the memory of this process to that of the machine, as DuckDB's own limit does not count texts and lists.
 
     A statement that needs more then ends with an error; without this the system would kill the process.
     """

@@ -135,7 +135,7 @@ def _document(one: Explanation) -> dict[str, object]:
 
 
 def _show(one: Explanation, unchanged: bool, explain: bool) -> None:
-    """Show what became of a take."""
+    """Print the result of stabilising a take."""
     from kinedex.ops.wording import counted
 
     if explain:

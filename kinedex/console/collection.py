@@ -1,7 +1,8 @@
-"""Python's search for unreachable objects waits in a command that answers one question.
+"""Delay Python's garbage collection in short commands.
 
-What a command imports stays until its end. Python looks through all of it several times while it grows, and again at
-the end of the process: a fifth of the time of a short command, to find next to nothing.
+Imported modules stay in memory until the end of a command. By default Python searches them for unreachable objects
+several times while they are imported, and again at the end of the process, which takes a fifth of the time of a short
+command and frees almost nothing.
 """
 
 from __future__ import annotations
@@ -11,18 +12,18 @@ import gc
 import sys
 
 FIRST = 250_000
-"""Objects that are there before Python first looks for unreachable ones; a command needs some 160,000 at most."""
+"""The number of objects at which Python first collects garbage; a command allocates some 160,000 at most."""
 
 
 def put_off_collection() -> None:
-    """Put off the first collection until there are `FIRST` objects, and leave out those at the end of the process.
+    """Delay the first garbage collection until there are `FIRST` objects, and skip that at the end of the process.
 
-    After the first, Python collects as always. Until its end the process closes its files as always: what waits is
-    found by counting references, or by `atexit`.
+    After the first collection, the usual thresholds hold. Files are still closed at exit, because that depends on
+    reference counts and `atexit` and not on garbage collection.
     """
     usual = gc.get_threshold()
     if usual[0] in (0, FIRST):
-        return  # switched off, or put off already
+        return  # collection is switched off, or delayed already
 
     def go_on(phase: str, _: dict[str, int]) -> None:
         if phase == "stop":
@@ -35,6 +36,6 @@ def put_off_collection() -> None:
 
 
 def _leave_out_the_last() -> None:
-    """Keep Python from collecting at its end, except with DuckDB, whose bindings report then what is not freed."""
+    """Skip the collection at exit, unless DuckDB is loaded, whose bindings would report objects that are not freed."""
     if "_duckdb" not in sys.modules:
         gc.freeze()

@@ -21,7 +21,7 @@ _QUOTED = re.compile(r"'(?:[^']|'')*'|--[^\n]*|/\*.*?\*/", re.DOTALL)
 
 
 def hidden_rows_hints(store: Store, statement: str, rows: int) -> list[str]:
-    """Return a hint for each view of results in a statement that is empty for want of rows of the shown pipeline.
+    """Return a hint for each view in a statement that is empty only because the rows are of another pipeline.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def hidden_rows_hints(store: Store, statement: str, rows: int) -> list[str]:
     statement : str
         The SQL.
     rows : int
-        Number of rows of the answer. Where it has none, views that show some rows count, too.
+        Number of rows of the answer. If it is 0, hints are also given for views that do show some rows.
     """
     words = set(re.findall(r"\w+", _QUOTED.sub(" ", statement).lower()))
     hints = []

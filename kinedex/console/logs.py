@@ -19,12 +19,12 @@ _STANDARD = frozenset((*vars(logging.makeLogRecord({})), "message", "asctime"))
 
 
 def _is_not_an_event(record: logging.LogRecord) -> bool:
-    """Return whether a record is shown nowhere else: the terminal shows the events of a run, failures included."""
+    """Return whether a record is no event; the events of a run, failures included, are already on the terminal."""
     return not hasattr(record, "event")
 
 
 class _Lines(logging.Formatter):
-    """Format a record as lines in which names cannot pass for lines of their own."""
+    """Format a record as lines, in which line breaks of names are escaped, so that they cannot forge lines."""
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the lines."""
@@ -49,7 +49,7 @@ class JsonLines(logging.Formatter):
 
 
 def configure_logging(*, quiet: bool = False, verbose: bool = False, log_file: Path | None = None) -> None:
-    """Choose where the records of kinedex go; an earlier choice is undone.
+    """Configure the handlers of kinedex's log records, and remove those of an earlier call.
 
     Parameters
     ----------

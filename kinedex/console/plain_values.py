@@ -1,8 +1,8 @@
-"""Words of the command line that are texts, paths, numbers or nothing get their values without pydantic.
+"""Convert plain arguments of the command line (texts, paths, numbers, absent ones) without pydantic.
 
-Typer builds a validator of pydantic for every parameter of a command, given or not, and to import pydantic takes longer
-than all else of a command line. Most parameters are not given, and most others are plain; the rest goes Typer's way,
-and so does every word that is wrong: Typer words the error.
+Typer builds a pydantic validator for every parameter of a command, given or not, and importing pydantic takes longer
+than the rest of parsing a command line. Most parameters are not given, and most others are plain. All other values,
+and invalid ones, are converted by Typer itself, so that its error messages stay the same.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import Any, get_args, get_origin
 
 _NUMBERS = {int: re.compile(r"\d{1,9}", re.ASCII), float: re.compile(r"\d{1,9}(\.\d{1,9})?", re.ASCII)}
-"""Numbers that every reader reads alike."""
+"""Texts of numbers that all parsers convert to the same value."""
 
 _PATH_CHECKS = ("exists", "resolve_path", "writable", "path_type")
 
 
 def convert_plain_values(parameters: Iterable[Any]) -> None:
-    """Make parameters of a command convert plain values by themselves, where Typer has the parts that this takes.
+    """Make parameters of a command convert plain values by themselves, if this version of Typer allows it.
 
     Parameters
     ----------
@@ -35,14 +35,14 @@ def convert_plain_values(parameters: Iterable[Any]) -> None:
 
 
 class _Values:
-    """The conversion of a parameter's values: Typer's own, which is made for the first value that is not plain."""
+    """The converter of a parameter: plain values are converted here, others by Typer's, which is then created."""
 
     def __init__(self, as_always: Any, descriptor: Any) -> None:
         self._as_always = as_always
         self._descriptor = descriptor
 
     def coerce(self, value: Any, param: Any, ctx: Any) -> Any:
-        """Return the value of a parameter: None and the empty tuple stand for none."""
+        """Return the converted value of a parameter; None, or an empty tuple for a multiple one, if it is absent."""
         several = param.multiple or param.nargs == -1
         if value is None:
             return () if several else None

@@ -1,4 +1,4 @@
-"""Lines about long steps, for outputs that show no progress bar, and for the log."""
+"""Print and log lines about long steps, for outputs that show no progress bar."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from kinedex.ops.wording import duration
 _log = logging.getLogger("kinedex.progress")
 
 FIRST_SECONDS = 10.0
-"""The time without a message after which a line reports the step; also the least time between two lines."""
+"""Seconds without a message after which a line reports the step; also the least time between two lines."""
 
 SHARE = 0.2
 """The least time between two lines as a share of the time since the step began, so that a long step has few."""
 
 LOG_SECONDS = 1.0
 LOG_SHARE = 0.02
-"""The same for records of the log with a count, which programs turn into per cent: some 270 in an hour."""
+"""The same for log records with a count, from which programs compute percentages: some 270 in an hour."""
 
 
 @dataclass
@@ -34,20 +34,20 @@ class PulseStep:
     begun: float = field(default_factory=time.monotonic)
 
     def text(self, seconds: float) -> str:
-        """Return the line about the step, in work that has taken so many seconds."""
+        """Return the line about the step: its name, its count, the `seconds` so far, and an estimate of the rest."""
         count = "" if self.total is None else f"{self.done:,} of {self.total:,}, "
         left = self.seconds_left(time.monotonic())
         return f"{self.name}: {count}{seconds:.0f} s so far" + (f", about {duration(left)} left" if left else "")
 
     def seconds_left(self, now: float) -> float | None:
-        """Return the seconds that the rest takes if it goes on as until now; None before anything is done."""
+        """Return the seconds that the rest will take at the mean speed so far; None if nothing is done yet."""
         if self.total is None or not 0 < self.done < self.total:
             return None
         return (now - self.begun) * (self.total - self.done) / self.done
 
 
 class Pulse:
-    """Reports the innermost step, every now and then, while steps are under way.
+    """Prints a line about the innermost running step at intervals.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class Pulse:
         self._end = threading.Event()
 
     def speak(self) -> None:
-        """Note that something was printed, so that no line is due for a while."""
+        """Record that something was printed now, which delays the next line."""
         self._spoken = time.monotonic()
 
     @contextmanager
@@ -103,12 +103,12 @@ class Pulse:
                 _log.info("%s", text, extra={"event": "progress", **count})
 
     def _due(self, begin: float) -> float:
-        """Return the seconds until a line is due."""
+        """Return the seconds until the next line should be printed."""
         now = time.monotonic()
         return max(0.0, self._spoken + max(FIRST_SECONDS, SHARE * (now - begin)) - now)
 
 
 def _log_due(begin: float, logged: float) -> float:
-    """Return the seconds until a record with a count is due."""
+    """Return the seconds until the next record with a count should be logged."""
     now = time.monotonic()
     return max(0.0, logged + max(LOG_SECONDS, LOG_SHARE * (now - begin)) - now)

@@ -1,4 +1,4 @@
-"""The interactive SQL prompt, with the habits of the DuckDB shell: history, several lines, dot commands."""
+"""The interactive SQL prompt, which works like the DuckDB shell: history, multi-line statements, dot commands."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def run_prompt(
 
 
 def _take_line(store: Store, console: Console, typed: str, timeout: float | None, max_rows: int | None) -> str | None:
-    """Answer what is whole of the text typed so far and return its rest; None for the command that leaves."""
+    """Run the complete statements of the text typed so far, and return the rest; None for the command `.quit`."""
     if "\n" not in typed and typed.strip().startswith("."):
         # people type a semicolon after a command, as the DuckDB shell allows it
         words = typed.strip().rstrip(";").split() or ["."]
@@ -91,7 +91,7 @@ def _take_line(store: Store, console: Console, typed: str, timeout: float | None
 
 
 def _answer(console: Console, work: Callable[[], None]) -> bool:
-    """Answer a statement or command; return False where it fails."""
+    """Run a statement or command, print its error if it fails, and return whether it succeeded."""
     before = abandoned_statements()
     try:
         work()
@@ -115,7 +115,7 @@ def _select(store: Store, console: Console, statement: str, timeout: float | Non
 
 
 def rows_line(found: Answer) -> str:
-    """Return the line about the number of rows: all, and those that are shown where they are fewer."""
+    """Return the line with the number of rows, and of shown rows if these are fewer."""
     rows = f"{'' if found.counted else 'more than '}{found.rows:,} row{'' if found.rows == 1 else 's'}"
     shown = found.table.num_rows
     return rows if found.counted and shown == found.rows else f"{rows}; the first {shown:,} are shown"
@@ -136,7 +136,7 @@ def _dot(store: Store, console: Console, words: list[str]) -> None:
         case [".schema" | ".help", name]:
             known = _views(store) | {macro.name for macro in MACROS}
             if name not in known:
-                # a view that needs a missing index is known all the same
+                # a view is listed even if the index that it needs is missing
                 without = f"; {name} needs an index, see `SELECT * FROM {name}`" if name in _ENTRIES else ""
                 near = without or did_you_mean(name, known | set(_ENTRIES))
                 raise KinedexError(f"no view or macro '{name}'; .tables lists them{near}")
@@ -181,7 +181,7 @@ def _history() -> Iterator[None]:
     readline.parse_and_bind("tab: complete")
     readline.set_history_length(2000)
     path = history_file()
-    # a history that cannot be read or written is no error of the command
+    # the prompt works without a history file
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists():

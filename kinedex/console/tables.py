@@ -1,4 +1,4 @@
-"""Tables for people and for programs: Arrow tables printed, or written as CSV, JSON or Parquet."""
+"""Print Arrow tables on terminals, and encode them as CSV, JSON or Parquet."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ FEW_ROWS, MANY_COLUMNS = 5, 7
 _TRIED = 200  # number of rows that the choice looks at
 
 _HEAD, _FOOT = 2, 2
-"""Lines above the rule of a table whose names fit, and those around its rows: the rule, and an empty one at the end."""
+"""Lines above the rule of a table whose headings have one line each; the rule and the empty line at the end."""
 
 _CAP = 60
 """Most characters that a column is padded to in a file or a pipe, and that it counts for in a terminal."""
@@ -55,7 +55,7 @@ _STYLES = {"plain": "", "main": "bold", "better": "green", "worse": "red", "doub
 """The look of each tone."""
 
 _LEAST = 3
-"""With fewer columns that fit, each row is a block."""
+"""Least number of columns of a table; if fewer fit, each row is printed as a block."""
 
 _WORD = 48
 """Most characters of a word that is kept whole on a terminal, such as the name of a take; a path may be broken."""
@@ -64,10 +64,10 @@ _EARLY = (
     "name", "take", "query", "template", "of_take", "actor", "class", "subclass", "start", "cost", "same", "stop",
     "share",
 )  # fmt: skip
-"""Columns that people look for before all others, what they look for first in front."""
+"""Columns of most interest to users, the most important first."""
 
 _LATE = re.compile(r"(^|_)(id|run|checksum|recipe|root|source|mtime|bytes|fingerprint)(_|$)")
-"""Names of columns that people read last."""
+"""Names of columns of least interest to users: keys, checksums and places."""
 
 
 class Shown:
@@ -129,7 +129,7 @@ class Shown:
         if not broken and not tall:
             return names
         if 0 < len(rows) <= FEW_ROWS or len(set(names)) < len(names) or (len(names) < MANY_COLUMNS and tall):
-            return None  # few rows, or long texts that nobody would have left out
+            return None  # few rows, or few columns with long texts, all of which should be shown
         fitting = _fitting({texts[0]: min(_CAP, max(map(cell_len, texts))) for texts in columns}, options.max_width)
         return fitting if len(fitting) >= _LEAST else None if rows else names
 
@@ -158,7 +158,7 @@ def _width(columns: Iterable[int]) -> int:
 
 
 def _fitting(widths: dict[str, int], width: int) -> list[str]:
-    """Return the columns that people read first, as many as fit, in the table's order.
+    """Return as many of the most important columns as fit into a width, in the table's order.
 
     Keys, checksums and places come after all others.
     """
@@ -171,7 +171,7 @@ def _fitting(widths: dict[str, int], width: int) -> list[str]:
 
 
 def _turn(name: str) -> int:
-    """Return the place of a column in the order in which people read; columns of one place keep their own."""
+    """Return the sort key of a column by its importance to users; equal keys keep the order of the table."""
     return _EARLY.index(name) if name in _EARLY else len(_EARLY) + bool(_LATE.search(name))
 
 
@@ -275,7 +275,7 @@ def _is_plain(text: str) -> bool:
 def _plain_lines(table: pa.Table, rows: list[list[str]]) -> Iterator[str]:
     """Yield the lines of `rich_table` at its natural width; rich itself needs some 70 times as long.
 
-    No column is padded beyond `_CAP` characters: what stands behind a longer text is moved to the right.
+    No column is padded beyond `_CAP` characters: cells after a longer text are shifted to the right.
     """
     names = table.column_names
     widths = [min(_CAP, max(cell_len(text) for text in column)) for column in zip(names, *rows, strict=True)]

@@ -1,4 +1,4 @@
-"""Results and messages on the terminal: lines, progress bars, tables."""
+"""Print results and messages on the terminal: lines, progress bars, tables."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def make_console() -> Console:
 
 
 def collecting_terminal(file: TextIO) -> Terminal:
-    """Return a terminal whose lines and tables go to a text that nobody sees at once."""
+    """Return a terminal whose lines and tables are written to a text stream instead of the screen."""
     return Terminal(Console(file=file))
 
 
@@ -133,7 +133,7 @@ class Progress:
 
 
 class Terminal:
-    """Messages, tables and progress bars of a pipeline run; the stages and the runner log what they show."""
+    """Prints messages, tables and progress bars of a pipeline run; stages and runner also log them."""
 
     def __init__(self, console: Console | None = None) -> None:
         self.console = console or message_console()

@@ -1,1 +1,1 @@
-"""The public classes and functions of kinedex, thin over the services by subject; users import them from `kinedex`."""
+"""The public classes and functions of kinedex, thin layers over the other packages; import them from `kinedex`."""

@@ -1,4 +1,4 @@
-"""Annotation of takes by templates, and evaluation of annotations, as functions on data frames."""
+"""Annotate takes by templates, and evaluate annotations, with data frames as input and output."""
 
 from __future__ import annotations
 
@@ -56,14 +56,14 @@ def annotate(
     templates : Template, str, or an iterable of them
         One template for each class (subclass); names are those of templates that the store has learned.
     method : str
-        "best" explains all frames of a take together by templates in a row with background between them; "thesis"
-        labels the frames where a template fits below tau; or the name of a plugin's method.
+        "best" finds the best sequence of templates and background for all frames of a take; "thesis" labels the
+        frames where a template has a distance below tau; or the name of a plugin's method.
     classes : str or Path, optional
         "own" makes every template a class of its own; else a class file, by its shipped name or its path.
     delta : float, optional
         Entries of a template within delta of 0 or 1 count, the others are wildcards.
     tau : float, optional
-        Of the method "thesis": distances below tau make an annotation.
+        The threshold of the method "thesis": intervals with a distance below tau are annotated.
     min_seconds : float, optional
         The shortest annotation.
     queries : Query or sequence of Query, optional
@@ -88,8 +88,8 @@ def annotate(
     Warns
     -----
     UserWarning
-        A template is wildcards alone, or nearly so; or a template or query is not applied to takes whose bodies lack
-        too many of the joints that it asks for.
+        All or nearly all entries of a template are wildcards; or a template or query is not applied to takes whose
+        bodies lack too many of the joints that it needs.
 
     Examples
     --------
@@ -119,7 +119,7 @@ def annotate(
 
 
 class _LoadedWords:
-    """The words of takes that are given one by one, whether they are in a store or not."""
+    """The words of takes that are given as `Take` objects, whether they are in a store or not."""
 
     def __init__(self, takes: Take | Iterable[Take]) -> None:
         self.takes = sorted([takes] if isinstance(takes, Take) else takes, key=lambda take: take.label)
@@ -137,11 +137,11 @@ class _LoadedWords:
 
     @property
     def labels(self) -> set[str]:
-        """Return the classes of the takes, as far as they have one."""
+        """Return the classes of those takes that have one."""
         return {str(take.info["class"]) for take in self.takes if take.info.get("class")}
 
     def words(self, places: Sequence[int]) -> TakeWords:
-        """Return the words of some takes, by their places."""
+        """Return the words of the takes with some indices."""
         every = [self.takes[place].words() for place in places]
         offsets = np.cumsum([0, *map(len, every)]).astype(np.int64)
         masks = np.array([self.takes[place].known for place in places], np.uint64)
@@ -154,7 +154,7 @@ class _LoadedWords:
             yield from annotate_words(annotator, self.words(batch))
 
     def known(self) -> dict[int, int]:
-        """Return the masks of the takes that lack features, by their places."""
+        """Return index → mask of known features, for the takes that lack features."""
         return {place: take.known for place, take in enumerate(self.takes) if take.known != ALL_KNOWN}
 
     def every_word(self) -> list[Any]:
@@ -186,7 +186,7 @@ class _StoredWords:
             yield from annotate_words(annotator, stored.words(batch), store=stored)
 
     def known(self) -> dict[int, int]:
-        """Return the masks of the takes that lack features, by their ids."""
+        """Return take id → mask of known features, for the takes that lack features."""
         return known_of(self.store.stored.known, self.names)
 
     def every_word(self) -> list[Any]:
@@ -234,8 +234,8 @@ class Evaluation:
     Attributes
     ----------
     table : polars.DataFrame
-        One row for everything ("pooled"), for each class and for each take: scope, name, p1, r1 and f1 (precision,
-        recall and F over frames), p2, r2 and f2 (over segments), and the counts that they are made of.
+        One row for all takes ("pooled"), for each class and for each take: scope, name, p1, r1 and f1 (precision,
+        recall and F over frames), p2, r2 and f2 (over segments), and the counts that they are computed from.
     takes : tuple of str
         The takes that were compared.
     remarks : tuple of str
@@ -255,7 +255,7 @@ class Evaluation:
 
     @property
     def f_frames(self) -> float | None:
-        """Return F (frames) over everything.
+        """Return F (frames) over all takes and classes.
 
         Returns
         -------
@@ -266,12 +266,12 @@ class Evaluation:
 
     @property
     def f_segments(self) -> float | None:
-        """Return F (segments) over everything.
+        """Return F (segments) over all takes and classes.
 
         Returns
         -------
         float or None
-            The harmonic mean of precision and recall over segments, which are right where they overlap.
+            The harmonic mean of precision and recall over segments, which are correct if they overlap.
         """
         return self._pooled("f2")
 

@@ -1,4 +1,4 @@
-"""The check of arguments of the public functions against their annotations: one error for a value of a wrong type."""
+"""Check arguments of the public functions against their type annotations, with one error for all wrong types."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _KINDS: dict[str, tuple[str, Accepts]] = {
     "Sequence": ("a sequence", lambda value: isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)),
     "Iterable": ("a sequence", lambda value: isinstance(value, Iterable) and not isinstance(value, str)),
 }
-"""Name in an annotation → its words for an error, and the check of a value."""
+"""Name in an annotation → its description in errors, and the check of a value."""
 
 _CLASSES = {"Store", "Take", "Template", "Query", "DataFrame"}
 """Classes that are checked by name: the modules that define them are imported only where they are needed."""
@@ -46,9 +46,8 @@ _CLASSES = {"Store", "Take", "Template", "Query", "DataFrame"}
 def checked(function: T) -> T:
     """Return a public function that raises a ParameterError for an argument of a wrong type.
 
-    Arguments that can be paths must be paths of this machine. What an annotation says is checked as far as it consists
-    of plain types, classes of this interface, and sequences of them; other annotations (arrays, aliases) are left to
-    the function itself.
+    Arguments that can be paths must be paths of this machine. Annotations of plain types, of classes of this interface
+    and of sequences of them are checked; the function itself checks values of others (arrays, aliases).
     """
     signature = inspect.signature(function)
     found = ((name, _check_of(one.annotation)) for name, one in signature.parameters.items())
@@ -81,7 +80,7 @@ def checked_methods(made: type[C]) -> type[C]:
 
 
 def _check_of(annotation: object) -> tuple[str, Accepts] | None:
-    """Return the words and the check of an annotation; None where it is not understood."""
+    """Return the description and the check of an annotation; None if it is of no kind that can be checked."""
     if not isinstance(annotation, str):
         return None
     return _check_of_node(ast.parse(annotation, mode="eval").body)
@@ -117,7 +116,7 @@ def _members(whole: tuple[str, Accepts], member: tuple[str, Accepts] | None) -> 
     words, accepts = whole
     if member is None:
         return whole
-    # an iterator is not looked into: that would use it up
+    # items of an iterator are not checked, as that would consume it
     kinds = ", ".join(word.removeprefix("a ") for word in member[0].split(" or "))
     return (
         f"{words} of {kinds}",

@@ -1,4 +1,4 @@
-"""Bodies of arrays: joints that a caller places, checked, as a reader of files gives them."""
+"""Make a body from an array of joint positions, as readers of files make it, after checks of the array."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Bool = npt.NDArray[np.bool_]
 
-_BLOCK = 256  # frames that are turned over at a time, so that they stay in the cache
+_BLOCK = 256  # frames that are transposed at a time, so that they stay in the cache
 
 
 def body_of_array(
@@ -27,7 +27,7 @@ def body_of_array(
     joints: Sequence[str] | None,
     orientation: npt.ArrayLike | None,
 ) -> Body:
-    """Return a body whose joints are placed by an array."""
+    """Return a body with the joint positions of an array."""
     from kinedex.storage.formats.motion.points import root_orientation
     from kinedex.storage.formats.motion.reader import Body
 
@@ -69,7 +69,7 @@ def body_of_array(
 
 
 def check_rate(rate: float) -> None:
-    """Raise a ParameterError if a rate is none that motion files can have."""
+    """Raise a ParameterError if a rate is outside of the range that is allowed for motion files."""
     from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ
 
     if not (math.isfinite(rate) and SLOWEST_HZ <= rate <= FASTEST_HZ):

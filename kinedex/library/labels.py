@@ -26,7 +26,7 @@ class Labels:
 
     A label states that a person finds a class in an interval of a take, or, with the verdict "negative", that it is not
     there. Labels are recorded at once, while others read or write the store: the next commit of a writer publishes
-    them, and no command removes them. A label that is changed or taken back stays in the history.
+    them, and no command deletes them. A label that is changed or withdrawn stays in the history.
 
     Examples
     --------
@@ -104,7 +104,7 @@ class Labels:
         Returns
         -------
         polars.DataFrame
-            The new rows, with their ids; a label that the store has already is none of them.
+            The new rows, with their ids; labels that the store has already are not among them.
 
         Raises
         ------
@@ -165,12 +165,12 @@ class Labels:
         Returns
         -------
         polars.DataFrame
-            The row that takes its place, with an id of its own.
+            The row that replaces it, with a new id.
 
         Raises
         ------
         KinedexError
-            No label has such an id, or several have; or another label says the same already.
+            No label has such an id, or several have; or an equal label exists already.
         ParameterError
             Nothing would change, or the interval is not within the take.
 
@@ -189,14 +189,14 @@ class Labels:
         return _rows(change_label(self._stored, id, annotator=annotator, **values))
 
     def remove(self, ids: Iterable[str], *, annotator: str | None = None, note: str | None = None) -> pl.DataFrame:
-        """Take labels back; they stay in the history.
+        """Withdraw labels; they stay in the history.
 
         Parameters
         ----------
         ids : iterable of str
             Ids of labels, or beginnings of ids.
         annotator : str, optional
-            The person who takes them back.
+            The person who withdraws them.
         note : str, optional
             The reason.
 
@@ -238,7 +238,7 @@ class Labels:
         Returns
         -------
         polars.DataFrame
-            The new labels; annotations that were accepted before are none of them.
+            The new labels; annotations that were accepted before are not among them.
 
         Examples
         --------
@@ -305,7 +305,7 @@ class Labels:
             Label files (.csv, .json, .eaf, .vtt, .txt), or folders of them.
         corrects : {"annotations", "labels"}, optional
             The files are those that were exported, corrected by a person: what is the same in them is accepted, what
-            was moved is corrected, what is missing is rejected (an annotation) or taken back (a label).
+            was moved is corrected, what is missing is rejected (an annotation) or withdrawn (a label).
         stage : str, optional
             The stage whose annotations were corrected; that of the current pipeline unless given.
         annotator : str, optional

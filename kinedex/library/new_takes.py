@@ -1,4 +1,4 @@
-"""Takes of no store: read from a motion file, and the features of an array of positions."""
+"""Read takes from motion files without a store, and compute the features of arrays of positions."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def features(
     orientation: npt.ArrayLike | None = None,
     feature_set: str | Path = FEATURES,
 ) -> pl.DataFrame:
-    """Compute the features of joint positions from anywhere.
+    """Compute the features of an array of joint positions.
 
     Parameters
     ----------

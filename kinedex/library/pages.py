@@ -1,4 +1,4 @@
-"""Pages of moving figures from Python."""
+"""Write pages of moving figures from Python."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from kinedex.library.store import Store
 from kinedex.ops.errors import KinedexError, ParameterError
 
 GROUPS = ("template", "query", "class")
-"""Columns that intervals are grouped by unless a column is given, the first of them that there is."""
+"""Columns by which intervals are grouped by default: the first of these that the table has."""
 
 
 @checked
@@ -26,10 +26,10 @@ def write_page(
     group: str | None = None,
     figures: int = 60,
 ) -> Path:
-    """Write a page on which intervals of takes move: hits, annotations, labels, or what a SQL query found.
+    """Write a page of moving figures of intervals of takes: hits, annotations, labels, or rows of a SQL query.
 
-    The page is one file with a player and needs no network. Hits of learned templates have their nearest example beside
-    them in the player, in step.
+    The page is one file with a player and needs no network. For hits of learned templates, the player shows the nearest
+    example beside the hit, aligned to it in time.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Pipelines from Python: bring motion files into a store, and run any pipeline."""
+"""Run pipelines from Python: ingest motion files into a store, and run any other pipeline."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def run_pipeline(
     accept: bool = False,
     verbose: bool = False,
 ) -> Outcome:
-    """Run what is not done yet of a pipeline.
+    """Run the stages of a pipeline that are not up to date.
 
     Parameters
     ----------
@@ -43,20 +43,20 @@ def run_pipeline(
         Settings of the pipeline by name, and parameters of stages by name, or by ``"stage.name"`` where several stages
         have one of this name.
     executor : {"serial", "processes", "dask"}
-        The way stages spread their work. A script that asks for processes must guard its start with
+        The way stages distribute their work. A script that asks for processes must guard its start with
         ``if __name__ == "__main__":``.
     workers : int, optional
         The number of worker processes; that of the cores unless given.
     scheduler : str, optional
         The address of a Dask scheduler.
     force : iterable of str, optional
-        Stages that run in any case.
+        Stages that run even if they are up to date.
     wait_seconds : float, optional
         The time to wait while another process writes to the store; 0 fails at once.
     accept : bool, optional
         True lets the run take values, such as classes, away from takes; by default it refuses, and nothing changes.
     verbose : bool, optional
-        True prints what the stages report.
+        True prints the messages of the stages.
 
     Returns
     -------
@@ -66,8 +66,8 @@ def run_pipeline(
     Raises
     ------
     KinedexError
-        The pipeline, a setting or the store is not usable, and nothing was changed; or a stage could not finish, and
-        what earlier stages committed stays.
+        The pipeline, a setting or the store is invalid, and nothing was changed; or a stage failed, and what earlier
+        stages committed stays.
 
     Examples
     --------
@@ -114,7 +114,7 @@ def ingest(
     accept: bool = False,
     verbose: bool = False,
 ) -> Outcome:
-    r"""Bring the motion files of a folder into a store, and index them.
+    r"""Ingest the motion files of a folder into a store, and index them.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def ingest(
     settings : mapping of str to object, optional
         Further parameters of the stage `ingest`, such as ``{"fill_gap_frames": 24}``.
     executor : {"serial", "processes", "dask"}
-        The way the work is spread, as for `run_pipeline`.
+        The way the work is distributed, as for `run_pipeline`.
     workers : int, optional
         The number of worker processes; that of the cores unless given.
     wait_seconds : float, optional
@@ -148,7 +148,7 @@ def ingest(
     accept : bool, optional
         True lets the run take values, such as classes, away from takes; by default it refuses, and nothing changes.
     verbose : bool, optional
-        True prints what the stages report.
+        True prints the messages of the stages.
 
     Returns
     -------

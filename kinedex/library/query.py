@@ -21,5 +21,5 @@ class Query(catalog_query.Query):
 
 
 def resolved_queries(queries: Query | Iterable[Query], feature_set: FeatureSet, rate_hz: float) -> list[KeyframeQuery]:
-    """Return queries as a search of a store with these features and this analysis rate uses them."""
+    """Return queries resolved to feature bits and frames, for a store with these features and this analysis rate."""
     return [one.resolve(feature_set, rate_hz) for one in ([queries] if isinstance(queries, Query) else queries)]

@@ -1,4 +1,4 @@
-"""Reconstruction from depth in Python: recordings become takes, and a camera of one's own is followed live."""
+"""Reconstruct takes from depth in Python: from recordings, or live from the frames of a camera."""
 
 from __future__ import annotations
 
@@ -40,27 +40,27 @@ def reconstruct(
     Parameters
     ----------
     store : str, os.PathLike or Store
-        The store, whose takes lend poses. An open `Store` keeps showing the version that it was opened with.
+        The store, whose takes are the pose database. An open `Store` keeps showing the version that it was opened with.
     recordings : str or Path
         The recordings file: name of a recording → depth images, camera, background, rate, body, truth.
     only : iterable of str, optional
         The names of recordings; all of the file unless given.
     body : str, optional
-        A take of the person, whose bone lengths count, or "estimate"; the body of a recording goes before.
+        A take of the person, whose bone lengths are used, or "estimate"; a body in the recordings file overrides it.
     form : {"best", "printed"}
-        The thesis's form is printed.
+        The form of the algorithm: "printed" is that of the thesis, "best" kinedex's improvement of it.
     direction : {"both", "forward"}
-        Forwards and backwards in time, and in each frame the better one; or forward, as live.
+        "both" tracks forwards and backwards in time and takes the better pose of each frame; "forward" is as live.
     where : str, optional
-        The takes that lend poses: a SQL filter over the columns of takes.
+        The takes of the pose database: a SQL filter over the columns of takes.
     executor : {"serial", "processes", "dask"}
-        The way recordings are spread, as for `run_pipeline`.
+        The way recordings are distributed over workers, as for `run_pipeline`.
     workers : int, optional
         The number of worker processes; that of the cores unless given.
     wait_seconds : float, optional
         The time to wait while another process writes to the store; 0 fails at once.
     verbose : bool, optional
-        True prints what is reported.
+        True prints the messages of the stages.
 
     Returns
     -------
@@ -102,26 +102,27 @@ class Reconstructor:
     Parameters
     ----------
     store : str, os.PathLike or Store
-        The store, whose takes lend poses: those of its newest pose database, or without one those with a class.
+        The store, whose newest pose database is used, or without one the poses of all takes with a class.
     camera : str or Path
         The camera's YAML file: width, height, fx, fy, cx, cy, depth_unit_m, and `up` or `pose` where it is
         tilted.
     body : str or float, optional
-        A take of the person, whose bone lengths count, the standing height in metres, or "estimate": then the first
-        second has the archive's mean body, and the step that ends it takes some seconds. The mean body unless given.
+        A take of the person, whose bone lengths are used; the standing height in metres; or "estimate", which uses the
+        archive's mean body in the first second and then measures the body, in a step of some seconds. By default the
+        mean body is used.
     background : str, Path or array (H, W), optional
-        The empty room: a depth image, or depths in metres; unless given all that is measured is the person.
+        The empty room: a depth image, or depths in metres; without it all measured pixels are taken for the person.
     rate_hz : float, optional
         Frames per second; that of the camera's file, or 30, unless given.
     form : {"best", "printed"}
-        The thesis's form is printed.
+        The form of the algorithm: "printed" is that of the thesis, "best" kinedex's improvement of it.
     stride : int, optional
-        Every how many rows and columns a pixel is used; chosen in the first frame that shows a person unless given.
+        Every stride-th row and column of pixels is used; by default chosen in the first frame that shows a person.
 
     Raises
     ------
     KinedexError
-        The camera's file is wrong, or the store has no such take, or none that lends poses.
+        The camera's file is wrong, or the store has no such take, or none for the pose database.
 
     Examples
     --------
@@ -198,7 +199,7 @@ class Reconstructor:
         return pose
 
     def skip(self, frames: int = 1) -> None:
-        """Pass over frames that are missing; after more than 0.2 s the person is looked for anew.
+        """Skip frames that are missing; after more than 0.2 s the person is detected anew.
 
         Parameters
         ----------

@@ -19,7 +19,7 @@ Parameters = Sequence[Any] | dict[str, Any] | None
 
 
 class SqlTables(TakeCollection):
-    """The takes of a store with the tables that SQL has of them."""
+    """The methods of `Store` for runs, SQL queries, results of pipelines and views."""
 
     def runs(
         self,
@@ -124,8 +124,8 @@ class SqlTables(TakeCollection):
     def connect(self, threads: int | None = None, memory_mb: int | None = None) -> Connection:
         """Open a DuckDB connection with all views and macros, for tables and macros of your own.
 
-        The checksums of all parts of the store are compared first, because nobody sees what the connection will read;
-        `sql` compares only those of the parts that a query reads.
+        The checksums of all parts of the store are verified first, because kinedex cannot see what the connection will
+        read; `sql` verifies only those of the parts that a query reads.
 
         Parameters
         ----------
@@ -152,14 +152,14 @@ class SqlTables(TakeCollection):
         return self.stored.connect(threads, memory_mb)
 
     def results(self, kind: str, *, pipeline: str | None = None, every: bool = False) -> pl.DataFrame:
-        """Return what the current pipeline has stored of one kind: the rows of the view of this name.
+        """Return the results of one kind of the current pipeline: the rows of the view of this name.
 
         Parameters
         ----------
         kind : str
             The kind of result: annotations, metrics, templates, queries, hits, ranked_hits and others.
         pipeline : str, optional
-            Another pipeline, whose results are returned.
+            The pipeline whose results are returned; the current one by default.
         every : bool, optional
             Return the results of all pipelines, as the view with `all_` before the name has them.
 

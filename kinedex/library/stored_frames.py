@@ -1,4 +1,4 @@
-"""The frames of a take of a store, which are read from its parts when they are needed."""
+"""Frames of takes in a store, which are read from its Parquet parts when they are needed."""
 
 from __future__ import annotations
 

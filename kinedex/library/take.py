@@ -224,12 +224,12 @@ class Take:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Return what a user should know about how the file was read.
+        """Return the warnings from reading the file.
 
         Returns
         -------
         tuple of str
-            One sentence each; empty where nothing is remarkable.
+            One sentence each; empty if there are none.
         """
         return tuple(self.info.get("warnings") or ())
 
@@ -284,7 +284,7 @@ class Take:
 
     @property
     def valid(self) -> Bool:
-        """Return which frames are valid; other frames have no word and take part in nothing.
+        """Return which frames are valid; other frames have no word, and searches and annotations ignore them.
 
         Returns
         -------
@@ -332,7 +332,7 @@ class Take:
 
 
 def feature_table(words: U64, feature_set: FeatureSet, known: int) -> pl.DataFrame:
-    """Return one row per word and one Boolean column per feature, null in invalid frames and where it is unknown."""
+    """Return one row per word and one Boolean column per feature, null in invalid frames and for unknown features."""
     import polars as pl
 
     columns = {one.name: words & np.uint64(1 << (one.number - 1)) != 0 for one in feature_set.features}
@@ -343,7 +343,7 @@ def feature_table(words: U64, feature_set: FeatureSet, known: int) -> pl.DataFra
 
 
 def take_of_body(name: str, body: Body, feature_set: FeatureSet, about: Mapping[str, Any] | None = None) -> Take:
-    """Analyse a body as ingest does, and return it as a take."""
+    """Compute the words of a body as ingest does, and return it as a take."""
     from kinedex.pipelines.ingestion.analysis import analyse, blind, known_features
     from kinedex.pipelines.ingestion.quality import QUALITY_COLUMNS, judged
 

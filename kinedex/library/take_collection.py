@@ -1,4 +1,4 @@
-"""A store as a collection of takes in Python: their table, their positions and their words."""
+"""The methods of `Store` as a collection of takes: their table, their positions and their words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Data sets that Python writes from a store: clips as files, with their metadata."""
+"""Export clips of a store from Python as files of a data set, with metadata."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class TakeExport(TakeCollection):
-    """The takes of a store with their export as files."""
+    """The methods of `Store` for export."""
 
     def export(
         self,
@@ -55,7 +55,7 @@ class TakeExport(TakeCollection):
         """Write clips as files of a data set, with ``metadata.csv`` and ``dataset.json``.
 
         The clips are whole takes, unless one of `annotations`, `labels`, `hits`, `ranges` and `sql` is given. The same
-        request writes the same bytes, and an export that was stopped goes on where it was.
+        request writes the same bytes, and an interrupted export continues where it stopped.
 
         Parameters
         ----------
@@ -64,7 +64,7 @@ class TakeExport(TakeCollection):
         takes : sequence of str, optional
             Names of takes; all unless given.
         format : str, optional
-            The form of the files, such as "npz", "csv", "parquet" or "bvh".
+            The format of the files, such as "npz", "csv", "parquet" or "bvh".
         joints : bool, optional
             True writes the 24 joints also where the source's own channels can be cut.
         where : str, optional
@@ -74,9 +74,9 @@ class TakeExport(TakeCollection):
         hits : str, optional
             The name of saved hits that are cut out.
         ranges : str or os.PathLike, optional
-            A CSV file with the columns take, start, stop, and perhaps class.
+            A CSV file with the columns take, start, stop, and optionally class.
         sql : str, optional
-            A query for take, and perhaps start, stop, class, confidence, and columns for ``metadata.csv``.
+            A query for take, and optionally start, stop, class, confidence, and columns for ``metadata.csv``.
         classes : sequence of str, optional
             Only these classes.
         pipeline : str, optional
@@ -84,27 +84,27 @@ class TakeExport(TakeCollection):
         min_confidence : float, optional
             The least confidence.
         margin, context : float, optional
-            Seconds before and after each interval that belong to the clip, and that its file holds besides.
+            Seconds before and after each interval: `margin` becomes part of the clip, `context` is in its file only.
         min_length : float, optional
             The least seconds of an interval.
         mirror : bool, optional
-            True adds a twin of each clip with left and right exchanged, in the name of its class, too.
+            True adds the mirror image of each clip, with left and right exchanged, also in the name of its class.
         resample : float, optional
             Frames per second of the files.
         in_place : bool, optional
-            True begins each clip above the origin, facing +Z.
+            True moves and turns each clip so that it begins above the origin, facing +Z.
         split : str, optional
-            A column of takes, no value of which is in two of the splits.
+            A column of takes, such as actor; takes with the same value are in the same split.
         shares : sequence of float, optional
-            The shares of training, validation and test by seconds; two are training and test.
+            The shares of training, validation and test in the total duration; two shares are training and test.
         seed : int, optional
-            Another number draws another of equally good splits, and other clips.
+            The seed of the choice among equally good splits, and of the choice of clips.
         balance : bool, optional
             True takes, in each split, as many clips of each class as of its rarest.
         per_class : int, optional
             The largest number of clips of a class.
         distinct : float, optional
-            Clips whose joints differ from those of an earlier clip by less are left out, in metres.
+            Clips whose joints differ from those of an earlier clip by less than this, in metres, are excluded.
         workers : int, optional
             The number of processes. A script that asks for more than one must guard its start with
             ``if __name__ == "__main__":``.
@@ -124,7 +124,7 @@ class TakeExport(TakeCollection):
         Warns
         -----
         UserWarning
-            Clips were left out, or could not be written.
+            Clips were excluded, or could not be written.
 
         Examples
         --------
@@ -144,7 +144,7 @@ class TakeExport(TakeCollection):
 
 
 def _exported(stored: StoredTakes, what: What, how: How, folder: Path, workers: int) -> pl.DataFrame:
-    """Write a data set, and return its rows; what was left out is a warning."""
+    """Write a data set, return its rows, and warn about excluded clips."""
     import polars as pl
 
     from kinedex.console.terminal import collecting_terminal

@@ -1,4 +1,4 @@
-"""The frames of a take: positions, orientation and words, in memory or where they come from."""
+"""The frames of a take: positions, orientation and words, in memory or from a source that reads them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Frames(NamedTuple):
 
 
 class FrameSource(Protocol):
-    """The place that the frames of a take come from."""
+    """The interface of sources that return the frames of a take."""
 
     def frames(self) -> Frames:
         """Return all frames."""

@@ -1,4 +1,4 @@
-"""Search in a store from Python: keyframe queries, templates that were learned, and rankings by templates."""
+"""Search in a store from Python: keyframe queries, learned templates, and rankings by templates."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _BESIDE_HITS = ("run", "saved_as")
 
 
 class TakeSearch(TakeCollection):
-    """The takes of a store with searches and rankings of them."""
+    """The methods of `Store` for searches and rankings."""
 
     def search(self, query: Query | Iterable[Query] | str | Path, *, where: str | None = None) -> pl.DataFrame:
-        """Search keyframe queries.
+        """Search for the hits of keyframe queries.
 
         Parameters
         ----------
@@ -76,8 +76,8 @@ class TakeSearch(TakeCollection):
     def map(self, unit: Literal["takes", "windows"] = "takes") -> pl.DataFrame:
         """Lay out the takes in two dimensions by their words, so that takes of similar motion are close together.
 
-        It needs ``pip install 'kinedex[map]'``, and takes seconds to a minute. Of more than 5,000 points a random
-        choice is laid out, and the others are put beside the most similar of these.
+        It needs ``pip install 'kinedex[map]'``, and takes seconds to a minute. With more than 5,000 points, a random
+        sample is laid out, and each other point is put beside the most similar one of the sample.
 
         Parameters
         ----------
@@ -186,7 +186,7 @@ class TakeSearch(TakeCollection):
         return Template(learned, self.feature_set, self.rate_hz, lambda: self._clips(learned.clips))
 
     def _clips(self, names: Sequence[str]) -> Mapping[str, U64]:
-        """Return the words of those of the clips that are still takes of the store, or intervals of them."""
+        """Return name → words of the clips that still exist in the store, as takes or intervals of takes."""
         from kinedex.pipelines.templates.examples import interval_of
 
         places = {name: interval_of(name, self._rows) for name in names}
@@ -204,7 +204,7 @@ class TakeSearch(TakeCollection):
         workers: int | None = None,
         mirror: bool = False,
     ) -> pl.DataFrame:
-        """Rank the places of the store by how well templates fit them.
+        """Rank intervals of the takes by their DTW distance from templates.
 
         Parameters
         ----------
@@ -230,12 +230,12 @@ class TakeSearch(TakeCollection):
         -------
         polars.DataFrame
             One row per hit, the best of each template first: template, rank, take_id, take, start, stop (frames),
-            start_seconds, stop_seconds, cost; with `mirror` also mirrored, which is true of hits by an image.
+            start_seconds, stop_seconds, cost; with `mirror` also mirrored, which is true for hits of mirror images.
 
         Raises
         ------
         KinedexError
-            A template cannot be found or is wildcards alone, no take is selected, or features cannot be mirrored.
+            A template cannot be found or has wildcards only, no take is selected, or features cannot be mirrored.
         ParameterError
             The number of hits or the threshold is out of range.
 
@@ -243,7 +243,7 @@ class TakeSearch(TakeCollection):
         -----
         UserWarning
             Templates are excluded or not applied to some takes, or some have no query where others do; or one has no
-            hit: the warning names its nearest place and the tau that makes it one.
+            hit: the warning names the nearest interval and the tau that would make it a hit.
 
         Examples
         --------
@@ -288,7 +288,7 @@ class TakeSearch(TakeCollection):
         where: str | None = None,
         workers: int | None = None,
     ) -> pl.DataFrame:
-        """Rank the places of the store by how similar they are to an example.
+        """Rank intervals of the takes by their similarity to an example.
 
         Parameters
         ----------

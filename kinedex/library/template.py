@@ -35,7 +35,7 @@ def _no_examples() -> dict[str, U64]:
 
 @checked_methods
 class Template:
-    """A motion template: what the examples of a class have in common, column by column.
+    """A motion template: the average of aligned examples of a class, with one row of feature values per column.
 
     Templates come from `Template.learn`, `Template.from_clip`, `Template.load`, and from a store that a pipeline has
     learned templates for: ``store.template("squat")``. ``len(template)`` is the number of columns.
@@ -45,7 +45,7 @@ class Template:
     name : str
         The name of the class (subclass) that the template stands for.
     kind : str
-        "soft": shares of the clips; "hard": what all clips have in common.
+        "soft": shares of the clips in which a feature is on; "hard": only values that all clips share.
     values : float64 array (N, f)
         The share of the clips in which each of f features is on, 0 to 1, in N columns.
     weights : float64 array (N,)
@@ -55,7 +55,7 @@ class Template:
     clips : tuple of str
         The names of the clips that it was learned from; empty for a template of a file.
     remarks : tuple of str
-        What a user should know about the clips, one sentence each.
+        Remarks on the clips, one sentence each.
     rate_hz : float
         Columns per second.
     feature_set : FeatureSet
@@ -107,7 +107,7 @@ class Template:
         kind : {"soft", "hard"}
             "soft" averages the clips; "hard" keeps what all of them have in common.
         weights : mapping of str to float, optional
-            How much features count, by name, 1 unless given; a feature of weight 0 counts nowhere.
+            The weights of features by name, 1 by default; a feature of weight 0 is ignored.
 
         Returns
         -------
@@ -244,7 +244,7 @@ class Template:
 
     @property
     def named(self) -> NamedTemplate:
-        """Return the template as template files hold it.
+        """Return the template in the form in which template files store it.
 
         Returns
         -------
@@ -275,7 +275,7 @@ class Template:
         return self.plot().svg()
 
     def plot(self, delta: float = 0.05) -> Picture:
-        """Draw the template and what of it counts.
+        """Draw the template, its quantised form, and the consistency of each feature.
 
         Parameters
         ----------
@@ -333,7 +333,7 @@ class Template:
 
 
 class Difference:
-    """The contradictions of two templates that were laid along each other.
+    """The contradictions between two templates that were aligned by DTW.
 
     ``print(difference)`` describes them in words.
 
@@ -391,7 +391,7 @@ class Difference:
         return pl.DataFrame(rows, schema, orient="row").sort("columns", descending=True, maintain_order=True)
 
     def plot(self) -> Picture:
-        """Draw the two templates along each other, and where they contradict each other.
+        """Draw the two aligned templates, and the entries that contradict each other.
 
         Returns
         -------
@@ -413,7 +413,7 @@ class Difference:
 
 
 def _unlearned(made: NamedTemplate, origin: str) -> SubclassTemplate:
-    """Return a template that no averaging has made, with its origin."""
+    """Return a template that was not learned as a `SubclassTemplate`, with its origin."""
     return SubclassTemplate(made.name, "soft", Learned(made.template, 0, ()), (), origin)
 
 

@@ -1,4 +1,4 @@
-"""Tracking from Python: recordings of cameras become takes, and takes are stabilised by what the archive knows."""
+"""Track recordings of cameras from Python, and stabilise takes by priors of the archive."""
 
 from __future__ import annotations
 
@@ -41,15 +41,15 @@ def track(
     only : iterable of str, optional
         The names of recordings; all of the file unless given.
     tracker : {"take", "frames"}
-        All frames at once, or one after the other as the thesis has it.
+        "take" fits all frames at once; "frames" fits one after the other, as in the thesis.
     executor : {"serial", "processes", "dask"}
-        The way recordings are spread, as for `run_pipeline`.
+        The way recordings are distributed over workers, as for `run_pipeline`.
     workers : int, optional
         The number of worker processes; that of the cores unless given.
     wait_seconds : float, optional
         The time to wait while another process writes to the store; 0 fails at once.
     verbose : bool, optional
-        True prints what is reported.
+        True prints the messages of the stages.
 
     Returns
     -------
@@ -93,7 +93,7 @@ def stabilise(
     wait_seconds: float = 0.0,
     verbose: bool = False,
 ) -> pl.DataFrame:
-    """Stabilise takes by what the archive knows: each becomes a take ``NAME_stabilised``.
+    """Stabilise takes by priors of the archive: each becomes a take ``NAME_stabilised``.
 
     A take that was tracked is stabilised from the observations of its recording, any other one as a 3D track.
 
@@ -104,28 +104,28 @@ def stabilise(
     takes : str or sequence of str
         The takes.
     priors : sequence of {"archive", "pose", "logical"}, optional
-        The kinds of priors; archive unless given, and for silhouettes alone pose and logical.
+        The kinds of priors; archive by default, but pose and logical for recordings with silhouettes alone.
     tau : float, optional
-        Distances of templates below it lend priors.
+        The threshold of template hits: intervals with a distance below tau get priors.
     rounds : int, optional
-        The most rounds.
+        The largest number of rounds of search and stabilisation.
     body : str, optional
-        Of 3D tracks: a take of the actor whose bone lengths count, or "estimate".
+        For 3D tracks: a take of the actor, whose bone lengths are used, or "estimate".
     classes : str or Path, optional
-        A class file with ``locomotion`` and ``marks``; "own" for neither.
+        A class file with ``locomotion`` and ``marks``; "own" for one class per template, without these.
     executor : {"serial", "processes", "dask"}
-        The way takes are spread, as for `run_pipeline`.
+        The way takes are distributed over workers, as for `run_pipeline`.
     workers : int, optional
         The number of worker processes; that of the cores unless given.
     wait_seconds : float, optional
         The time to wait while another process writes to the store; 0 fails at once.
     verbose : bool, optional
-        True prints what is reported.
+        True prints the messages of the stages.
 
     Returns
     -------
     polars.DataFrame
-        One row for each take: take, stabilised, rounds, hits, withdrawn, and moved_mm, the mean way of its joints.
+        One row for each take: take, stabilised, rounds, hits, withdrawn, and moved_mm, the mean displacement of joints.
 
     Raises
     ------
