@@ -1,1 +1,1 @@
-"""The meaning: skeleton mappings, feature sets and their bit layout, classes, queries, and the SQL views."""
+"""Definitions: skeleton mappings, feature sets and their bit layout, classes, queries, and the SQL views."""

@@ -1,4 +1,4 @@
-"""Bodies that are fitted to depth images are files: round cones, samples of the surface, pivots, standing height."""
+"""Read files of bodies that are fitted to depth images: round cones, surface samples, pivots, standing height."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def parse_body(located: Located) -> ConeBody:
 
 
 def _pivots(located: Located, file: _BodyFile) -> npt.NDArray[np.int64]:
-    """Return the joints of the pivots; the root must come first, and parents before what hangs from them."""
+    """Return the indices of the joints of the pivots; the root must come first, and parents before their children."""
     pivots: list[int] = []
     for name in file.pivots:
         joint = _joint(located, name, "pivots", name)
@@ -147,7 +147,7 @@ def _pivots(located: Located, file: _BodyFile) -> npt.NDArray[np.int64]:
 
 
 def _check_chain(located: Located, name: str, cone: _Cone, pivots: npt.NDArray[np.int64]) -> None:
-    """Refuse ends that are no mixtures of joints, and cones whose joints are moved by pivots beside each other."""
+    """Raise an error if an end is no mixture of joints, or the pivots that move the cone are not in one chain."""
     joints = []
     for key, end in (("from", cone.start), ("to", cone.end)):
         mixture = _shares(end)

@@ -1,6 +1,6 @@
 """One camera model for keypoints, silhouettes and depth.
 
-A camera is what OpenCV calls one: x right, y down, z forward in the camera; x_camera = R · X + t from the world; pixel
+The conventions are OpenCV's: x right, y down, z forward in the camera; x_camera = R · X + t from the world; pixel
 centres at whole numbers, the first at (0, 0); distortion in the order k1 k2 p1 p2 k3 k4 k5 k6. `ops.cameras.projection`
 has the formulas. After reading, the world is in metres with Y up; its floor need not be at 0.
 """

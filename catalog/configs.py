@@ -1,4 +1,4 @@
-"""Configuration files are found by kind and name, and parsed as YAML that keeps its line numbers."""
+"""Find configuration files by kind and name, and parse them as YAML with line numbers."""
 
 from __future__ import annotations
 
@@ -165,21 +165,21 @@ class Located:
 
 
 def _reason(error: Any) -> str:
-    """Return what was expected, in the words of pydantic."""
+    """Return the part of a pydantic error message that tells what was expected."""
     return str(error["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
 
 
 def _is_choice(loc: tuple[int | str, ...]) -> bool:
-    """Return True for a place that ends with one of the types of a union."""
+    """Return whether the location of a pydantic error ends with one of the types of a union."""
     return bool(loc) and isinstance(loc[-1], str) and _UNION_TYPE.fullmatch(loc[-1]) is not None
 
 
 def _fields_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
-    """Return the keys of the model that stands at a place inside another one."""
+    """Return the keys of the model at a location, as of a pydantic error, inside another model."""
     current: Any = model
     for step in loc:
         fields = getattr(current, "model_fields", {})
-        if step in fields:  # any other step is a key or an index of a container of models
+        if step in fields:  # other steps are keys or indices of containers of models
             current = _model_in(fields[step].annotation)
     return [field.alias or name for name, field in getattr(current, "model_fields", {}).items()]
 

@@ -22,16 +22,16 @@ F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 
 NOT_MEASURED = (0, 65535)
-"""Values of integer images that stand where nothing was measured."""
+"""Values of integer images that mark pixels without a measurement."""
 
 MOST_PIXELS = 1 << 22
-"""An image of more pixels is none of a depth camera."""
+"""Most pixels of an image; larger ones are rejected, as no depth camera makes them."""
 
 FARTHEST_M = 1e6
-"""A depth beyond this is no length, and counts as not measured."""
+"""Depths beyond this, in metres, count as not measured."""
 
 FASTEST_HZ = 10_000.0
-"""A faster camera is none."""
+"""Most frames per second of a camera; higher rates are rejected."""
 
 _LARGEST_UNIT_M = 1.0
 
@@ -57,10 +57,10 @@ class DepthCamera:
     rotation : float64 array (3, 3), optional
         The turn from the world to the camera.
     place : float64 array (3,), optional
-        Its centre in the world in metres; it stands with `rotation` or not at all.
+        Its centre in the world in metres; given if and only if `rotation` is.
     up : float64 array (3,), optional
-        The unit vector that points upwards, in the camera's axes; a vector of any length is given. It does not stand
-        beside a pose, which implies it.
+        The direction that points upwards, in the camera's axes; a vector of any length is normalised. It must not be
+        given with a pose, which implies it.
 
     Raises
     ------
@@ -125,7 +125,7 @@ class DepthCamera:
 
     @cached_property
     def _depth_shares(self) -> F64 | None:
-        """Return what a measured value is multiplied by to be z (H, W); None if it is z already."""
+        """Return the factors (H, W) from measured values to depths z; None if the values are depths already."""
         known = np.isfinite(self.rays[..., 0]) if self.distortion.any() else None
         if not self.is_range:
             return None if known is None or known.all() else known.astype(np.float64)
@@ -134,7 +134,7 @@ class DepthCamera:
 
     @cached_property
     def _depth_table(self) -> F32:
-        """Return the depth of every value of 16 bits."""
+        """Return the depth in metres of each 16-bit value, float32 (65536,)."""
         table = (np.arange(1 << 16) * self.depth_unit_m).astype(np.float32)
         table[list(NOT_MEASURED)] = 0.0
         return table

@@ -1,4 +1,4 @@
-"""The axes that motion from depth is computed in: the camera's, turned upright, and their place in the world."""
+"""The axes in which motion from depth is computed (the camera's, turned upright), and their place in the world."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NO_UP = (
 """The warning about a camera that is assumed to be level."""
 
 FLOOR_OFF_M = 0.1
-"""A floor of the background may lie so far from where the camera's pose has it."""
+"""Largest distance in metres between the floor of the background and that of the camera's pose without a note."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,9 +74,9 @@ class Placement:
 def placement_of(camera: DepthCamera, background: F32 | None, seed: int = 0) -> Placement:
     """Return the inside axes of a recording.
 
-    With a pose, it determines up and floor; a floor of the background that lies elsewhere is noted. Without one, the
-    largest level plane of the background is the floor, and its normal is up; else the camera's `up` holds; else a level
-    camera without a floor is assumed, and noted.
+    A pose of the camera determines up and floor; a floor of the background that lies elsewhere gives a note. Without a
+    pose, the largest level plane of the background is the floor, and its normal is up. Without such a plane, the
+    camera's `up` is used; without that, a level camera without a floor is assumed, with a note.
 
     Parameters
     ----------

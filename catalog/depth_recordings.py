@@ -15,7 +15,7 @@ from kinedex.catalog.depth_cameras import FASTEST_HZ
 from kinedex.ops.errors import ConfigError, did_you_mean
 
 AUTO, NONE = "auto", "none"
-"""Backgrounds that are no file: measured in the recording itself, and absent."""
+"""Values of `background` that are no file: measured in the recording itself, and absent."""
 
 _NAME = re.compile(r"\w[\w .+-]{0,99}")
 _KEY = "recordings"
@@ -55,7 +55,7 @@ class DepthEntry(BaseModel):
     depth_unit_m : float, optional
         Metres of one unit, in the place of the camera's.
     body : str, optional
-        A take of the store whose bone lengths are those of the person, or `estimate`; it comes before the stage's.
+        A take of the store whose bone lengths are those of the person, or `estimate`; it overrides the stage's `body`.
     truth : str, optional
         A take of the store, or a file of positions, that the reconstruction is compared with.
     truth_pose : WorldPose, optional

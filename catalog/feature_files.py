@@ -48,7 +48,7 @@ class _FeatureEntry(BaseModel):
 
 
 def digest_of(parsed: FeatureFile) -> str:
-    """Return a hash of what the words of a whole body depend on, without mirror, ground and stand-ins."""
+    """Return a hash of all keys on which words of a whole body depend: all but mirror, ground and stand-ins."""
     text = json.dumps(
         parsed.model_dump(exclude={"mirror", "ground", "stand_ins"}), sort_keys=True, separators=(",", ":")
     )
@@ -87,7 +87,7 @@ def mirror_of(located: Located, parsed: FeatureFile, count: int) -> tuple[tuple[
 
 
 def ground_of(located: Located, parsed: FeatureFile) -> tuple[tuple[str, ...], ...]:
-    """Return the groups of joints of which one each must be known, so that the lowest point of a body is."""
+    """Return groups of joints: the lowest point of a body is known if one joint of each group is."""
     for place, group in enumerate(parsed.ground):
         for joint in group:
             _joint(located, parsed, joint, "ground", place)

@@ -24,8 +24,8 @@ class AffectedFeatures(NamedTuple):
     Attributes
     ----------
     unknown : tuple of Feature
-        Those that name one of the joints, are scaled by a length that nothing stands for, or measure from the lowest or
-        highest joint of a body whose lowest joints are among them.
+        Those that name one of the joints, are scaled by an unknown length without a stand-in, or measure from the
+        lowest or highest joint of a body whose lowest joints are unknown.
     narrowed : tuple of Feature
         Known features that measure from the lowest or highest of the remaining joints.
     scaled : tuple of Feature
@@ -216,7 +216,7 @@ class FeatureSet:
         return (1 << len(self.features)) - 1
 
     def known(self, unknown: Iterable[str]) -> int:
-        """Return the mask of the features that are known of a body without some joints, with the bits of a word.
+        """Return the mask of the features that are known for a body that lacks some joints, with the bits of a word.
 
         Parameters
         ----------
@@ -226,7 +226,7 @@ class FeatureSet:
         Returns
         -------
         int
-            The mask, with all bits for a body that lacks none.
+            The mask; all bits are set for a body that lacks no joint.
         """
         return self.every_bit & ~sum(1 << (feature.number - 1) for feature in self.without(unknown).unknown)
 
@@ -285,7 +285,7 @@ def load_feature_set(name_or_path: str | Path = "body40") -> FeatureSet:
     >>> kinedex.load_feature_set().feature("rknee_bent").number
     20
     """
-    # a store holds its features: YAML is read where one is made
+    # a store keeps its feature set, so YAML is read only when a store is made
     from kinedex.catalog.configs import config_path, load_yaml
     from kinedex.catalog.feature_files import FeatureFile, digest_of, feature_of, ground_of, mirror_of, sets_of
 

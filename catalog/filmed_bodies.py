@@ -1,4 +1,4 @@
-"""Bodies before simulated depth cameras are files: the cones of a fitted body with other flesh, clothes and errors."""
+"""Read files of bodies for simulated depth cameras: the cones of a fitted body with other flesh, clothes and errors."""
 
 from __future__ import annotations
 
@@ -80,16 +80,16 @@ class _FilmedFile(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class FilmedBody:
-    """A body before simulated depth cameras.
+    """A body that simulated depth cameras film.
 
     Attributes
     ----------
     name : str
         Its name.
     body : ConeBody
-        The fitted body whose cones it covers; it has the person's standing height.
+        The fitted body whose cones are covered by flesh; it has the person's standing height.
     flesh : Flesh
-        Its cones.
+        The cones of its surface.
     disturbance : Disturbance
         Errors that its clothes add to those of the sensor.
     """
@@ -101,7 +101,7 @@ class FilmedBody:
 
 
 def load_filmed_body(name: str | Path = "first") -> FilmedBody:
-    """Return a body before simulated depth cameras.
+    """Return a body that simulated depth cameras film.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@
     magnets: {per_minute: 1, field_ut: 30, seconds: 3}
     soft_tissue_deg: 2
 
-What a file does not name is 0.
+Errors that a file does not name are 0.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Channel(BaseModel):
     resolution: _Size = Field(0.0, description="step of the readings; 0: none")
 
     def errors(self, factor: float) -> ChannelErrors:
-        """Return the errors in the unit of the model, which is so many times that of the file."""
+        """Return the errors in the unit of the sensor model, as `factor` times the values of the file."""
         return ChannelErrors(
             factor * self.density, factor * self.bias, factor * self.walk, 0.01 * self.scale_percent, self.axis_deg,
             factor * self.range, factor * self.resolution,
@@ -70,7 +70,7 @@ class ClockErrors(BaseModel):
 
 
 class Magnets(BaseModel):
-    """Magnets that pass."""
+    """Magnetic disturbances, as of magnets that pass the sensor."""
 
     model_config = ConfigDict(extra="forbid")
     per_minute: _Size = Field(0.0, description="passages in a minute, on average")

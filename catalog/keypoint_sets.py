@@ -72,7 +72,7 @@ class KeypointSet:
     places : mapping of str to KeypointPlace
         Keypoint → its place on the body; others have none.
     by_count : bool
-        True if the number of keypoints of a file tells that they are those of this set.
+        True if the number of keypoints in a file suffices to recognise this set.
     """
 
     name: str
@@ -219,14 +219,14 @@ def _place(located: Located, chain: KinematicChain, name: str, point: str | dict
 
 @lru_cache(maxsize=1)
 def keypoint_sets_by_count() -> Mapping[int, tuple[KeypointSet, ...]]:
-    """Return the shipped sets by their number of keypoints, those that the number may decide for."""
+    """Return number of keypoints → the shipped sets with as many, of those that may be recognised by it."""
     shipped = [load_keypoint_set(name) for name in config_names("keypoints")]
     counts = sorted({len(one.order) for one in shipped if one.by_count})
     return {count: tuple(one for one in shipped if one.by_count and len(one.order) == count) for count in counts}
 
 
 def likeliest_set(sets: Sequence[KeypointSet], points: npt.NDArray[np.float64]) -> KeypointSet:
-    """Return the set of several with as many keypoints that makes the shortest limbs.
+    """Return, of sets with equal numbers of keypoints, the one in whose order the limbs are shortest.
 
     In a wrong order, limbs go across the body.
 

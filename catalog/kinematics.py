@@ -1,4 +1,4 @@
-"""Kinematic chains are files: nodes, their axes, the joints that they move, and the capsules of the surface."""
+"""Read files of kinematic chains: nodes, their axes, the joints that they move, and the capsules of the surface."""
 
 from __future__ import annotations
 

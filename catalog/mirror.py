@@ -15,7 +15,7 @@ from kinedex.ops.errors import KinedexError
 
 
 def mirrored(query: KeyframeQuery, feature_set: FeatureSet) -> KeyframeQuery:
-    """Return the query for the same motion of the other side; mirrored twice, it is the query again.
+    """Return the query for the same motion of the other side; mirroring it twice gives an equal query.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Parts that are found by name: those that kinedex has built in, and those of installed distributions."""
+"""Find parts of kinedex, such as stages, by name: built-in ones, and plugins of installed distributions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 from kinedex.ops.errors import KinedexError, did_you_mean
 
 if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint  # takes long to import, and most processes load no part
+    from importlib.metadata import EntryPoint  # its import is slow, and most processes load no part
 
 Part = TypeVar("Part")
 
@@ -105,7 +105,7 @@ class Plugins(Generic[Part]):
         }
 
     def _is_free(self, found: EntryPoint) -> bool:
-        """Refuse the name of a built-in part, with a warning."""
+        """Return whether a plugin's name is not that of a built-in part; warn if it is."""
         if found.name in self._built_in:
             _warn_once(
                 f"the {self.noun} '{found.name}' of {_distribution(found)} is not used, because a built-in {self.noun} "

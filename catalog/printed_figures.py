@@ -1,4 +1,4 @@
-"""Figures that a publication prints, to stand beside those of an evaluation of ours."""
+"""Results that a publication prints, to be compared with those of kinedex's evaluations."""
 
 from __future__ import annotations
 

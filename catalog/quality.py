@@ -1,7 +1,7 @@
-"""Warnings on the figures of takes.
+"""Warn of takes whose quality figures are beyond their limits.
 
-A figure beyond its limits is a warning, never a refusal: a body with the proportions of a cartoon comes in, and the
-warning names what is odd.
+A figure beyond its limits is a warning and never an error: a body with the proportions of a cartoon is ingested, and
+the warning names what is unusual.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from kinedex.ops.body.plausibility import Plausibility
 from kinedex.ops.body.tempo import TYPICAL_HZ, usual_rate
 
 POSE_S = 0.5
-"""Shorter files without motion hold a pose, and are not warned of."""
+"""Shortest duration in seconds at which a file without motion gets a warning; shorter ones are taken for poses."""
 
 JERKY_M_S3 = 2500.0
 """Above this, 2π · `tempo_hz` · `acceleration_m_s2` is too much for a person; Bandai has 1,205, a sprint 1,995."""
@@ -34,7 +34,7 @@ def quality_warnings(figures: Plausibility, rate_hz: float) -> list[str]:
     figures : Plausibility
         The figures of a take.
     rate_hz : float
-        The rate that it is read at.
+        The frame rate at which it is read.
     """
     return [*_up(figures), *_beyond(figures), *_pace(figures, rate_hz)]
 

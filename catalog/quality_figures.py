@@ -1,4 +1,4 @@
-"""The figures of takes that show a wrong reading or a fault of the motion: their columns of `takes`, and their limits.
+"""Quality figures of takes, which show wrong units or axes and faults of the motion: columns of `takes`, and limits.
 
 The limits lie outside of all that HDM05, CMU and Bandai have (`python -m studies.plausibility` prints both), and
 outside of the proportions of adults and children.
@@ -141,8 +141,8 @@ FIGURES = (
 """The figures, in the order of their columns."""
 
 FLOOR_M, JITTERS = 0.3, 40.0
-"""Beside the limits above, the floor of a take lies at most so far from the median floor of the takes with its skeleton
-mapping, and its jitter is at most so many times their median."""
+"""Further limits, relative to the takes with the same skeleton mapping: metres between the floor of a take and their
+median floor, and the jitter of a take as a multiple of their median."""
 
 
 def suspect_select() -> str:

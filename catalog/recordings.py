@@ -50,7 +50,7 @@ class CameraRecording(BaseModel):
     offsets : mapping of str to int
         Camera → frames: frame k of the recording is frame k + offset of this camera's files.
     cuts : list of int
-        Frames, as the files number them, that begin anew after a cut.
+        The first frames after cuts, as the files number them.
     truth : str, optional
         A take of the store, or a file of positions, that the track is compared with.
     """

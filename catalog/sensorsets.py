@@ -31,7 +31,7 @@ F64 = npt.NDArray[np.float64]
 
 FASTEST_HZ = 20_000.0
 SLOWEST_HZ = 1.0
-"""Rates of sensors, samples per second; others are units that are wrong."""
+"""Largest and least rate of sensors in samples per second; other rates mean that the unit of time is wrong."""
 
 _Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 _Name = Annotated[str, Field(min_length=1, max_length=500)]
@@ -117,7 +117,7 @@ class SensorSet:
         return unit
 
     def limb(self, sensor: str, file: str = "") -> str | None:
-        """Return the limb that wears a sensor; None for a sensor that no limb claims.
+        """Return the limb that wears a sensor; None for a sensor that is assigned to no limb.
 
         An entry of the sensor's own name comes before patterns of files, of which the first that fits counts. A sensor
         with the name of a limb is worn on it, unless the file has sensors.
@@ -138,7 +138,7 @@ class SensorSet:
         return sensor if not worn and sensor in LIMB_NAMES else None
 
     def limbs(self, sensors: Mapping[str, str]) -> dict[str, str]:
-        """Return sensor → limb of the sensors of one recording, without those that no limb claims.
+        """Return sensor → limb of the sensors of one recording, without those that are assigned to no limb.
 
         Parameters
         ----------
@@ -222,7 +222,7 @@ def parse_sensor_set(located: Located) -> SensorSet:
 
 
 def _refuse_numbers(located: Located, listed: Mapping[object, object]) -> None:
-    """Refuse numbers of sensors that YAML has read as numbers: 00571 would be 377."""
+    """Raise an error for ids of sensors that YAML has parsed as numbers: 00571 would be 377."""
     for sensor in listed:
         if not isinstance(sensor, str):
             raise ConfigError(

@@ -1,6 +1,6 @@
-"""YAML is parsed into nodes within bounds: bytes, nodes, depth, digits, and what aliases expand to.
+"""Parse YAML into nodes within bounds on bytes, nodes, depth, digits, and the expansion of aliases.
 
-All YAML that kinedex reads passes here, so that no file of a stranger takes more than seconds.
+All YAML that kinedex reads is parsed here, so that no malicious file takes more than seconds.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ class _Bounded(Composer):
     """Composes nodes, and raises a ConfigError at the first one beyond the bounds."""
 
     path: Path
-    peek_event: Any  # of the parser
+    peek_event: Any  # a method of the parser
     _nodes = _depth = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        """Return the next node with all that it holds."""
+        """Return the next node with its children."""
         self._nodes += 1
         self._depth += 1
         line = self.peek_event().start_mark.line + 1
@@ -69,7 +69,7 @@ class _Bounded(Composer):
 
 
 class _PlainLoader(_Bounded, yaml.SafeLoader):
-    """The loader in Python, which gives the better messages."""
+    """PyYAML's loader in pure Python, whose error messages are better than those of libyaml."""
 
 
 _LOADERS: list[Any] = [_PlainLoader]
@@ -138,7 +138,7 @@ def _document(kind: Any, text: str, path: Path) -> yaml.Node | None:
 
 
 def _refuse_bombs(root: yaml.Node, path: Path) -> None:
-    """Refuse a file whose aliases multiply: its size is added up over the nodes as written, without expanding any."""
+    """Raise an error for a file whose aliases expand to too many values, which are counted without expanding them."""
     sizes: dict[int, int] = {}
     waiting: list[tuple[yaml.Node, bool]] = [(root, False)]
     while waiting:

@@ -125,7 +125,7 @@ def read_chain(located: Located, entry: ChainEntry, feature_set: FeatureSet, rat
 
 
 def _gaps(located: Located, entry: ChainEntry, rate_hz: float, *key: str | int) -> list[Gap]:
-    """Read the gaps of a query, in any of the ways to write them."""
+    """Read the gaps of a query, in whichever of the allowed forms they are written."""
     frames = entry.keyframes or []
     with_gap = [i for i, frame in enumerate(frames) if frame.after is not None]
     if with_gap:

@@ -22,7 +22,7 @@ class Keyframe:
     mask, value : int
         Bits of the set, the lowest feature first; bits outside the mask are wildcards.
     name : str
-        A name for people, which does not count in comparisons.
+        A descriptive name, which comparisons ignore.
     """
 
     set: str
@@ -90,7 +90,7 @@ class KeyframeQuery:
     positions : tuple of int or None
         The template column of each keyframe, or None where those that fit the template best are taken.
     description : str
-        A text for people.
+        A description of the query.
     takes : str or None
         A SQL filter over the takes that are searched, or None for all takes.
     margins : (int, int) or None
@@ -202,7 +202,7 @@ def word_pattern(chain: KeyframeQuery, feature_set: FeatureSet) -> WordPattern:
         mask, value = keyframe.mask << shift, keyframe.value << shift
         if number:
             gap = chain.gaps[number - 1]
-            # where both fix a feature, they may fix it to different values, which no frame meets
+            # both may fix a feature to different values, so that no frame matches
             if gap.high == 0 and not masks[-1] & mask:
                 masks[-1] |= mask
                 values[-1] |= value
@@ -219,9 +219,9 @@ def query_share(query: KeyframeQuery, feature_set: FeatureSet, known: int) -> fl
 
 
 def restricted_query(query: KeyframeQuery, feature_set: FeatureSet, known: int) -> KeyframeQuery | None:
-    """Return a query for takes that know some features only.
+    """Return a query for takes in which only some features are known.
 
-    Entries on unknown features become wildcards. Alternatives of whose entries too few are known are excluded.
+    Entries of unknown features become wildcards. Alternatives with too few known entries are excluded.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ def restricted_query(query: KeyframeQuery, feature_set: FeatureSet, known: int) 
     Returns
     -------
     KeyframeQuery or None
-        The query itself where all features that it fixes are known; None where too few are in every alternative.
+        The query itself if all features that it fixes are known; None if every alternative has too few known entries.
     """
     if not any(mask & ~known for chain in query.chains for mask in _whole_masks(chain, feature_set)):
         return query

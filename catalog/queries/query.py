@@ -1,4 +1,4 @@
-"""Keyframe queries written in Python, with the words of query files."""
+"""Keyframe queries written in Python, with the keys of query files."""
 
 from __future__ import annotations
 
@@ -28,9 +28,8 @@ _INNER = (*STRUCTURE, "gaps", "distances", "stiffness", "positions", "mirror")
 class Query:
     """A keyframe query: poses that follow one another in time, or a combination of other queries.
 
-    A query has either `keyframes`, or a `sequence` of queries, or alternatives, `any_of` which a hit may be of. It is
-    written with the words of query files. Times may be given in seconds; they become frames at the rate of the store
-    that is searched.
+    A query has either `keyframes`, or a `sequence` of queries, or alternatives (`any_of`). The parameters are the keys
+    of query files. Times may be given in seconds; they become frames at the rate of the store that is searched.
 
     Parameters
     ----------
@@ -54,7 +53,7 @@ class Query:
         The template column of each pose, for preselection; unless given, those that fit a template best.
     sequence : sequence of Query, mapping or str, optional
         A query, followed by steps ``{"then": query, "within": "2 s"}`` or ``{"then": query, "gap": gap}``. A query in
-        there is a `Query`, a mapping with the words of this constructor, or a query of a file:
+        there is a `Query`, a mapping with the parameters of this constructor, or a query of a file:
         ``{"file": path, "query": name}``.
     any_of : sequence of Query or mapping, optional
         Queries as in `sequence`; a hit of any is a hit of this one.
@@ -291,7 +290,7 @@ class Query:
         Returns
         -------
         list of Query
-            The queries in the order of the file, without those that are parts.
+            The queries in the order of the file, without those that are marked `part: true`.
 
         Raises
         ------
@@ -307,7 +306,7 @@ class Query:
 
     @classmethod
     def _read(cls, located: Located, feature_set: str | Path | FeatureSet) -> list[Self]:
-        """Return the queries of a file, with the queries that they refer to written out."""
+        """Return the queries of a file, in which references to other queries are replaced by these."""
         features = feature_set if isinstance(feature_set, FeatureSet) else load_feature_set(feature_set)
         reader = QueryReader(located, features, ANALYSIS_RATE_HZ)
         found = []
@@ -352,7 +351,7 @@ def _gap(gap: str | Mapping[str, Any] | tuple[int, int | None]) -> str | Mapping
 
 
 def _plain(value: Any, name: str) -> Any:
-    """Return what a query file would hold: lists for sequences, and queries inside another one written out."""
+    """Return a value in the form of a query file: lists for sequences, and entries for nested queries."""
     if isinstance(value, Query):
         if "takes" in value._entry:
             raise KinedexError(
@@ -367,13 +366,13 @@ def _plain(value: Any, name: str) -> Any:
 
 
 def _body(reader: QueryReader, name: str) -> dict[str, Any]:
-    """Return a query of a file as it is written there."""
+    """Return the entry of a query in its file, unchanged."""
     body: dict[str, Any] = reader.located.data[reader.entries[name][0]]
     return body
 
 
 def _written_out(body: dict[str, Any], reader: QueryReader) -> dict[str, Any]:
-    """Return the entry of a query in which other queries stand in place of their names, whatever file they are in."""
+    """Return the entry of a query in which names of other queries, in any file, are replaced by their entries."""
 
     def item(one: Any) -> Any:
         if not isinstance(one, str) and not is_reference(one):
@@ -394,14 +393,14 @@ def _written_out(body: dict[str, Any], reader: QueryReader) -> dict[str, Any]:
 
 
 class _Switch(str):
-    """The key `on` or `off`, which stands without quotes in a query file."""
+    """The key `on` or `off`, which is written without quotes in a query file."""
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes queries as people do."""
+    """Writes YAML in the style of hand-written query files."""
 
     def ignore_aliases(self, data: Any) -> bool:
-        """Write equal parts out each time."""
+        """Return True, so that equal parts are repeated and not written as YAML aliases."""
         return True
 
 

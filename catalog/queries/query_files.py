@@ -33,7 +33,7 @@ def read_queries(
     Returns
     -------
     tuple of KeyframeQuery
-        The queries of the file, except those that are parts.
+        The queries of the file, except those that are marked `part: true`.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def part_names(name_or_path: str | Path) -> tuple[str, ...]:
 
 
 def query_file_paths(names_or_paths: Iterable[str | Path]) -> list[Path]:
-    """Return the paths of query files and of all files that they refer to: what a digest of queries must cover.
+    """Return the paths of query files and of all files that they refer to, which a digest of queries must cover.
 
     Raises
     ------

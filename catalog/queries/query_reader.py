@@ -1,4 +1,4 @@
-"""The reader of query files: from entries as people write them to keyframe queries, and from files to other files."""
+"""Read query files: convert their entries to keyframe queries, and resolve references to other files."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ class QueryReader:
         self._read_entries()
 
     def _read_entries(self) -> None:
-        """Check every query of the file on its own, without what it refers to."""
+        """Check the entry of every query of the file, without resolving its references."""
         items: list[tuple[str | int, Any]]
         if isinstance(self.located.data, list):
             items = list(enumerate(self.located.data))
@@ -128,12 +128,12 @@ class QueryReader:
             self.entries[name] = (key, entry)
 
     def queries(self) -> tuple[KeyframeQuery, ...]:
-        """Return the queries of the file, except those that are parts."""
+        """Return the queries of the file, except those that are marked `part: true`."""
         found = {name: self.query(name) for name in self.entries}
         return tuple(query for name, query in found.items() if not self.entries[name][1].part)
 
     def entry(self, body: Any, *key: str | int) -> QueryEntry:
-        """Check one query as it is written, without what it refers to."""
+        """Check the entry of one query, without resolving its references."""
         if not isinstance(body, dict):
             raise self.located.error("a query is a mapping with `keyframes` and `gaps`", *key)
         entry = self.located.model(QueryEntry, *key, data=body)
@@ -191,7 +191,7 @@ class QueryReader:
         return found
 
     def _item(self, item: Any, within: _Within, *key: str | int) -> list[Chain]:
-        """Return the chains of a query that stands in another one: a name, a reference, or a query itself."""
+        """Return the chains of a query inside another one, given as a name, a reference, or an entry."""
         if isinstance(item, str):
             return self._named(self, item, within, *key)
         if is_reference(item):

@@ -10,7 +10,7 @@ import numpy.typing as npt
 F64 = npt.NDArray[np.float64]
 
 SAMPLED_FRAMES = 32
-"""A reader gives the places of nodes in about as many frames, spread evenly over the take."""
+"""About how many frames, spread evenly over the take, a reader samples for the positions of nodes."""
 
 
 @dataclass(frozen=True)

@@ -99,7 +99,7 @@ class Mappings:
     of_format : dict of str to tuple of SkeletonMapping
         Format → all shipped mappings, or the one that the user chose.
     own : dict of str to tuple of SkeletonMapping
-        Format → mappings of the user's own, which win where their names fit.
+        Format → mappings of the user's own, which are preferred if their names fit.
     forced : tuple of str
         The formats for which the user chose one mapping.
     vocabulary : Vocabulary, optional
@@ -147,12 +147,12 @@ class Mappings:
         return _best(source, fits)
 
     def _only_names(self, mapping: SkeletonMapping) -> bool:
-        """Return whether a mapping is there to name the points of files without names; the body is recognised then."""
+        """Return whether a mapping only names the points of files without names; the body is then recognised."""
         shipped = mapping.format not in self.forced and mapping not in self.own.get(mapping.format, ())
         return shipped and bool(mapping.order)
 
     def _may_fit(self, mapping: SkeletonMapping, source: str | Path, nodes: Iterable[str]) -> bool:
-        """Return whether a mapping is for this file, which matters unless the user chose it."""
+        """Return whether a mapping may be used for this file: it is meant for it, or the user chose it."""
         return mapping.format in self.forced or mapping.is_for(source, nodes)
 
     def recognised(self, source: str | Path, form: Format, evidence: Evidence) -> Fit:
@@ -281,7 +281,7 @@ class Mappings:
 
 
 def _best(source: str | Path, fits: Sequence[Fit]) -> Fit | None:
-    """Return the fit that lacks no node and supplies the most joints; a SourceError reports that two do equally."""
+    """Return the fit that lacks no node and supplies the most joints; raise a SourceError if two fit equally well."""
     whole = [fit for fit in fits if not fit.missing]
     best = [fit for fit in whole if fit.named == max(other.named for other in whole)]
     if len(best) > 1:

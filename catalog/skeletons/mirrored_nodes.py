@@ -1,4 +1,4 @@
-"""The nodes of a skeleton in a mirror: the node of the other side for each of the left and of the right."""
+"""Find the node of the other side for each left and right node of a skeleton."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from kinedex.ops.errors import SourceError
 
 
 def mirrored_nodes(source: str | Path, names: Sequence[str], parents: Sequence[int], fit: Fit) -> tuple[int, ...]:
-    """Return the index of the node that each node's mirror image is; its own for a node in the middle.
+    """Return for each node the index of its counterpart on the other side; its own index for a node in the middle.
 
     The skeleton mapping decides which nodes are on the left and on the right, and names decide it for the others, such
     as fingers. Both sides must have nodes of the same tree.

@@ -28,7 +28,7 @@ class OwnFile:
     text : str
         Its content.
     stored : bool
-        True if a store holds it; a file of the same name that is given goes before it.
+        True if a store holds it; a file of the same name that the user gives overrides it.
     """
 
     path: Path
@@ -71,7 +71,7 @@ def with_own(mappings: Mappings, files: Iterable[OwnFile], joints: tuple[str, ..
     mappings : Mappings
         The mappings of an archive, by `load_mappings`.
     files : iterable of OwnFile
-        Mappings, which win over all others where their names fit, and vocabularies, whose names are added to the
+        Mappings, which are preferred to all others if their names fit, and vocabularies, whose names are added to the
         shipped ones.
     joints : tuple of str
         The named joints of the feature set.

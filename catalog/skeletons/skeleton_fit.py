@@ -17,9 +17,9 @@ from kinedex.ops.errors import SourceError, did_you_mean
 
 F64 = npt.NDArray[np.float64]
 SEEN = ("positions", "c3d")
-"""Formats whose nodes are not there in every frame."""
+"""Formats whose nodes may be missing in some frames."""
 
-_ALIKE = 0.75  # Joint names are short: `root` and `Foot_R` already share six letters in ten.
+_ALIKE = 0.75  # High, because joint names are short: `root` and `Foot_R` already have a similarity of 0.6.
 
 Format: TypeAlias = Literal["acclaim", "bvh", "positions", "c3d", "amass"]
 Axis: TypeAlias = Literal["x", "y", "z", "-x", "-y", "-z"]
@@ -32,8 +32,8 @@ class Mix:
     Attributes
     ----------
     plane, out : tuple of str
-        Nodes a, b, c, and how many times |b − a| the place lies off along (b − a) × (c − a), the normal of their plane:
-        where a joint lies beneath the markers on the skin.
+        Nodes a, b, c, and the offset of the joint along (b − a) × (c − a), the normal of their plane, in units of
+        |b − a|, for joints that lie beneath the markers on the skin.
     """
 
     weights: tuple[tuple[str, float], ...]
@@ -147,7 +147,7 @@ class SkeletonMapping:
     def fit(self, nodes: Mapping[str, int]) -> Fit:
         """Find the named joints in a skeleton, given as node name → index.
 
-        The last fits are kept, for most files of an archive have the same nodes.
+        The last fits are cached, because most files of an archive have the same nodes.
         """
         key = (id(self), tuple(nodes.items()))
         kept = _KEPT_FITS.get(key)

@@ -14,7 +14,7 @@ from kinedex.ops.errors import SourceError
 F64 = npt.NDArray[np.float64]
 
 HUMAN_M = (1.0, 2.2)
-"""Heights that a guessed unit may make of a body, metres; so narrow that never two units do."""
+"""Heights of a body, in metres, among which a unit is guessed; so narrow that no two units both fit."""
 
 UNITS_M = {"metres": 1.0, "inches / 0.45 (Acclaim)": 0.0254 / 0.45, "inches": 0.0254, "cm": 0.01, "mm": 0.001}
 """The units of length that files come in, and the metres of one."""
@@ -23,12 +23,12 @@ RARE_UNITS_M = {"dm (MakeHuman)": 0.1}
 """Units that are tried where none of `UNITS_M` fits."""
 
 RARE_HEIGHTS_M = ((0.8, 1.0), (2.2, 2.3), (0.7, 0.8), (2.3, 4.1))
-"""Heights that a guessed unit makes of a body where none makes one of `HUMAN_M`, the likelier first: small children,
-giants, and stylised figures, which come in with a warning on their height."""
+"""Ranges of heights that are tried if no unit gives a height in `HUMAN_M`, the likelier first: small children,
+giants, and stylised figures, which are ingested with a warning on their height."""
 
 _LEGS = (("lhip", "lknee", "lankle"), ("rhip", "rknee", "rankle"))
 _TRUNK = ("root", "belly", "chest", "neck", "head", "headtop")
-_POSSIBLE_M = (0.4, 4.1)  # heights that a stated unit is believed with
+_POSSIBLE_M = (0.4, 4.1)  # heights with which a stated unit is accepted
 _UPRIGHT = 1.1  # the share that feet and the slope of the pelvis add to the length of legs and trunk
 _ARMS = (("lshoulder", "lelbow", "lwrist"), ("rshoulder", "relbow", "rwrist"))
 _ARM_TO_LEG, _TRUNK_TO_LEG = 0.68, 0.76  # lengths of arms and trunk as shares of the legs', as in HDM05 and CMU
@@ -70,7 +70,7 @@ def guess_unit(source: str | Path, positions: F64, joints: tuple[str, ...]) -> t
 
 
 def contradicted_unit(positions: F64, joints: tuple[str, ...], unit_m: float) -> tuple[str, float, float] | None:
-    """Return the unit that the height of a body asks for in place of a stated one; None where the stated one may hold.
+    """Return the unit that gives a body a human height in place of a stated one; None if that may be right.
 
     A stated unit holds if it makes a body of 0.4 to 4.1 m, or if no unit makes a human height.
 
@@ -100,7 +100,7 @@ def contradicted_unit(positions: F64, joints: tuple[str, ...], unit_m: float) ->
 def body_height(positions: F64, joints: tuple[str, ...]) -> float | None:
     """Return the height of a body along its legs and trunk, in the unit of its positions; None without leg and arm.
 
-    Where the body has no leg or no trunk, its length is that which a human's arm or leg lets expect.
+    If the body has no leg or no trunk, its length is estimated from an arm or a leg by human proportions.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Mappings that note what a reader asks them, so that a proposal can be made for a file that is refused."""
+"""Mappings that record the last request of a reader, so that a mapping can be proposed for a file that is rejected."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from kinedex.catalog.skeletons.skeleton_fit import Fit, Format
 
 @dataclass
 class Question:
-    """The body that a reader asked for last.
+    """The body for which a reader last requested a mapping.
 
     Attributes
     ----------
     form : str, optional
-        The format; None if the reader asked nothing.
+        The format; None if the reader requested nothing.
     nodes : dict of str to int
         Node name → index.
     evidence : Evidence, optional
@@ -35,7 +35,7 @@ class Question:
 
 @dataclass(frozen=True)
 class WatchedMappings(Mappings):
-    """Mappings that note the last question of a reader, and their answer."""
+    """Mappings that record the last request of a reader, and their answer."""
 
     question: Question = field(default_factory=Question)
 
@@ -45,13 +45,13 @@ class WatchedMappings(Mappings):
         return cls(**{one.name: getattr(mappings, one.name) for one in fields(Mappings)})
 
     def exact(self, source: str | Path, form: Format, nodes: Mapping[str, int]) -> Fit | None:
-        """Note the nodes, and return the fit of the mapping whose nodes all occur among them."""
+        """Record the nodes, and return the fit of the mapping whose nodes all occur among them."""
         self.question.form, self.question.nodes, self.question.fit = form, dict(nodes), None
         self.question.fit = super().exact(source, form, nodes)
         return self.question.fit
 
     def recognised(self, source: str | Path, form: Format, evidence: Evidence) -> Fit:
-        """Note the evidence, and return the fit that recognition makes."""
+        """Record the evidence, and return the fit that recognition makes."""
         self.question.form, self.question.evidence = form, evidence
         self.question.fit = super().recognised(source, form, evidence)
         return self.question.fit

@@ -1,1 +1,1 @@
-"""The SQL views and macros of a store, with the words that document them."""
+"""The SQL views and macros of a store, with their descriptions."""

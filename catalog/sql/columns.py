@@ -53,6 +53,6 @@ class View:
 
 
 def columns(text: str) -> tuple[Column, ...]:
-    """Parse columns from lines of name, type and meaning, with two spaces or more between them."""
+    """Parse columns from lines of name, type and meaning, separated by two spaces or more."""
     rows = (re.split(r"\s{2,}", line.strip(), maxsplit=2) for line in text.strip().splitlines())
     return tuple(Column(name, kind, meaning) for name, kind, meaning in rows)

@@ -1,4 +1,4 @@
-"""The macros of a store: questions about runs, poses, takes and hits, each as short as it is asked."""
+"""The SQL macros of a store, for short queries about runs, poses, takes and hits."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ class Macro:
         return f"CREATE {kind} {self.signature} AS {'TABLE ' if self.table else ''}{self.body}"
 
 
-# Written into the macros that need them, so that each stands alone and none calls another.
-# (An argument must not have the name of a column that stands beside it without a table's name.)
+# These expressions are inserted into the macros that need them, so that no macro calls another.
+# (An argument must not have the name of a column that is used without a table's name in the same expression.)
 _REFUSE = """error('no {what} ' || coalesce({given}, 'NULL') || coalesce(' (did you mean ''' || (
         SELECT arg_max(near.{name}, jaro_winkler_similarity(near.{name}, {given})) FROM {view} AS near
         WHERE jaro_winkler_similarity(near.{name}, {given}) > 0.75) || '''?)', '') || '; the view {view} lists them')"""

@@ -19,7 +19,7 @@ stage    VARCHAR    its stage
 pipeline_run    VARCHAR    the run of the pipeline, as in `pipeline_runs`; NULL while the stage runs again
 """)
 ORIGIN = tuple(column.name for column in _ORIGIN)
-"""The last columns of every view of results, which are not in the parts: the store knows them of a whole part."""
+"""The last columns of every view of results, which are not in the Parquet parts but in the manifest, once a part."""
 
 
 def result_view(name: str, summary: str, text: str, example: str, stages: str = "") -> View:

@@ -1,4 +1,4 @@
-"""The views and macros of a store, as SQL text with the words that explain them."""
+"""The views and macros of a store, as SQL text with their descriptions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ stop    INTEGER    frame after the last"""
 _WORD = """feature_set    VARCHAR    upper, lower or mix
 word    UBIGINT    the word, cut down to the set: bit i is the feature with that `bit`"""
 
-# Which subclasses are in a class is what annotations say; a subclass in none of them is a class of its own.
+# Annotations define which subclasses are in a class; a subclass in no annotation is a class of its own.
 _CLASSES = """WITH members AS (
     SELECT c.class, c.subclass FROM distance_curves AS c
     UNION

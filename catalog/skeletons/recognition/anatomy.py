@@ -14,9 +14,9 @@ ARM_TO_LEG = 0.68
 """Upper arm and forearm as a share of thigh and calf (0.66 to 0.70 in the skeletons of HDM05 and CMU)."""
 
 TRUNK_TO_LEG = 0.6
-"""The way from between the hips to between the shoulders as a share of thigh and calf, in the same skeletons."""
+"""The distance from mid-hips to mid-shoulders as a share of thigh and calf, in the same skeletons."""
 
-_NAMED = 2.2  # of 3: the parts of a limb are named
+_NAMED = 2.2  # a score of names, of at most 3, from which on a limb counts as named
 _UNLIKELY = -4.0
 _HEAD = ("neck", "head", "headtop")
 
@@ -98,7 +98,7 @@ def _relations(tree: Tree, legs: Pair, arms: Pair, head: bool) -> float:
 
 
 def trunk_length(tree: Tree, legs: Pair, arms: Pair) -> float:
-    """Return the median distance from between the hips to between the shoulders."""
+    """Return the median distance from the middle of the hips to that of the shoulders."""
     low = (tree.places[legs.first.nodes[0]] + tree.places[legs.second.nodes[0]]) / 2
     high = (tree.places[arms.first.nodes[0]] + tree.places[arms.second.nodes[0]]) / 2
     return float(medians(lengths(high - low)))
@@ -156,7 +156,7 @@ def _head_score(tree: Tree, at: int, child: int, line: list[int], legs: Pair) ->
 
 
 def _head_way(tree: Tree, top: int) -> tuple[int, ...]:
-    """Return the nodes of neck and head: down to the head by name and past it, or along the longest way."""
+    """Return the nodes of neck and head: the path to the node named as head and past it, or the longest path."""
     named = [node for node in tree.below(top) if "head" in tree.parts[node] and not tree.names[node].end]
     if not named:
         return tuple(tree.longest_way(top))

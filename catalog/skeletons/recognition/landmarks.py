@@ -19,14 +19,14 @@ from kinedex.catalog.skeletons.skeleton_fit import Mix
 from kinedex.ops.errors import did_you_mean
 
 _WORD = re.compile(r"[^\W_]+")
-_EXPLICIT = ("joint", "center", "centre", "jc")  # words by which a label of a marker set names a joint
+_EXPLICIT = ("joint", "center", "centre", "jc")  # words that mark a label of a marker set as a joint
 _MOST_CHOICES = 12  # alternatives of a joint; more never help
-_LOOKED_AT = 60  # labels in which a prefix without a mark is looked for
-_SKIN = 3  # labels of the skin that make a file one of markers
+_LOOKED_AT = 60  # most labels in which a prefix without a separator is searched
+_SKIN = 3  # least labels of skin landmarks in a file of markers
 _TRUNK = ("lasis", "rasis", "lpsis", "rpsis", "sacrum", "c7", "clav", "t10", "strn")
-"""A set of markers on the skin has some of these."""
+"""Landmarks of the trunk, some of which every set of skin markers has."""
 
-_MODEL = "OALP"  # how Vicon's models end the names of a segment's origin and axes, which are no markers
+_MODEL = "OALP"  # last letters in Vicon's names of segment origins and axes, which are no markers
 
 
 class _Part(BaseModel):
@@ -64,7 +64,7 @@ class _OwnFile(BaseModel):
 
 @dataclass(frozen=True)
 class Choice:
-    """One way to make a joint: weights over landmarks and points, and a way off their plane.
+    """One way to compute a joint: weights over landmarks and points, and an offset along the normal of their plane.
 
     Attributes
     ----------
@@ -147,7 +147,7 @@ class Landmarks:
     _readings: dict[tuple[str, ...], Reading] = field(default_factory=dict, init=False, repr=False)
 
     def read(self, labels: Sequence[str]) -> Reading:
-        """Return the landmarks that labels name, without the prefix with which they name most."""
+        """Return the landmarks that labels name, after removing the prefix without which most are recognised."""
         known = self._readings.get(tuple(labels))
         if known is not None:
             return known
@@ -265,7 +265,7 @@ class Landmarks:
 
 
 def _prefixes(labels: Sequence[str]) -> list[str]:
-    """Return what all labels, or most of them up to a mark, begin with."""
+    """Return the prefixes of all labels, and those of most labels that end with a separator."""
     marks = Counter(
         label[: mark.end()] for label in labels for mark in re.finditer(r"[^A-Za-z0-9]", label[:LONGEST_PREFIX])
     )
@@ -279,7 +279,7 @@ def _prefixes(labels: Sequence[str]) -> list[str]:
 def _assigned(
     hits: Iterable[tuple[str, str, int]], order: Sequence[str], many: frozenset[str]
 ) -> dict[str, tuple[str, ...]]:
-    """Give each landmark its best label that no landmark before it has."""
+    """Assign to each landmark, in order, its best label that no earlier landmark has."""
     wanted: dict[str, list[tuple[int, str]]] = {}
     for label, landmark, rank in hits:
         wanted.setdefault(landmark, []).append((rank, label))

@@ -1,4 +1,4 @@
-"""Legs and arms in a tree: pairs of branches alike, and the three nodes of each that bend it."""
+"""Find legs and arms in a tree: pairs of similar branches, and the three joints of each."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ import numpy as np
 from kinedex.catalog.skeletons.recognition.names import NodeName
 from kinedex.catalog.skeletons.recognition.tree import ARM, LEG, Tree
 
-_LEAST = 0.12  # a limb is at least this share of the way across the whole tree
+_LEAST = 0.12  # least length of a limb as a share of the longest path through the tree
 _OF_LIMBS = frozenset({*LEG, *ARM, "clavicle", "pelvis side"})
-_NAME_WEIGHT = 4.0  # a named part outweighs a length that is a third off
-_WORST = -10.0  # no lengths count more against a limb
+_NAME_WEIGHT = 4.0  # a name outweighs a length that is a third too long
+_WORST = -10.0  # least score of lengths
 _PASSED, _BENT, _SKIPPED = 0.4, 1.2, 1.5  # costs of a node within a bone: without a name, bent, with a joint's name
 _JOINTS = frozenset({*LEG, *ARM})
-_LONGEST = 14  # nodes of a limb that are looked at
+_LONGEST = 14  # most nodes of a branch that are considered
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def limb_pairs(tree: Tree, kind: Sequence[str], most: int = 6) -> list[Pair]:
 
 
 def _matched(tree: Tree, at: int, first: Limb, second: Limb, kind: Sequence[str]) -> Pair:
-    """Return two limbs as a pair; where they were cut differently, the better cut counts for both if they allow it."""
+    """Return two limbs as a pair; if their joints differ, try those of each limb for both, and keep the best pair."""
     pair = Pair(at, first, second)
     if pair.likeness < -1.0:
         for own, other, swapped in ((first, second, False), (second, first, True)):
@@ -139,7 +139,7 @@ def _best_limb(tree: Tree, top: int, kind: Sequence[str]) -> Limb | None:
 
 
 class _Branch:
-    """The nodes of a branch with the figures by which it is cut into the bones of a limb."""
+    """The nodes of a branch with the scores of its cuts: choices of three nodes as the joints of a limb."""
 
     def __init__(self, tree: Tree, path: tuple[int, ...], kind: Sequence[str]) -> None:
         self.path, self.arm = path, tuple(kind) == ARM
@@ -149,16 +149,16 @@ class _Branch:
         self.joints = list(accumulate(_joint(tree, path, at) for at in range(len(path))))
 
     def bones(self, cut: tuple[int, int, int]) -> tuple[float, float, float, float]:
-        """Return the lengths before, between and past the three nodes of a cut."""
+        """Return the lengths before, between and past the three joints of a cut."""
         near, middle, last = (self.far[at] for at in cut)
         return near, middle - near, last - middle, self.far[-1] - last
 
     def names(self, cut: tuple[int, int, int]) -> float:
-        """Return how well the names of three nodes fit."""
+        """Return how well the names of the three joints of a cut fit, up to 3."""
         return self.named[0][cut[0]] + self.named[1][cut[1]] + self.named[2][cut[2]]
 
     def score(self, cut: tuple[int, int, int]) -> float:
-        """Return the score of the limb of a cut."""
+        """Return the score of the limb that a cut makes."""
         return _NAME_WEIGHT * self.names(cut) + self.shape(cut)
 
     def shape(self, cut: tuple[int, int, int]) -> float:
@@ -168,7 +168,7 @@ class _Branch:
         return max(_shape(*self.bones(cut), self.arm) - between, _WORST)
 
     def limb(self, cut: tuple[int, int, int]) -> Limb:
-        """Return the limb of a cut."""
+        """Return the limb that a cut makes."""
         bones = self.bones(cut)
         nodes = (self.path[cut[0]], self.path[cut[1]], self.path[cut[2]])
         return Limb(self.path, nodes, bones, self.names(cut), self.shape(cut))

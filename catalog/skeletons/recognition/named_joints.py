@@ -26,11 +26,11 @@ HEAD_M = 0.14
 FINGERS_SHARE = 0.25
 """The distance from wrist to first knuckle as a share of the forearm (0.247 in every skeleton of HDM05 and CMU)."""
 
-_FOOT_AHEAD, _FOOT_DOWN = 0.2, 0.06  # shares of the leg: from the ankle to the toes of a foot that the file lacks
-_PAST_BALL = 0.45  # of the way from ankle to ball: the toes lie as much farther
-_CLAVICLE = 0.15  # of the way from neck to shoulder
-_LOST_THORAX = 0.53  # of the legs; a trunk this short, without length from spine to neck and arms, lacks its thorax
-_CUT_FOREARM = 1.4  # times as long as a forearm that lacks its last third is the upper arm
+_FOOT_AHEAD, _FOOT_DOWN = 0.2, 0.06  # shares of the leg: from the ankle to estimated toes
+_PAST_BALL = 0.45  # the distance from ball to toes as a share of that from ankle to ball
+_CLAVICLE = 0.15  # share of the way from neck to shoulder
+_LOST_THORAX = 0.53  # share of the legs; a shorter trunk whose neck and arms begin at the spine's end lacks its thorax
+_CUT_FOREARM = 1.4  # ratio of upper arm to forearm above which the forearm lacks its last third
 
 
 @dataclass
@@ -205,7 +205,7 @@ def head_nodes(tree: Tree, head: Sequence[int]) -> tuple[int | None, int | None,
 
 
 def leg_length(body: Anatomy) -> float:
-    """Return the length of thigh and calf; of a body without legs, what its arms let expect."""
+    """Return the length of thigh and calf; of a body without legs, it is estimated from the arms."""
     if body.legs is not None:
         return body.legs.length
     assert body.arms is not None
@@ -242,7 +242,7 @@ def _add_clavicle(found: JointMixes, tree: Tree, side: str, arm: Limb) -> None:
 
 
 def _add_fingers(found: JointMixes, tree: Tree, side: str, arm: Limb) -> None:
-    """Add the first knuckle of the middle finger, or what comes near to it."""
+    """Add the first knuckle of the middle finger, or the nearest substitute."""
     wrist = arm.nodes[2]
     forearm = arm.bones[2]
     below = [node for node in tree.below(wrist)[1:] if tree.distance(wrist, node) > 0.12 * forearm]
@@ -300,7 +300,7 @@ def _knuckles(tree: Tree, nodes: Sequence[int], wrist: int, forearm: float) -> l
 
 
 def _add_toes(found: JointMixes, tree: Tree, body: Anatomy, sides: Sides, side: str, leg: Limb) -> None:
-    """Add the tip of the toes, or what comes near to it."""
+    """Add the tip of the toes, or the nearest substitute."""
     joint, ankle = f"{side}toes", leg.nodes[2]
     past = leg.path[leg.path.index(ankle) + 1 :]
     far = [node for node in past if 0.07 * leg.length < tree.distance(ankle, node) < 0.6 * leg.length]

@@ -17,12 +17,12 @@ from kinedex.catalog.configs import Located, load_yaml, shipped_configs
 Side: TypeAlias = Literal["l", "r", ""]
 
 LONGEST_PREFIX = 100
-"""A prefix that names share is shorter: of a name without end, each mark would else begin another one."""
+"""Most characters of a shared prefix, which limits the number of prefixes that are tried for a very long name."""
 
 _WORD = re.compile(r"[^\W\d_]+|\d+")
 _CAMEL = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[^A-Z]+|[A-Z]+")
-_SECOND = re.compile(r"#\d+$")  # the mark that readers give to the second node of one name
-_LONGEST = 100  # characters of a name that are looked at, its last ones
+_SECOND = re.compile(r"#\d+$")  # the suffix that readers add to repeated names
+_LONGEST = 100  # only so many characters at the end of a name are parsed
 _VERTEBRA = re.compile(r"(?:^|[^A-Za-z])([LTCltc]\d{1,2})$")
 
 
@@ -200,7 +200,7 @@ def normal_names(names: Sequence[str], vocabulary: Vocabulary) -> tuple[NodeName
 
 
 def split_name(text: str, vocabulary: Vocabulary) -> NodeName:
-    """Return one name in normal form; what it begins with up to a colon or bar is a prefix, and is dropped."""
+    """Return one name in normal form, without the prefix that ends with a colon or bar."""
     known = vocabulary._splits.get(text)
     if known is None:
         if len(vocabulary._splits) > 20_000:

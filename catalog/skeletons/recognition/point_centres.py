@@ -16,9 +16,9 @@ from kinedex.catalog.skeletons.skeleton_fit import Mix
 F64 = npt.NDArray[np.float64]
 
 
-_ENOUGH = 3  # mixes of a joint that is never hidden
-_APART = 0.04  # sizes of the body; an alternative farther off than this stands for another place
-_OFF = 0.012  # sizes of the body; a stand-in for hidden markers is nearer than this
+_ENOUGH = 3  # most mixes of a joint that is never hidden
+_APART = 0.04  # share of the body's size; alternatives farther apart than this are of different places
+_OFF = 0.012  # share of the body's size; largest error of a stand-in for hidden markers
 _PELVIS = ("lasis", "rasis", "lpsis", "rpsis", "sacrum", "ltrochanter", "rtrochanter", "lcrest", "rcrest")
 _THORAX = ("c7", "t10", "clav", "strn", "lacromion", "racromion")
 
@@ -30,13 +30,13 @@ _SEGMENTS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Joint → landmarks that move with it."""
 
-_AMID = 0.1  # hip widths; a point of the pelvis that is nearer to the middle of the hips is computed from them
-_ROOT_UP = 0.12  # of the way from the middle of the hips to that of the shoulders; 0.06 to 0.20 in Acclaim bodies
+_AMID = 0.1  # hip widths; a pelvis point nearer than this to the middle of the hips was computed from them
+_ROOT_UP = 0.12  # share of the way from mid-hips to mid-shoulders; 0.06 to 0.20 in Acclaim bodies
 _ROOT_BACK = 0.4  # hip widths; 0.59 to 0.87 for HDM05's actors bd, bk and dg, 0.24 for CMU's 02
 
 
 def add_regressions(draft: BodyDraft, landmarks: Landmarks, reading: Reading, joints: Sequence[str]) -> None:
-    """Make the joints that have regressions or centres of their own; alternatives must agree where both are seen."""
+    """Add the joints with regressions or centres; alternatives must agree in frames where both are visible."""
     with np.errstate(invalid="ignore", over="ignore"):
         size = _size(draft.places)
         for joint, (mixes, how) in landmarks.all_mixes(reading, joints).items():
@@ -51,9 +51,9 @@ def add_regressions(draft: BodyDraft, landmarks: Landmarks, reading: Reading, jo
 
 
 def _agreeing(draft: BodyDraft, mixes: Sequence[Mix], size: float) -> list[Mix]:
-    """Return the mixes that are seen in some frame and lie where the first of them does.
+    """Return the mixes that are visible in some frame and agree with the position of the first one.
 
-    Of a joint that is seen in all sampled frames two alternatives are enough.
+    If the first mix is visible in all sampled frames, few alternatives are kept.
     """
     kept: list[Mix] = []
     first: F64 | None = None
@@ -84,7 +84,7 @@ def _size(places: Mapping[str, F64]) -> float:
 
 
 def add_centres(draft: BodyDraft, reading: Reading) -> None:
-    """Make root, neck, head, fingers and collar bones of a set of joint centres."""
+    """Add root, neck, head, fingers and collar bones from a set of joint centres."""
     of = {name: labels[0] for name, labels in reading.labels.items() if name != "spine"}
     shoulders = [of[f"{side}shoulderjoint"] for side in SIDES if f"{side}shoulderjoint" in of]
     hips = [of[f"{side}hipjoint"] for side in SIDES if f"{side}hipjoint" in of]
@@ -109,7 +109,7 @@ def add_centres(draft: BodyDraft, reading: Reading) -> None:
 
 
 def _amid(draft: BodyDraft, label: str, hips: Sequence[str]) -> bool:
-    """Return whether a point of the pelvis is nothing but the middle of the hips."""
+    """Return whether a point of the pelvis is merely the middle of the hips."""
     if len(hips) != 2:
         return False
     left, right = (draft.places[hip] for hip in hips)

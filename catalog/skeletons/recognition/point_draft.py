@@ -12,7 +12,7 @@ from kinedex.catalog.skeletons.skeleton_fit import Mix
 
 F64 = npt.NDArray[np.float64]
 
-_TINY = 1e-9  # of any unit: joints on each other, as no body has them, which the proportions show
+_TINY = 1e-9  # in any unit; joints this near to each other coincide, which the check of proportions reports
 
 SIDES = ("l", "r")
 """The first letters of the joints of each side."""

@@ -25,7 +25,7 @@ F64 = npt.NDArray[np.float64]
 
 
 def add_head(draft: BodyDraft, of: Mapping[str, str]) -> None:
-    """Make head and head top of whatever points the head has; a point `head` is its top, its middle or its joint."""
+    """Add head and head top from the points of the head; a point `head` may be its top, its middle or its joint."""
     neck, root = draft.joints.get("neck"), draft.place("root")
     ears = [of[f"{side}ear"] for side in SIDES if f"{side}ear" in of]
     eyes = [of[f"{side}eye"] for side in SIDES if f"{side}eye" in of]

@@ -26,7 +26,7 @@ NAME = {True: "recognised markers", False: "recognised points"}
 """The names of mappings that are made for markers on the skin, and for joint centres."""
 
 LEAST_CONFIDENCE = 0.5
-"""A body that is less surely one is refused."""
+"""Least confidence at which a recognised body is accepted."""
 
 _LEGS = tuple(f"{side}{part}" for side in SIDES for part in ("hip", "knee", "ankle"))
 _ARMS = tuple(f"{side}{part}" for side in SIDES for part in ("shoulder", "elbow", "wrist"))
@@ -84,7 +84,7 @@ def propose_points(
 
 
 def _recognised(evidence: Evidence, joints: tuple[str, ...], form: Format, landmarks: Landmarks) -> tuple[Fit, str]:
-    """Return the best fit, and the reason for which it is no body, or nothing."""
+    """Return the best fit, and why it is no body; an empty text if it is one."""
     reading = landmarks.read(evidence.names)
     index = {name: i for i, name in enumerate(evidence.names)}
     draft = BodyDraft({name: evidence.places[i] for name, i in index.items()})
@@ -141,13 +141,13 @@ def _mapping(draft: BodyDraft, reading: Reading, joints: Sequence[str], axes: F6
 
 
 def _depth(made: Mapping[str, Sequence[Mix]], joint: str) -> int:
-    """Return over how many joints a joint is made of points."""
+    """Return how many steps a joint is away from points, as joints can be computed from other joints."""
     parts = [name for mix in made.get(joint, ()) if mix.of_joints for name in mix.names]
     return 1 + max((_depth(made, part) for part in parts), default=-1)
 
 
 def _refusal(draft: BodyDraft, reading: Reading, proportions: Proportions) -> str:
-    """Return why these points are no body, or nothing."""
+    """Return why these points are no body; an empty text if they are one."""
     legs = [joint for joint in _LEGS if joint in draft.joints]
     arms = [joint for joint in _ARMS if joint in draft.joints]
     if not (

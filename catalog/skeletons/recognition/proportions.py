@@ -18,10 +18,10 @@ _RATIOS = {  # shares of the leg, from hip over knee to ankle
     "thigh": (0.32, 0.68), "shank": (0.32, 0.68), "upper arm": (0.2, 0.6), "forearm": (0.17, 0.55),
     "trunk": (0.3, 1.15), "hips": (0.06, 0.55), "shoulders": (0.2, 0.8),
 }  # fmt: skip
-_UNEQUAL = 1.35  # a longer limb than this times the other one is another limb
-_LOOSE = 0.15  # a limb whose length varies by this share of it is none
-_ARMS = 1.5  # legs are so many times as long as arms to the wrist
-_COST = 0.3  # confidence that a doubt costs
+_UNEQUAL = 1.35  # largest ratio of the lengths of left and right limbs
+_LOOSE = 0.15  # largest variation of a limb's length, as a share of it
+_ARMS = 1.5  # length of a leg, if it is unknown, as a multiple of an arm's to the wrist
+_COST = 0.3  # confidence that each doubt subtracts
 
 
 @dataclass(frozen=True)
@@ -96,6 +96,6 @@ def _lengths(places: Mapping[str, F64], a: str, b: str) -> F64:
 
 
 def _spread(lengths: F64) -> float:
-    """Return by which share of their median lengths vary, extremes excluded."""
+    """Return the variation of lengths as a share of their median, extremes excluded."""
     low, middle, high = np.percentile(lengths, [25, 50, 75])
     return float((high - low) / max(middle, 1e-12) / 2)

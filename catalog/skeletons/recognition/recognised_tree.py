@@ -31,17 +31,17 @@ from kinedex.ops.errors import SourceError
 F64 = npt.NDArray[np.float64]
 
 LEAST_CONFIDENCE = 0.35
-"""A body that is recognised with less is refused."""
+"""Least confidence at which a recognised body is accepted."""
 
 NAME = "recognised"
 """The name of a mapping that recognition makes."""
 
-_NO_UP = 0.6  # times the confidence where no axis is clearly up
-_AT_ZERO = 0.03  # of the body's height
-_UNNAMED = 0.6  # the confidence of a body of perfect proportions without any name
-_LEAD = 1.0  # the score by which a nameless body must surpass the next one
-_FULL_NAMES = 0.9  # the share of named parts above which odd lengths are a doubt, but no reason to refuse
-_WHOLE_NAMES = 0.6  # the share of named parts above which names leave no choice
+_NO_UP = 0.6  # factor on the confidence if no axis is clearly up
+_AT_ZERO = 0.03  # share of the body's height
+_UNNAMED = 0.6  # the confidence of a body with perfect proportions and no known names
+_LEAD = 1.0  # least lead in score of a body without names over the next one
+_FULL_NAMES = 0.9  # the share of named parts above which unusual lengths do not reject the body
+_WHOLE_NAMES = 0.6  # the share of named parts above which names alone decide between bodies
 
 
 def recognise_tree(
@@ -151,7 +151,7 @@ def _fit(
 
 
 def _upright(fit: Fit, tree: Tree, evidence: Evidence) -> tuple[Fit, str, bool]:
-    """Return the fit with the vertical axis that the file states or the body shows, in words, and whether surely."""
+    """Return the fit with the vertical axis that the file states or the body shows, the reason, and if it is clear."""
     if evidence.up is not None:
         return fit, f"{evidence.up} is up, as the file states", True
     judged = judged_up(*joint_places(fit, tree.places, tree.rest))
@@ -183,7 +183,10 @@ def _root_axes(tree: Tree, body: Anatomy, sides: Sides, axes: F64) -> F64:
 
 
 def judged_up(places: Mapping[str, F64], rest: Mapping[str, F64] | None) -> UpAxis:
-    """Return which axis is up; the motion outweighs a rest pose on its head, or one that lies where feet are at 0.
+    """Return which axis is up.
+
+    If motion and rest pose disagree, the motion decides if the rest pose is upside down, or if the lowest point of the
+    motion is at 0 along its vertical axis.
 
     Parameters
     ----------
@@ -232,7 +235,7 @@ def joint_places(fit: Fit, places: F64, rest: F64 | None) -> tuple[dict[str, F64
 
 
 def _confidence(tree: Tree, body: Anatomy, sides: Sides) -> float:
-    """Return from 0 to 1 how surely this is a human body whose joints are these."""
+    """Return the confidence, from 0 to 1, that this is a human body with these joints."""
     pairs = [pair for pair in (body.legs, body.arms) if pair is not None]
     shape = sum(pair.shape for pair in pairs) / len(pairs) + _proportions(tree, body)
     names = max(body.names, 0.0)

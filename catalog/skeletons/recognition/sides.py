@@ -13,8 +13,8 @@ from kinedex.catalog.skeletons.recognition.tree import Tree, lengths
 
 F64 = npt.NDArray[np.float64]
 
-_SEEN = 0.012  # of a leg's length; a foot or a bend shorter than this points nowhere
-_SURE = 0.3  # cosine with the left, averaged over frames
+_SEEN = 0.012  # share of a leg's length; shorter feet or knee bends have no clear direction
+_SURE = 0.3  # least mean cosine, in absolute value, at which feet and knees decide against names
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from kinedex.catalog.skeletons.skeleton_fit import Mix
 
 F64 = npt.NDArray[np.float64]
 
-_MOST = 6  # stand-ins of a joint
-_MOST_LABELS = 6  # of a segment; more make no better triples
-_FARTHEST = 2.0  # a joint that lies farther outside of a triple than this moves too much with each marker
+_MOST = 6  # most stand-ins of a joint
+_MOST_LABELS = 6  # most labels of a segment; more make no better triples
+_FARTHEST = 2.0  # largest coordinate of a joint in the axes of a triple; beyond, it amplifies marker noise too much
 _FLAT = 0.05  # sine of an angle below which three markers lie on a line
 
 
@@ -30,7 +30,7 @@ def stand_ins(places: Mapping[str, F64], target: F64, labels: Sequence[str], tol
     labels : sequence of str
         The markers of its segment.
     tolerance : float
-        How far off a stand-in may be where the joint is seen, the median, in the unit of the places.
+        The largest median error of a stand-in in frames where the joint is visible, in the unit of the places.
     """
     seen = np.isfinite(target).all(axis=0)
     triples = list(combinations(labels[:_MOST_LABELS], 3))
