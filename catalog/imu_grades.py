@@ -79,7 +79,7 @@ class Magnets(BaseModel):
 
 
 class GradeFile(BaseModel):
-    """A grade of sensors as a file has it."""
+    """The content of a file that defines a grade of sensors."""
 
     model_config = ConfigDict(extra="forbid")
     name: str

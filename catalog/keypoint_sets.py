@@ -36,7 +36,7 @@ MOST_KEYPOINTS = 1000
 
 @dataclass(frozen=True)
 class KeypointPlace:
-    """The place of a keypoint on a body.
+    """The position of a keypoint on a body.
 
     Attributes
     ----------

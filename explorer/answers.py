@@ -64,9 +64,9 @@ def error_answer(status: int, kind: str, message: str, remedy: Remedy | None = N
     kind : str
         Class of the error.
     message : str
-        What was found, what was expected, and the way out.
+        The error: what was found, what was expected, and what to do.
     remedy : Remedy, optional
-        The way out.
+        What to do, as a command or an action.
     """
     error = {"type": kind, "message": message, "remedy": remedy and asdict(remedy)}
     return Json({"error": error}, status)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from kinedex.storage.store.store import Store
 
 _QUOTE = re.compile(r"(.*?)\n\nLINE (\d+): (.*)\n( *)\^+\s*", re.DOTALL)
-"""A message of DuckDB: what is wrong, and the line of the statement, cut to its part around the place that ^ marks."""
+"""A message of DuckDB: the error, and the line of the statement, cut to the part around the position that ^ marks."""
 
 _SHOWN = 60
 """Most characters of a condition that a message quotes."""

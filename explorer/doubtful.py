@@ -49,7 +49,7 @@ class QueueQuestion(Question):
 
 
 def queue(archive: Archive, asked: QueueQuestion, _request: Request) -> Row:
-    """Return a block of the queue; annotations that a person has decided on are in it only if they are asked for."""
+    """Return a block of the queue; annotations with a decision of a person are in it only if `decided` is true."""
     store = archive.store()
     stage = stage_of(store, asked.stage)
     if stage is None:

@@ -49,17 +49,17 @@ Row = dict[str, Any]
 TITLE = "Export"
 
 MOST_HITS = 1000
-"""Most hits of a request: they stand in the command line, whose length systems limit."""
+"""Most hits of a request, because they are written into the command line, whose length systems limit."""
 
 NAMES = {"hits": "name the saved hits", "ranges": "name the file", "sql": "write a query"}
-"""The sources of clips that need a name, with what is asked for where it is missing."""
+"""The sources of clips that need a name → what the error asks for if it is missing."""
 
 Name = Annotated[str, Field(min_length=1, max_length=500)]
 Frame = Annotated[int, Field(ge=0)]
 
 
 class Hit(Question):
-    """An interval that another page hands over; `mirrored` where it shows the mirror image of what was asked for."""
+    """An interval that another page passes on; `mirrored` if it matches the mirror image of a template or query."""
 
     take: Name
     start: Frame
@@ -190,7 +190,7 @@ def _decimal(value: float) -> str:
 
 
 def plan_export(archive: Archive, asked: ExportQuestion, _request: Request) -> Row:
-    """Return what an export would write.
+    """Return the plan of an export: its clips, splits and sizes.
 
     Returns
     -------

@@ -45,7 +45,7 @@ class HeldOut:
     missing : str
         The reason why there is no held-out take, and what to do; empty if there are some.
     remarks : tuple of str
-        What was excluded, and what the numbers do not say.
+        Remarks on what was excluded, and on limits of the numbers.
     """
 
     source: Source | None

@@ -280,7 +280,7 @@ _GROUP: dict[str, Any] = (
 
 
 def _progress(job: Job, lines: Path, place: int) -> tuple[int, bool]:
-    """Read what a job has logged since a place of the file, and return the new place and whether anything is new."""
+    """Read the log of a job from an offset on, and return the new offset and whether there was anything new."""
     if not lines.is_file():
         return place, False
     with lines.open("rb") as file:

@@ -45,7 +45,7 @@ class MapRun:
     step : (int, int)
         Steps done, and steps in all; both 0 until the first is reported.
     result : ArchiveMap or None
-        The map, once it is there.
+        The map, once it is computed.
     fault : KinedexError or None
         The reason for which there is none.
     waiting : int
@@ -76,7 +76,7 @@ class MapRun:
         return self.result is not None or self.fault is not None
 
     def stop(self) -> None:
-        """End the process; nobody waits for it."""
+        """End the process, when no client waits for the map any longer."""
         self.stopped = True
         self._process.terminate()
 

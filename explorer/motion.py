@@ -63,7 +63,7 @@ WIDEST_M = 65.0
 """Most extent of a block of several frames along an axis, for a unit of 1 mm."""
 
 FIRST_FRAMES = 150
-"""Stored frames of the first block, so that the first pose is there at once."""
+"""Stored frames of the first block, which is short so that the first pose is shown soon."""
 
 MOST_FIGURES = 500
 """Most figures of one answer."""
@@ -150,7 +150,7 @@ class PositionCache:
 
 
 POSITIONS = PositionCache()
-"""The positions of the takes that pages have asked for lately."""
+"""The cache of the positions of recently requested takes."""
 
 
 def _positions(table: pa.Table, joints: Sequence[str]) -> F32:

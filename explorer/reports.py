@@ -70,7 +70,7 @@ def report_file(archive: Archive, name: str) -> Path:
 
 
 def send_report(archive: Archive, request: Request) -> FileResponse:
-    """Return the answer with a report."""
+    """Return the response with the file of a report."""
     path = report_file(archive, request.path_params["name"])
     kind = TYPES.get(path.suffix.lower())
     headers = {

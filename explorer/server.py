@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from types import FrameType
 
 PORT = 8734
-"""The port unless another is asked for; if it is in use, a free one is taken."""
+"""The default port; if it is in use, a free one is taken."""
 
 HEAD_BYTES = 64 * 1024
 """The longest address with its headers: one that names a choice of takes is long."""

@@ -65,7 +65,7 @@ class Edit:
     pipeline_tau : float
         The threshold of the pipeline.
     asked_tau : float, optional
-        The threshold that is asked for.
+        The threshold of the request.
     """
 
     one: SubclassTemplate

@@ -96,7 +96,7 @@ def template_use(store: Store, stage: str, kind: Kind | None = None) -> Template
     stage : str
         The stage, "<pipeline>/<stage>".
     kind : {"soft", "hard"}, optional
-        The kind of templates; unless given the one that the pipeline annotates with, or the one that there is.
+        The kind of templates; by default the one that the pipeline annotates with, or the only one.
 
     Raises
     ------

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 Row = dict[str, Any]
 
 LEVELS = 200
-"""The number that stands for 1 in a picture."""
+"""The value of a byte of a picture that represents 1."""
 
 
 def list_templates(archive: Archive, request: Request) -> Row:
@@ -183,7 +183,7 @@ def _clip_row(store: Store, one: SubclassTemplate, clip: StoredClip, cost: float
 
 
 def _far(one: SubclassTemplate) -> Row | None:
-    """Return the rule by which clips are far from the others, in numbers; None where there is none."""
+    """Return the numbers of the rule by which a clip counts as far from the others; None without such a rule."""
     costs = one.learned.clip_costs
     limit = far_limit(costs)
     if limit is None:

@@ -27,8 +27,8 @@ _FINE = 2  # frames are drawn this many times larger and then reduced, so that l
 _PAPER, _FLOOR, _TEXT, _FAINT = "#ffffff", "#9a8f80", "#222222", "#777777"
 _LEAST_HEIGHT_M, _TICK_M = 2.0, 0.5
 _GIF_HZ, _FASTEST_HZ, _USUAL_HZ = 25.0, 60.0, 30.0
-_STEADY_S = 1.0  # seconds over which the view follows a body
-_SHADES = 20  # of each colour in the palette of a GIF
+_STEADY_S = 1.0  # seconds over which the position of the view is averaged
+_SHADES = 20  # shades of each colour in the palette of a GIF
 
 
 def write_gif(path: Path, motion: JointMotion) -> None:
@@ -122,7 +122,7 @@ class _Film:
 
     @cached_property
     def places(self) -> F64:
-        """Return the places (T, joints, 3) of the frames that are shown, turned so that the body faces +Z at first."""
+        """Return the joint positions (T, joints, 3) of the shown frames, turned so that the body first faces +Z."""
         places = self.motion.places.astype(np.float64)
         if not np.isfinite(places).all(axis=2).any():
             raise KinedexError(f"'{self.motion.name}' has no joint that is seen in any of its {len(places)} frames")
@@ -154,7 +154,7 @@ class _Film:
 
     @cached_property
     def scale(self) -> float:
-        """Return pixels per metre: the highest joint has room, and so has a body that stands."""
+        """Return pixels per metre, such that the highest joint, and in any case a standing body, fits into a view."""
         tall = max(float(np.nanmax(self.places[:, :, 1])) - self.floor, _LEAST_HEIGHT_M)
         reach = self.places - self.centres[:, None]
         wide = 2.1 * float(np.nanmax(np.abs(reach[:, :, [0, 2]])))

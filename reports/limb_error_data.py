@@ -96,12 +96,12 @@ class LimbErrors:
 
     @property
     def known(self) -> F64:
-        """The errors of the frames that count."""
+        """The errors of the frames that have one (not NaN)."""
         return self.degrees[np.isfinite(self.degrees)]
 
     @property
     def wrong(self) -> float:
-        """The share of them above τ; 0 where none counts."""
+        """The share of these frames whose error is above τ; 0 if there are none."""
         known = self.known
         return float((known > self.tau_deg).mean()) if len(known) else 0.0
 

@@ -50,7 +50,7 @@ class Box:
 
 
 def box(start_s: float, stop_s: float, frames: int, rate_hz: float, text: str, *, jump: bool = False) -> Box:
-    """Place the interval [start_s, stop_s) of a take of so many analysis frames."""
+    """Return the box of the interval [start_s, stop_s) of a take with `frames` analysis frames."""
     first = min(max(0, round(start_s * rate_hz)), max(frames - 1, 0))
     last = max(first + 1, min(round(stop_s * rate_hz), frames))
     seconds = max(frames, 1) / rate_hz

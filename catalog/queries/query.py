@@ -22,7 +22,7 @@ FEATURES = "body40"
 AnyQuery = TypeVar("AnyQuery", bound="Query")
 
 _INNER = (*STRUCTURE, "gaps", "distances", "stiffness", "positions", "mirror")
-"""The keys of a query that it keeps where it stands inside another one."""
+"""The keys that a query keeps if it is nested in another one."""
 
 
 class Query:

@@ -18,13 +18,13 @@ from kinedex.ops.errors import ConfigError, KinedexError, did_you_mean
 from kinedex.ops.local_paths import refuse_addresses
 
 MOST_CHAINS = 64
-"""The most chains of keyframes that one query may stand for: alternatives within sequences multiply."""
+"""The most chains of keyframes into which one query may expand: alternatives within sequences multiply."""
 
 STRUCTURE = ("keyframes", "sequence", "any_of")
 """The keys of a query of which it has exactly one."""
 
 _OUTERMOST_ONLY = ("name", "description", "class", "takes", "margins", "part")
-"""The keys of a query that would have no effect where it stands inside another one."""
+"""The keys of a query that would have no effect if it is nested in another one."""
 
 _Within = tuple[tuple[Path, str], ...]
 """The queries that are being read, from the outermost to the innermost: file and name of each."""
@@ -165,14 +165,14 @@ class QueryReader:
         return str(self.located.path) if line is None else f"{self.located.path}:{line}"
 
     def chains_of(self, name: str, within: _Within) -> list[Chain]:
-        """Return the chains that a named query stands for."""
+        """Return the chains of keyframes into which a named query expands."""
         if name not in self.chains_read:
             key, entry = self.entries[name]
             self.chains_read[name] = self._chains(entry, (*within, (self.path, name)), key)
         return self.chains_read[name]
 
     def _chains(self, entry: QueryEntry, within: _Within, *key: str | int) -> list[Chain]:
-        """Return the chains that an entry stands for."""
+        """Return the chains of keyframes into which an entry expands."""
         if entry.keyframes is not None:
             found = [read_chain(self.located, entry, self.feature_set, self.rate_hz, *key)]
         elif entry.any_of is not None:

@@ -31,7 +31,7 @@ shoulder's marker does not move with the upper arm, whose orientation is that of
 
 
 def limb_nodes(source: str | Path, fit: Fit, parents: Sequence[int], at_end: bool) -> dict[str, int]:
-    """Return the node that turns with each limb: the one that begins at the near joint, on the way to the far one.
+    """Return the node that turns with each limb: the one whose bone leads from the near joint towards the far one.
 
     Parameters
     ----------

@@ -156,7 +156,7 @@ class Mappings:
         return mapping.format in self.forced or mapping.is_for(source, nodes)
 
     def recognised(self, source: str | Path, form: Format, evidence: Evidence) -> Fit:
-        """Return the fit that recognition makes, by the tree of the nodes or, without one, by their places.
+        """Return the fit that recognition makes, by the tree of the nodes or, without one, by their positions.
 
         Raises
         ------
@@ -172,8 +172,8 @@ class Mappings:
     ) -> Fit:
         """Return the fit of the mapping whose nodes all occur in a skeleton and that supplies the most joints.
 
-        A mapping of the user's own goes before all shipped ones. If the format has only one mapping, it is used, and
-        any node that it lacks is an error.
+        A mapping of the user's own is preferred to all shipped ones. If the format has only one mapping, it is used,
+        and any node that it lacks is an error.
 
         Parameters
         ----------

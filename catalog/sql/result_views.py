@@ -1,4 +1,4 @@
-"""The views of results: what stages have stored, as the current pipeline has it, or with the rows of all pipelines.
+"""The views of results that stages have stored, with the rows of the current pipeline or of all pipelines.
 
 A kind of results is registered by its view alone: the view's name is the kind, and its columns are the schema of the
 kind's Parquet parts. A new kind is a `result_view` in the module of its subject, and a new subject a module beside

@@ -343,7 +343,7 @@ def print_error(message: str, kind: str, code: int, as_json: bool, remedy: Remed
     Parameters
     ----------
     message : str
-        What was found, what was expected, and the way out.
+        The error: what was found, what was expected, and what to do.
     kind : str
         Class of the error.
     code : int
@@ -351,7 +351,7 @@ def print_error(message: str, kind: str, code: int, as_json: bool, remedy: Remed
     as_json : bool
         Print `{"error": {"type", "message", "exit_code", "remedy"}}`.
     remedy : Remedy, optional
-        The way out.
+        What to do, as a command or an action.
     """
     if as_json:
         error = {"type": kind, "message": message, "exit_code": code, "remedy": remedy and asdict(remedy)}

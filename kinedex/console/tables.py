@@ -35,7 +35,7 @@ _LINES = {b"lines": b"yes"}
 """Metadata of a column whose texts are broken into lines."""
 
 FEW_ROWS, MANY_COLUMNS = 5, 7
-"""Tables with more rows and at least so many columns show the first columns alone where rows would be tall."""
+"""Tables with more rows and at least as many columns show only the most important columns if rows would be tall."""
 
 _TRIED = 200  # number of rows that the choice looks at
 

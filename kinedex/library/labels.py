@@ -95,7 +95,7 @@ class Labels:
         rows : polars.DataFrame or iterable of mapping
             ``take``, ``class``, ``start`` and ``stop`` (frames, half-open); and, as far as they are known, ``verdict``
             ("positive" or "negative"), ``limb``, ``origin`` ("drawn" unless given), ``confidence``, ``note``,
-            ``annotator``, ``source``, and ``replaces``, the id of the label whose place it takes.
+            ``annotator``, ``source``, and ``replaces``, the id of the label that it replaces.
         annotator : str, optional
             The person, for rows that name none.
         note : str, optional

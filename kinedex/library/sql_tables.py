@@ -142,7 +142,7 @@ class SqlTables(TakeCollection):
         Raises
         ------
         StoreError
-            The index or a part cannot be read; the message names the file and the way out.
+            The index or a part cannot be read; the message names the file and what to do.
 
         Examples
         --------

@@ -70,9 +70,9 @@ class TakeExport(TakeCollection):
         where : str, optional
             A SQL filter over the columns of takes.
         annotations, labels : bool, optional
-            True cuts out annotated segments, or the labels of people.
+            True exports annotated segments, or the labels of people, as clips.
         hits : str, optional
-            The name of saved hits that are cut out.
+            The name of saved hits, which are exported as clips.
         ranges : str or os.PathLike, optional
             A CSV file with the columns take, start, stop, and optionally class.
         sql : str, optional

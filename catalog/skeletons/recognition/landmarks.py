@@ -246,7 +246,7 @@ class Landmarks:
         return mixes
 
     def _ways(self, name: str, labels: Mapping[str, tuple[str, ...]]) -> list[tuple[tuple[str, float], ...]]:
-        """Return the ways in which labels make a landmark or a point."""
+        """Return the weights over labels with which a landmark or a point can be computed, the best first."""
         if name in labels:
             there = labels[name]
             return [tuple((label, 1.0 / len(there)) for label in there)]

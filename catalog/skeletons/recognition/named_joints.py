@@ -15,10 +15,10 @@ from kinedex.catalog.skeletons.recognition.tree import FINGERS, Tree
 from kinedex.catalog.skeletons.skeleton_fit import Mix
 
 SPINE_SHARES = {"belly": 1 / 3, "chest": 2 / 3}
-"""The shares of the way from root to neck at which joints of the spine lie: Acclaim's three bones are equally long."""
+"""The positions of spine joints as shares of the path from root to neck: Acclaim's three bones are equally long."""
 
 NECK_SHARE = 0.7
-"""The share of the way from root to head at which the neck lies: 0.65 in HDM05 and CMU, 0.75 and more in game rigs."""
+"""The position of the neck as a share of the path from root to head: 0.65 in HDM05 and CMU, 0.75+ in game rigs."""
 
 HEAD_M = 0.14
 """The distance from the head joint to the top of the head, along the neck, as a share of thigh and calf."""

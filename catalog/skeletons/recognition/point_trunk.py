@@ -92,7 +92,7 @@ def add_trunk(draft: BodyDraft, reading: Reading) -> None:
 
 
 def _along_spine(draft: BodyDraft, labels: Sequence[str], share: float) -> Mix | None:
-    """Return the place at a share of the arc from root over the points of the spine to the neck."""
+    """Return the combination at a share of the arc length from root over the points of the spine to the neck."""
     root, neck = draft.place("root"), draft.place("neck")
     if not labels or root is None or neck is None:
         return None

@@ -1,4 +1,4 @@
-"""Left and right of a body: by names, and by the way in which feet point and knees bend."""
+"""Find left and right of a body: by names, and by the direction in which feet point and knees bend."""
 
 from __future__ import annotations
 
@@ -84,13 +84,13 @@ def _stated(tree: Tree, limbs: tuple[Limb, Limb] | None) -> bool:
 
 
 def _along(tree: Tree, legs: tuple[Limb, Limb], arms: tuple[Limb, Limb]) -> float:
-    """Return the mean cosine between the way across the hips and that across the shoulders."""
+    """Return the mean cosine between the line of the hips and that of the shoulders, both from right to left."""
     across = [_unit(tree.places[pair[0].nodes[0]] - tree.places[pair[1].nodes[0]]) for pair in (legs, arms)]
     return float(np.mean((across[0] * across[1]).sum(axis=0)))
 
 
 def _facing(tree: Tree, legs: tuple[Limb, Limb]) -> float:
-    """Return the mean cosine of the way from the right hip to the left with what feet and knees show as left."""
+    """Return the mean cosine of the line from right hip to left hip with the left direction by feet and knees."""
     across = _unit(tree.places[legs[0].nodes[0]] - tree.places[legs[1].nodes[0]])
     total, weight = 0.0, 0.0
     for leg in legs:

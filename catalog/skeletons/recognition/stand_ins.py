@@ -1,4 +1,4 @@
-"""Stand-ins for hidden markers: a joint from any three other markers of its segment, as they lie where all are seen."""
+"""Estimate a joint with hidden markers from three other markers of its segment, learned where all are visible."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tree of a file's nodes with what recognition asks of it: lengths, reach, and the parts that names may mean."""
+"""The tree of a file's nodes with lengths, reach, and the body parts that names may mean, for recognition."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Tree:
     lengths : tuple of float
         The distance of each node from its parent, 0 for a root.
     reach : tuple of float
-        The longest way down from each node.
+        The length of the longest path down from each node.
     """
 
     names: tuple[NodeName, ...]
