@@ -54,7 +54,7 @@ class Channel(BaseModel):
 
 
 class Gaps(BaseModel):
-    """Losses of samples."""
+    """The frequency and length of gaps in samples."""
 
     model_config = ConfigDict(extra="forbid")
     per_minute: _Size = Field(0.0, description="gaps in a minute, on average")
@@ -62,7 +62,7 @@ class Gaps(BaseModel):
 
 
 class ClockErrors(BaseModel):
-    """The clock of a recording."""
+    """The offset and drift of a recording's clock."""
 
     model_config = ConfigDict(extra="forbid")
     offset_s: _Size = Field(0.0, description="largest offset from the take's time, in seconds, either way")

@@ -54,7 +54,7 @@ class Plugins(Generic[Part]):
         return iter(self._all())
 
     def load(self, name: str) -> Part:
-        """Import a part.
+        """Import and return the part of a name.
 
         Raises
         ------
@@ -90,7 +90,7 @@ class Plugins(Generic[Part]):
         return _distribution(found) if name not in self._built_in else ""
 
     def place(self, name: str) -> str:
-        """Return where a part is, "module:object"."""
+        """Return the location of a part, as "module:object"."""
         return self._all()[name].value
 
     @cached_property

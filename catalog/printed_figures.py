@@ -14,7 +14,7 @@ _Degrees = Annotated[float, Field(ge=0.0, le=180.0)]
 
 
 class PrintedFigure(BaseModel):
-    """Precision and recall by frames, as printed."""
+    """Precision and recall over frames, as a publication prints them."""
 
     model_config = ConfigDict(extra="forbid")
     name: str = Field(description="group of limbs, limb, or all")
@@ -25,7 +25,7 @@ class PrintedFigure(BaseModel):
 
 
 class PrintedError(BaseModel):
-    """Mean and standard deviation of a limb's error, as printed."""
+    """Mean and standard deviation of a limb's error, as a publication prints them."""
 
     model_config = ConfigDict(extra="forbid")
     mean_deg: _Degrees = Field(description="mean error")

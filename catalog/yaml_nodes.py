@@ -16,7 +16,7 @@ from yaml.resolver import Resolver
 from kinedex.ops.errors import ConfigError
 
 MOST_BYTES = 8_000_000
-"""The most bytes of a text that people write."""
+"""The most bytes of a YAML text."""
 
 MOST_NODES = 300_000
 """The most keys, values, lists and mappings of a file; the templates of 65 classes have 260,000."""

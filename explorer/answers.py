@@ -38,7 +38,7 @@ class Json(Response):
     media_type = "application/json"
 
     def render(self, content: Any) -> bytes:
-        """Return the bytes of a value."""
+        """Return a value as JSON, in UTF-8."""
         value = _exact(json_value(content))
         return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode(
             "utf-8", "backslashreplace"

@@ -60,7 +60,7 @@ class Archive:
         self._journal = self._journal_files()
 
     def store(self) -> Store:
-        """Return the newest version that has its index.
+        """Return the store, opened at its newest version that has an index.
 
         What a caller holds stays valid until it lets go of it: the version is leased for as long. While one thread
         opens a newer version, the others get the one before it, or the error of the last attempt.

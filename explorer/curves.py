@@ -187,7 +187,7 @@ def curve_of_template(store: Store, take_id: int, choice: TemplateChoice) -> npt
 
 
 def _quantised(store: Store, take_id: int, choice: TemplateChoice) -> tuple[QuantisedTemplate, SubclassTemplate]:
-    """Return a template as it is applied to a take."""
+    """Return a template quantised for a take, with the features that are known in it, and the learned template."""
     learned = choose_template(store, choice.name, choice.kind, choice.stage)
     whole = quantise(learned.learned.template, choice.delta)
     if not whole.mask.any():

@@ -115,7 +115,7 @@ def find_similar(archive: Archive, asked: ExamplesQuestion, _request: Request) -
 
 
 def _template(store: Store, asked: ExamplesQuestion) -> ChosenTemplate:
-    """Return the template of the examples."""
+    """Return the template that is learned from the examples of a request."""
     accepted, rejected = ([one.interval(store) for one in side] for side in (asked.positives, asked.negatives))
     longest = max(one.stop - one.start for one in accepted) / store.rate_hz
     if longest > MOST_SECONDS:

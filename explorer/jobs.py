@@ -57,7 +57,7 @@ State = Literal["waiting", "running", "done", "failed", "stopped"]
 
 @dataclass
 class Job:
-    """A run of the command line.
+    """A job of the explorer: a run of a `kinedex` command.
 
     Attributes
     ----------
@@ -226,7 +226,7 @@ class Jobs:
             self._publish(job)
 
     def _run(self, job: Job) -> None:
-        """Run a job to its end."""
+        """Run a job until it ends, and record its outcome."""
         log = self.log_file(job)
         code, problem = 1, ""
         try:
@@ -332,7 +332,7 @@ _MAKING = threading.Lock()
 
 
 def jobs_of(archive: Archive) -> Jobs:
-    """Return the jobs of an explorer."""
+    """Return the `Jobs` of the server of an archive; they are created on the first call."""
     with _MAKING:
         return _JOBS.setdefault(archive, Jobs(archive))
 
@@ -354,7 +354,7 @@ def run_words(archive: Archive, pipeline: Path | str, assignments: Sequence[str]
 
 
 class NoQuestion(Question):
-    """A request without a body of its own: {}."""
+    """A request whose body is an empty object, {}."""
 
 
 class StopQuestion(Question):

@@ -72,7 +72,7 @@ class QueryEntry(Question):
 
 
 class KeyframesQuestion(Selection):
-    """A search for keyframes."""
+    """A request to search for keyframes, given as text or as poses."""
 
     text: Annotated[str | None, Field(max_length=MOST_TEXT)] = None
     query: QueryEntry | None = None
@@ -86,7 +86,7 @@ class KeyframesQuestion(Selection):
 
 
 class ProposalQuestion(ChosenHit):
-    """An example whose keyframes are proposed."""
+    """A request to propose keyframes for an example."""
 
     keyframes: Annotated[int, Field(ge=1, le=MOST_POSES)] = 3
     name: Annotated[str, Field(min_length=1, max_length=100)] = "proposed"

@@ -46,7 +46,7 @@ Place = Annotated[str, Field(min_length=1, max_length=4000)]
 
 
 class FilesQuestion(Question):
-    """Files to read."""
+    """A request to preview label files."""
 
     paths: Annotated[tuple[Place, ...], Field(min_length=1, max_length=100)]
     corrects: Literal["annotations", "labels"] | None = None
@@ -146,7 +146,7 @@ def _command(archive: Archive, asked: FilesQuestion, annotator: str | None) -> s
 
 
 class ExportQuestion(Question):
-    """Label files to write."""
+    """A request to export label files."""
 
     what: Literal["annotations", "labels"]
     folder: Place

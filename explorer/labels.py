@@ -110,7 +110,7 @@ class Split(Question):
 
 
 class Join(Question):
-    """Make one label of several."""
+    """Merge several labels into one."""
 
     do: Literal["join"]
     ids: Annotated[tuple[Id, ...], Field(min_length=2, max_length=MOST_CHANGES)]
@@ -122,7 +122,7 @@ class Join(Question):
 
 
 class Withdraw(Question):
-    """Take a label back."""
+    """Withdraw a label."""
 
     do: Literal["withdraw"]
     id: Id
@@ -170,7 +170,7 @@ AnyChange = Annotated[Draw | Change | Split | Join | Withdraw | Decide | Restore
 
 
 class Decisions(Question):
-    """Edits of the labels of a take."""
+    """A request to edit the labels of a take."""
 
     take: Name
     annotator: Annotated[str, Field(max_length=200)] | None = None

@@ -104,7 +104,7 @@ def _persons(store: Store, row: Mapping[str, Any]) -> list[Row]:
 
 
 def _plain(value: object) -> object:
-    """Return a value as JSON can hold it."""
+    """Convert a value to a type that JSON can represent."""
     if isinstance(value, float):
         return value if np.isfinite(value) else None
     return value if isinstance(value, str | int | bool | list) else str(value)
@@ -295,7 +295,7 @@ def _quality_lanes(cache: PositionCache, store: Store, take_id: int) -> list[Row
 
 
 def _runs(frames: npt.NDArray[np.bool_]) -> list[list[int]]:
-    """Return the ranges of frames that are true."""
+    """Return the longest intervals [start, stop) in which a Boolean array is true."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], frames, [False])).astype(np.int8)))
     found: list[list[int]] = edges.reshape(-1, 2).tolist()
     return found

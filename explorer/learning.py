@@ -122,7 +122,7 @@ def learning_stages(store: Store, asked: LearnQuestion) -> Row:
 
 
 def _given(store: Store, stage: str) -> Row:
-    """Return the parameters that a stage was given."""
+    """Return the parameters that were given for the last run of a stage, without defaults."""
     record = store.manifest.stages.get(stage)
     summary = record.summary if record is not None else {}
     found: Row = dict(summary.get("given", summary.get("params", {})))

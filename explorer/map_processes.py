@@ -182,5 +182,5 @@ _MAPS: WeakKeyDictionary[Archive, Maps] = WeakKeyDictionary()
 
 
 def maps_of(archive: Archive) -> Maps:
-    """Return the maps of an explorer."""
+    """Return the `Maps` of the server of an archive; they are created on the first call."""
     return _MAPS.setdefault(archive, Maps())

@@ -128,7 +128,7 @@ class Prepared:
 
     @property
     def own_class(self) -> Classes:
-        """The class of the template without all others."""
+        """The class of the template, with its subclasses, as the only class."""
         names = tuple(each.subclass for each in (self.one, *self.others))
         return Classes((MotionClass(self.label, "", names),))
 

@@ -25,7 +25,7 @@ ROWS = 2000
 """Most rows of one answer; `total` counts all."""
 
 FLAGS = 50_000
-"""Most flags of takes that a page gets."""
+"""Most figures beyond their limits, of all takes together, in one answer."""
 
 _SUSPECT = (
     "SELECT figure, any_value(meaning) AS meaning, any_value(unit) AS unit, any_value(low) AS low, "

@@ -75,7 +75,7 @@ def send_report(archive: Archive, request: Request) -> FileResponse:
     kind = TYPES.get(path.suffix.lower())
     headers = {
         "content-security-policy": POLICY,
-        "cross-origin-opener-policy": "unsafe-none",  # browsers refuse a sandbox with any other
+        "cross-origin-opener-policy": "unsafe-none",  # browsers block a sandboxed page with any other
         "cache-control": "no-store",
     }
     saved_as = None if kind else path.name

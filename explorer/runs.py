@@ -50,7 +50,7 @@ METRICS = (
 _SETTING = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")
 
 Text = Annotated[str, Field(max_length=10_000, pattern=r"^[^\x00]*$")]
-"""A text that may be a word of a command."""
+"""A text that can be an argument of a command: limited in length, and without NUL."""
 
 
 class RunQuestion(Question):

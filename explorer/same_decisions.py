@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 Row = Mapping[str, Any]
 
 _ID = 12
-"""The digits of an id that a command shows."""
+"""Number of digits of a label's id in a command."""
 
 
 def same_decisions(archive: Archive, rows: Iterable[Row], known: Mapping[str, Row]) -> dict[str, str]:

@@ -64,7 +64,7 @@ def columns_with_nan(store: Store) -> frozenset[str]:
 
 
 def expression(column: str, known: Sequence[str], *, shown: bool = False, nan: Collection[str] = ()) -> str:
-    """Return a column as SQL has it.
+    """Return the SQL expression for a column.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def condition_of(asked: Selection, known: Sequence[str], nan: Collection[str] = 
 
 
 def _condition(one: Filter, known: Sequence[str], nan: Collection[str]) -> str:
-    """Return a filter as a condition."""
+    """Return a filter as a SQL condition."""
     name = expression(one.column, known, nan=nan)
     parts = []
     if one.values is not None:
@@ -122,7 +122,7 @@ def _condition(one: Filter, known: Sequence[str], nan: Collection[str]) -> str:
 
 
 def packed_ids(ids: npt.NDArray[np.int64]) -> str:
-    """Return ids as a filter's `chosen` has them.
+    """Encode ids as the text of a filter's `chosen`.
 
     Examples
     --------

@@ -44,7 +44,7 @@ class SpareProcess:
         return self._process
 
     def end(self) -> None:
-        """Let the process end."""
+        """Close the input of the process, which then ends."""
         assert self._process.stdin is not None
         with suppress(OSError):
             self._process.stdin.close()

@@ -81,7 +81,7 @@ _RESULTS = Results()
 
 
 def run_sql(archive: Archive, asked: SqlQuestion, _request: Request) -> dict[str, Any]:
-    """Return a block of rows of a statement."""
+    """Run a SQL statement, or use its cached result, and return a block of rows."""
     store = archive.store()
     # the first block runs the statement anew: labels and journals may have changed in the same version
     answer, seconds = _RESULTS.find(store, asked.text, anew=asked.offset == 0)

@@ -75,7 +75,7 @@ class Edit:
 
     @property
     def tau(self) -> float:
-        """The threshold that is used."""
+        """The threshold of the request if it has one, else that of the pipeline."""
         return self.pipeline_tau if self.asked_tau is None else self.asked_tau
 
 

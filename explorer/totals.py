@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from kinedex.explorer.archive import Archive
 
 BINS = 24
-"""Bins of the histogram of a column of numbers."""
+"""Number of bins of the histogram of a numeric column."""
 
 Rows = Annotated[int, Field(ge=1, le=2000)]
 

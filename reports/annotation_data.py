@@ -60,7 +60,7 @@ def read_report_data(
     own_stage: str | None = None,
     curves_take: str | None = None,
 ) -> ReportData:
-    """Read the content of a report.
+    """Read the content of an annotation report.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ class Reader:
         return tuple(rows)
 
     def record(self, role: str) -> StageRow | None:
-        """Return the record of the stage of a role."""
+        """Return the record of the stage that is the input of a role; None if there is none."""
         return next((record for record in self.records() if record.stage == self._inputs.get(role)), None)
 
 

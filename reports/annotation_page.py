@@ -75,7 +75,7 @@ def annotation_page(
     motions: Motions | None = None,
     near: Mapping[Key, int] | None = None,
 ) -> str:
-    """Render the page.
+    """Render the page about an annotation.
 
     Parameters
     ----------

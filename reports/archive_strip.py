@@ -69,7 +69,7 @@ class ArchiveStrip:
 
 
 def archive_strip(takes: Sequence[TakeRow], segments: Sequence[Segment], slots: Mapping[str, int]) -> ArchiveStrip:
-    """Lay out the archive.
+    """Lay out an archive on one time axis.
 
     Parameters
     ----------

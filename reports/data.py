@@ -40,7 +40,7 @@ class TakeRow:
 
     @property
     def seconds(self) -> float:
-        """Return the length of the take."""
+        """Return the duration of the take in seconds."""
         return self.frames / self.rate_hz
 
 

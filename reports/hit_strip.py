@@ -15,7 +15,7 @@ from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT
 from kinedex.storage.disk import whole_file
 
 FRAMES = 6
-"""Frames of a row."""
+"""Number of frames, each a stick figure, in a row."""
 
 _PAPER, _GROUND, _TEXT, _FAINT = "#ffffff", "#9a8f80", "#222222", "#777777"
 _FINE, _CELL, _HEIGHT, _HEAD, _LINE, _EDGE = 2, 130, 150, 66, 24, 20

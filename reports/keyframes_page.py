@@ -99,7 +99,7 @@ def keyframes_page(
     learner: Learner = "genetic",
     remarks: Sequence[str] = (),
 ) -> str:
-    """Render the page.
+    """Render the page about learned keyframe queries.
 
     Parameters
     ----------

@@ -30,10 +30,10 @@ from kinedex.storage.store.store import Store
 F64 = npt.NDArray[np.float64]
 
 BINS = 240
-"""Columns of a strip of costs."""
+"""Number of columns of a strip of costs."""
 
 MOST_COST_M = 0.15
-"""The cost that fills a strip."""
+"""The cost, in metres, at the top of a strip."""
 
 LENDERS = 8
 """Most takes of the archive in the table of those that poses are from."""

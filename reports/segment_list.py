@@ -32,7 +32,7 @@ Key = tuple[str, str, int, int]
 
 @dataclass(frozen=True)
 class SegmentList:
-    """Segments of the page.
+    """The segments that the page lists.
 
     Attributes
     ----------

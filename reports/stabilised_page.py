@@ -28,13 +28,13 @@ from kinedex.storage.store.store import Store
 F64 = npt.NDArray[np.float64]
 
 BINS = 240
-"""Columns of a strip of trust."""
+"""Number of columns of a strip that shows the share of trusted keypoints."""
 
 BAD_CAMERA = 3.0
 """A camera whose median residual is so many times that of the others is marked."""
 
 MOVED = 8
-"""Joints of the table of moved joints."""
+"""Number of joints in the table of the most moved ones."""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ FEWEST, MOST = 2, 40
 NONE = "other"
 """The group of takes without a value."""
 
-_SHARE = 0.5  # of the takes that must have a value
+_SHARE = 0.5  # least share of takes that have a value
 _OWN = ("class", "clip")  # columns that name the content or count takes
 _EMPTY = (None, "")
 

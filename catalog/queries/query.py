@@ -346,7 +346,7 @@ class _WrittenInPython(Located):
 
 
 def _gap(gap: str | Mapping[str, Any] | tuple[int, int | None]) -> str | Mapping[str, Any]:
-    """Return a gap as a query file would hold it."""
+    """Convert a gap to the form that query files use."""
     return {"range": list(gap)} if isinstance(gap, tuple) else gap
 
 

@@ -40,7 +40,7 @@ class LimbSource:
 
 
 class LimbEntry(BaseModel):
-    """An entry of `limbs` of a mapping file."""
+    """An entry of `limbs` in a mapping file."""
 
     model_config = ConfigDict(extra="forbid")
     node: str | None = None

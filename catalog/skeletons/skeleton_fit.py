@@ -75,7 +75,7 @@ _MOST_KEPT = 64
 
 @dataclass(frozen=True)
 class SkeletonMapping:
-    """One mapping file.
+    """The content of a mapping file.
 
     Attributes
     ----------
@@ -183,7 +183,7 @@ class SkeletonMapping:
         return Fit(self, places, found, missing, instead)
 
     def apply(self, source: str | Path, nodes: Mapping[str, int], positions: F64, joints: tuple[str, ...]) -> F64:
-        """Pick and build the named joints.
+        """Compute the positions of the named joints from those of the nodes.
 
         Parameters
         ----------
@@ -225,7 +225,7 @@ def axes_of_up(up: str, mirrored: bool = False) -> F64:
 
 @dataclass(frozen=True)
 class Fit:
-    """A mapping laid over one skeleton.
+    """A mapping applied to one skeleton, or set of points or markers.
 
     Attributes
     ----------

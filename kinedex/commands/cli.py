@@ -20,7 +20,7 @@ def main() -> None:
     if sys.argv[1:2] and sys.argv[1] in COMMANDS and COMMANDS[sys.argv[1]].panel in (ASK, SEARCH):
         put_off_collection()
     try:
-        app(prog_name="kinedex")  # whichever file started it
+        app(prog_name="kinedex")  # the same name in usage messages, whichever file was started
     except SystemExit as end:
         _leave_a_running_statement(end.code)
         raise

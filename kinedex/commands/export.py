@@ -175,7 +175,7 @@ def _export_take(store: Store, take: str, how: How, output: str | None, as_json:
     from kinedex.storage.formats.labels.file_names import file_names
 
     form = form_named(how.form)
-    # a take may be named as no file can be
+    # the name of a take may be no valid file name
     (name,) = file_names([Path(take).name])
     files = export_take(store, take, how, Path(output or f"{name}.{form.endings[0]}"))
     if as_json:

@@ -97,7 +97,7 @@ class Pages:
             self.amounts.append(write_template_page(store, one, delta, self.html, self.figures))
 
     def write_takes(self, store: Store, takes: pa.Table, group: str | None) -> None:
-        """Write a wall of takes."""
+        """Write the page on which all takes move as small figures."""
         if self.html is not None:
             from kinedex.reports.motion_pages.takes import write_takes_page
 

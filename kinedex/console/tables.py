@@ -37,7 +37,7 @@ _LINES = {b"lines": b"yes"}
 FEW_ROWS, MANY_COLUMNS = 5, 7
 """Tables with more rows and at least as many columns show only the most important columns if rows would be tall."""
 
-_TRIED = 200  # number of rows that the choice looks at
+_TRIED = 200  # number of rows by which the layout is chosen
 
 _HEAD, _FOOT = 2, 2
 """Lines above the rule of a table whose headings have one line each; the rule and the empty line at the end."""
@@ -52,7 +52,7 @@ _TALL_FIRST = 12
 """Least width of the names in a table whose headings have several lines."""
 
 _STYLES = {"plain": "", "main": "bold", "better": "green", "worse": "red", "doubtful": "yellow"}
-"""The look of each tone."""
+"""The rich style of each tone of a line or cell."""
 
 _LEAST = 3
 """Least number of columns of a table; if fewer fit, each row is printed as a block."""

@@ -158,7 +158,7 @@ class _LoadedWords:
         return {place: take.known for place, take in enumerate(self.takes) if take.known != ALL_KNOWN}
 
     def every_word(self) -> list[Any]:
-        """Return the words of all takes."""
+        """Return the words of each take."""
         return [take.words() for take in self.takes if take.known == ALL_KNOWN] or [take.words() for take in self.takes]
 
 

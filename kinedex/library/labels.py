@@ -49,7 +49,7 @@ class Labels:
         return int(self._stored.labels().num_rows)
 
     def table(self, where: str | None = None, *, history: bool = False) -> pl.DataFrame:
-        """Return labels as rows.
+        """Return labels as a data frame, one row per label.
 
         Parameters
         ----------
@@ -224,7 +224,7 @@ class Labels:
     def accept(
         self, annotations: pl.DataFrame, *, annotator: str | None = None, note: str | None = None
     ) -> pl.DataFrame:
-        """Make annotations labels.
+        """Record annotations as accepted labels.
 
         Parameters
         ----------
@@ -254,7 +254,7 @@ class Labels:
     def reject(
         self, annotations: pl.DataFrame, *, annotator: str | None = None, note: str | None = None
     ) -> pl.DataFrame:
-        """Make annotations negative labels: examples of what their class is not.
+        """Record annotations as negative labels: examples that do not show the class.
 
         Parameters
         ----------

@@ -102,6 +102,6 @@ def _check_intervals(store: Store, intervals: pl.DataFrame) -> None:
     frames = dict(store.takes().select("name", "frames").iter_rows())
     for take, start, stop in intervals.select("take", "start", "stop").iter_rows():
         if take not in store:
-            store[take]  # raises with the nearest name
+            store[take]  # raises an error with the nearest name
         if not 0 <= start < stop <= frames[take]:
             raise KinedexError(f"{take}: frames {start} to {stop} are no interval of its {frames[take]} frames")

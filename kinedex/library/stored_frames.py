@@ -16,7 +16,7 @@ class StoredFrames:
         self._start, self._stop = start, stop
 
     def frames(self) -> Frames:
-        """Read all columns."""
+        """Read positions, orientation and words."""
         return stored_frames(self._stored, self._name, self._start, self._stop)
 
     def words(self) -> U64:

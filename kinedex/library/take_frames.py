@@ -36,7 +36,7 @@ class FrameSource(Protocol):
 
 
 class LoadedFrames:
-    """Frames that are in memory."""
+    """A source of frames that are already in memory."""
 
     def __init__(self, frames: Frames) -> None:
         self._frames = frames

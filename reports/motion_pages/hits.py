@@ -179,7 +179,7 @@ def template_examples(store: Store, names: Sequence[str], kind: str, stage: str 
     try:
         known = stored_templates(store, stage)
     except KinedexError:
-        return Examples({})  # all templates are of files
+        return Examples({})  # no template was learned: all come from files
     chosen = [each.one for each in known if each.one.subclass in names and each.one.kind == kind]
     return Examples({one.subclass: clips_of(store, one) for one in chosen})
 

@@ -61,7 +61,7 @@ class Group:
 
 @dataclass(frozen=True)
 class MotionPage:
-    """The content of a page.
+    """The content of a page of moving figures.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class MotionPage:
 
     @property
     def total(self) -> int:
-        """Number of all that could be shown."""
+        """Number of clips of all groups, shown or not."""
         return sum(group.total for group in self.groups)
 
     @property
@@ -129,7 +129,7 @@ def grouped(clips: Sequence[Clip], name_of: Callable[[Clip], str], most: int) ->
 
 
 def write_motion_page(store: Store, page: MotionPage, path: Path, examples: Examples | None = None) -> None:
-    """Write a page.
+    """Write a page of moving figures.
 
     Parameters
     ----------
