@@ -119,7 +119,7 @@ class Events:
 
 
 class _Known:
-    """What a listener was last told about the store: that it can be read, or why not; nothing at first."""
+    """The state of the store as last sent to a listener: that it can be read, or why not; nothing at first."""
 
     def __init__(self, look: Callable[[], Mapping[str, object]]) -> None:
         self._look = look

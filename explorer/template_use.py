@@ -1,4 +1,4 @@
-"""How a pipeline uses the templates that one of its stages has learned: classes, δ, τ, evaluation."""
+"""Find how a pipeline uses the templates that one of its stages has learned: classes, δ, τ, evaluation."""
 
 from __future__ import annotations
 
