@@ -1,1 +1,1 @@
-"""The matter: file formats, Arrow schemas, Parquet parts, the manifest, the DuckDB index."""
+"""Read and write the data: file formats, Arrow schemas, Parquet parts, the manifest and the DuckDB index."""

@@ -1,4 +1,4 @@
-"""Ctrl-C during a statement of DuckDB."""
+"""Handle Ctrl-C while DuckDB runs a statement."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _DUCKDBS_MESSAGE = "Query interrupted"
 
 @contextmanager
 def ctrl_c_in_statements() -> Iterator[None]:
-    """Raise KeyboardInterrupt where Ctrl-C stops a statement of the main thread: DuckDB raises RuntimeError."""
+    """Raise KeyboardInterrupt in place of the RuntimeError by which DuckDB reports Ctrl-C in the main thread."""
     try:
         yield
     except RuntimeError as fault:

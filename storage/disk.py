@@ -1,4 +1,4 @@
-"""Durable writes: flushed files and folders, and clear errors where the disk is full or refuses."""
+"""Write files durably: flush files and folders to disk, and report a full disk or a refused write clearly."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ TEMPORARY = ".tmp-"
 _ATTEMPTS = 5
 
 _BLOCK = 1 << 18
-"""Bytes that are read at a time to compute checksums; they stay in the cache of a core."""
+"""The number of bytes read at a time to compute checksums; they fit into the cache of a core."""
 
 
 class WriteError(StoreError):
-    """The disk is full, or the operating system refuses to write; what is asked for can work later as it is."""
+    """The disk is full or the operating system refuses to write; the same call can succeed later."""
 
 
 @contextmanager
 def write_errors(path: Path) -> Iterator[None]:
-    """Turn an error of the operating system while a file of the store is written into a WriteError with the way out.
+    """Turn an operating system's error on writing a file of the store into a WriteError that states a remedy.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def write_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as fault:
-        # pyarrow puts its own words around the reason, but keeps the number
+        # pyarrow wraps the reason in its own words, but keeps the error number
         reason = os.strerror(fault.errno) if fault.errno else str(fault).splitlines()[0]
         way_out = (
             "free some space (`kinedex gc STORE` removes what only old versions of the store need)"
@@ -68,8 +68,8 @@ def whole_file(path: Path) -> Iterator[Path]:
     Yields
     ------
     Path
-        A path beside it to write to. The file takes its content where the block ends, and stays as it was where the
-        block fails.
+        A temporary path in the same folder to write to. It replaces the file when the block ends; if the block raises,
+        the file stays as it was.
     """
     temporary = path.with_name(f"{TEMPORARY}{uuid.uuid4().hex}")
     try:
@@ -80,10 +80,10 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def replace_file(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file of a store, whole or not at all, while nobody else is kept from writing the store.
+    """Write a file of a store atomically, without holding the store's write lock.
 
-    Garbage collection cannot tell an unfinished file that is being written from one of a killed run. Where it removes
-    that file, the function is called again.
+    Garbage collection cannot tell a temporary file that is being written from one that a killed run left behind. If it
+    removes the temporary file, `write` is called again.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def replace_file(path: Path, write: Callable[[Path], object]) -> None:
 
 
 class FileSums(NamedTuple):
-    """The size of a file in bytes and its checksums: SHA-256, and XXH3 with 128 bits, which readers check."""
+    """The size of a file in bytes and its checksums: SHA-256, and XXH3 with 128 bits, which readers verify."""
 
     bytes: int
     sha256: str
@@ -125,7 +125,7 @@ def sync_file(path: Path) -> FileSums:
 def xxh3_of(path: Path) -> tuple[str, os.stat_result]:
     """Return the XXH3 of a file, and the status that it had when it was opened."""
     xxh3 = xxhash.xxh3_128()
-    # not mapped into memory: a fault of the disk would end the process there
+    # read, not mapped into memory: a disk error in mapped memory would kill the process
     with open(path, "rb", buffering=0) as file:
         status = os.fstat(file.fileno())
         block = memoryview(bytearray(min(_BLOCK, max(1, status.st_size))))
@@ -135,7 +135,7 @@ def xxh3_of(path: Path) -> tuple[str, os.stat_result]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Flush a folder's entries to disk, so that a rename in it outlives a power cut; Windows has no such call."""
+    """Flush a folder's entries to disk, so that a rename in it survives a power cut; a no-op on Windows."""
     if os.name == "nt":
         return
     descriptor = os.open(folder, os.O_RDONLY)

@@ -1,4 +1,4 @@
-"""DuckDB: connections as this project sets them up, SQL text for Arrow schemas and Parquet files, error messages."""
+"""Open DuckDB connections with this project's settings, and build SQL text for Arrow schemas and Parquet files."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ Parameters = Sequence[Any] | dict[str, Any] | None
 def connect(threads: int | None = None, memory_mb: int | None = None) -> Connection:
     """Open an in-memory connection that uses no network and spills to the system's temporary folder.
 
-    A name in a query is the name of a table, never of a Python variable.
+    Names in a query are resolved to tables only, never to Python variables.
 
     Parameters
     ----------
     threads : int, optional
-        Most threads that DuckDB uses; DuckDB decides without it.
+        Largest number of threads; by default DuckDB decides.
     memory_mb : int, optional
-        Most memory that DuckDB uses, in MB; DuckDB decides without it.
+        Largest memory in MB; by default DuckDB decides.
     """
     connection = duckdb.connect(":memory:")
     # a GLOBAL setting holds for the cursors of this connection, too
@@ -50,7 +50,7 @@ def connect(threads: int | None = None, memory_mb: int | None = None) -> Connect
 
 
 def _hide_progress(connection: Connection) -> None:
-    # in a notebook without ipywidgets DuckDB draws no progress bar, and cannot switch it off either
+    # in a notebook without ipywidgets DuckDB has no progress bar, and raises an error on switching it off
     with suppress(duckdb.InvalidInputException):
         connection.execute("SET enable_progress_bar = false")
 
@@ -61,8 +61,8 @@ def lock_settings(connection: Connection) -> None:
 
 
 def allow_only(connection: Connection, places: Iterable[Path]) -> None:
-    """Take a connection's right to all files but those in some folders; what is attached stays open."""
-    # a path in a scan is escaped, and DuckDB compares it as it is written
+    """Restrict a connection to the files in some folders; databases that are attached already stay open."""
+    # DuckDB escapes the path in a scan, and compares it as text
     paths = [str(place.absolute()) for place in places]
     folders = ", ".join(quote(path) for path in dict.fromkeys([*paths, *map(glob.escape, paths)]))
     connection.execute(f"SET allowed_directories = [{folders}]")
@@ -120,7 +120,7 @@ class ResultScan:
     width : int
         The number of their columns, which are the first ones of the schema; the others are null.
     origin : dict of str to str or None
-        Columns that have one value in all of these parts, and are not in them; they replace stored ones of their names.
+        Column → the one value that it has in all rows of these parts; it replaces a stored column of the same name.
     """
 
     files: tuple[Path, ...]
@@ -136,7 +136,7 @@ def result_rows(schema: pa.Schema, origin: Sequence[str], scans: Sequence[Result
     schema : pyarrow.Schema
         Columns of the parts; without any part the SELECT is an empty relation of these and the columns of `origin`.
     origin : sequence of str
-        Names of the columns of texts that follow them.
+        Names of the text columns that follow those of the schema.
     scans : sequence of ResultScan
         The parts.
     """
@@ -147,7 +147,7 @@ def result_rows(schema: pa.Schema, origin: Sequence[str], scans: Sequence[Result
     branches = []
     for scan in scans:
         held = frozenset(schema.names[: scan.width])
-        # every column stands with its table: a bare name could be taken for an argument of a macro
+        # every column is qualified by its table: a bare name could be taken for an argument of a macro
         columns = [
             f"part.{identifier(field.name)}" if field.name in held else null_columns([field])[0] for field in stored
         ]
@@ -185,7 +185,7 @@ def parquet_rows(schema: pa.Schema, files: Sequence[tuple[Path, Sequence[int]]])
 
 
 def _read_parquet(files: Sequence[Path]) -> str:
-    """Return the scan of exactly these files: no path is read as a pattern, a home folder, or a partition's key."""
+    """Return a scan of exactly these files: no path is read as a glob, a home folder or a partition key."""
     paths = ", ".join(quote(glob.escape(str(file.absolute()))) for file in files)
     return f"read_parquet([{paths}], hive_partitioning = false)"
 
@@ -226,7 +226,7 @@ def rows_where(table: pa.Table, name: str, condition: str) -> pa.Table:
             raise duckdb.ParserException("more than one statement")
         return run_bounded(connection, lambda: connection.sql(text).to_arrow_table())
     except (duckdb.FatalException, duckdb.InternalException):
-        _closed_database.cache_clear()  # after such an error DuckDB refuses all that follows
+        _closed_database.cache_clear()  # after such an error DuckDB refuses every further statement
         raise
     finally:
         if not is_abandoned(connection):
@@ -235,14 +235,14 @@ def rows_where(table: pa.Table, name: str, condition: str) -> pa.Table:
 
 @cache
 def _closed_database(_process: int) -> Connection:
-    """Open a database for conditions that reads no files; a process keeps it, since opening one takes 15 ms."""
+    """Open an in-memory database without file access, once for each process, since opening one takes 15 ms."""
     connection = connect(threads=1)
     connection.execute("SET enable_external_access = false")
     return connection
 
 
 def message(fault: duckdb.Error) -> str:
-    """Return DuckDB's message without the class of error in front."""
+    """Return DuckDB's message without the name of the error's class in front."""
     return re.sub(r"^(Invalid Input|\w+) Error: ", "", str(fault).strip(), count=1)
 
 

@@ -1,1 +1,1 @@
-"""File formats that kinedex reads and writes, by what they hold."""
+"""Read and write the file formats of motion, labels, cameras, depth frames and inertial sensors."""

@@ -1,8 +1,8 @@
-"""CSV files that people save: of Excel in any language, of LibreOffice, of scripts.
+"""Read CSV files as Excel in any language, LibreOffice and scripts save them.
 
-The separator is a comma, a semicolon or a tab, whichever the header has; Excel's "sep=;" in the first line counts.
-The text is UTF-8, with or without a byte order mark, UTF-16 with one, or Windows-1252, in which Excel writes "CSV".
-With a separator other than the comma, a comma can divide a number from its decimals.
+The separator is a comma, a semicolon or a tab, by the header, or by Excel's "sep=;" in the first line.
+The text is UTF-8, with or without a byte order mark, UTF-16 with one, or Windows-1252, the encoding of Excel's "CSV".
+With a separator other than the comma, the decimal sign can be a comma.
 """
 
 from __future__ import annotations
@@ -66,12 +66,12 @@ class CsvTable:
 
     @classmethod
     def of(cls, path: str | Path, data: bytes) -> CsvTable:
-        """Begin to read the bytes of a CSV file.
+        """Open the bytes of a CSV file, and read its header.
 
         Raises
         ------
         SourceError
-            The bytes are no text, or no CSV.
+            The bytes are not text, or not CSV.
         """
         text = decoded(path, data)
         first, _, rest = text.partition("\n")
@@ -83,13 +83,13 @@ class CsvTable:
         table = cls(str(path), [], separator, reader, before)
         header = next((cells for _, cells in table._rows() if any(cells)), [])
         while header and not header[-1]:
-            header.pop()  # Excel ends lines with separators where a column was emptied
+            header.pop()  # Excel ends lines with separators after a column was emptied
         table.header = header
         return table
 
     @property
     def decimal_comma(self) -> bool:
-        """True if a comma can divide a number from its decimals."""
+        """True if a comma can be the decimal sign."""
         return self.separator != ","
 
     def rows(self, *, strict: bool = False) -> Iterator[tuple[int, dict[str, str]]]:
@@ -98,12 +98,12 @@ class CsvTable:
         Parameters
         ----------
         strict : bool
-            Refuse rows with more cells than the header; by default the further cells are ignored.
+            Raise an error for rows with more cells than the header; by default the extra cells are ignored.
 
         Raises
         ------
         SourceError
-            The file is no CSV, or a row is refused.
+            The file is not CSV, or `strict` is set and a row is too long.
         """
         width = len(self.header)
         for line, cells in self._rows():
@@ -114,7 +114,7 @@ class CsvTable:
                 yield line, dict(zip(self.header, cells, strict=False))
 
     def number(self, text: str) -> str:
-        """Return the text of a number with a decimal point, where it has a decimal comma; else the text."""
+        """Return a number's text with its decimal comma replaced by a point; any other text unchanged."""
         found = _DECIMAL_COMMA.fullmatch(text) if self.decimal_comma else None
         return f"{found[1]}.{found[2]}" if found else text
 
@@ -128,7 +128,7 @@ class CsvTable:
 
 
 def _separator(text: str) -> str:
-    """Return the separator that the first line with text has most of, outside of quotes."""
+    """Return the separator that is most frequent in the first non-empty line, outside quotes."""
     header = next((line for line in io.StringIO(text) if line.strip()), "")
     bare = _QUOTED.sub("", header)
     return max(SEPARATORS, key=lambda one: (bare.count(one), -SEPARATORS.index(one)))

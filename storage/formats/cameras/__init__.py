@@ -1,1 +1,1 @@
-"""Files of camera recordings: calibrations, keypoints, masks, and the file that names them."""
+"""Read files of camera recordings: calibrations, keypoints, masks, and the file that lists them."""

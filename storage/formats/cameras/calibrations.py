@@ -1,7 +1,7 @@
-"""Calibrations of cameras: OpenCV, EasyMocap, TOML of AniPose and Pose2Sim, JSON of CMU Panoptic.
+"""Read calibrations of cameras: OpenCV, EasyMocap, TOML of AniPose and Pose2Sim, JSON of CMU Panoptic.
 
-Whatever the file, a camera is x_camera = R · X + t. Lengths and axes are those of the file until `in_metres` turns the
-world to metres with Y up.
+In every format, x_camera = R · X + t. Lengths and axes are the file's until `in_metres` converts the world to metres
+with Y up.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from kinedex.storage.formats.small_files import read_bytes
 F64 = npt.NDArray[np.float64]
 
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
-"""Units of length of calibrations, and the metres of one."""
+"""Unit of length → its size in metres."""
 
 _TURNS = {
     "y": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
@@ -47,10 +47,10 @@ UP_AXES = tuple(_TURNS)
 """Axes that can point up."""
 
 _MOST_BYTES = {".json": 16 << 20}
-_FEWEST_BYTES = 1 << 20  # of YAML and TOML, which people can read
+_FEWEST_BYTES = 1 << 20  # bytes; the limit for YAML and TOML, which are small
 
 ENDINGS = (".yaml", ".yml", ".json", ".toml")
-"""Endings of calibrations."""
+"""File endings of calibrations."""
 
 
 def read_calibration(path: str | Path, size: tuple[int, int] | None = None) -> Calibration:
@@ -66,7 +66,7 @@ def read_calibration(path: str | Path, size: tuple[int, int] | None = None) -> C
     Returns
     -------
     Calibration
-        The cameras in the file's unit and axes; a file of a single camera names it by its own name.
+        The cameras in the file's unit and axes; a camera at the top level gets the file's name.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def read_calibration(path: str | Path, size: tuple[int, int] | None = None) -> C
 
 
 def calibration_files(path: Path) -> tuple[Path, ...]:
-    """Return the files of a calibration that one of them names: two of EasyMocap, one of every other kind."""
+    """Return all files of the calibration that a path belongs to: two for EasyMocap, one otherwise."""
     other = other_file(path)
     return (path,) if other is None or not other.is_file() else (path, other)
 
@@ -119,7 +119,7 @@ def _load(path: Path) -> Located:
 
 
 def _without_lenses(file: Located) -> bool:
-    """Return whether a file of EasyMocap has no camera matrix, which is the one with the places."""
+    """Return True if an EasyMocap file has no camera matrix, so that it holds the cameras' poses."""
     return not any(str(key).startswith("K_") for key in file.mapping())
 
 
@@ -161,7 +161,7 @@ def up_turn(up: str) -> F64:
 
 
 def _mappings(content: Mapping[Any, Any]) -> dict[str, Mapping[str, Any]]:
-    """Return the sections with a camera matrix; others, such as `metadata`, are none of a camera."""
+    """Return the sections that have a camera matrix; others, such as `metadata`, describe no camera."""
     return {
         str(name): values
         for name, values in content.items()
@@ -175,7 +175,7 @@ def _sections(
     places: Mapping[str, tuple[str | int, ...]],
     size: tuple[int, int] | None,
 ) -> Calibration:
-    """Return the cameras of a file of OpenCV, in which programs name units and axes nowhere."""
+    """Return the cameras of an OpenCV file, which states neither unit nor up axis."""
     if not entries:
         raise located.error(
             "expected cameras, each with `camera_matrix`, `dist_coeffs`, `rvec` or `R`, and `tvec` or `T`"
@@ -225,7 +225,7 @@ def _load_toml(path: Path) -> Located:
 
 
 def _toml_lines(lines: Iterable[str]) -> dict[tuple[str | int, ...], int]:
-    """Return the lines of sections and keys as people write them; other ways to write them have no line."""
+    """Return the line numbers of sections and keys in the usual TOML notation; other notations get none."""
     found: dict[tuple[str | int, ...], int] = {}
     section: tuple[str | int, ...] = ()
     for number, line in enumerate(lines, 1):
@@ -238,7 +238,7 @@ def _toml_lines(lines: Iterable[str]) -> dict[tuple[str | int, ...], int]:
 
 
 def _load_opencv_yaml(path: Path) -> Located:
-    """Return a YAML file; the first line of OpenCV, %YAML:1.0, is none of YAML and becomes an empty one."""
+    """Load a YAML file of OpenCV; its first line, %YAML:1.0, is not valid YAML and is replaced by an empty line."""
     text = _text(path)
     if text.startswith("%YAML:1.0"):
         _, end, rest = text.partition("\n")

@@ -1,4 +1,4 @@
-"""Values of a calibration file, checked and made into a camera, whatever the format."""
+"""Check the values of a section of a calibration file and make a camera of them, whatever the format."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from kinedex.ops.errors import ParameterError, did_you_mean
 F64 = npt.NDArray[np.float64]
 
 MOST_CAMERAS = 1000
-"""Most cameras of a calibration."""
+"""The largest number of cameras in a calibration."""
 
 KEYS = {
     "matrix": ("matrix", "camera_matrix", "cameraMatrix", "intrinsic_matrix", "intrinsics", "K"),
@@ -31,7 +31,7 @@ KEYS = {
     "centre": ("centre", "center"),
     "size": ("size", "image_size", "resolution", "imageSize", "img_size"),
 }  # fmt: skip
-"""Attribute of a camera → the keys that programs write it under."""
+"""Attribute of a camera → the keys under which programs write it."""
 
 _MOST_NUMBERS = 64
 _NO_POINT = re.compile(r"[-+]?[0-9]{1,18}[eE][-+]?[0-9]{1,2}")
@@ -55,7 +55,7 @@ class Calibration:
     up : str
         The axis of its world that points up, as "z" or "-y"; empty where the kind does not determine it.
     labels : mapping of str to str
-        Further names of cameras, as a `name` inside of a section → the camera's name.
+        Other names of cameras, such as a `name` inside a section → the camera's name.
     """
 
     path: str
@@ -67,7 +67,7 @@ class Calibration:
 
 
 def value_of(values: Mapping[str, Any], attribute: str) -> str:
-    """Return the key that an attribute of a camera stands under; empty where there is none."""
+    """Return the key under which a section has an attribute of a camera; empty if it has none."""
     return next((key for key in KEYS[attribute] if key in values), "")
 
 
@@ -111,7 +111,7 @@ def camera_of(
 
 
 def numbers_of(value: object) -> F64 | None:
-    """Return numbers in lists of lists, or in a matrix of OpenCV, one after the other; None for anything else."""
+    """Return the numbers of nested lists or of an OpenCV matrix as a flat array; None for anything else."""
     if isinstance(value, Mapping) and "data" in value:
         rows, columns, data = value.get("rows"), value.get("cols"), numbers_of(value["data"])
         if data is None or not isinstance(rows, int | float) or not isinstance(columns, int | float):
@@ -121,7 +121,7 @@ def numbers_of(value: object) -> F64 | None:
     waiting: list[object] = [value]
     while waiting:
         one = waiting.pop()
-        if isinstance(one, str) and _NO_POINT.fullmatch(one):  # YAML 1.1 takes 1e-05 for a text
+        if isinstance(one, str) and _NO_POINT.fullmatch(one):  # YAML 1.1 reads 1e-05 as text
             one = float(one)
         if isinstance(one, list):
             if len(flat) + len(waiting) + len(one) > _MOST_NUMBERS:
@@ -137,7 +137,7 @@ def numbers_of(value: object) -> F64 | None:
 def _read(
     located: Located, at: tuple[str | int, ...], values: Mapping[str, Any], attribute: str, counts: tuple[int, ...]
 ) -> F64:
-    """Return the numbers of an attribute, of which there must be one of `counts`."""
+    """Return the numbers of an attribute, whose count must be one of `counts`."""
     key = value_of(values, attribute)
     if not key:
         near = did_you_mean(attribute, [str(name) for name in values])
@@ -152,7 +152,7 @@ def _read(
 
 
 def _rotation(located: Located, at: tuple[str | int, ...], values: Mapping[str, Any]) -> F64:
-    """Return the nearest rotation to a matrix, or that of a Rodrigues vector."""
+    """Return the rotation nearest to a 3 × 3 matrix, or that of a Rodrigues vector."""
     numbers = _read(located, at, values, "rotation", (3, 9))
     if len(numbers) == 3:
         if np.abs(numbers).max() > 100:
@@ -170,7 +170,7 @@ def _rotation(located: Located, at: tuple[str | int, ...], values: Mapping[str, 
 
 
 def _distortion(located: Located, at: tuple[str | int, ...], values: Mapping[str, Any]) -> F64:
-    """Return the distortion; zeros at the end, of models with more numbers, are dropped."""
+    """Return the distortion coefficients without the trailing zeros of longer models."""
     key = value_of(values, "distortion")
     if not key or values[key] is None:
         return np.zeros(0)
@@ -192,7 +192,7 @@ def _distortion(located: Located, at: tuple[str | int, ...], values: Mapping[str
 def _size(
     located: Located, at: tuple[str | int, ...], values: Mapping[str, Any], size: tuple[int, int] | None
 ) -> tuple[int, int]:
-    """Return width and height in pixels."""
+    """Return width and height of the images in pixels."""
     key = value_of(values, "size")
     if key:
         numbers = numbers_of(values[key])
@@ -230,7 +230,7 @@ def _refuse_other_lenses(located: Located, at: tuple[str | int, ...], values: Ma
 
 
 def refuse_names(located: Located, names: list[str]) -> None:
-    """Refuse no cameras or too many, two cameras of one name, and names that are none."""
+    """Raise an error unless there are 1 to `MOST_CAMERAS` cameras with printable names that all differ."""
     if not 1 <= len(names) <= MOST_CAMERAS:
         raise located.error(f"expected 1 to {MOST_CAMERAS} cameras, found {len(names)}")
     seen: set[str] = set()

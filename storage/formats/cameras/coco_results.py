@@ -1,4 +1,4 @@
-"""Keypoints in JSON of COCO's results: one file for each camera, a list of persons with the image they are in."""
+"""Read keypoints in the JSON of COCO results: a file for each camera, a list of persons with their image's id."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from kinedex.storage.formats.cameras.openpose import keypoint_rows, person_id
 from kinedex.storage.formats.cameras.persons import Person, SeenPersons, refuse_crowds
 from kinedex.storage.formats.motion.keypoint_frames import load_json
 
-_IDS = ("person_id", "track_id", "instance_id", "idx")  # `id` numbers the entries, and follows nobody
+_IDS = ("person_id", "track_id", "instance_id", "idx")  # `id` numbers the entries, it tracks no person
 _MOST_ENTRIES = 2_000_000
 
 
 def read_coco_results(path: Path) -> SeenPersons:
     """Read the persons of one camera.
 
-    The frame is `image_id`, a number or the name of an image with one. Visibilities 0, 1 and 2 are confidences 0, 1, 1.
+    The frame is `image_id`, a number or the name of an image with one. Visibilities 0, 1 and 2 become confidences 0, 1
+    and 1.
 
     Raises
     ------
     SourceError
-        The file is no list of results; the message names the entry.
+        The file is not a list of results; the message names the entry.
     """
     content = load_json(path)
     if isinstance(content, Mapping) and isinstance(content.get("annotations"), list):

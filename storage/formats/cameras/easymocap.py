@@ -1,4 +1,4 @@
-"""Calibrations of EasyMocap: `intri.yml` and `extri.yml`, whose keys end with the name of a camera, as `K_01`."""
+"""Read calibrations of EasyMocap: `intri.yml` and `extri.yml`, whose keys end with the name of a camera, as `K_01`."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from kinedex.ops.errors import ConfigError
 from kinedex.storage.formats.cameras.camera_values import Calibration, camera_of, numbers_of, refuse_names
 
 PREFIXES = {"K": ("K_",), "dist": ("dist_", "D_"), "R": ("R_", "Rot_"), "T": ("T_",)}
-"""Key of a camera → the beginnings that EasyMocap writes it with, before the camera's name."""
+"""Key of a camera → the prefixes that EasyMocap writes before the camera's name."""
 
 _FILES = ("intri", "extri")
 _ENDINGS = (".yml", ".yaml")
 
 
 def other_file(path: Path) -> Path | None:
-    """Return the file of EasyMocap that completes one: `extri.yml` beside `intri.yml`, and the other way round."""
+    """Return the other file of an EasyMocap pair: `extri.yml` for `intri.yml`, and the other way round."""
     if path.suffix.lower() in _ENDINGS:
         for one, other in (_FILES, _FILES[::-1]):
             if one in path.stem:
@@ -42,7 +42,7 @@ def easymocap_calibration(files: Sequence[Located], size: tuple[int, int] | None
     Parameters
     ----------
     files : sequence of Located
-        The file with the lenses and the one with the places, or one with both.
+        The file of intrinsics and that of poses, or one with both.
     size : tuple of (int, int), optional
         Width and height of the images in pixels, where the files have none.
 
@@ -67,7 +67,7 @@ def easymocap_calibration(files: Sequence[Located], size: tuple[int, int] | None
 
 @dataclass(frozen=True)
 class _Files(Located):
-    """The files together; an error names the one with the key, and the key as it stands there."""
+    """The files of a calibration as one; an error names the file that has the key, and the key as written in it."""
 
     files: tuple[Located, ...] = ()
     keys: Mapping[str, Mapping[str, str]] | None = None
@@ -91,7 +91,7 @@ def _names(files: Sequence[Located], content: Mapping[str, Any]) -> list[str]:
             "expected the lenses of cameras (`K_01`, `dist_01`, …) in intri.yml, beside extri.yml with `R_01` and "
             "`T_01`"
         )
-    if set(order) & set(found):  # numbers without quotes lose their zeros: then the list is passed over
+    if set(order) & set(found):  # unquoted names lose leading zeros in YAML: then the list is ignored
         missing = next((name for name in order if name not in found), None)
         if missing is not None:
             at = next(file for file in files if "names" in file.mapping())
@@ -102,7 +102,7 @@ def _names(files: Sequence[Located], content: Mapping[str, Any]) -> list[str]:
 
 
 def _key(files: Sequence[Located], content: Mapping[str, Any], key: str, name: str) -> str:
-    """Return the key of a camera's value as the files have it; empty for a distortion that is missing."""
+    """Return the key under which the files have a camera's value; empty for a missing distortion."""
     expected = [f"{beginning}{name}" for beginning in PREFIXES[key]]
     found = next((one for one in expected if one in content), "")
     if not found and key != "dist":

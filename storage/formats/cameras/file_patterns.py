@@ -1,7 +1,7 @@
-"""Files of cameras by a pattern, in which `{camera}` stands for a part of a name that differs between the cameras.
+"""Find files of cameras by a pattern, in which `{camera}` stands for the part of a name that differs by camera.
 
-`*` stands for any letters of a name and `?` for one; every other letter is itself. A relative pattern stays below the
-folder of the file that has it.
+`*` stands for any characters of a name and `?` for one; all others match themselves. A relative pattern cannot leave
+the folder of the file that states it.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from pathlib import Path
 from kinedex.ops.errors import SourceError
 
 CAMERA = "{camera}"
-"""The placeholder."""
+"""The placeholder for the part of a name that differs by camera."""
 
 MOST_FILES = 2_000_000
-"""Most files of a pattern."""
+"""The largest number of files that a pattern may match."""
 
 _DIGITS = re.compile(r"(\d+)")
 
@@ -45,7 +45,7 @@ class CameraFiles:
 
 
 def natural_key(text: str) -> tuple[tuple[int, str], ...]:
-    """Return a key that sorts numbers in names by their values: cam2 before cam10."""
+    """Return a sort key that compares numbers in names by value: cam2 before cam10."""
     parts = _DIGITS.split(text)
     keys = [(int(part[-18:]), part) if place % 2 else (0, part.casefold()) for place, part in enumerate(parts)]
     return (*keys, (0, text))
@@ -59,11 +59,11 @@ def find_files(folder: Path, pattern: str, endings: tuple[str, ...] = (), exclud
     folder : Path
         The folder that a relative pattern starts from.
     pattern : str
-        The pattern; where it ends with a folder, its files with one of `endings` are meant.
+        The pattern; if it names a folder, it matches the files in it with one of `endings`.
     endings : tuple of str, optional
         Endings of the files of a folder, as ".json".
     excluded : Path, optional
-        A file that is not meant, though the pattern may match it.
+        A file to leave out, although the pattern may match it.
 
     Raises
     ------
@@ -102,14 +102,14 @@ def match_cameras(
 ) -> tuple[dict[str, str], str]:
     """Return camera → what `{camera}` stands for in its files, and a note on how they were matched.
 
-    By name where any name agrees, else by natural order where there are as many of both.
+    They are matched by name if any name agrees, else by natural order if their numbers are equal.
 
     Parameters
     ----------
     path : Path
         The file with the pattern, for errors.
     what : str
-        The key of the pattern, for messages.
+        The key that states the pattern, for messages.
     names : iterable of str
         The cameras of the calibration.
     labels : mapping of str to str
@@ -154,7 +154,7 @@ def _path_key(path: Path) -> tuple[tuple[int, str], ...]:
 
 
 def _step(place: Path, camera: str | None, part: str) -> Iterable[tuple[Path, str | None]]:
-    """Yield what one name of the pattern matches in a folder, with what `{camera}` stands for so far."""
+    """Yield the entries of a folder that match one component of the pattern, with the value of `{camera}` so far."""
     plain = not set("*?") & set(part)
     if plain and (camera is not None or CAMERA not in part):
         literal = place / part.replace(CAMERA, camera or "")
@@ -174,7 +174,7 @@ def _inside(place: Path, camera: str | None, endings: tuple[str, ...]) -> Iterab
 
 
 def _names(place: Path) -> list[str]:
-    """Return the names in a folder but hidden ones; none of what is no folder."""
+    """Return the names in a folder without hidden ones; none if the path is not a folder."""
     try:
         return sorted(name for name in os.listdir(place) if not name.startswith("."))
     except (NotADirectoryError, FileNotFoundError):
@@ -184,7 +184,7 @@ def _names(place: Path) -> list[str]:
 
 
 def _expression(part: str, camera: str | None) -> re.Pattern[str]:
-    """Return the regular expression of one name of a pattern."""
+    """Return the regular expression for one component of a pattern."""
     text, known = "", camera is not None
     for piece in re.split(r"(\{camera\}|\*+|\?)", part):
         if piece == CAMERA:

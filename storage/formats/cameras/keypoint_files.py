@@ -1,4 +1,4 @@
-"""The keypoints of a recording: files of any form, one keypoint set, one person, arrays over time."""
+"""Read the keypoint files of a recording, in any format, into arrays over time for one person."""
 
 from __future__ import annotations
 
@@ -30,35 +30,35 @@ F64 = npt.NDArray[np.float64]
 TABLES = (".csv", ".parquet")
 
 _MOST_NUMBERS = 200_000_000
-_SAMPLE = 2000  # persons that decide between two keypoint sets
+_SAMPLE = 2000  # persons by which two keypoint sets are told apart
 
 
 @dataclass(frozen=True, eq=False)
 class KeypointArrays:
-    """Keypoints of the person who is tracked.
+    """Keypoints over time of the person who is tracked.
 
     Attributes
     ----------
     keypoint_set : KeypointSet
         Their set.
     names : tuple of str
-        P keypoints that have a place on the body.
+        Names of the P keypoints that have a position on the body.
     unused : tuple of str
         Those that have none, or that no camera has.
     pixels : float64 array (T, V, P, 2)
-        Places in the images; NaN where a keypoint is missing.
+        Positions in the images, in pixels; NaN where a keypoint is missing.
     confidence : float64 array (T, V, P)
         Confidence in [0, 1]; 0 where a keypoint is missing.
     first_frame : int
         The number of the first frame in the files.
     several : int
-        Images with several persons.
+        The number of images with several persons.
     empty : int
-        Images without a person.
+        The number of images without a person.
     without_confidence : int
-        Keypoints without a confidence, which count as 1.
+        The number of keypoints without a confidence; it is set to 1.
     above_one : int
-        Keypoints with a confidence above 1, which count as 1.
+        The number of keypoints with a confidence above 1; it is set to 1.
     """
 
     keypoint_set: KeypointSet
@@ -82,12 +82,12 @@ def read_keypoint_files(files: CameraFiles, recording: str) -> dict[str, SeenPer
         Files of OpenPose (one a frame), MMPose (one a camera or a frame), COCO results (one a camera), or tables (one a
         camera, or one for all).
     recording : str
-        The recording whose rows of a table count.
+        The recording whose rows of a table are read.
 
     Returns
     -------
     dict of str to SeenPersons
-        What `{camera}` stands for, or the camera of a table's rows → its persons.
+        Value of `{camera}`, or the camera of a table's rows → its persons.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def keypoint_arrays(
     person : str
         "largest", "most_confident", or an id.
     offsets : sequence of int
-        Frame k of the recording is frame k + offset of the camera.
+        For each camera the difference of frame numbers: frame k of the recording is the camera's frame k + offset.
 
     Raises
     ------
@@ -214,7 +214,7 @@ def _columns(seen: Sequence[SeenPersons], choice: KeypointSet | None) -> tuple[K
     if other_count is not None and other_count.path.suffix.lower() not in TABLES:
         raise SourceError(other_count.path, f"has {other_count.keypoints} keypoints, and other cameras {count}")
     if choice is not None:
-        table = seen[0].path.suffix.lower() in TABLES  # nobody may have seen the last keypoints
+        table = seen[0].path.suffix.lower() in TABLES  # the last keypoints may be missing in all persons
         if not (len(choice.order) == count or (table and count < len(choice.order))):
             raise SourceError(
                 seen[0].path, f"has {count} keypoints of a person, and the set '{choice.name}' {len(choice.order)}"
@@ -241,7 +241,7 @@ def _own_columns(one: SeenPersons, keypoint_set: KeypointSet) -> tuple[str, ...]
 
 
 def _padded(rows: F64, count: int) -> F64:
-    """Return the keypoints of a person with missing ones at the end."""
+    """Return the keypoints (count, 3) of a person, those at the end filled up as missing (NaN, NaN, 0)."""
     if len(rows) == count:
         return rows
     return np.concatenate([rows, np.tile([np.nan, np.nan, 0.0], (count - len(rows), 1))])

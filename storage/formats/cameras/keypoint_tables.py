@@ -1,4 +1,4 @@
-"""Keypoints in one table, CSV or Parquet: camera, frame, keypoint, x, y, and perhaps confidence, person, recording."""
+"""Read keypoints from a CSV or Parquet table with camera, frame, keypoint, x, y, and optional further columns."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from kinedex.storage.formats.motion.reader import file_size, source_bytes
 I64 = npt.NDArray[np.int64]
 
 MOST_ROWS = 50_000_000
-"""Most rows of a table."""
+"""The largest number of rows in a table."""
 
 _MOST_CSV_BYTES = 2 << 30
 _ALIASES = {
@@ -52,17 +52,18 @@ def read_keypoint_table(path: Path, recording: str = "") -> dict[str, SeenPerson
     path : Path
         A file ending in .csv or .parquet.
     recording : str, optional
-        The recording whose rows count, where the table has a column `recording`.
+        The recording whose rows are read, if the table has a column `recording`.
 
     Returns
     -------
     dict of str to SeenPersons
-        Camera → its persons; "" → those of a table without a column `camera`. Keypoints are named, or numbers from 0.
+        Camera → its persons; the key is "" for a table without a column `camera`. Keypoints are named, or numbers from
+        0.
 
     Raises
     ------
     SourceError
-        The file is no such table; the message names the line or the row.
+        The file is not such a table; the message names the line or the row.
     """
     table = _parquet(path) if path.suffix.lower() == ".parquet" else _csv(path)
     if not table.height:
@@ -120,7 +121,7 @@ def _persons(
 
 
 def _keypoints(path: Path, table: pl.DataFrame) -> tuple[tuple[str, ...], I64]:
-    """Return the names of the keypoints, none if they are numbers, and the place of each row's."""
+    """Return the names of the keypoints (none if they are numbers), and the index of each row's keypoint."""
     texts = table["keypoint"]
     numbers = texts.cast(pl.Int64, strict=False)
     if numbers.null_count() == 0:
@@ -152,7 +153,7 @@ def _error(path: Path, table: pl.DataFrame, row: int, message: str) -> SourceErr
 
 
 def _csv(path: Path) -> pl.DataFrame:
-    """Return a CSV table; numbers that are none are refused with their line."""
+    """Return a CSV table; a cell that should be a number and is not raises an error with its line."""
     if file_size(path) > _MOST_CSV_BYTES:
         raise SourceError(path, f"has more than {_MOST_CSV_BYTES >> 30} GB; write Parquet, or a file for each camera")
     data = source_bytes(path)
@@ -164,7 +165,7 @@ def _csv(path: Path) -> pl.DataFrame:
             io.BytesIO(text.encode("utf-8", "replace")), separator=head.separator, infer_schema=False,
             skip_rows=skipped, truncate_ragged_lines=True, raise_if_empty=False, n_rows=MOST_ROWS + 1,
         )  # fmt: skip
-    except Exception as fault:  # polars has many errors, all of a file that is no table
+    except Exception as fault:  # polars raises many classes of errors, all for a file that is not a table
         raise SourceError(path, f"is no table that can be read: {str(fault).splitlines()[0][:200]}") from None
     table = table.with_columns(pl.int_range(_FIRST_LINE + skipped, pl.len() + _FIRST_LINE + skipped).alias("line"))
     if head.decimal_comma:
@@ -189,7 +190,7 @@ def _parquet(path: Path) -> pl.DataFrame:
 
 
 def _plain(table: pa.Table) -> pa.Table:
-    """Return columns of numbers and valid texts, without metadata, which polars believes unseen."""
+    """Return columns of numbers and valid texts, without the schema metadata, which polars would trust unchecked."""
     columns = {}
     for name in dict.fromkeys(table.column_names):
         column = table.column(table.column_names.index(name))
@@ -204,13 +205,13 @@ def _plain(table: pa.Table) -> pa.Table:
 
 
 def _column(name: str) -> str:
-    """Return what a column is called here."""
+    """Return the name that this module uses for a column."""
     plain = name.strip().lower()
     return _ALIASES.get(plain, plain)
 
 
 def _typed(path: Path, table: pl.DataFrame) -> pl.DataFrame:
-    """Return the columns that count, as texts and numbers; an absent confidence is NaN, an absent person ""."""
+    """Return the known columns as texts and numbers; a missing confidence is NaN, a missing person ""."""
     names: dict[str, str] = {}
     for name in table.columns:
         if _column(name) in (*_COLUMNS, "line") and _column(name) not in names.values():
@@ -239,7 +240,7 @@ def _typed(path: Path, table: pl.DataFrame) -> pl.DataFrame:
 
 
 def _numeric(path: Path, table: pl.DataFrame, key: str) -> pl.DataFrame:
-    """Return a table with a column as numbers; a text that is none is refused."""
+    """Return a table with one column converted to numbers; raise an error for a text that is not a number."""
     given = table[key]
     if given.dtype == pl.String:
         given = given.str.strip_chars()

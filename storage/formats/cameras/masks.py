@@ -1,4 +1,4 @@
-"""Silhouettes: PNG images, one for each frame and camera, or packed bits in NPZ; read frame by frame."""
+"""Read silhouettes frame by frame: PNG images, one for each frame and camera, or packed bits in NPZ."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ U8 = npt.NDArray[np.uint8]
 
 _MODES = ("1", "L", "LA", "RGB", "RGBA")
 _DARK = 1
-"""The largest value of a mask that numbers its foreground instead of colouring it."""
+"""The largest value of a mask that labels its foreground by a small number instead of 255."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class CameraMasks:
     Attributes
     ----------
     size : tuple of (int, int)
-        Width and height of the masks in pixels: those of the camera, or a whole fraction of both.
+        Width and height of the masks in pixels: the camera's, or both divided by the same integer.
     images : mapping of int to Path
         The number of a frame → its image; empty for packed bits.
     bits : uint8 array (T, H, ceil(W / 8)), optional
@@ -98,13 +98,13 @@ def read_mask(path: Path, size: tuple[int, int]) -> U8:
     Raises
     ------
     SourceError
-        The file is no such image of this size.
+        The file is not such an image, or has another size.
     """
     _check_image(path, size)
     try:
         with Image.open(path, formats=("PNG",)) as image:
             mask: U8 = np.asarray(image.convert("L"))
-    except Exception as fault:  # Pillow, zlib and struct have an error of their own for every broken byte
+    except Exception as fault:  # Pillow, zlib and struct raise many classes of errors for damaged data
         raise SourceError(path, f"cannot be read as PNG: {str(fault)[:200]}") from None
     if 0 < mask.max(initial=0) <= _DARK:
         raise SourceError(path, "has only the values 0 and 1; foreground must be above 127: multiply the mask by 255")
@@ -129,7 +129,7 @@ def _header(path: Path) -> tuple[tuple[int, int], str]:
 
 
 def open_images(files: Sequence[Path], camera: Camera) -> CameraMasks:
-    """Return the masks of a camera in PNG images, whose headers are checked at once.
+    """Return the masks of a camera in PNG images, after a check of all headers.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Keypoints in JSON of MMPose: a file for each camera with the frames of a video, or a file for each image."""
+"""Read keypoints in the JSON of MMPose: a file for each camera with the frames of a video, or one for each image."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from kinedex.storage.formats.motion.table_sections import beginning
 INSTANCES, POINTS, SCORES = "instances", "keypoints", "keypoint_scores"
 
 OTHER_NAMES = {"head": "head_top", "hip": "mid_hip"}
-"""Names of keypoints of MMPose → those of the keypoint sets."""
+"""Name of a keypoint in MMPose → its name in the keypoint sets."""
 
 _OWN = re.compile(r'"(instance_info|instances|keypoint_scores|frame_id)"|"keypoints"\s*:\s*\[\s*\[')
 _IDS = ("track_id", "person_id", "instance_id")
@@ -27,7 +27,7 @@ _MOST_FRAMES = 2_000_000
 
 
 def are_mmpose(files: Sequence[Path]) -> bool:
-    """Return whether the files of a camera are those of MMPose; images without persons tell nothing, `[]`."""
+    """Return whether a camera's files are those of MMPose; an empty list, an image without persons, does not decide."""
     for path in files:
         text = beginning(path).strip()
         if re.fullmatch(r"\[\s*\]", text) is None:
@@ -46,7 +46,8 @@ def read_mmpose(files: Sequence[Path]) -> SeenPersons:
     Raises
     ------
     SourceError
-        A file is none of MMPose, two have one number, or the number of keypoints changes; the message names the place.
+        A file is not of MMPose, two have the same number, or the number of keypoints changes; the message names the
+        place.
     """
     seen = SeenPersons(files[0])
     for path in files:
@@ -80,7 +81,7 @@ def _others(files: Sequence[Path]) -> str:
 
 
 def _add_frames(seen: SeenPersons, path: Path, entries: list[Any]) -> None:
-    """Add the frames of a video; a frame without a number is the one after the frame before."""
+    """Add the frames of a video; an entry without a number follows the frame before it."""
     number = -1
     for place, entry in enumerate(entries):
         where = f"frame {place}"
@@ -94,7 +95,7 @@ def _add_frames(seen: SeenPersons, path: Path, entries: list[Any]) -> None:
 
 
 def _add(seen: SeenPersons, path: Path, where: str, number: int, persons: Sequence[Any]) -> None:
-    """Add the persons of a frame."""
+    """Add the persons of a frame to those seen."""
     if number in seen.frames:
         raise SourceError(path, f"{where}: a second frame has the number {number}; one camera a folder, or a file")
     refuse_crowds(path, where, persons)

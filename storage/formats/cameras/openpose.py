@@ -1,4 +1,4 @@
-"""Keypoints in JSON of OpenPose's form: a file for each frame, a folder for each camera."""
+"""Read keypoints in the JSON of OpenPose: a file for each frame, a folder for each camera."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def read_openpose(files: Sequence[Path]) -> SeenPersons:
     Raises
     ------
     SourceError
-        A file is none of OpenPose, two files have one number, or the number of keypoints changes.
+        A file is not of OpenPose, two files have the same number, or the number of keypoints changes.
     """
     seen = SeenPersons(files[0])
     by_number: dict[int, Path] = {}
@@ -74,7 +74,7 @@ def read_frame(path: Path) -> list[Person]:
     Raises
     ------
     SourceError
-        The file is none of OpenPose; the message names the person.
+        The file is not of OpenPose; the message names the person.
     """
     if file_size(path) > _MOST_BYTES:
         raise SourceError(path, f"has more than {_MOST_BYTES >> 20} MB, which is no file of one frame")
@@ -109,7 +109,7 @@ def keypoint_rows(path: Path, where: str, values: Any) -> np.ndarray[Any, np.dty
     Raises
     ------
     SourceError
-        It is no such list.
+        The values are not such a list.
     """
     if not isinstance(values, list) or len(values) % 3 or not 3 <= len(values) <= 3 * MOST_KEYPOINTS:
         got = f"{len(values)} values" if isinstance(values, list) else "something else"
@@ -123,7 +123,7 @@ def keypoint_rows(path: Path, where: str, values: Any) -> np.ndarray[Any, np.dty
 
 
 def person_id(content: Mapping[str, Any], keys: Sequence[str] = IDS) -> str:
-    """Return the id of a person; OpenPose writes [-1] for one that it does not follow."""
+    """Return the id of a person; empty if it is not tracked, for which OpenPose writes [-1]."""
     value = next((content[key] for key in keys if key in content), None)
     value = value[0] if isinstance(value, list) and value else value
     if isinstance(value, float):

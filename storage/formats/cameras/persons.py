@@ -1,4 +1,4 @@
-"""Persons that a detector found in the frames of a camera, and the choice of the one who is tracked."""
+"""Hold the persons that a detector found in a camera's frames, and choose the one who is tracked."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from kinedex.ops.errors import SourceError
 F64 = npt.NDArray[np.float64]
 
 MOST_PERSONS = 1000
-"""Most persons in a frame."""
+"""The largest number of persons in a frame."""
 
 FARTHEST_PX = 1e6
-"""The largest coordinate of a keypoint."""
+"""The largest magnitude of a keypoint's coordinate in pixels."""
 
 OUT_OF_BOUNDS = f"expected pixels within {FARTHEST_PX:g} and a confidence, got a number beyond"
 
@@ -31,7 +31,7 @@ class Person:
     Attributes
     ----------
     called : str
-        The id that the detector follows the person by; empty without one.
+        The id by which the detector tracks the person; empty if it has none.
     points : float64 array (P, 3)
         x and y in pixels and the confidence; NaN for what is missing.
     """
@@ -42,14 +42,14 @@ class Person:
 
 @dataclass
 class SeenPersons:
-    """The persons of one camera.
+    """The persons seen by one camera.
 
     Attributes
     ----------
     path : Path
         The file, or the first of them, for messages.
     frames : dict of int to list of Person
-        The number of a frame → its persons; frames without people may be there or not.
+        The number of a frame → its persons; frames without persons may be absent.
     names : tuple of str
         Names of the keypoints; empty if the file has none.
     """
@@ -69,7 +69,7 @@ class SeenPersons:
 
 
 def checked_points(path: Path, where: str, rows: F64, line: int | None = None) -> F64:
-    """Return keypoints as x, y, confidence; a keypoint at (0, 0) without confidence is missing.
+    """Check keypoints and return them as x, y, confidence; one at (0, 0) without confidence counts as missing.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def checked_points(path: Path, where: str, rows: F64, line: int | None = None) -
     Raises
     ------
     SourceError
-        A coordinate is none of an image.
+        A coordinate is larger than any image's.
     """
     if (np.abs(rows) > FARTHEST_PX).any():
         raise SourceError(path, f"{where}: {OUT_OF_BOUNDS}", line=line)
@@ -129,7 +129,7 @@ def chosen_persons(seen: SeenPersons, choice: str) -> dict[int, F64]:
 
 
 def refuse_crowds(path: Path, where: str, persons: Sequence[object]) -> None:
-    """Refuse a frame with more persons than an image can show."""
+    """Raise an error for a frame with more persons than `MOST_PERSONS`."""
     if len(persons) > MOST_PERSONS:
         raise SourceError(path, f"{where}: has {len(persons)} persons, and {MOST_PERSONS} are read at most")
 

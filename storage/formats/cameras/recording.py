@@ -1,4 +1,4 @@
-"""A recording by calibrated cameras: its files read together, checked, and made into arrays."""
+"""Read a recording by calibrated cameras: check its files together, and make arrays of them."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from kinedex.storage.formats.cameras.recording_checks import check_cameras, chec
 F64 = npt.NDArray[np.float64]
 
 _ENDINGS = {"cameras": ENDINGS, "keypoints": (".json",), "silhouettes": (".png",)}
-"""Key of a recording → the endings of the files that are meant where it names a folder."""
+"""Key of a recording → the endings of the files that are read if the key names a folder."""
 
-_MOST_LISTED, _MOST_IDS = 26, 8  # keypoints, and ids of persons, in a note
+_MOST_LISTED, _MOST_IDS = 26, 8  # most keypoints, and ids of persons, listed in a note
 
 
 @dataclass(frozen=True)
 class RecordingCounts:
-    """Counts of what is odd in a recording and normal in some measure.
+    """Counts of irregularities in a recording, some of which are normal.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class RecordingCounts:
     keypoints_without_confidence : int
         Keypoints whose confidence is missing and counts as 1.
     confidences_above_one : int
-        Confidences that count as 1.
+        Confidences above 1, which count as 1.
     keypoints_outside_image : int
         Keypoints outside the image of their camera.
     """
@@ -73,7 +73,7 @@ class Recording:
     keypoint_set : KeypointSet or None
         The set of the keypoints; None without keypoints.
     keypoints : tuple of str
-        P keypoints that have a place on the body.
+        Names of the P keypoints that have a position on the body.
     pixels : float64 array (T, V, P, 2)
         Keypoints in the images; NaN where one is missing.
     confidence : float64 array (T, V, P)
@@ -81,9 +81,9 @@ class Recording:
     masks : MaskFrames or None
         Silhouettes, read frame by frame.
     cuts : tuple of int
-        Frames, from 0, that begin anew.
+        Frames, counted from 0, that do not continue the frame before.
     counts : RecordingCounts
-        What was odd.
+        Counts of irregularities.
     notes : tuple of str
         Sentences for the user: how names were matched, what is unused, what looks wrong.
     """
@@ -107,11 +107,11 @@ class Recording:
         return len(self.pixels)
 
     def rays(self) -> Rays:
-        """Return the rays of the keypoints."""
+        """Return the rays from the cameras through the keypoints."""
         return observed_rays(self.cameras, self.pixels, self.confidence)
 
     def body_points(self, body: ChainBody) -> BodyPoints:
-        """Return where the keypoints lie on a body."""
+        """Return the positions of the keypoints on a body."""
         if self.keypoint_set is None:
             return BodyPoints(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0, np.int64))
         return self.keypoint_set.body_points(self.keypoints, body)
@@ -171,7 +171,7 @@ def read_recording(file: RecordingsFile, name: str) -> Recording:
 
 @dataclass(frozen=True, eq=False)
 class _Entry:
-    """A recording's entry in its file, with its cameras; further names of cameras are added as files are found."""
+    """A recording's entry in its file, with its cameras; `labels` grows as files are matched to cameras."""
 
     file: RecordingsFile
     name: str
@@ -183,7 +183,7 @@ class _Entry:
 
     @classmethod
     def of(cls, file: RecordingsFile, name: str) -> _Entry:
-        """Return an entry with its calibration read."""
+        """Return an entry after reading its calibration."""
         given = file.recording(name)
         if given.cameras is None or given.rate_hz is None:
             raise file.error(name, "track", "is a 3D track of the store, which has no cameras to be read")
@@ -221,7 +221,7 @@ class _Entry:
         return {camera: open_images(files.files[value], by_name[camera]) for camera, value in pairs.items()}
 
     def offsets(self, cameras: Sequence[str]) -> list[int]:
-        """Return the offsets of cameras; `offsets` may name a camera, its label, or its files."""
+        """Return the frame offsets of cameras; `offsets` may name a camera, its label or its files."""
         known = self.labels | {camera.name: camera.name for camera in self.cameras}
         for key in self.given.offsets:
             if key not in known:
@@ -230,7 +230,7 @@ class _Entry:
         return [found.get(camera, 0) for camera in cameras]
 
     def _matched(self, key: str, values: Mapping[str, object], notes: list[str]) -> dict[str, str]:
-        """Return camera → the name of its files; the way it was found is noted."""
+        """Return camera → the value of `{camera}` in its files' names; append to `notes` how they were matched."""
         names = [camera.name for camera in self.cameras]
         try:
             pairs, note = match_cameras(self.file.folder, key, names, self.labels, values)
@@ -245,7 +245,7 @@ class _Entry:
 
 
 def recording_files(file: RecordingsFile, name: str, key: str) -> CameraFiles:
-    """Return the files of a key of a recording, but the file of recordings itself.
+    """Return the files that a key of a recording names, without the file of recordings itself.
 
     Parameters
     ----------
@@ -277,7 +277,7 @@ def recording_files(file: RecordingsFile, name: str, key: str) -> CameraFiles:
 
 
 def _calibration(file: RecordingsFile, name: str, given: CameraRecording) -> Calibration:
-    """Return the calibration: one file of all cameras, or a file for each, named by what `{camera}` stands for."""
+    """Return the calibration: one file for all cameras, or one for each, named by the value of `{camera}`."""
     files = recording_files(file, name, "cameras")
     if not files.each_camera:
         return read_calibration(files.files[""][0], given.size)
@@ -322,7 +322,7 @@ def _set_notes(keypoints: KeypointArrays) -> list[str]:
 
 
 def _person_notes(seen: Iterable[SeenPersons], choice: str, counts: RecordingCounts) -> list[str]:
-    """Return a note on who is tracked where images show several persons, by what rule, and on the other choices."""
+    """Return notes on the rule by which a person is chosen in images with several, and on the alternatives."""
     images = counts.images_with_several_persons
     if not images:
         return []
@@ -363,7 +363,7 @@ def _extent(
 
 
 def _over(keypoints: KeypointArrays | None, cameras: int, first: int, frames: int) -> tuple[F64, F64]:
-    """Return keypoints over all frames of the recording; none where there are masks only."""
+    """Return pixels and confidences over all frames of the recording; of 0 keypoints if it has only masks."""
     count = 0 if keypoints is None else len(keypoints.names)
     pixels = np.full((frames, cameras, count, 2), np.nan)
     confidence = np.zeros((frames, cameras, count))
@@ -374,7 +374,7 @@ def _over(keypoints: KeypointArrays | None, cameras: int, first: int, frames: in
 
 
 def _cuts(file: RecordingsFile, name: str, given: CameraRecording, first: int, frames: int) -> tuple[int, ...]:
-    """Return the cuts as frames from 0."""
+    """Return the cuts as frames counted from 0."""
     for cut in given.cuts:
         if not first < cut < first + frames:
             raise file.error(name, "cuts", f"must lie between the frames {first} and {first + frames - 1}, got {cut}")

@@ -1,4 +1,4 @@
-"""Checks of a recording as a whole: what no tracker can use is refused, with a guess at what is wrong."""
+"""Check a recording as a whole, and refuse what no tracker can use, with a guess at the cause."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from kinedex.storage.formats.cameras.keypoint_files import KeypointArrays
 F64 = npt.NDArray[np.float64]
 
 LEAST_CONFIDENCE = 0.1
-"""A keypoint with less is not seen."""
+"""The least confidence of a keypoint that counts as seen."""
 
 TRUNK_M = (0.2, 0.9)
-"""Least and greatest distance from the middle of the hips to that of the shoulders."""
+"""The least and greatest plausible distance between the middles of hips and shoulders, in metres."""
 
 LIMBS = {
     "thigh": ("hip", "knee"), "shank": ("knee", "ankle"), "foot": ("ankle", "toes"),
     "upper arm": ("shoulder", "elbow"), "forearm": ("elbow", "wrist"),
 }  # fmt: skip
-"""Limbs, from joint to joint."""
+"""Limb → the two joints at its ends."""
 
 LONGEST_LIMB_M, MOST_UNLIKE = 0.75, 1.5
-"""The longest limb of a body, and the ratio of left to right at which a keypoint is another one than its name says."""
+"""The longest plausible limb in metres, and the left-to-right length ratio that suggests a misnamed keypoint."""
 
 BAD_CAMERA = 3.0
-"""A camera whose residual is so many times that of the others is reported."""
+"""The ratio of a camera's residual to that of the others, from which the camera is reported."""
 
 _APART_M = 0.01
-_FAR = 0.1  # of the image's width and height, beyond its border
-_MOST_FAR = 0.1  # of the keypoints of a camera
-_SAMPLE = 200  # frames
+_FAR = 0.1  # share of the image's width and height, beyond its border
+_MOST_FAR = 0.1  # largest share of a camera's keypoints that may be so far outside
+_SAMPLE = 200  # frames that are checked
 _LEAST_POINTS = 20
 
 
@@ -114,7 +114,7 @@ def check_keypoints(
 
 
 def _refuse_far(file: RecordingsFile, name: str, camera: Camera, pixels: F64) -> int:
-    """Count the keypoints outside an image; refuse a camera of which many are far outside."""
+    """Count the keypoints outside an image; raise an error if many of a camera lie far outside."""
     if not len(pixels):
         return 0
     size = np.array(camera.size)
@@ -135,7 +135,7 @@ def _refuse_far(file: RecordingsFile, name: str, camera: Camera, pixels: F64) ->
 
 
 def _refuse_behind(file: RecordingsFile, name: str, cameras: Sequence[Camera], pixels: F64, weights: F64) -> None:
-    """Refuse cameras behind which the rays of most keypoints meet, as those of inverted rotations do."""
+    """Raise an error if the rays of most keypoints meet behind the cameras, as with inverted rotations."""
     rays = observed_rays(cameras, pixels, weights)
     across = np.eye(3) - rays.directions[..., :, None] * rays.directions[..., None, :]
     matrices = np.einsum("tvp,tvpij->tpij", rays.confidence, across)
@@ -157,13 +157,13 @@ def _refuse_behind(file: RecordingsFile, name: str, cameras: Sequence[Camera], p
 
 
 def _joint_places(keypoints: KeypointArrays, points: F64) -> dict[str, F64]:
-    """Return the places (3, T) of the named joints among the keypoints."""
+    """Return the positions (3, T) of the named joints among the keypoints."""
     places = keypoints.keypoint_set.places
     return {places[name].joint: points[:, p].T for p, name in enumerate(keypoints.names) if places[name].joint}
 
 
 def _refuse_size(file: RecordingsFile, name: str, joints: dict[str, F64], used: str) -> None:
-    """Refuse a body that is no human's, with a guess at the unit."""
+    """Raise an error for a body of implausible size, with a guess at the unit."""
     if not {"lhip", "rhip", "lshoulder", "rshoulder"} <= joints.keys():
         return
     hips, shoulders = joints["lhip"] + joints["rhip"], joints["lshoulder"] + joints["rshoulder"]
@@ -185,7 +185,7 @@ def _refuse_size(file: RecordingsFile, name: str, joints: dict[str, F64], used: 
 
 
 def _limb_notes(keypoints: KeypointArrays, joints: dict[str, F64]) -> list[str]:
-    """Return a note on limbs that no body has, as keypoints in a wrong order make them."""
+    """Return notes on limbs of implausible length, which keypoints in a wrong order cause."""
     wrong = []
     for limb, (start, end) in LIMBS.items():
         ends = [(f"{side}{start}", f"{side}{end}") for side in "lr"]
@@ -203,7 +203,7 @@ def _limb_notes(keypoints: KeypointArrays, joints: dict[str, F64]) -> list[str]:
 
 
 def _residual_notes(cameras: Sequence[Camera], pixels: F64, weights: F64, points: F64) -> list[str]:
-    """Return a note on each camera that the others contradict, as a bad calibration does."""
+    """Return a note on each camera with a far larger residual than the others', as after a bad calibration."""
     medians = []
     for v, camera in enumerate(cameras):
         errors = np.linalg.norm(camera.project(points)[0] - pixels[:, v], axis=-1)[weights[:, v] > 0]

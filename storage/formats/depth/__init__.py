@@ -1,1 +1,1 @@
-"""Files of depth recordings: cameras, images, clouds, and the file that names them."""
+"""Read files of depth recordings: cameras, images, clouds, and the file that lists them."""

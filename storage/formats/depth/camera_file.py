@@ -1,4 +1,4 @@
-"""The file of a depth camera: YAML of kinedex, JSON of RealSense, Open3D and Azure Kinect, or text of TUM RGB-D."""
+"""Read the file of a depth camera: YAML of kinedex, JSON of RealSense, Open3D or Azure Kinect, or text of TUM RGB-D."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from kinedex.storage.formats.small_files import read_bytes
 F64 = npt.NDArray[np.float64]
 
 TUM_UNIT_M = 1 / 5000
-"""Metres of one unit of the images of TUM RGB-D."""
+"""Metres per unit of the images of TUM RGB-D."""
 
 MOST_BYTES = 1 << 20
-"""Most bytes of a camera's file."""
+"""The largest size of a camera file in bytes."""
 
 _ENDINGS = (".yaml", ".yml", ".json", ".txt")
 _ROTATION_ERROR = 0.01
@@ -38,7 +38,7 @@ class CameraPose(BaseModel):
     Attributes
     ----------
     rotation : list of 3 lists of 3 floats
-        The turn from the world to the camera.
+        The rotation matrix from world axes to camera axes.
     place : list of 3 floats
         Its centre in the world in metres.
     """
@@ -64,7 +64,7 @@ class CameraValues(BaseModel):
     rate_hz : float, optional
         Frames per second.
     range : bool
-        True if images hold distances along the ray.
+        True if images hold distances along the ray instead of depths z.
     pose : CameraPose, optional
         Its place in the world.
     up : list of 3 floats, optional
@@ -104,7 +104,7 @@ def read_camera(path: str | Path, size: tuple[int, int] | None = None) -> DepthC
     Raises
     ------
     ConfigError
-        The file is no camera; the message names line and key.
+        The file describes no camera; the message names line and key.
     SourceError
         The file cannot be read.
     """
@@ -119,7 +119,7 @@ def read_camera(path: str | Path, size: tuple[int, int] | None = None) -> DepthC
 
 
 def parse_camera(located: Located) -> DepthCamera:
-    """Return the camera of parsed YAML.
+    """Return the camera that parsed YAML describes.
 
     Raises
     ------
@@ -181,7 +181,7 @@ def write_camera(path: str | Path, camera: DepthCamera) -> None:
 
 
 def _written(value: object) -> str:
-    """Return a number, a bool or a list of them as YAML, whose exponents need a point to be numbers."""
+    """Format a number, a bool or a list of them as YAML; an exponent needs a decimal point to be read as a number."""
     if isinstance(value, list):
         return f"[{', '.join(map(_written, value))}]"
     if isinstance(value, bool):
@@ -194,7 +194,7 @@ def _written(value: object) -> str:
 
 
 def _rotation(located: Located, rows: list[list[float]]) -> F64:
-    """Return a rotation; one that was rounded is replaced by the nearest exact one."""
+    """Return a rotation matrix; a rounded one is replaced by the nearest exact rotation."""
     given = np.array(rows)
     error = np.abs(given @ given.T - np.eye(3)).max()
     if error <= _ROTATION_ERROR and np.linalg.det(given) > 0:

@@ -1,4 +1,4 @@
-"""Point clouds of a depth camera, whatever their format: organised ones are images, others are projected into one."""
+"""Turn point clouds of a depth camera into depth images: organised ones are images, others are projected."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 
 MOST_BYTES = 1 << 28
-"""A cloud that takes more memory than this is none of a frame."""
+"""The largest size in memory of the cloud of a frame, in bytes."""
 
 MOST_POINTS = MOST_PIXELS
-"""A cloud of more points is none of a frame."""
+"""The largest number of points in the cloud of a frame."""
 
 _LEAST_POINTS = 100
-_NEAREST = 1e-6  # nearer points have no direction
-_LEAST_BEFORE = 0.9  # some programs leave a few points behind the camera
+_NEAREST = 1e-6  # metres; nearer points have no defined direction
+_LEAST_BEFORE = 0.9  # share of points; some programs leave a few behind the camera
 _MOST_RESIDUAL_PX = 1.0
 
 
@@ -49,14 +49,14 @@ class Cloud:
 
 
 def cloud_of(path: Path, points: F64, size: tuple[int, int] | None) -> Cloud:
-    """Return a cloud of the points (n, 3) of a file, which are changed.
+    """Return the cloud of a file's points (n, 3), an array that is modified in place.
 
-    Clouds whose points all have z < 0 have OpenGL's axes (y up, z to the rear), which are turned into the camera's.
+    Clouds whose points all have z < 0 have OpenGL's axes (y up, z backward), which are converted to the camera's.
 
     Raises
     ------
     SourceError
-        No point lies before the camera.
+        No point lies in front of the camera.
     """
     z = points[:, 2]
     with np.errstate(invalid="ignore"):
@@ -84,15 +84,15 @@ def cloud_depths(cloud: Cloud, camera: DepthCamera, unit_m: float = 1.0) -> F32:
     cloud : Cloud
         The points.
     camera : DepthCamera
-        The camera that points are projected into; the nearest point of a pixel counts. An organised cloud is the image
-        already, and must have its size.
+        The camera into which points are projected; a pixel takes its nearest point. An organised cloud is already an
+        image, and must have the camera's size.
     unit_m : float, optional
         Metres of the file's unit.
 
     Returns
     -------
     float32 array (H, W)
-        Depths z in metres; 0 where no point is.
+        Depths z in metres; 0 for pixels without a point.
 
     Raises
     ------
@@ -134,12 +134,12 @@ def fitted_matrix(cloud: Cloud) -> F64:
 
 
 def check_camera(cloud: Cloud, camera: DepthCamera) -> None:
-    """Refuse a camera that sees the points of an organised cloud elsewhere than its rows and columns are.
+    """Raise an error if the camera projects an organised cloud's points elsewhere than to their rows and columns.
 
     Raises
     ------
     SourceError
-        The points lie more than a pixel off in the median; the message has the intrinsics that fit.
+        The points lie more than a pixel off in the median; the message states intrinsics that fit.
     """
     if cloud.size != camera.size:
         raise SourceError(cloud.path, size_fault(cloud.size or (0, 0), camera.size))
@@ -181,7 +181,7 @@ def _fit(cloud: Cloud) -> tuple[F64, float]:
 
 
 def refuse_size(path: Path, points: int, record: int) -> None:
-    """Refuse a header that claims more points, or larger ones, than those of a frame.
+    """Raise an error for a header that claims more, or larger, points than a frame can have.
 
     Raises
     ------
@@ -235,25 +235,25 @@ def number_rows(path: Path, data: bytes, rows: int, columns: int, line: int, las
 
 
 def check_bytes(path: Path, claimed: int, found: int) -> None:
-    """Refuse a file that has fewer or more bytes of points than its header claims; a SourceError reports it."""
+    """Raise SourceError if a file has fewer or more bytes of points than its header claims."""
     if claimed != found:
         what = "is it cut off?" if claimed > found else "the header does not fit its data"
         raise SourceError(path, f"claims {claimed:,} bytes of points, and has {found:,}: {what}")
 
 
 def record_points(data: bytes, start: int, rows: int, record: int, types: list[str], offsets: list[int]) -> F64:
-    """Return x, y, z (n, 3) of records.
+    """Return x, y, z (n, 3) from binary records.
 
     Parameters
     ----------
     data : bytes
         The file.
     start : int
-        The place of the first record.
+        The byte offset of the first record.
     rows, record : int
         The number of records, and the bytes of each.
     types, offsets : list
-        The NumPy type of x, y and z, and their places in a record.
+        The NumPy type of x, y and z, and their byte offsets in a record.
     """
     records = np.frombuffer(data, np.uint8, rows * record, start).reshape(rows, record)
     cells = (records[:, offset : offset + np.dtype(kind).itemsize] for kind, offset in zip(types, offsets, strict=True))
@@ -261,7 +261,7 @@ def record_points(data: bytes, start: int, rows: int, record: int, types: list[s
 
 
 def as_points(columns: Sequence[npt.NDArray[Any]]) -> F64:
-    """Return x, y and z, of any type, as points (n, 3); NaN of every kind passes in silence."""
+    """Return x, y and z, of any type, as float64 points (n, 3), without warnings for NaN."""
     points = np.empty((len(columns[0]), 3))
     with np.errstate(invalid="ignore"):
         for axis, column in enumerate(columns):
@@ -270,7 +270,7 @@ def as_points(columns: Sequence[npt.NDArray[Any]]) -> F64:
 
 
 def cloud_bytes(path: Path) -> bytes:
-    """Return the bytes of a file; a SourceError reports one that cannot be read or is larger than a frame."""
+    """Return the bytes of a file; raise SourceError if it cannot be read or is larger than a frame can be."""
     try:
         with path.open("rb") as file:
             data = file.read(MOST_BYTES + 1)

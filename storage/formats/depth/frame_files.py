@@ -1,4 +1,4 @@
-"""The files of a depth recording's frames: their kind, and the number of each by its name, list or time."""
+"""Find the files of a depth recording's frames: their kind, and each frame's number from a name, list or time."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from kinedex.storage.formats.small_files import read_bytes
 F64 = npt.NDArray[np.float64]
 
 IMAGES = (".png", ".pcd", ".ply")
-"""Endings of files of one frame."""
+"""File endings of images and clouds, which hold one frame each."""
 
 RAW = (".raw", ".bin")
-"""Endings of raw 16-bit numbers."""
+"""File endings of raw 16-bit numbers."""
 
 CONVERTERS = {
     ".mkv": "Open3D's `python azure_kinect_mkv_reader.py --input FILE.mkv --output DIR` writes DIR/depth/*.png and "
@@ -34,14 +34,14 @@ CONVERTERS = {
     ".db3": "`ros2 run image_view image_saver --ros-args -r image:=/camera/depth/image_rect_raw -p encoding:=16UC1 -p "
     "filename_format:=depth_%06d.png` writes 16-bit PNG while `ros2 bag play` runs",
 }
-"""Ending of recordings that are not read → the command that writes files that are."""
+"""Ending of recordings that cannot be read → the command that converts them to files that can."""
 
 CONVERTERS[".mcap"] = CONVERTERS[".db3"]
 
 _TIME = re.compile(r"(?:.*[^0-9.])?([0-9]{9,14}\.[0-9]+)")
-_SECONDS_DIGITS = 11  # a longer whole part counts milliseconds
-_MOST_STEP, _MOST_TIMED_STEP = 5, 1.5  # frames from one file to the next, in the median
-_MOST_SPAN, _LEAST_SPAN = 10, 1000  # frames of a recording for each that is there, and of a short one
+_SECONDS_DIGITS = 11  # digits; a longer whole part counts milliseconds
+_MOST_STEP, _MOST_TIMED_STEP = 5, 1.5  # most frames from one file to the next, in the median
+_MOST_SPAN, _LEAST_SPAN = 10, 1000  # most frames of a recording per file, and a span that is always allowed
 _MOST_RATE_ERROR = 0.02
 
 
@@ -64,14 +64,14 @@ class FrameFiles:
     times: F64 | None = None
 
     def rate_hz(self) -> float | None:
-        """Return the rate of the median step between times; None without times."""
+        """Return the frame rate from the median step between times; None without times."""
         if self.times is None or len(self.times) < 2:
             return None
         step = float(np.median(np.diff(self.times)))
         return 1 / step if step > 1e-4 else None
 
     def numbers(self, rate_hz: float | None) -> dict[int, Path]:
-        """Return number → file: the last number in a name, or the count of frames since the first time.
+        """Return frame number → file, from the last number in a name or from the time since the first file.
 
         Parameters
         ----------
@@ -95,7 +95,7 @@ class FrameFiles:
         return found
 
     def _numbered(self) -> dict[int, Path]:
-        """Return number → file by the last numbers in the names."""
+        """Return frame number → file, from the last numbers in the names."""
         found: dict[int, Path] = {}
         for path in self.files:
             number = frame_number(path)
@@ -111,7 +111,7 @@ class FrameFiles:
         return found
 
     def _timed(self, times: F64, rate_hz: float) -> dict[int, Path]:
-        """Return number → file by times, which may jitter by less than a frame."""
+        """Return frame number → file, from times, which may jitter by less than a frame."""
         found: dict[int, Path] = {}
         last = -1
         for path, time in zip(self.files, (times - times[0]).tolist(), strict=True):
@@ -137,12 +137,12 @@ def find_frames(folder: Path, pattern: str, excluded: Path | None = None) -> Fra
     pattern : str
         A pattern of files, a folder, an NPZ or raw file, or a list of TUM RGB-D (.txt).
     excluded : Path, optional
-        A file that is not meant, though the pattern may match it.
+        A file to leave out, although the pattern may match it.
 
     Raises
     ------
     SourceError
-        Nothing matches, or files of this kind are not read; the message has the command that converts them.
+        Nothing matches, or files of this kind are not read; the message states the command that converts them.
     """
     ending = Path(pattern).suffix.lower()
     if ending in CONVERTERS:
@@ -172,7 +172,7 @@ def find_frames(folder: Path, pattern: str, excluded: Path | None = None) -> Fra
 
 
 def _in_folder(folder: Path, pattern: str) -> tuple[Path, ...]:
-    """Return the images in a folder, of the first kind that there is."""
+    """Return the frame files in a folder that have the first of the known endings to occur there."""
     fault: SourceError | None = None
     for ending in (*IMAGES, *RAW):
         try:

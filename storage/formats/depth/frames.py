@@ -1,4 +1,4 @@
-"""The frames of a depth recording, read one at a time: files of images or clouds, NPZ, or raw numbers."""
+"""Read the frames of a depth recording one at a time, from images or clouds, NPZ, or raw numbers."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _CLOUDS: dict[str, Callable[[Path], Cloud]] = {".pcd": read_pcd, ".ply": read_pl
 
 
 class DepthSource(Protocol):
-    """A source has numbered depth images."""
+    """A source of numbered depth images."""
 
     @property
     def numbers(self) -> Sequence[int]:
@@ -37,7 +37,7 @@ class DepthSource(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ImageFiles:
-    """A file for each frame.
+    """Depth frames in a file each.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class ImageFiles:
     camera : DepthCamera
         The camera.
     unit_m : float
-        Metres of a unit of clouds.
+        Metres per unit of clouds.
     """
 
     files: Mapping[int, Path]
@@ -64,16 +64,16 @@ class ImageFiles:
 
 
 def read_frame(path: str | Path, camera: DepthCamera, unit_m: float = 1.0) -> F32:
-    """Return the depths of a file of one frame.
+    """Read the depths of a file that holds one frame.
 
     Parameters
     ----------
     path : str or Path
         The file.
     camera : DepthCamera
-        The camera that it is of, or that a cloud without rows is projected into.
+        The camera that took it; a cloud that is not organised is projected into its image.
     unit_m : float, optional
-        Metres of a unit of clouds; images have the camera's.
+        Metres per unit of clouds; images use the camera's unit.
 
     Returns
     -------
@@ -83,7 +83,7 @@ def read_frame(path: str | Path, camera: DepthCamera, unit_m: float = 1.0) -> F3
     Raises
     ------
     SourceError
-        The file is damaged, or is no frame of this camera.
+        The file is damaged, or is not a frame of this camera.
     """
     path = Path(path)
     ending = path.suffix.lower()
@@ -98,7 +98,7 @@ def read_frame(path: str | Path, camera: DepthCamera, unit_m: float = 1.0) -> F3
 
 
 def read_cloud(path: Path) -> Cloud | None:
-    """Return the points of a file of a cloud; None for any other file."""
+    """Return the points of a point cloud file; None for any other file."""
     read = _CLOUDS.get(path.suffix.lower())
     return None if read is None else read(path)
 
@@ -112,7 +112,7 @@ class DepthFrames:
     source : DepthSource
         The images.
     damaged : dict of int to str
-        Frame, from 0 → what is wrong with its image, as far as it was read.
+        Frame, counted from 0 → the fault of its image, for the frames read so far.
     """
 
     source: DepthSource
@@ -134,7 +134,7 @@ class DepthFrames:
         return tuple(t for t in range(self._length) if self.first + t not in self._numbers)
 
     def notes(self) -> list[str]:
-        """Return sentences on the frames that are missing or, as far as they were read, damaged."""
+        """Return sentences on the frames that are missing and on those read so far that are damaged."""
         found = []
         if missing := self._length - len(self._numbers):
             found.append(f"{missing} of {self._length} frames are missing in the numbering of the files")

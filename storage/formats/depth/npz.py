@@ -1,4 +1,4 @@
-"""Depth images in NPZ, one array for all frames: a few of them are unpacked at a time."""
+"""Read depth images from an NPZ file with one array for all frames, unpacking a few at a time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 
 MOST_FRAMES = 2_000_000
-"""An array of more images is no recording."""
+"""The largest number of images in an array."""
 
 _ARRAY = "depth"
 _INTRINSICS = ("fx", "fy", "cx", "cy")
@@ -44,9 +44,9 @@ class NpzFrames:
     kind : str
         The NumPy type of the values.
     start : int
-        The place of the first image in the array's entry.
+        The byte offset of the first image in the array's entry.
     unit_m : float
-        Metres of a float.
+        Metres per unit of floating-point values.
     """
 
     path: Path
@@ -78,21 +78,21 @@ class NpzFrames:
         return self.camera.depths(image)
 
     def _unpack(self, start: int, size: int) -> bytes:
-        """Return bytes of the array as far as they can be unpacked."""
+        """Return up to `size` bytes of the array from an image's offset; fewer if the file is damaged."""
         data = b""
         try:
             with zipfile.ZipFile(self.path) as packed, packed.open(f"{_ARRAY}.npy") as entry:
                 entry.seek(self.start + start)
                 while len(data) < size and (more := entry.read(size - len(data))):
                     data += more
-        except Exception:  # zipfile and zlib have an error of their own for every broken byte
+        except Exception:  # zipfile and zlib raise many classes of errors for damaged data
             return data
         return data
 
 
 @dataclass(frozen=True)
 class NpzValues:
-    """Values that an NPZ file may state besides its images; None where it does not.
+    """Values that an NPZ file may state besides its images; None for those it does not state.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class NpzValues:
     rate_hz : float or None
         Frames per second.
     depth_unit_m : float or None
-        Metres of a unit.
+        Metres per unit.
     size : tuple of (int, int)
         Width and height of the images.
     """
@@ -118,7 +118,7 @@ def npz_values(path: Path) -> NpzValues:
     Raises
     ------
     SourceError
-        The file cannot be read, or a value is none.
+        The file cannot be read, or a value is not valid.
     """
     shape, _, _ = _layout(path)
     arrays, _ = load_arrays(path, _NUMBERS)
@@ -147,7 +147,7 @@ def open_npz(path: Path, camera: DepthCamera, unit_m: float = 1.0) -> NpzFrames:
     camera : DepthCamera
         The camera.
     unit_m : float, optional
-        Metres of a float.
+        Metres per unit of floating-point values.
 
     Raises
     ------
@@ -161,7 +161,7 @@ def open_npz(path: Path, camera: DepthCamera, unit_m: float = 1.0) -> NpzFrames:
 
 
 def _layout(path: Path) -> tuple[tuple[int, int, int], str, int]:
-    """Return shape and type of the images, and their place in the entry, by its header."""
+    """Return shape and type of the images, and their byte offset in the entry, from the array's header."""
     try:
         with zipfile.ZipFile(path) as packed:
             names = {entry.filename: entry for entry in packed.infolist()}
@@ -173,7 +173,7 @@ def _layout(path: Path) -> tuple[tuple[int, int, int], str, int]:
                 start, size = entry.tell(), names[f"{_ARRAY}.npy"].file_size
     except SourceError:
         raise
-    except Exception as fault:  # NumPy, zipfile and zlib have an error of their own for every broken byte
+    except Exception as fault:  # NumPy, zipfile and zlib raise many classes of errors for damaged data
         raise SourceError(path, f"cannot be read as NumPy arrays: {str(fault)[:200]}") from None
     if dtype.kind not in "iuf" or len(shape) != 3 or min(shape) < 1:
         raise SourceError(
@@ -218,7 +218,7 @@ def camera_of_npz(path: Path, values: NpzValues) -> DepthCamera | None:
     Raises
     ------
     SourceError
-        Its values are none of a camera.
+        Its values describe no camera.
     """
     if values.matrix is None:
         return None

@@ -1,4 +1,4 @@
-"""Point clouds in PCD 0.7 of the Point Cloud Library: ascii, binary and binary_compressed."""
+"""Read point clouds in PCD 0.7 of the Point Cloud Library: ascii, binary and binary_compressed."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _TYPES = {
 
 @dataclass(frozen=True)
 class _Header:
-    """The header of a file.
+    """The header of a PCD file.
 
     names, types, counts: the fields, the NumPy type of each, and how many values it has.
     """
@@ -71,12 +71,12 @@ def read_pcd(path: str | Path) -> Cloud:
     Returns
     -------
     Cloud
-        The points; with rows and columns where HEIGHT is above 1.
+        The points; organised in rows and columns if HEIGHT is above 1.
 
     Raises
     ------
     SourceError
-        The file is no PCD, is cut off, or its header does not fit its data.
+        The file is not PCD, is truncated, or its header does not fit its data.
     """
     path = Path(path)
     data = cloud_bytes(path)
@@ -92,7 +92,7 @@ def read_pcd(path: str | Path) -> Cloud:
 
 
 def _header(path: Path, data: bytes) -> _Header:
-    """Return the header, whose lines end with DATA."""
+    """Return the header, which ends with the line DATA."""
     found: dict[str, list[str]] = {}
     start = number = 0
     while "DATA" not in found:
@@ -134,7 +134,7 @@ def _whole(path: Path, key: str, word: str) -> int:
 
 
 def _places(path: Path, header: _Header) -> list[int]:
-    """Return the places of the fields x, y and z."""
+    """Return the indices of the fields x, y and z."""
     places = []
     for axis in "xyz":
         if header.names.count(axis) != 1 or header.counts[header.names.index(axis)] != 1:
@@ -151,7 +151,7 @@ def _ascii(path: Path, header: _Header, data: bytes) -> F64:
 
 
 def _binary(path: Path, header: _Header, data: bytes) -> F64:
-    """Return the points of records, one after the other."""
+    """Return the points of binary data, in which one record follows the other."""
     places, record = _places(path, header), sum(header.sizes)
     _check_bytes(path, header.points * record, data, header.start)
     offsets = np.cumsum([0, *header.sizes])
@@ -160,7 +160,7 @@ def _binary(path: Path, header: _Header, data: bytes) -> F64:
 
 
 def _compressed(path: Path, header: _Header, data: bytes) -> F64:
-    """Return the points of packed fields, all values of a field before those of the next."""
+    """Return the points of compressed data, in which all values of a field come before those of the next."""
     places, record = _places(path, header), sum(header.sizes)
     if len(data) < header.start + 8:
         raise SourceError(path, "is cut off after its header")
@@ -179,7 +179,7 @@ def _compressed(path: Path, header: _Header, data: bytes) -> F64:
 
 
 def _check_bytes(path: Path, claimed: int, data: bytes, start: int) -> None:
-    """Refuse a file of fewer or more bytes; the library may fill its files with zeros up to a whole page of memory."""
+    """Raise an error for fewer or more bytes than claimed; zeros up to a whole memory page at the end are allowed."""
     found = len(data) - start
     if not (claimed < found <= claimed + _MOST_FILL and not data[start + claimed :].strip(b"\0\n")):
         check_bytes(path, claimed, found)

@@ -1,4 +1,4 @@
-"""Point clouds in PLY: ascii, and binary in both byte orders."""
+"""Read point clouds in PLY: ascii, and binary in both byte orders."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class _Element:
 
 
 def read_ply(path: str | Path) -> Cloud:
-    """Read a point cloud in PLY; its points have no rows and columns.
+    """Read a point cloud in PLY; it is never organised in rows and columns.
 
     Parameters
     ----------
@@ -59,12 +59,12 @@ def read_ply(path: str | Path) -> Cloud:
     Returns
     -------
     Cloud
-        The vertices; colours, normals and faces are passed over.
+        The vertices; colours, normals and faces are skipped.
 
     Raises
     ------
     SourceError
-        The file is no PLY, is cut off, or its header does not fit its data.
+        The file is not PLY, is truncated, or its header does not fit its data.
     """
     path = Path(path)
     data = cloud_bytes(path)
@@ -88,7 +88,7 @@ def read_ply(path: str | Path) -> Cloud:
 
 
 def _header(path: Path, data: bytes) -> tuple[str, list[_Element], int, int]:
-    """Return byte order, elements, the place of the data, and the number of lines of the header."""
+    """Return byte order, elements, the byte offset of the data, and the number of lines of the header."""
     stop = data.find(b"end_header", 0, _MOST_HEADER)
     end = data.find(b"\n", stop) if stop >= 0 else -1
     if data[:3] != b"ply" or end < 0:
@@ -128,7 +128,7 @@ def _is_property(words: list[str]) -> bool:
 
 
 def _binary(path: Path, data: bytes, order: str, before: list[_Element], vertices: _Element, last: bool) -> F64:
-    """Return x, y, z of the records of vertices."""
+    """Return x, y, z (n, 3) of the vertices of binary data."""
     skipped = sum(one.rows * one.record for one in before)
     size = vertices.rows * vertices.record
     if last or len(data) < skipped + size:
@@ -142,7 +142,7 @@ def _binary(path: Path, data: bytes, order: str, before: list[_Element], vertice
 
 
 def _ascii(path: Path, data: bytes, line: int, before: list[_Element], vertices: _Element, last: bool) -> F64:
-    """Return x, y, z of the lines of vertices."""
+    """Return x, y, z (n, 3) of the vertices of text."""
     skipped = sum(one.rows for one in before)
     if skipped > MOST_POINTS:
         raise SourceError(path, f"claims {skipped:,} rows before its vertices, and a frame has {MOST_POINTS:,} points")

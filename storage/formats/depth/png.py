@@ -1,4 +1,4 @@
-"""Depth images in 16-bit PNG, a file for each frame: read without trust, and written whole."""
+"""Read and write depth images in 16-bit PNG, a file for each frame; headers are checked before pixels are decoded."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def image_size(path: Path) -> tuple[int, int]:
     Raises
     ------
     SourceError
-        The file is no 16-bit grey PNG.
+        The file is not a 16-bit grey PNG.
     """
     with _opened(path) as image:
         return image.size
@@ -57,7 +57,7 @@ def read_png(path: Path, size: tuple[int, int]) -> U16:
     path : Path
         The file.
     size : tuple of (int, int)
-        The width and height that it must have.
+        The required width and height.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def read_png(path: Path, size: tuple[int, int]) -> U16:
             raise SourceError(path, size_fault(image.size, size))
         try:
             values = np.asarray(image)
-        except Exception as fault:  # Pillow, zlib and struct have an error of their own for every broken byte
+        except Exception as fault:  # Pillow, zlib and struct raise many classes of errors for damaged data
             raise SourceError(path, f"cannot be read as PNG: {str(fault)[:200]}") from None
     return values.astype(np.uint16)
 
@@ -98,16 +98,16 @@ def read_depth_png(path: str | Path, camera: DepthCamera) -> F32:
 
 
 def write_depth_png(path: str | Path, depths: npt.ArrayLike, depth_unit_m: float = 0.001) -> None:
-    """Write depths as a 16-bit grey PNG, whole or not at all; the same depths make the same bytes.
+    """Write depths as a 16-bit grey PNG, atomically; equal depths give equal bytes.
 
     Parameters
     ----------
     path : str or Path
         The file.
     depths : float array (H, W)
-        Metres; what is not above 0, or NaN, was not measured and becomes 0.
+        Depths z in metres; NaN and values not above 0 were not measured and become 0.
     depth_unit_m : float, optional
-        Metres of one unit; depths are rounded to it.
+        Metres per unit; depths are rounded to it.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def size_fault(found: Sequence[int], size: Sequence[int]) -> str:
 
 
 def _opened(path: Path) -> Image.Image:
-    """Return an open image, whose pixels were not read, if it is a depth image of a possible size."""
+    """Open an image without decoding its pixels; raise SourceError unless it is a depth image of a possible size."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)

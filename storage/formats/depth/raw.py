@@ -1,4 +1,4 @@
-"""Depth images as raw 16-bit numbers, little-endian, row by row: all frames in a file, or a file for each."""
+"""Read depth images as raw 16-bit numbers, little-endian, row by row: all frames in a file, or a file for each."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def open_raw(path: Path, camera: DepthCamera) -> RawFrames:
     Raises
     ------
     SourceError
-        The file cannot be read, or its size is no whole number of images of this camera.
+        The file cannot be read, or its size is not a multiple of this camera's image size.
     """
     try:
         size = path.stat().st_size

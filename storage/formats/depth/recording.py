@@ -1,4 +1,4 @@
-"""A recording by a depth camera: its files read together and checked; images are read one at a time."""
+"""Read a recording by a depth camera: check its files together, and open images that are read one at a time."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 
 SAMPLE = 10
-"""Frames that a recording is checked on, spread over it."""
+"""The number of frames, spread over a recording, on which it is checked."""
 
 MOST_BACKGROUND_BYTES = 1 << 28
-"""Memory for the frames that a background is measured in; of longer recordings evenly spaced frames are used."""
+"""The largest memory, in bytes, for the frames that a background is measured in; longer recordings are subsampled."""
 
 CAMERA_MOVED = "much lies behind the background; did the camera move?"
 """The end of the note on frames that contradict the background."""
@@ -74,15 +74,15 @@ class DepthRecording:
     rate_hz : float
         Frames per second.
     body : str or None
-        A take of the store whose bone lengths are the person's, or `estimate`; None if the recording does not say.
+        A take of the store whose bone lengths are the person's, or `estimate`; None if the recording does not state it.
     truth : str or Path or None
-        A take of the store, or a file of positions.
+        The ground truth: a take of the store, or a file of positions.
     truth_pose : WorldPose or None
-        Where the axes of the truth lie in the world.
+        The pose of the ground truth's axes in the world.
     markers : mapping of str to str
-        Marker of the truth → the joint that it is fixed to.
+        Marker of the ground truth → the joint that it is fixed to.
     notes : tuple of str
-        Sentences for the user: what was chosen, what looks wrong. `frames.notes()` has more when all were read.
+        Sentences for the user on choices made and on what looks wrong; `frames.notes()` adds those on frames read.
     """
 
     name: str
@@ -108,7 +108,7 @@ def read_recordings(path: str | Path) -> list[DepthRecording]:
     Returns
     -------
     list of DepthRecording
-        The recordings, in the order of the file; no images but a few to check them are read.
+        The recordings, in the order of the file; only a few images are read, to check them.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def read_recording(file: DepthRecordingsFile, name: str) -> DepthRecording:
 
 
 def recording_files(file: DepthRecordingsFile, name: str) -> list[tuple[str, Path]]:
-    """Return the files that a recording is read from, each with the key that names it; its truth is none of them.
+    """Return the files that a recording is read from, each with the key that names it, without its ground truth.
 
     Raises
     ------
@@ -175,7 +175,7 @@ def recording_files(file: DepthRecordingsFile, name: str) -> list[tuple[str, Pat
 
 
 def recording_truth(file: DepthRecordingsFile, name: str) -> str | Path | None:
-    """Return the truth of a recording: a take of the store, a file, or None.
+    """Return the ground truth of a recording: a take of the store, a file, or None.
 
     Raises
     ------
@@ -187,7 +187,7 @@ def recording_truth(file: DepthRecordingsFile, name: str) -> str | Path | None:
 
 @dataclass(frozen=True)
 class _Entry:
-    """A recording's entry in its file."""
+    """A recording's entry in the file of recordings."""
 
     file: DepthRecordingsFile
     name: str
@@ -215,7 +215,7 @@ class _Entry:
             raise self.error("depth", str(fault)) from None
 
     def camera(self, files: FrameFiles, values: NpzValues | None) -> DepthCamera:
-        """Return the camera, of its file, of an NPZ, or of an organised cloud."""
+        """Return the camera, from its file, an NPZ file or an organised cloud."""
         camera: DepthCamera | None = None
         if self.given.camera is not None:
             path = self.path("camera", self.given.camera)
@@ -239,7 +239,7 @@ class _Entry:
         return camera
 
     def compare_matrices(self, camera: DepthCamera, files: FrameFiles, matrix: F64) -> None:
-        """Refuse a camera that contradicts the intrinsics in an NPZ file."""
+        """Raise an error if the camera contradicts the intrinsics in an NPZ file."""
         if np.abs(camera.matrix - matrix).max() > _MOST_OFF_PX:
             fx, cx, fy, cy = matrix[0, 0], matrix[0, 2], matrix[1, 1], matrix[1, 2]
             raise self.error(
@@ -248,7 +248,7 @@ class _Entry:
             )  # fmt: skip
 
     def rate_hz(self, camera: DepthCamera, files: FrameFiles, values: NpzValues | None) -> float:
-        """Return the frames per second: of the recording, the camera, the NPZ, or the times of the files."""
+        """Return the frames per second, from the recording, the camera, the NPZ file or the times of the files."""
         stated = None if values is None else values.rate_hz
         found = self.given.rate_hz or camera.rate_hz or stated or files.rate_hz()
         if found is None:
@@ -256,7 +256,7 @@ class _Entry:
         return float(found)
 
     def source(self, files: FrameFiles, camera: DepthCamera) -> DepthSource:
-        """Return the images."""
+        """Return the source of the images, by the kind of the files."""
         unit_m = self.given.depth_unit_m or 1.0
         if files.kind == "npz":
             return open_npz(files.files[0], camera, unit_m)
@@ -265,11 +265,11 @@ class _Entry:
         return ImageFiles(files.numbers(camera.rate_hz), camera, unit_m)
 
     def sample(self, frames: DepthFrames) -> dict[int, F32]:
-        """Return a few images, spread over the recording; an error reports why none can be read."""
+        """Return a few images, spread over the recording; raise an error with the reason if none can be read."""
         present = [number - frames.first for number in frames.source.numbers]
         chosen = {present[i] for i in np.linspace(0, len(present) - 1, min(SAMPLE, len(present))).astype(int)}
         images = {t: image for t in sorted(chosen) if (image := frames[t]) is not None}
-        if not images:  # the first of them are all damaged: perhaps others are not
+        if not images:  # all of the sample are damaged: try the first frames
             for t in present[:_MOST_TRIES]:
                 if (image := frames[t]) is not None:
                     return {t: image}
@@ -279,7 +279,7 @@ class _Entry:
     def background(
         self, camera: DepthCamera, frames: DepthFrames, images: Mapping[int, F32]
     ) -> tuple[F32 | None, list[str]]:
-        """Return the background and notes on it."""
+        """Return the background image, or None without one, and notes on it."""
         given = self.given.background
         if given is None:
             given = AUTO if shows_room(images) else NONE
@@ -318,7 +318,7 @@ class _Entry:
     def checks(
         self, camera: DepthCamera, files: FrameFiles, images: Mapping[int, F32], background: F32 | None
     ) -> list[str]:
-        """Refuse what the frames contradict, and return notes on what is odd."""
+        """Check the recording's values against a few frames, and return notes on what looks wrong."""
         extents = measured_extents(camera, images, background)
         unit_m = camera.depth_unit_m
         if files.kind == "images" and files.files[0].suffix.lower() not in (".png", ".raw", ".bin"):
@@ -333,7 +333,7 @@ class _Entry:
         return notes
 
     def moved_note(self, images: Mapping[int, F32], background: F32 | None) -> str:
-        """Return a note on frames that are farther than the background; refuse one that no frame fits."""
+        """Return a note on frames that lie behind the background; raise an error if no frame fits the background."""
         moved = {}
         if background is not None and self.given.background not in (None, AUTO):
             moved = moved_frames(images, background)
@@ -352,7 +352,7 @@ class _Entry:
         return f"frames {listed}: {CAMERA_MOVED}" if moved else ""
 
     def unit_error(self, fault: str) -> ConfigError:
-        """Return the error on a unit, at the key that states it or can: in the camera's YAML, or in the recording."""
+        """Return an error about the unit, at the key of the camera's file or of the recording that states it."""
         if self.given.depth_unit_m is None and self.given.camera is not None:
             path = self.path("camera", self.given.camera)
             if path.suffix.lower() in _YAML:
@@ -360,7 +360,7 @@ class _Entry:
         return self.error("depth_unit_m", fault)
 
     def truth(self) -> str | Path | None:
-        """Return the truth: a file below the folder if there is one of this name, or the name of a take."""
+        """Return the ground truth: a file of this name below the folder if it exists, else the name of a take."""
         given = self.given.truth
         if given is None:
             return None
@@ -370,7 +370,7 @@ class _Entry:
 
 
 def _first_size(files: FrameFiles) -> tuple[int, int] | None:
-    """Return the size of the first image that can be read, for cameras that state none."""
+    """Return the size of the first image that can be read, for cameras without a stated size."""
     if files.kind != "images" or files.files[0].suffix.lower() != ".png":
         return None
     fault: KinedexError | None = None
@@ -383,7 +383,7 @@ def _first_size(files: FrameFiles) -> tuple[int, int] | None:
 
 
 def _first_cloud(files: FrameFiles) -> Cloud | None:
-    """Return the first cloud that can be read; None where frames are no clouds."""
+    """Return the first cloud that can be read; None if the frames are not clouds."""
     fault: KinedexError | None = None
     for path in files.files[:_MOST_TRIES]:
         try:

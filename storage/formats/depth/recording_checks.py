@@ -1,4 +1,4 @@
-"""Checks of a depth recording on a few of its frames, with a guess at what is wrong."""
+"""Check a depth recording on a few of its frames, and guess at the cause of a fault."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from kinedex.ops.depth.background import behind_share, person_extent
 F32 = npt.NDArray[np.float32]
 
 NEAREST_M, FARTHEST_M = 0.4, 8.0
-"""A person stands between these distances."""
+"""The least and greatest distance of a person from the camera, in metres."""
 
 SMALLEST_M, LARGEST_M = 0.45, 4.5
-"""A person before the background has a size between these; two of them may be 3 m apart."""
+"""The least and greatest size of what stands before the background, in metres; two persons may be 3 m apart."""
 
 PERSON_M = 0.5, 2.3
-"""The size of a person, to choose the likely unit."""
+"""The least and greatest size of a person in metres, by which the likely unit is chosen."""
 
 MOST_BEHIND = 0.2
-"""With a larger share of the pixels behind the background, the camera has moved."""
+"""The share of pixels behind the background above which the camera must have moved."""
 
 OTHER_UNIT = 5.0
-"""Images that lie so many times as far away as the background, or as near, are in another unit."""
+"""The ratio between the distances of images and background above which their units differ."""
 
 MOST_ROOM = 0.5
-"""With a larger share of the pixels measured, the images show the room."""
+"""The share of measured pixels above which the images show the room."""
 
 UNITS_M = (0.001, 0.0001, 0.0002, 0.00025, 0.000125, 0.0005, 0.01, 1.0, 0.0254)
-"""Units of depth cameras and clouds that are tried, the usual ones first."""
+"""Metres per unit of depth cameras and clouds that are tried, the usual ones first."""
 
 _OFF_CENTRE = 0.25
 _NEAR_PERCENTILE = 10.0
@@ -40,14 +40,14 @@ _USUAL_SIZE_M, _USUAL_DISTANCE_M = 1.5, 2.5
 
 
 class Extents(NamedTuple):
-    """The person in a few frames, or the nearest of the room.
+    """Distance and size of the person in a few frames, or distance of the nearest part of the room.
 
     Attributes
     ----------
     distance : float
         The median distance in metres.
     least, greatest : float
-        Sizes in metres; infinity and 0 where the frames show the room.
+        Sizes in metres; infinity and 0 if the frames show the room.
     """
 
     distance: float
@@ -75,7 +75,7 @@ def measured_extents(camera: DepthCamera, images: Mapping[int, F32], background:
     Returns
     -------
     Extents, optional
-        None where nobody is seen; the nearest of the room where nothing tells the person from it.
+        None if nothing is seen; those of the nearest part of the room if the person cannot be told from it.
     """
     found = [
         one
@@ -84,7 +84,7 @@ def measured_extents(camera: DepthCamera, images: Mapping[int, F32], background:
     ]
     if not found:
         return None
-    if background is None and shows_room(images):  # the nearest of it counts, for halls are deeper than 8 m
+    if background is None and shows_room(images):  # only the nearest part: halls are deeper than 8 m
         nearest = [float(np.percentile(image[image > 0], _NEAR_PERCENTILE)) for image in images.values() if image.any()]
         return Extents(float(np.median(nearest)), np.inf, 0.0)
     distances, sizes = zip(*found, strict=True)
@@ -92,14 +92,14 @@ def measured_extents(camera: DepthCamera, images: Mapping[int, F32], background:
 
 
 def unit_fault(extents: Extents, unit_m: float) -> str:
-    """Return the message on a unit that distance or size contradicts; empty where it may be right.
+    """Return the message about a unit that distance or size contradicts; empty if the unit may be right.
 
     Parameters
     ----------
     extents : Extents
         Distance and size in the frames.
     unit_m : float
-        The unit that they were read in.
+        The unit in metres in which the frames were read.
     """
     near = NEAREST_M <= extents.distance <= FARTHEST_M
     sized = not extents.sized or (extents.greatest >= SMALLEST_M and extents.least <= LARGEST_M)
@@ -124,19 +124,19 @@ def unit_fault(extents: Extents, unit_m: float) -> str:
 
 
 def _unlikely(extents: Extents, scale: float) -> float:
-    """Return how far a person at this scale is from the usual distance and size."""
+    """Return a measure of how far distance and size, times a scale, are from those of a person."""
     size = abs(np.log(extents.greatest * scale / _USUAL_SIZE_M))
     return float(size + abs(np.log(extents.distance * scale / _USUAL_DISTANCE_M)))
 
 
 def moved_frames(images: Mapping[int, F32], background: F32) -> dict[int, float]:
-    """Return the frames in which too much lies behind the background, with its share of the pixels."""
+    """Return frame → share of pixels behind the background, for frames in which it is too large."""
     shares = {frame: behind_share(image, background) for frame, image in images.items()}
     return {frame: share for frame, share in shares.items() if share > MOST_BEHIND}
 
 
 def other_unit(images: Mapping[int, F32], background: F32) -> float | None:
-    """Return how many times as far away images lie as their background, if that is more than rooms differ."""
+    """Return the ratio of the images' distance to that of the background if only other units explain it, else None."""
     ratios = [
         np.median(image[both] / background[both])
         for image in images.values()

@@ -1,4 +1,4 @@
-"""Intrinsics of depth cameras in JSON, as the programs of RealSense, Open3D and Azure Kinect write them."""
+"""Read intrinsics of depth cameras in JSON, as the programs of RealSense, Open3D and Azure Kinect write them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from kinedex.storage.formats.cameras.camera_values import numbers_of
 F64 = npt.NDArray[np.float64]
 
 MILLIMETRE_M = 0.001
-"""The unit where a file states none; the person's distance contradicts a wrong one."""
+"""Metres per unit if a file states none; the person's distance reveals a wrong unit."""
 
 _AZURE_MODES = {
     (320, 288): (512, 96, 90), (640, 576): (1024, 192, 180), (512, 512): (512, 0, 0), (1024, 1024): (1024, 0, 0),
@@ -40,7 +40,7 @@ def vendor_camera(located: Located, size: tuple[int, int] | None) -> DepthCamera
     Raises
     ------
     ConfigError
-        The file has no intrinsics, or those of a lens that is not read; the message names the key.
+        The file has no intrinsics, or those of a lens model that is not supported; the message names the key.
     """
     content = located.mapping()
     if "CalibrationInformation" in content:
@@ -68,7 +68,7 @@ def _matrix(located: Located, at: tuple[str, ...], content: Mapping[str, Any]) -
             if numbers is None or len(numbers) != 9:
                 raise located.error("must be 9 finite numbers", *at, key)
             given = numbers.reshape(3, 3)
-            # Open3D writes its matrices by columns, others by rows: the last row is 0 0 1
+            # Open3D writes its matrices by columns, others by rows; the last row is 0 0 1
             return np.ascontiguousarray(given.T if given[2, :2].any() else given)
     keys = ("fx", "fy", "ppx", "ppy") if "ppx" in content else ("fx", "fy", "cx", "cy")
     for key in keys:
@@ -82,7 +82,7 @@ def _matrix(located: Located, at: tuple[str, ...], content: Mapping[str, Any]) -
 
 
 def _distortion(located: Located, at: tuple[str, ...], content: Mapping[str, Any]) -> F64:
-    """Return OpenCV's numbers; a model that is none of OpenCV's is refused unless its numbers are 0."""
+    """Return distortion coefficients in OpenCV's order; another model is refused unless its coefficients are 0."""
     key = next(
         (key for key in ("coeffs", "distortion", "distortion_coefficients", "dist_coeffs") if key in content), ""
     )
@@ -103,7 +103,7 @@ def _distortion(located: Located, at: tuple[str, ...], content: Mapping[str, Any
 
 
 def _unit_m(located: Located, at: tuple[str, ...], content: Mapping[str, Any]) -> float:
-    """Return metres of a unit: RealSense writes metres of a unit (0.001), Open3D units of a metre (1000)."""
+    """Return metres per unit: RealSense writes that (0.001), Open3D the number of units in a metre (1000)."""
     key = next((key for key in _UNIT_KEYS if content.get(key) is not None), "")
     if not key:
         return MILLIMETRE_M
@@ -126,10 +126,10 @@ def _size(located: Located, at: tuple[str, ...], content: Mapping[str, Any]) -> 
 
 
 def _azure_camera(located: Located, size: tuple[int, int] | None) -> DepthCamera:
-    """Return the depth camera of the calibration that an Azure Kinect has stored, for images of a size.
+    """Return the depth camera from the calibration stored in an Azure Kinect, for images of a given size.
 
-    Its numbers are those of the whole square sensor, as shares of its side, with corners of pixels at whole numbers;
-    each mode cuts its images out of it.
+    Its numbers refer to the whole square sensor, as fractions of its side, with pixel corners at integers; each mode
+    crops its images from it.
     """
     at: tuple[str | int, ...] = ("CalibrationInformation", "Cameras")
     information = located.mapping()["CalibrationInformation"]
@@ -167,7 +167,7 @@ def _checked(
     unit_m: float,
     rate_hz: float | None,
 ) -> DepthCamera:
-    """Return the camera; errors name the section."""
+    """Build the camera from checked values; errors name the section."""
     try:
         return DepthCamera(matrix, distortion, size, unit_m, rate_hz)
     except ParameterError as fault:

@@ -1,1 +1,1 @@
-"""Files of inertial sensors: accelerations, angular velocities, magnetic fields and orientations."""
+"""Read files of inertial sensors: accelerations, angular velocities, magnetic fields and orientations."""

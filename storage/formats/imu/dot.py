@@ -1,8 +1,8 @@
-"""CSV files of Xsens DOT (Movella DOT): one sensor a file, lines of settings, then columns by name.
+"""Read CSV files of Xsens DOT (Movella DOT): one sensor a file, lines of settings, then columns by name.
 
-Written from the manual, since no file is given: `sep=,`, `DeviceTag:,…`, `OutputRate:,60Hz`, then PacketCounter,
+Written from the manual, without a sample file: `sep=,`, `DeviceTag:,…`, `OutputRate:,60Hz`, then PacketCounter,
 SampleTimeFine (µs, which wraps at 2³²), Quat_W … or Euler_X …, FreeAcc_X … or Acc_X …, Gyr_X … (degrees/s), Mag_X …
-Free accelerations have no gravity and are not read. The reader asks for no more than the names of columns.
+Free accelerations have no gravity and are not read. Only the names of columns are required.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""HDF5 files of sensors: those of Opal (APDM), and any other by the names of its data sets.
+"""Read HDF5 files of sensors: those of Opal (APDM), and any other by the names of its data sets.
 
 Opal's are `Sensors/<id>/Accelerometer`, `Gyroscope`, `Magnetometer` and `Time` (µs), `Processed/<id>/Orientation`, and
 the name of a sensor in the attribute `Label 0` of its configuration. Older files (versions 3 and 4) have
 `<id>/Calibrated/Accelerometers`, `Gyroscopes`, `Magnetometers`, `Orientation` and `<id>/Time`, the rate in `SampleRate`
 of `<id>`, and the names in `MonitorLabelList` of the file, in the order of its `CaseIdList`. Both layouts are those of
-the manual and of other people's code, since no file is given; what is missing is not asked for.
+the manual and of other people's code, without a sample file; missing data sets are accepted.
 
 Other data sets are columns as in a table: `imu_acc` of three columns is imu_acc/x, imu_acc/y and imu_acc/z. The rate is
 an attribute `sampling_rate`, `sample_rate`, `rate_hz` or `fs` of the file or of a group.
@@ -36,7 +36,7 @@ _AXES = {3: "xyz", 4: "wxyz"}
 
 
 class _Layout(NamedTuple):
-    """The places of a sensor in a file of Opal: a pattern with its number, and places for {0}, the number."""
+    """Paths of a sensor in a file of Opal: a pattern that captures its number, and paths with {0} for it."""
 
     device: str
     readings: str
@@ -99,7 +99,7 @@ def _opal(path: Path, contents: Hdf5Contents, devices: list[str], layout: _Layou
 
 
 def _set(path: Path, sensor: RawSensor, contents: Hdf5Contents, wanted: Mapping[str, str]) -> None:
-    """Set the channels and times of a sensor that are there; they must be of one length."""
+    """Set the channels and times of a sensor that the file has; they must have equal lengths."""
     present = {key: name for key, name in wanted.items() if name in contents.datasets}
     width = {"orientation": 4, "times": None}
     for key, name in present.items():
@@ -116,7 +116,7 @@ def _set(path: Path, sensor: RawSensor, contents: Hdf5Contents, wanted: Mapping[
 
 
 def _label(contents: Hdf5Contents, device: str) -> str | None:
-    """Return the name of an Opal, of the attribute `Label 0` of one of its groups, or of the file's list of labels."""
+    """Return the name of an Opal, from the attribute `Label 0` of one of its groups or from the list of labels."""
     for group in (f"Sensors/{device}/Configuration", f"Sensors/{device}", f"Processed/{device}"):
         label = contents.attributes.get(group, {}).get("Label 0")
         if isinstance(label, str) and label.strip():
@@ -131,7 +131,7 @@ def _label(contents: Hdf5Contents, device: str) -> str | None:
 
 
 def _rate(contents: Hdf5Contents, *groups: str) -> float | None:
-    """Return the samples per second that an attribute of one of some groups states."""
+    """Return the samples per second stated by an attribute of one of the groups."""
     for group in groups:
         for key, value in contents.attributes.get(group, {}).items():
             if key.lower() in _RATES and isinstance(value, float) and np.isfinite(value) and value > 0:
@@ -140,7 +140,7 @@ def _rate(contents: Hdf5Contents, *groups: str) -> float | None:
 
 
 def _by_columns(path: Path, contents: Hdf5Contents, given: Given) -> list[RawSensor]:
-    """Read the data sets that have the names of columns, all of one length."""
+    """Read the data sets that are named like table columns, all of one length."""
     header: list[str] = []
     parts: list[tuple[str, int | None]] = []
     for name, dataset in contents.datasets.items():

@@ -1,7 +1,8 @@
-"""The program that opens an HDF5 file apart from kinedex: a damaged file can crash the library that reads it.
+"""Open an HDF5 file in a process of its own: a damaged file can crash the library that reads it.
 
 It is run by `hdf5_files` as `python hdf5_child.py FILE [NAME…]`. Without names it prints the data sets and attributes
-as JSON, with names it writes these data sets as an NPZ file to its output. A fault is a line on standard error.
+as JSON, with names it writes these data sets as an NPZ file to its output. An error is reported in a line on standard
+error.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import h5py
 import numpy as np
 
 MOST_NAMES = 20_000
-"""Data sets of a file."""
+"""The largest number of data sets in a file."""
 
 _MOST_TEXT = 2_000
 
@@ -63,7 +64,7 @@ def plain(attributes: Any, key: str) -> str | float | list[str] | None:
 
 
 def read(path: str, names: list[str]) -> dict[str, Any]:
-    """Return data sets by name, numbers as float64 and integers as int64; "name/field" is a field of a compound."""
+    """Return data sets by name, floats as float64 and integers as int64; "name/field" is a field of a compound."""
     found = {}
     with h5py.File(path, "r") as file:
         for i, name in enumerate(names):
@@ -74,14 +75,14 @@ def read(path: str, names: list[str]) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Run the program."""
+    """Run the program, and return its exit status."""
     path, names = sys.argv[1], sys.argv[2:]
     try:
         if names:
             np.savez(sys.stdout.buffer, **read(path, names))
         else:
             json.dump(describe(path), sys.stdout)
-    except Exception as fault:  # the library has many errors, all of a file that is damaged or strange
+    except Exception as fault:  # the library raises many classes of errors for damaged or unusual files
         print(str(fault).splitlines()[0][:300] if str(fault) else type(fault).__name__, file=sys.stderr)
         return 1
     return 0

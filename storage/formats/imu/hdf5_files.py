@@ -1,4 +1,4 @@
-"""HDF5 files: checked by size and header, then opened by a process of their own, which a damaged file may crash."""
+"""Read HDF5 files: check size and header, then open them in a child process, which a damaged file may crash."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SIGNATURE = b"\x89HDF\r\n\x1a\n"
 """The first bytes of an HDF5 file."""
 
 MOST_BYTES = 4 << 30
-"""Data sets that take more memory together are not read."""
+"""The largest memory of data sets that are read together, in bytes."""
 
 _PROGRAM = "kinedex.storage.formats.imu.hdf5_child:main"
 _CHILD = Path(__file__).with_name(_PROGRAM.partition(":")[0].rpartition(".")[2] + ".py")
@@ -65,7 +65,7 @@ class Hdf5Contents:
 
 
 def hdf5_contents(path: Path) -> Hdf5Contents:
-    """Return what an HDF5 file contains, without its numbers.
+    """Return the data sets and attributes of an HDF5 file, without the values of the data sets.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def check_header(path: Path) -> None:
     Raises
     ------
     SourceError
-        The file is none, or is cut off.
+        The file is not HDF5, or is truncated.
     """
     try:
         with path.open("rb") as file:
@@ -143,11 +143,11 @@ def check_header(path: Path) -> None:
 
 
 def _run(path: Path, names: tuple[str, ...]) -> bytes:
-    """Return what the child process writes; a SourceError reports that it failed, crashed, or did not end."""
+    """Return the output of the child process; raise SourceError if it failed, crashed or ran too long."""
     if importlib.util.find_spec("h5py") is None:
         raise KinedexError(f"{path}: HDF5 files are read by h5py, which is not installed: pip install 'kinedex[imu]'")
     patience = _PATIENCE_S + path.stat().st_size / _BYTES_A_SECOND
-    # no code of plugins that a file asks for is loaded
+    # plugins that a file asks for are not loaded
     command = [sys.executable, "-P", str(_CHILD), str(path.resolve()), *names]
     try:
         done = subprocess.run(

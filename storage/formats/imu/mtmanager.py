@@ -1,8 +1,8 @@
-"""Text exports of Xsens MT Manager: one sensor a file, a head of comments, then columns by name.
+"""Read text exports of Xsens MT Manager: one sensor a file, a head of comments, then columns by name.
 
 Columns are separated by tabs, commas, semicolons or single blanks, and cells can be empty. Orientations are quaternions
 (Quat_q0 … or Quat_w …), matrices (Mat[row][column]) or Euler angles (Roll, Pitch, Yaw in degrees, of Rz·Ry·Rx). Samples
-are counted by PacketCounter, which wraps at 65,536; that it does so is from the manual, and no file given shows it.
+are counted by PacketCounter, which wraps at 65,536; the wrap is taken from the manual, no sample file shows it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def recognises(path: Path, head: bytes) -> bool:
 
 
 def session_of(path: str, head: bytes) -> str:
-    """Return the path of a file without the number of its sensor at the end, by which files of a session are named."""
+    """Return the path of a file without the sensor number at its end, which is common to the files of a session."""
     device = _DEVICE.search(head.decode("latin-1"))
     number = re.escape(device[1]) if device else "[0-9A-Fa-f]{8}"
     return re.sub(rf"[-_]{number}\.[^./]+$", "", path)

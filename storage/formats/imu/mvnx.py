@@ -1,6 +1,6 @@
-"""The sensors in an MVNX file of Xsens MVN: orientations and magnetic fields, at the rate of the motion.
+"""Read the sensors in an MVNX file of Xsens MVN: orientations and magnetic fields, at the rate of the motion.
 
-Written from the manual, since no file is given: orientations are quaternions w x y z from the sensor to F_GI (X
+Written from the manual, without a sample file: orientations are quaternions w x y z from the sensor to F_GI (X
 magnetic north, Y west, Z up). The accelerations in such files have no gravity, and are not read.
 """
 

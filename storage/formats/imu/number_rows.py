@@ -1,4 +1,4 @@
-"""Rows of numbers in text, some of which are missing: chosen columns of tables with a header of any kind."""
+"""Read chosen columns of numbers from text tables with any kind of header, in which cells may be empty."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 MOST_TEXT_BYTES = 2 << 30
-"""A larger text is not read; Parquet and HDF5 hold an hour of twenty sensors in half of this."""
+"""The largest text in bytes; Parquet and HDF5 hold an hour of twenty sensors in half of this."""
 
 LARGEST = 1e20
-"""A larger number is none of a sensor: nanoseconds since 1970 are 1.7e18."""
+"""The largest number that a sensor can write: nanoseconds since 1970 are 1.7e18."""
 
 SEPARATORS = ("\t", ",", ";", " ")
 
@@ -32,7 +32,7 @@ _NAN = float("nan")
 
 @dataclass(frozen=True, eq=False)
 class NumberRows:
-    """Columns of a table.
+    """Chosen columns of a table.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ def text_lines(path: Path) -> list[str]:
     Raises
     ------
     SourceError
-        The file cannot be read, is empty, too large, or no text.
+        The file cannot be read, is empty, too large, or not text.
     """
     try:
         size = path.stat().st_size
@@ -76,7 +76,7 @@ def text_lines(path: Path) -> list[str]:
 
 
 def separator_of(header: str) -> str:
-    """Return the separator that a header has most of; the blank, which names have too, only where it has no other."""
+    """Return the most frequent separator of a header; a blank only if there is no other, since names contain it too."""
     *others, blank = SEPARATORS
     found = max(others, key=lambda one: (header.count(one), -others.index(one)))
     return found if found in header else blank
@@ -118,7 +118,7 @@ def number_rows(
     Raises
     ------
     SourceError
-        A cell is no number, or a row has fewer or more cells than the header; the message names line and column.
+        A cell is not a number, or a row has fewer or more cells than the header; the message names line and column.
     """
     table = _Table(path, separator, header, list(wanted), list(texts))
     blocks: list[F64] = []
@@ -144,7 +144,7 @@ def number_rows(
 
 @dataclass(frozen=True)
 class _Table:
-    """A table while its rows are read."""
+    """A table whose rows are being read."""
 
     path: Path
     separator: str
@@ -164,7 +164,7 @@ class _Table:
         return found if found.shape == (len(lines), len(self.wanted)) and not (np.abs(found) > LARGEST).any() else None
 
     def cells(self, line: str, number: int) -> list[str]:
-        """Return the cells of a row, once it has as many as are needed."""
+        """Return the cells of a row; raise an error if it lacks wanted cells or has more than the header."""
         cells = cells_of(line, self.separator) if '"' in line else line.split(self.separator)
         count = len(self.header)
         if len(cells) <= max(self.wanted + self.texts):
@@ -195,7 +195,7 @@ class _Table:
         return pick if len(self.wanted) > 1 else lambda cells: (pick(cells),)
 
     def _slowly(self, rows: list[list[str]], lines: list[int]) -> Iterator[float]:
-        """Yield the wanted cells as numbers, with the decimal commas that other separators allow."""
+        """Yield the wanted cells as numbers one by one, with decimal commas if the separator allows them."""
         for cells, line in zip(rows, lines, strict=True):
             for column, place in enumerate(self.wanted):
                 cell = cells[place].strip()
