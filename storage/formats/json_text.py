@@ -1,4 +1,4 @@
-"""Values of Arrow, DuckDB and Python as JSON."""
+"""Write values of Arrow, DuckDB and Python as JSON."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ def json_text(document: object) -> str:
 
 
 def json_value(value: Any) -> Any:
-    """Return a value as JSON has it.
+    """Convert a value to one that JSON can represent.
 
-    ∞ and NaN become null; decimals (also what sums of integers are in SQL) become numbers; Arrow tables become lists of
-    rows; paths, dates, times and other values without a form of their own in JSON become text.
+    ∞ and NaN become null; decimals, which SQL's sums of integers are, become numbers; Arrow tables become lists of
+    rows; paths, dates, times and other values that JSON has no type for become text.
     """
     match value:
         case None | bool() | int() | str():

@@ -1,6 +1,6 @@
-"""Tables about takes that people write, in CSV or YAML: tags, licences, figures, as typed columns.
+"""Read tables about takes that users write in CSV or YAML, such as tags and licences, as typed columns.
 
-A table has a column that names takes or their files, the key; each other column is a value. A column is of one type:
+One column, the key, names takes or their files; every other column holds values. A column is of one type:
 BOOLEAN, BIGINT, DOUBLE, VARCHAR, or VARCHAR[] (lists in YAML; in CSV the columns whose name ends with "[]", and `tags`,
 with |, ; or a comma between the parts of a cell).
 """
@@ -21,7 +21,7 @@ from kinedex.storage.formats.csv_tables import CsvTable
 from kinedex.storage.formats.small_files import read_bytes
 
 KEYS = ("take", "file", "path", "source", "filename", "name", "stem")
-"""The names of columns that are the key; without any of them, the first column is."""
+"""The names of key columns; in a table without any of them, the first column is the key."""
 
 ENDINGS = (".csv", ".tsv", ".txt", ".yaml", ".yml", ".json")
 """The endings of tables."""
@@ -29,7 +29,7 @@ ENDINGS = (".csv", ".tsv", ".txt", ".yaml", ".yml", ".json")
 MOST_ROWS = 500_000
 MOST_COLUMNS = 200
 MOST_LETTERS = 10_000
-"""Most rows and columns of a table, and characters of a cell."""
+"""The largest number of rows and of columns of a table, and of characters in a cell."""
 
 _SIXTY_FOUR_BITS = 2**63
 _WHOLE = re.compile(r"[+-]?(?:0|[1-9][0-9]{0,17})")
@@ -42,14 +42,14 @@ Value = bool | int | float | str | tuple[str, ...]
 
 @dataclass(frozen=True)
 class Cell:
-    """A value of a table, with the text that it has in the file."""
+    """A value of a table, with its text in the file."""
 
     text: str
     value: Value
 
     @property
     def type(self) -> str:
-        """The type of column that the value alone would have."""
+        """The type that a column of this value alone would have."""
         return _TYPES[type(self.value)]
 
 
@@ -84,7 +84,7 @@ class MetadataRow:
 
 @dataclass(frozen=True)
 class MetadataTable:
-    """A table about takes: the file, the name of its key, and its rows."""
+    """A table about takes: its file, the name of its key column, and its rows."""
 
     path: str
     key: str
@@ -130,7 +130,7 @@ def read_metadata(path: str | Path) -> MetadataTable:
     SourceError
         The file cannot be read, or is too large; a row or column is wrong. The message names the line.
     ConfigError
-        The file is no YAML.
+        The file is not valid YAML.
     """
     ending = Path(path).suffix.lower()
     if ending not in ENDINGS:
@@ -140,7 +140,7 @@ def read_metadata(path: str | Path) -> MetadataTable:
 
 
 def _checked(path: str | Path, columns: Iterable[str], line: int | None) -> list[str]:
-    """Return the names of columns; a SourceError reports an empty or a repeated one."""
+    """Return the names of columns; raise SourceError for an empty or repeated one."""
     seen: dict[str, str] = {}
     for number, name in enumerate(columns, 1):
         if not name:
@@ -173,7 +173,7 @@ def _refuse_long(path: str | Path, text: str, line: int | None, column: str) -> 
 def read_sidecar(path: str | Path, key: str) -> MetadataRow:
     """Read a YAML file that describes the motion file beside it: a mapping from columns to values.
 
-    Columns with the name of a key, such as `take` or `file`, repeat what the name of the file tells, and are ignored.
+    Columns with the name of a key, such as `take` or `file`, repeat the name of the file and are ignored.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def read_sidecar(path: str | Path, key: str) -> MetadataRow:
     SourceError
         The file cannot be read, or is too large.
     ConfigError
-        The file is no YAML, or holds other things than columns with texts, numbers, true, false, or lists of texts.
+        The file is not valid YAML, or has a value that is not a text, number, true, false, or list of texts.
     """
     data = read_bytes(path, "files beside motion files", "give a table of metadata instead")
     located = _located(path, data)
@@ -244,7 +244,7 @@ def _cells(name: str, texts: list[str], table: CsvTable) -> Iterator[Cell | None
 
 
 def _value(point: str, text: str) -> Value:
-    """Return the value of a text, given also with a decimal point; digits after a zero are a name, such as 007."""
+    """Return the value of a text, given also with a decimal point; text like 007 stays text."""
     if text.lower() in _TRUTHS:
         return _TRUTHS[text.lower()]
     if _WHOLE.fullmatch(point):
@@ -273,7 +273,7 @@ def _read_yaml(path: str | Path, data: bytes) -> MetadataTable:
 
 
 def _located(path: str | Path, data: bytes) -> Located:
-    """Return the content of YAML with its lines."""
+    """Parse YAML, and keep the line of every key."""
     try:
         return parse_yaml(data.decode("utf-8-sig"), path)
     except UnicodeDecodeError as fault:

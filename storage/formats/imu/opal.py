@@ -1,4 +1,4 @@
-"""CSV exports of Opal (APDM): with a line of names and one of units, and those that begin with `Format=7`.
+"""Read CSV exports of Opal (APDM): those with a line of names and one of units, and those that begin with `Format=7`.
 
 The first has a line `Sample Rate:,128,Hz`, names as `Label/Acceleration/X`, and units below; its times are seconds.
 The second has a line with number and label of each sensor, then the quantities and the axes of their columns; its times
@@ -29,7 +29,7 @@ _MOST_SETTINGS = 20
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Return True for one of the two headers."""
+    """Return True for either of the two headers."""
     head = head.lstrip(b"\xef\xbb\xbf")
     return (
         re.match(rb'"?Format=\d+\s*,', head) is not None

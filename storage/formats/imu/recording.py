@@ -1,4 +1,4 @@
-"""A recording of inertial sensors: its files read together, in SI units, with orientations in one world.
+"""Read a recording of inertial sensors, in SI units and with all orientations in one world.
 
 The table that kinedex itself writes (`kinedex simulate imu`) is read back without any description, as Parquet, CSV or
 HDF5. It has one row for each sample of each sensor and the columns
@@ -33,12 +33,12 @@ __all__ = ["ENU", "FORMATS", "NED", "NWU", "ImuRecording", "ImuSensor", "read_re
 
 @dataclass(frozen=True, eq=False)
 class ImuRecording:
-    """The sensors that measured at the same time.
+    """Inertial sensors that measured at the same time.
 
     Attributes
     ----------
     name : str
-        Its name: that of its file.
+        The recording's name, which is that of its file.
     sensors : list of ImuSensor
         The sensors, in the order of the file.
     format : str
@@ -60,7 +60,7 @@ class ImuFormat:
     Attributes
     ----------
     title : str
-        Its name for people.
+        The name that is shown to users.
     recognises : callable
         Returns True for a file of the format, given its path and its first bytes.
     read : callable
@@ -81,13 +81,13 @@ FORMATS = {
     "xio": ImuFormat("x-io CSV (x-IMU3, NGIMU)", xio.recognises, xio.read),
     "table": ImuFormat("table (CSV or Parquet)", tables.recognises, tables.read),
 }
-"""Name → format; a file is of the first that recognises it."""
+"""Name → format; a file has the first format that recognises it."""
 
 HDF5_ENDINGS = (".h5", ".hdf5")
 """Endings of HDF5 files."""
 
 _HEAD = 1 << 16
-_WHOLE = ("hdf5", "mvnx")  # formats of which a file that is cut off cannot be read
+_WHOLE = ("hdf5", "mvnx")  # formats of which a truncated file cannot be read
 
 
 def read_recording(
@@ -134,7 +134,7 @@ def read_together(
     Returns
     -------
     ImuRecording
-        The sensors of all files, at times that begin with the first sample of any where the clock began elsewhere.
+        The sensors of all files, with times from the first sample of any of them unless the clock starts at 0.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def read_together(
 
 
 def _unfinished(path: Path) -> str:
-    """Return a warning of a text that ends within a line; empty for any other file."""
+    """Return a warning for a text file that ends within a line; empty for any other file."""
     with path.open("rb") as file:
         if file.read(4) == b"PAR1":
             return ""
@@ -176,7 +176,7 @@ def _unfinished(path: Path) -> str:
 
 
 def _share_clock(sensors: Sequence[RawSensor]) -> None:
-    """Let counters and clocks that began elsewhere begin with the first sample of any sensor."""
+    """Shift counters and absolute clocks so that they begin with the first sample of any sensor."""
     starts: list[int] = []
     counted = [(sensor, sensor.steps) for sensor in sensors if sensor.steps is not None and len(sensor.steps)]
     for sensor, steps in counted:
@@ -198,7 +198,7 @@ def recognised(path: Path) -> str:
     Raises
     ------
     SourceError
-        The file cannot be read, or is of no format.
+        The file cannot be read, or has no known format.
     """
     head = beginning(path)
     for name, form in FORMATS.items():
@@ -214,7 +214,7 @@ def recognised(path: Path) -> str:
 
 
 def is_sensor_file(path: Path) -> bool:
-    """Return True for a file of sensors rather than of motion: MVNX files are motion, tables by their columns."""
+    """Return True for a file of sensors rather than of motion; MVNX counts as motion, tables go by their columns."""
     try:
         name = recognised(path)
     except SourceError:
@@ -223,7 +223,7 @@ def is_sensor_file(path: Path) -> bool:
 
 
 def belongs_to(path: Path) -> Path | None:
-    """Return the file that a file is read with, such as readings beside quaternions; None for one of its own."""
+    """Return the file with which a file is read, such as the readings beside quaternions; None if it is read alone."""
     main = xio.beside(path)
     try:
         return main if main is not None and recognised(path) == "xio" else None
@@ -232,27 +232,27 @@ def belongs_to(path: Path) -> Path | None:
 
 
 def session_of(file: Path, path: str) -> str:
-    """Return the name of a file's recording: its path, without the sensor's number at the end of MT Manager's.
+    """Return the name of a file's recording: its path, for MT Manager without the sensor's number at the end.
 
     Parameters
     ----------
     file : Path
         The file.
     path : str
-        Its path as it is to be named, with "/" between folders.
+        The path from which the name is made, with "/" between folders.
     """
     return mtmanager.session_of(path, beginning(file)) if recognised(file) == "mtmanager" else path
 
 
 def has_readings(path: Path, sensor_set: SensorSet) -> bool:
-    """Return False for a table without columns of a sensor, which stands beside recordings."""
+    """Return True unless the file is a table without columns of a sensor, such as one that accompanies recordings."""
     if sensor_set.entries.columns is not None or recognised(path) != "table":
         return True
     return tables.has_readings(path, ("acc", "gyr", "orientation"))
 
 
 def beginning(path: Path) -> bytes:
-    """Return the first bytes of a file; a SourceError reports that it cannot be read, or is empty."""
+    """Return the first bytes of a file; raise SourceError if it is empty or cannot be read."""
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD)

@@ -1,4 +1,4 @@
-"""From the samples of a file to a sensor in SI units: units, axes, worlds and times, and what contradicts them."""
+"""Convert the samples of a file to a sensor in SI units; check units, axes, worlds and times for contradictions."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ from kinedex.storage.formats.imu.signals import (
 F64 = npt.NDArray[np.float64]
 
 OFF_LENGTH = 0.01
-"""The share by which a quaternion may differ from the length 1."""
+"""The largest deviation of a quaternion's length from 1."""
 
 OFF_GRAVITY = 0.3
-"""The share by which the median specific force may differ from gravity."""
+"""The largest relative deviation of the median specific force from gravity."""
 
 LARGEST = 1e7
-"""No reading in any unit is larger."""
+"""The largest plausible reading, in any unit."""
 
 LATEST_S = 1e11
-"""No clock reads more: 3,000 years."""
+"""The latest plausible time of a clock in seconds, some 3,000 years."""
 
 FASTEST_RAD_S = 70.0
-"""No gyroscope reads more: 4,000 degrees per second."""
+"""The largest plausible angular velocity: 4,000 degrees per second."""
 
-_LONG_STEPS = 10.0  # steps that are longer than so many mean ones are holes
-_MOST_MISSING = 1.5  # of an even clock the median step makes at most so many steps for each that is there
+_LONG_STEPS = 10.0  # a step longer than so many mean steps is a gap
+_MOST_MISSING = 1.5  # largest ratio of the steps that fit the median period to those present, for an even clock
 _DEFAULT_UNITS = {"acc": "m/s2", "gyr": "rad/s", "mag": "uT"}
 _WORLDS = {"NWU": NWU, "ENU": ENU, "NED": NED}
 _TO_NWU = {NWU: None, ENU: TO_NORTH_WEST_UP, NED: exp(np.array([np.pi, 0.0, 0.0]))}
-_TURNING_RAD_S = 0.1  # slower turning is mostly noise
+_TURNING_RAD_S = 0.1  # slower rotation is mostly noise
 _STILL_RAD_S = 0.1
 _ALIKE = 0.7
-_SURELY_ALIKE, _LEAST_RATIO = 0.9, 0.75  # given files: 0.95 and more, 0.97 to 1.04
+_SURELY_ALIKE, _LEAST_RATIO = 0.9, 0.75  # sample files: 0.95 and more, 0.97 to 1.04
 _WAY_OUT = "in a file of sensors"
 
 
@@ -73,7 +73,7 @@ def checked(path: Path, raw: RawSensor, given: Given) -> ImuSensor:
 
 
 class _Checks:
-    """A sensor while it is checked."""
+    """The checks of one sensor, with its state."""
 
     def __init__(self, path: Path, raw: RawSensor, given: Given) -> None:
         self.path, self.raw, self.set = path, raw, given.sensor_set
@@ -87,7 +87,7 @@ class _Checks:
         return SourceError(self.path, f"sensor '{self.raw.name}': {where}{message}", line=line)
 
     def sensor(self) -> ImuSensor:
-        """Return the sensor."""
+        """Return the checked sensor in SI units."""
         times, rate_hz = self.times()
         acc, gyr, mag = (self.channel(name) for name in ("acc", "gyr", "mag"))
         acc, gyr, mag = (
@@ -146,7 +146,7 @@ class _Checks:
         return times, rate_hz
 
     def check_rate(self, rate_hz: float) -> None:
-        """Refuse a rate that no sensor has."""
+        """Raise an error for a rate that no sensor has."""
         if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
             raise self.error(
                 f"its times make {rate_hz:.3g} samples per second, and sensors have {SLOWEST_HZ:g} to {FASTEST_HZ:g}; "
@@ -154,7 +154,7 @@ class _Checks:
             )
 
     def channel(self, name: str) -> F64 | None:
-        """Return readings in SI units; those without a stated unit are taken as such."""
+        """Return a channel's readings in SI units; readings without a stated unit count as SI."""
         values: F64 | None = getattr(self.raw, name)
         if values is None:
             return None
@@ -164,10 +164,10 @@ class _Checks:
         return values * UNITS[name][unit]
 
     def acc_factor(self, times: F64, acc: F64, gyr: F64 | None, orientation: F64 | None) -> float:
-        """Return what accelerations are still to be multiplied by; refuse a unit that gravity contradicts.
+        """Return the remaining factor of accelerations; raise an error for a unit that gravity contradicts.
 
-        Gravity is looked for in the mean in the world, at rest, and in the median; one that fits is enough. Where
-        nobody states the unit, the one that fits is taken.
+        Gravity is estimated by the mean in the world, at rest, and by the median; one that fits is enough. Without a
+        stated unit, the unit that fits is used.
         """
         sizes = _gravity_sizes(times, acc, gyr, orientation)
         if not sizes or any(_fits(size) for size in sizes):
@@ -191,7 +191,7 @@ class _Checks:
         return 1.0
 
     def unit_quaternions(self) -> F64 | None:
-        """Return the orientations, sensor → world, of length 1; quaternions of zeros are missing."""
+        """Return the orientations, sensor → world, as unit quaternions; zero quaternions count as missing."""
         given = self.raw.orientation
         if given is None:
             return None
@@ -213,7 +213,7 @@ class _Checks:
         return conjugate(quaternions) if turned else quaternions
 
     def check_rates(self, times: F64, acc: F64 | None, gyr: F64 | None, orientation: F64 | None) -> None:
-        """Refuse angular velocities in another unit than stated, and orientations that turn the other way."""
+        """Raise an error for angular velocities in another unit than stated, or for inverse orientations."""
         if gyr is None:
             return
         fastest = float(np.nanmax(np.linalg.norm(gyr, axis=1), initial=0.0))
@@ -230,7 +230,7 @@ class _Checks:
                 )
 
     def compare_orientation(self, times: F64, gyr: F64, orientation: F64, unit: str) -> None:
-        """Compare angular velocities with the orientations of the file."""
+        """Compare angular velocities with those that follow from the orientations of the file."""
         rate_hz = 1.0 / max(float(np.median(np.diff(times))), 1e-9) if len(times) > 1 else 0.0
         as_read, ratio, turning = readings.compare_with_orientation(times, gyr, orientation)
         if not turning > _TURNING_RAD_S:
@@ -256,14 +256,14 @@ class _Checks:
             )
 
     def wrong_rates(self, unit: str, found: str) -> SourceError:
-        """Return an error on the unit of angular velocities, with the unit to try."""
+        """Return an error about the unit of angular velocities that suggests the unit to try."""
         other = "deg/s" if unit == "rad/s" else "rad/s"
         return self.error(f"{found}; its unit is taken as {unit}: state `units: {{gyr: {other}}}` {_WAY_OUT}")
 
     def world(self, orientation: F64, acc: F64 | None, mag: F64 | None) -> tuple[str, bool]:
         """Return the world of the orientations, and whether it is assumed.
 
-        The user's statement counts first, then gravity and the field, then the header.
+        The user's statement takes precedence, then gravity and the field, then the header.
         """
         stated = self.set.entries.frame
         user, header = _WORLDS.get(stated or ""), self.raw.frame
@@ -279,7 +279,7 @@ class _Checks:
         return found, not (user or shown or (header and not self.raw.frame_assumed))
 
     def check_upright(self, orientation: F64, acc: F64 | None) -> None:
-        """Warn of orientations in which gravity is not vertical."""
+        """Add a warning about orientations in which gravity is not vertical."""
         if acc is None:
             return
         mean = _median_up(orientation, acc)
@@ -294,7 +294,7 @@ class _Checks:
     def turned(
         self, acc: F64 | None, gyr: F64 | None, mag: F64 | None, orientation: F64 | None
     ) -> tuple[F64 | None, F64 | None, F64 | None, F64 | None]:
-        """Return everything in the sensor's axes that the user states."""
+        """Return all channels rotated to the sensor axes that the user states."""
         matrix = self.set.matrix()
         if matrix is None:
             return acc, gyr, mag, orientation
@@ -305,7 +305,7 @@ class _Checks:
 
 
 def _gravity_sizes(times: F64, acc: F64, gyr: F64 | None, orientation: F64 | None) -> list[float]:
-    """Return the lengths that gravity may have: the median, the mean in the world, and the median at rest."""
+    """Return estimates of gravity's magnitude: the median, the mean in the world, and the median at rest."""
     sizes = [readings.typical_length(acc)]
     if orientation is not None:
         mean = np.ma.masked_invalid(rotate(orientation, acc)).mean(axis=0).filled(np.nan)
@@ -320,20 +320,20 @@ def _fits(size: float) -> bool:
 
 
 def _median_up(orientation: F64, acc: F64) -> F64:
-    """Return the median of accelerations in the world, (3,); zeros where none is known."""
+    """Return the median of accelerations in the world, (3,); zeros if none is known."""
     found = rotate(orientation, acc)
     known = np.isfinite(found).all(axis=1)
     return np.median(found[known], axis=0) if known.any() else np.zeros(3)
 
 
 def _first_beyond(values: F64) -> int | None:
-    """Return the first sample with a number that no sensor reads; NaN is none."""
+    """Return the first sample with an implausible number, None if there is none; NaN is ignored."""
     beyond = np.flatnonzero((np.abs(values) > LARGEST).any(axis=1))
     return int(beyond[0]) if len(beyond) else None
 
 
 def _shown_world(orientation: F64, acc: F64 | None, mag: F64 | None) -> str | None:
-    """Return the world that gravity and the field show; None where they show none."""
+    """Return the world that gravity and the magnetic field imply; None if they imply none."""
     if acc is not None and _median_up(orientation, acc)[2] < -0.5 * GRAVITY:
         return NED
     found = field_axis(orientation, mag) if mag is not None else ""
@@ -341,10 +341,11 @@ def _shown_world(orientation: F64, acc: F64 | None, mag: F64 | None) -> str | No
 
 
 def _measured_rate(times: F64) -> float | None:
-    """Return samples per second by times that may have holes or jitter; None for a single sample.
+    """Return samples per second from times with gaps or jitter; None for a single sample.
 
-    The median step of an even clock is its period, whatever samples are lost. Where steps between long holes would make
-    half as many samples again as there are, the times jitter or come in bursts: the mean step counts.
+    The median step of an even clock is its period, whatever samples are lost. If steps of that length would fill the
+    time between long gaps with half as many samples again as there are, the times jitter or come in bursts, and the
+    mean step is used.
     """
     steps = np.diff(times)
     if not len(steps):
@@ -359,9 +360,9 @@ def _measured_rate(times: F64) -> float | None:
 def _gaps(
     times: F64, rate_hz: float, parts: tuple[F64 | None, ...], mag: F64 | None
 ) -> tuple[tuple[float, float], ...]:
-    """Return the intervals of more than 50 ms in which not everything was measured; the field counts where alone.
+    """Return the intervals of more than 50 ms in which a channel was not measured, the field only if it is alone.
 
-    Of a sensor below 30 Hz they are longer than one and a half steps.
+    Below 30 Hz, intervals must be longer than one and a half steps.
     """
     known = np.ones(len(times), bool)
     present = [part for part in parts if part is not None] or [part for part in (mag,) if part is not None]

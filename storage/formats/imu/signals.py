@@ -1,4 +1,4 @@
-"""The samples of a sensor: as a file has them, and in SI units with orientations in one world."""
+"""Hold the samples of a sensor: as a file has them, and in SI units with orientations in one world."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 GRAVITY = 9.80665
-"""Metres per second squared."""
+"""Standard gravity in metres per second squared."""
 
 UNITS = {
     "acc": {"m/s2": 1.0, "g": GRAVITY, "mg": GRAVITY / 1000},
@@ -35,14 +35,14 @@ _SPELLINGS = {
 
 
 def unit_name(text: str, quantity: str) -> str | None:
-    """Return the name that a unit has here, "" for none, None for one that the quantity does not have."""
+    """Return the key of a unit in `UNITS`, "" for an empty text, None for a unit that the quantity does not have."""
     plain = text.strip().strip("()[]").strip().lower()
     plain = _SPELLINGS.get(plain, plain)
     return plain if plain == "" or plain in UNITS[quantity] else None
 
 
 NWU, ENU, NED = "north-west-up", "east-north-up", "north-east-down"
-"""Worlds of orientations, by their axes X, Y and Z. The first is F_GI, in which `ImuSensor.orientation` is."""
+"""Worlds of orientations, named by their axes X, Y and Z; `ImuSensor.orientation` is in the first, F_GI."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class ImuSensor:
     name : str
         Its name or number in the file.
     times : float64 array (T,)
-        Seconds on the recording's clock, ascending; samples that the file lacks leave a hole.
+        Seconds on the recording's clock, ascending; missing samples leave a gap.
     rate_hz : float
         Samples per second.
     acc : float64 array (T, 3) or None
@@ -70,9 +70,10 @@ class ImuSensor:
     gaps : tuple of (float, float)
         Intervals of more than 50 ms without samples, seconds: the last time before and the first one after.
     warnings : tuple of str
-        What is odd, in sentences for the user.
+        Sentences for the user about irregularities.
     frame_assumed : bool
-        Neither the user, the file, the field nor a format that was checked on real files shows `frame`.
+        True if `frame` is only assumed: not stated by user or file, shown by the field, or known of a format from real
+        files.
     """
 
     name: str
@@ -89,13 +90,13 @@ class ImuSensor:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The names of the channels that it has, of acc, gyr, mag and orientation."""
+        """The names of the channels that the sensor has, among acc, gyr, mag and orientation."""
         return tuple(name for name in ("acc", "gyr", "mag", "orientation") if getattr(self, name) is not None)
 
 
 @dataclass(frozen=True)
 class Given:
-    """The statements of the user about a file.
+    """The user's statements about a file.
 
     Attributes
     ----------
@@ -111,7 +112,7 @@ class Given:
 
 @dataclass(eq=False)
 class RawSensor:
-    """A sensor of a file, before units and checks.
+    """A sensor as a file has it, before units are converted and values checked.
 
     Attributes
     ----------
@@ -122,13 +123,13 @@ class RawSensor:
     orientation : float64 array (T, 4) or None
         Quaternions w x y z.
     times : float64 array (T,) or None
-        Seconds; None for samples that are counted at the rate.
+        Seconds; None for samples that are timed by counter and rate.
     absolute : bool
-        True for times of a clock that began elsewhere; those of a recording begin with its first sample.
+        True for times of a clock that started before the recording; they are shifted to begin with the first sample.
     steps : int64 array (T,) or None
         The number of each sample, ascending; None where every sample follows the one before.
     wrap : int
-        The number that the counter of steps wraps at; 0 for one that does not.
+        The number at which the counter of `steps` wraps; 0 if it does not.
     rate_hz : float or None
         The rate that the file states.
     units : dict of str to str
@@ -136,11 +137,11 @@ class RawSensor:
     frame : str
         The world of the quaternions by the file or its format; empty where neither states it.
     frame_assumed : bool
-        `frame` is that of the format by a manual or by others, and no real file has shown it.
+        True if `frame` is taken from a manual or from others' code and not confirmed by a real file.
     lines : int64 array (T,) or None
         The line of each sample, for messages; None for files without lines.
     warnings : list of str
-        What is odd, in sentences.
+        Sentences about irregularities.
     """
 
     name: str
@@ -167,9 +168,9 @@ class RawSensor:
         )
 
     def at(self, row: int) -> int | None:
-        """Return the line of a sample, None where there are no lines."""
+        """Return the line of a sample; None if the file has no lines."""
         return None if self.lines is None else int(self.lines[row])
 
     def where(self, row: int) -> str:
-        """Return the place of a sample in words, for files without lines."""
+        """Return a sample's position in words for messages, for files without lines."""
         return "" if self.lines is not None else f"sample {row} (from 0): "

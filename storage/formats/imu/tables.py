@@ -1,8 +1,8 @@
-"""Tables of sensor data by the names of their columns: CSV with one or more header rows, Parquet and HDF5.
+"""Read tables of sensor data by the names of their columns: CSV with one or more header rows, Parquet and HDF5.
 
-The names that are known without a description are those of kinedex and their common relatives: `acc_x`, `accel x`,
+The names known without a description are those of kinedex and common variants: `acc_x`, `accel x`,
 `gyro.y`, `Magnetometer Z (uT)`, `q_w`, `quat_x`, `q0`, with the name of a sensor before them where there are several
-(`left_sensor/acc_x`), and `time_s`, `time (ms)`, `t`. A file of sensors names any others (`columns:`).
+(`left_sensor/acc_x`), and `time_s`, `time (ms)`, `t`. Any other names are given by a file of sensors (`columns:`).
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 MOST_SENSORS = 1_000
-"""Sensors of a file."""
+"""The largest number of sensors in a file."""
 
 MOST_ROWS = 50_000_000
-"""Rows of a table."""
+"""The largest number of rows in a table."""
 
 _MOST_HEADER_ROWS = 6
 _LONGEST_NAME = 200
@@ -49,14 +49,14 @@ _CHANNEL = re.compile(
 )
 _TIME = re.compile(r"(?:time|timestamp|t)(?:[\s_]?(?P<unit>s|ms|us|µs|ns|sec|seconds|[(\[].*[)\]]))?", re.IGNORECASE)
 _OTHERS = ("free", "lin", "linear", "user", "global", "world")
-"""Words before a channel that is not what a sensor reads."""
+"""Words before a channel's name that mark a derived quantity, not a sensor's reading."""
 
 _AXES = {"acc": "xyz", "gyr": "xyz", "mag": "xyz", "orientation": "wxyz"}
 
 
 @dataclass
 class Layout:
-    """The columns of a table that count.
+    """The columns of a table that are used.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ def recognises(path: Path, head: bytes) -> bool:
 
 
 def has_readings(path: Path, wanted: Iterable[str] = ("acc", "gyr")) -> bool:
-    """Return True for a table with columns of one of some channels, by names that are known."""
+    """Return True for a table with columns, by known names, of any of the given channels."""
     try:
         if _is_parquet(path):
             with pq.ParquetFile(path) as file:
@@ -102,7 +102,7 @@ def has_readings(path: Path, wanted: Iterable[str] = ("acc", "gyr")) -> bool:
     try:
         channels = _known(path, header).channels.values()
     except SourceError:
-        return True  # some of them: `read` names what is wrong
+        return True  # some axes are missing: `read` reports which
     return any(channel in parts for parts in channels for channel in wanted)
 
 
@@ -117,18 +117,18 @@ def read(path: Path, given: Given) -> list[RawSensor]:
     Raises
     ------
     SourceError
-        The file is no such table; the message names the line or the column.
+        The file is not such a table; the message names the line or the column.
     """
     return _parquet(path, given) if _is_parquet(path) else _csv(path, given)
 
 
 def layout_of(path: Path, header: Sequence[str], given: Given) -> Layout:
-    """Return the columns that count, by their names or by the file of sensors.
+    """Return the columns that are used, by their names or as the file of sensors names them.
 
     Raises
     ------
     SourceError
-        No column, or not every axis of a channel, is there.
+        There is no known column, or a channel lacks an axis.
     """
     columns = given.sensor_set.entries.columns
     layout = _known(path, header) if columns is None else _named(path, header, columns)
@@ -143,7 +143,7 @@ def layout_of(path: Path, header: Sequence[str], given: Given) -> Layout:
 
 
 def _known(path: Path, header: Sequence[str]) -> Layout:
-    """Return the columns with names that are known."""
+    """Return the columns that have known names."""
     layout, found = Layout(), dict[tuple[str, str], dict[str, int]]()
     for place, name in enumerate(header):
         plain = name.strip()
@@ -171,7 +171,7 @@ def _known(path: Path, header: Sequence[str]) -> Layout:
 
 
 def _column(path: Path, name: str) -> tuple[str, str, str, str] | None:
-    """Return sensor, channel, axis and unit of a column by its name; None for one that is none of a sensor's."""
+    """Return sensor, channel, axis and unit of a column by its name; None if it is not a sensor's column."""
     match = _CHANNEL.fullmatch(name)
     if match is None or (match["sensor"] or "").lower() in _OTHERS:
         return None
@@ -216,7 +216,7 @@ def _named(path: Path, header: Sequence[str], columns: Columns) -> Layout:
 
 
 def _sensors(pattern: str, names: Iterable[str]) -> list[str]:
-    """Return the sensors that a pattern with {sensor} finds among names, in their order; "" for one without it."""
+    """Return the sensors that match {sensor} of a pattern among names, in their order; "" for a pattern without it."""
     if "{sensor}" not in pattern:
         return [""]
     before, _, after = pattern.partition("{sensor}")
@@ -268,7 +268,7 @@ def _header_rows(path: Path, lines: Sequence[str], given: Given) -> tuple[list[l
 
 
 def _numeric(cells: Sequence[str], separator: str) -> bool:
-    """Return True for a row of which half of the cells or more are numbers."""
+    """Return True for a row in which at least half of the cells are numbers."""
     filled = [cell for cell in cells if cell]
     return 2 * sum(_is_number(cell, separator) for cell in filled) >= max(1, len(filled))
 
@@ -282,7 +282,7 @@ def _is_number(cell: str, separator: str) -> bool:
 
 
 def _joined(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[str]]:
-    """Return the name of each column, all header rows with "/" between, and its unit where the last row has units."""
+    """Return each column's name, its header rows joined by "/", and its unit if the last row has units."""
     width = max(map(len, rows))
     padded = [[*row, *[""] * (width - len(row))] for row in rows]
     units = [""] * width
@@ -315,7 +315,7 @@ def _parquet(path: Path, given: Given) -> list[RawSensor]:
 
 
 def _numbers(path: Path, table: pa.Table, name: str) -> F64:
-    """Return a column as numbers, NaN for a cell without one."""
+    """Return a column as numbers, NaN for an empty cell."""
     column = table.column(name)
     kind = column.type
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_null(kind)):
@@ -349,7 +349,7 @@ def sensors_of(
     Raises
     ------
     SourceError
-        The table has both a column of sensors and columns of several ones, or a row without a time.
+        The table has both a column of sensor names and columns of several sensors, or a row without a time.
     """
     if names is not None and list(layout.channels) != [""]:
         raise SourceError(path, "has a column of sensors and also columns of several sensors; one of them is enough")
@@ -370,7 +370,7 @@ def sensors_of(
 
 
 def _rows_by_name(path: Path, names: Sequence[str], lines: I64 | None) -> dict[str, I64]:
-    """Return name → its rows, in the order in which the names begin."""
+    """Return sensor name → its row indices, in the order in which the names first occur."""
     rows: dict[str, list[int]] = {}
     if "" in names:
         row = names.index("")

@@ -1,8 +1,8 @@
-"""CSV files of x-io: of x-IMU3 (Inertial, Quaternion, Magnetometer) and of NGIMU (sensors, quaternion).
+"""Read CSV files of x-io: of x-IMU3 (Inertial, Quaternion, Magnetometer) and of NGIMU (sensors, quaternion).
 
-Readings are in degrees per second and g; quaternions are in a file of their own beside them, and are joined by time.
-The quaternion of NGIMU turns from the world to the sensor, the conjugate of what all others write; that of x-IMU3 does
-not.
+Readings are in degrees per second and g; quaternions are in a separate file and are joined by time.
+The quaternion of NGIMU rotates from the world to the sensor, the conjugate of the usual convention, which x-IMU3
+follows.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ _CLOCKS = {"timestamp (us)": 1e-6, "time (s)": 1.0}
 _QUATERNIONS = (("w element", "x element", "y element", "z element"), ("w", "x", "y", "z"))
 _GYR, _ACC, _MAG = ("gyroscope {} (deg/s)", "accelerometer {} (g)", "magnetometer {} ({})")
 _WORDS = {"Inertial": ("Quaternion", "Magnetometer"), "sensors": ("quaternion",)}
-"""The word in the name of a file of readings → the words of the files beside it."""
+"""Word in the name of a file of readings → the words in the names of the files that accompany it."""
 
 
 @dataclass(frozen=True)
 class _Table:
-    """A file with its columns by name, in small letters."""
+    """A file with its columns by name, in lower case."""
 
     path: Path
     header: Sequence[str]
@@ -43,7 +43,7 @@ class _Table:
         return self.rows.numbers[:, 0] * self.tick_s
 
     def columns(self, names: Sequence[str]) -> F64 | None:
-        """Return columns by name; None where not all are there."""
+        """Return columns by name; None unless all of them exist."""
         if not set(names) <= set(self.header):
             return None
         return self.rows.numbers[:, [self.header.index(name) for name in names]]
@@ -58,7 +58,7 @@ def recognises(path: Path, head: bytes) -> bool:
 
 
 def beside(path: Path) -> Path | None:
-    """Return the file of readings that a file of quaternions or fields belongs to; None for one that stands alone."""
+    """Return the file of readings that a file of quaternions or fields accompanies; None if there is none."""
     for word, others in _WORDS.items():
         for other in others:
             if other in path.stem:
@@ -121,7 +121,7 @@ def _set_field(sensor: RawSensor, table: _Table, near: _Table) -> None:
 
 
 def _quaternions(table: _Table) -> F64 | None:
-    """Return sensor → world quaternions: those of NGIMU, in seconds, are turned around."""
+    """Return sensor → world quaternions; those of NGIMU, recognised by times in seconds, are conjugated."""
     for names in _QUATERNIONS:
         if (found := table.columns(names)) is not None:
             return conjugate(found) if names == _QUATERNIONS[1] else found
@@ -140,6 +140,6 @@ def _table(path: Path) -> _Table:
 
 
 def _name(path: Path) -> str:
-    """Return the name of a device: that of its file without the word for readings, or of its folder."""
+    """Return the name of a device: its file's name without the word for readings, or its folder's."""
     words = "|".join(("Inertial", "Quaternion", "Magnetometer", "sensors", "quaternion"))
     return re.sub(rf"[ _-]*(?:{words})$", "", path.stem) or path.resolve().parent.name

@@ -1,4 +1,4 @@
-"""The columns of Xsens text files by their names: readings, quaternions, matrices, Euler angles and counters."""
+"""Read the columns of Xsens text files by name: readings, quaternions, matrices, Euler angles and counters."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 PACKETS = 1 << 16
-"""PacketCounter is 0 again after this many samples."""
+"""The number of samples after which PacketCounter wraps to 0."""
 
 CHANNELS = {
     "acc": ("Acc_X", "Acc_Y", "Acc_Z"),
     "gyr": ("Gyr_X", "Gyr_Y", "Gyr_Z"),
     "mag": ("Mag_X", "Mag_Y", "Mag_Z"),
 }
-"""Channel → its columns."""
+"""Channel → the names of its columns."""
 
 QUATERNIONS: tuple[tuple[str, ...], ...] = (
     ("Quat_q0", "Quat_q1", "Quat_q2", "Quat_q3"),
     ("Quat_w", "Quat_x", "Quat_y", "Quat_z"),
     ("Quat_W", "Quat_X", "Quat_Y", "Quat_Z"),
 )
-"""The columns of quaternions, as different programs name them."""
+"""The names of the columns of quaternions in different programs."""
 
 _MATRIX = tuple(f"Mat[{row}][{column}]" for row in (1, 2, 3) for column in (1, 2, 3))
 _EULER = ("Roll", "Pitch", "Yaw")
@@ -47,7 +47,7 @@ class NamedColumns:
     path : Path
         The file.
     places : mapping of str to int
-        Name → its place in `rows`.
+        Name → its column in `rows`.
     rows : NumberRows
         The numbers.
     """
@@ -60,12 +60,12 @@ class NamedColumns:
         return self.rows.numbers[:, self.places[name]]
 
     def channel(self, names: Sequence[str]) -> F64 | None:
-        """Return columns (T, names); None where none of them is there, or all are empty.
+        """Return columns (T, names); None if none of them exists or all are empty.
 
         Raises
         ------
         SourceError
-            Some of the columns are there.
+            Only some of the columns exist.
         """
         found = [name for name in names if name in self.places]
         if not found:
@@ -77,12 +77,12 @@ class NamedColumns:
         return None if np.isnan(values).all() else values
 
     def orientation(self) -> F64 | None:
-        """Return quaternions (T, 4), of the file's own, its matrices, or its Euler angles; None without any.
+        """Return quaternions (T, 4) from the file's quaternions, matrices or Euler angles; None if it has none.
 
         Raises
         ------
         SourceError
-            Some of their columns are missing, or a matrix is no turn.
+            Some of their columns are missing, or a matrix is not a rotation.
         """
         for names in QUATERNIONS:
             if (found := self.channel(names)) is not None:
@@ -112,12 +112,12 @@ class NamedColumns:
 
 
 def named_columns(path: Path, lines: Sequence[str], first: int, separator: str) -> NamedColumns:
-    """Read the columns of a table that count, by their names in line `first` (from 0).
+    """Read the known columns of a table by their names in line `first` (counted from 0).
 
     Raises
     ------
     SourceError
-        None of them is there, one is there twice, or a row is damaged.
+        There is no known column, one occurs twice, or a row is damaged.
     """
     header = cells_of(lines[first], separator)
     known = {name for names in (*CHANNELS.values(), *QUATERNIONS) for name in names}
@@ -143,12 +143,12 @@ def of_euler(degrees: F64) -> F64:
 
 
 def unwrapped(path: Path, counter: F64, lines: I64, wrap: int, name: str) -> I64:
-    """Return a counter that wraps as numbers that ascend.
+    """Return a wrapping counter as ascending numbers (T,).
 
     Raises
     ------
     SourceError
-        The counter is no whole number, repeats one, or runs back.
+        The counter is not an integer, repeats a number, or decreases.
     """
     whole = (counter == np.rint(counter)) & (counter >= 0) & (counter < 1 << 53)
     if not whole.all():

@@ -1,1 +1,1 @@
-"""Label files: labelled ranges of takes, as people's annotation tools write and read them."""
+"""Read and write label files: labelled intervals of takes, in the formats of annotation tools."""

@@ -1,4 +1,4 @@
-"""The label tracks of Audacity: a line a label, with start, stop and text separated by tabs, in seconds."""
+"""Read and write label tracks of Audacity: a line for each label, with start, stop and text separated by tabs."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def read(path: str | Path) -> LabelFile:
     Raises
     ------
     SourceError
-        A line is no label, has no text, or is a point in time (start = stop), or the file is beyond a limit; the error
-        names the line.
+        A line is not a label, has no text, or is a point in time (start = stop), or the file is beyond a limit; the
+        error names the line.
     """
     take, found = Path(path).stem, list[ManualSegment]()
     for line, whole in enumerate(open_lines(path), 1):

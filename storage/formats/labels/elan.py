@@ -1,4 +1,4 @@
-"""ELAN's annotation files (.eaf, version 3.0): tiers of annotations between time slots, in XML."""
+"""Read and write ELAN's annotation files (.eaf, version 3.0): tiers of annotations between time slots, in XML."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from kinedex.storage.formats.labels.segments import ERROR, Label, LabelFile, Man
 from kinedex.storage.formats.labels.texts import LONGEST_SECONDS, label_bytes, refuse_long, refuse_many, shown
 
 DEEPEST = 100
-"""Levels of elements; EAF files have six."""
+"""The largest depth of nested elements; EAF files have six levels."""
 
 _TAKE = "kinedex take"
 _HEAD = """<?xml version="1.0" encoding="UTF-8"?>
@@ -33,8 +33,8 @@ def write(labels: TakeLabels) -> str:
     """Return an EAF file: a tier for each class, because annotations of one tier must not overlap.
 
     Every annotation's value is its class. Errors of limbs have a tier for each limb and annotator, such as `lshank` or
-    `A1:lshank`, which is empty for a limb that was looked at without an error being found. Where labels of one tier
-    overlap, the later one is in a further tier, whose name ends in a number.
+    `A1:lshank`; it is empty for a limb that was examined without finding an error. Where labels of one tier overlap,
+    the later one is in a further tier, whose name ends in a number.
     """
     tiers = _tiers(labels.labels)
     for limb, annotator in labels.without_errors:
@@ -42,7 +42,7 @@ def write(labels: TakeLabels) -> str:
             tiers.setdefault(_limb_tier(limb, annotator), [])
     placed = [one for members in tiers.values() for one in members]
     edges = [labels.milliseconds(edge) for one in placed for edge in (one.start, one.stop)]
-    # slots of its own for every annotation, in order of time: one that two share would move for both in ELAN
+    # each annotation has its own slots, ordered by time: ELAN would move a shared slot for both annotations
     order = sorted(range(len(edges)), key=lambda place: (edges[place], place))
     slot = {place: f"ts{number}" for number, place in enumerate(order, 1)}
     head = _HEAD.format(date=labels.made, name=_TAKE, take=_escaped(labels.take), last=len(placed))
@@ -64,7 +64,7 @@ def write(labels: TakeLabels) -> str:
 
 
 def _tiers(labels: Sequence[Label]) -> dict[str, list[Label]]:
-    """Divide labels into tiers without overlaps; the first tier of a class, or limb, bears its name."""
+    """Divide labels into tiers without overlaps; the first tier of a class, or limb, has its name."""
     classes = {_tier_of(one) for one in labels}
     rows: dict[str, list[list[Label]]] = {name: [] for name in sorted(classes)}
     for one in sorted(labels, key=lambda one: (one.start, one.stop)):
@@ -85,7 +85,7 @@ def _tiers(labels: Sequence[Label]) -> dict[str, list[Label]]:
 
 
 def _tier_of(one: Label) -> str:
-    """Return the name of a label's tier: its class, or, for the error of a limb, annotator and limb."""
+    """Return the name of a label's tier: its class, or annotator and limb for the error of a limb."""
     if one.label != ERROR or not one.limb:
         return one.label
     return _limb_tier(one.limb, one.annotator)
@@ -106,7 +106,7 @@ class _Annotation:
 
 @dataclass
 class _Document:
-    """The content of an EAF file while it is read; the parser calls the methods."""
+    """The content of an EAF file while it is parsed; the XML parser calls the methods."""
 
     path: str
     parser: expat.XMLParserType
@@ -193,7 +193,7 @@ class _Document:
         return int(text)
 
     def labels(self) -> LabelFile:
-        """Return the annotations as segments, by time."""
+        """Return the annotations as segments, sorted by time."""
         take = self.take or Path(self.path).stem
         found = sorted((self._segment(take, one) for one in self.annotations), key=lambda one: (one.start, one.stop))
         return LabelFile.of_take(self.path, take, found, self.covered)
@@ -235,10 +235,10 @@ def read(path: str | Path) -> LabelFile:
 
     An annotation's class is its value, or the name of its tier if the value is empty: so files with a tier for each
     class and files with one tier of values are both read correctly. An annotation of the value `error` in a tier that
-    is named after a limb, or after an annotator and a limb (`A1:lshank`), is about that limb; such a tier without any
-    shows that the limb was looked at. Tiers that depend on
-    another tier (PARENT_REF) describe its annotations further and are ignored. The take is that of kinedex's own
-    property, or else the one that the file is named after.
+    is named after a limb, or after an annotator and a limb (`A1:lshank`), is about that limb; such a tier without
+    annotations records that the limb was examined. Tiers that depend on another tier (PARENT_REF) describe its
+    annotations further and are ignored. The take is named by a property that kinedex writes, or else by the file's
+    name.
 
     Parameters
     ----------
@@ -248,8 +248,8 @@ def read(path: str | Path) -> LabelFile:
     Raises
     ------
     SourceError
-        The file is no XML or no EAF, has a document type declaration (none is followed, no entity is expanded), a time
-        is missing or out of order, or the file is beyond a limit; the error names the line.
+        The file is not XML or not EAF, has a document type declaration (none is processed, no entity is expanded), a
+        time is missing or out of order, or the file is beyond a limit; the error names the line.
     """
     data = label_bytes(path)
     parser = expat.ParserCreate()

@@ -1,4 +1,4 @@
-"""File names of takes: every system can have them, and no two takes share one."""
+"""Make file names of takes that are valid on every operating system and all different."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _MOST_BYTES = 180
 
 
 def file_names(takes: Sequence[str]) -> list[str]:
-    """Return a file name without its ending for each take: the take's name where every system can have it.
+    """Return a file name without its ending for each take: the take's name if it is valid on every system.
 
-    Characters that some system forbids or that nobody sees become underscores. A name that was changed, and one that
+    Characters that are invisible or forbidden on some system become underscores. A name that was changed, and one that
     another take already has on a system that ignores case, ends in a tilde and eight digits of its checksum.
     """
     used: set[str] = set()

@@ -1,4 +1,4 @@
-"""The formats of label files by their endings, and the files that hold labels of takes."""
+"""Choose the format of label files by their endings, and read and write the labels of takes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Format:
     Attributes
     ----------
     title : str
-        Name of the format.
+        Name of the format for users.
     write : callable
         Returns the text of a file with the labels of takes.
     read : callable
@@ -32,7 +32,7 @@ class Format:
     several : bool
         True if one file can hold several takes, and names with control characters.
     limbs : str
-        The labels whose limb has a place: "all", "errors" (those of the class `error`) or "none".
+        The labels whose limb the format can store: "all", "errors" (those of the class `error`) or "none".
     """
 
     title: str
@@ -64,16 +64,16 @@ ENDINGS = ", ".join(f".{name} ({form.title})" for name, form in FORMATS.items())
 
 @dataclass(frozen=True)
 class Written:
-    """The label files that were written.
+    """The label files that a call has written.
 
     Attributes
     ----------
     paths : tuple of Path
-        The files, each of them whole.
+        The files, each of them complete.
     renamed : dict of str to str
         Take → name of its file, where the take's own name cannot be one.
     excluded : tuple of str
-        Takes that the format cannot hold, since it would not give back their names or those of their classes.
+        Takes that the format cannot hold, since their names or those of their classes would be changed on reading.
     """
 
     paths: tuple[Path, ...]
@@ -108,7 +108,7 @@ def write_labels(takes: Sequence[TakeLabels], form: str | None, output: str | Pa
     takes : sequence of TakeLabels
         The labels.
     form : str or None
-        A key of `FORMATS`, in letters of either case; None for the format of the file's ending, CSV for a folder.
+        A key of `FORMATS`, in upper or lower case; None for the format of the file's ending, CSV for a folder.
     output : str or Path
         A file if its name ends as the format's files do; a folder if it does not, exists as one, or has a slash at its
         end. Missing folders are made, and the files in them bear the takes' names, as far as `file_names` allows.
@@ -118,13 +118,13 @@ def write_labels(takes: Sequence[TakeLabels], form: str | None, output: str | Pa
     Returns
     -------
     Written
-        The files, and the takes that are not in them, or not under their names.
+        The files, and the takes that were renamed or left out.
 
     Raises
     ------
     KinedexError
         The format is unknown, files exist already (none is written then), a file of a format for one take would hold
-        several, the format can hold none of the takes, or has no place for the limb of a label, or a file
+        several, the format can hold none of the takes, or cannot store the limb of a label, or a file
         cannot be written.
     """
     folder = str(output).endswith("/") or os.path.isdir(output)
@@ -160,7 +160,7 @@ def write_labels(takes: Sequence[TakeLabels], form: str | None, output: str | Pa
 
 
 def _with_limbs(takes: Sequence[TakeLabels]) -> list[TakeLabels]:
-    """Return labels in which whoever has looked at a take has looked at each limb that any of the labels is about."""
+    """Return labels that list an annotator of a whole take for each limb that occurs in any of the labels."""
     limbs = {one.limb for labels in takes for one in labels.labels if one.label == ERROR}
     limbs |= {limb for labels in takes for limb, _ in labels.covered}
     return [
@@ -215,7 +215,7 @@ def _format(form: str | None, output: str | Path, folder: bool) -> str:
 
 @contextmanager
 def _writing(path: Path) -> Iterator[None]:
-    """Turn an error of the operating system into one that names the file and the obstacle."""
+    """Turn an operating system's error into a KinedexError that names the file and the cause."""
     try:
         yield
     except OSError as fault:

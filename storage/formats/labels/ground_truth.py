@@ -1,4 +1,4 @@
-"""Ground truth: files of manual segments, found by a pattern."""
+"""Find and read files of manual segments, which serve as ground truth."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def ground_truth_files(pattern: str, roots: Iterable[str | Path]) -> list[Path]:
 
 
 def any_ground_truth(pattern: str, roots: Iterable[str | Path]) -> bool:
-    """Return whether a pattern finds label files; parameters and errors as `ground_truth_files`."""
+    """Return whether a pattern finds label files; parameters and errors are those of `ground_truth_files`."""
     return bool(_found(*_places(pattern, roots)))
 
 

@@ -1,4 +1,4 @@
-"""Labelled ranges of takes, as label files hold them."""
+"""Hold labelled intervals of takes, as label files store them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _NEVER = {"Cc", "Cs", "Zl", "Zp"}
 
 @dataclass(frozen=True)
 class Label:
-    """A class for the source frames [start, stop) of a take; its other fields are None, or empty, if not known."""
+    """A class for the source frames [start, stop) of a take; other fields are None or empty if unknown."""
 
     label: str
     start: int
@@ -46,8 +46,8 @@ class TakeLabels:
     made : str
         Time when the labels were made, ISO 8601 in UTC, for formats that carry a date.
     covered : tuple of (str, str)
-        Limbs that somebody, or a method, has looked at, with the annotator; either may be empty. Those that have labels
-        need not be among them.
+        Limbs that a person or method has examined, with the annotator; either may be empty. Limbs with labels may be
+        omitted.
     """
 
     take: str
@@ -59,7 +59,7 @@ class TakeLabels:
 
     @property
     def without_errors(self) -> tuple[tuple[str, str], ...]:
-        """The limbs that were looked at without an error being found, with the annotators, sorted."""
+        """The limbs that were examined without finding an error, with the annotators, sorted."""
         found = {(one.limb, one.annotator) for one in self.labels if one.label == ERROR}
         return tuple(sorted(set(self.covered) - found))
 
@@ -74,7 +74,7 @@ class TakeLabels:
 
 @dataclass(frozen=True)
 class ManualSegment:
-    """A range of a take that a person labelled, and its place in its file.
+    """An interval of a take that a person labelled, with its position in its file.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class ManualSegment:
     in_seconds : bool
         True if start and stop are seconds.
     place : str
-        The element of the file, in formats whose lines mean little.
+        The element of the file, in formats where line numbers do not help.
     limb : str
         The limb that the label is about; empty where none is named.
     annotator : str
@@ -112,7 +112,7 @@ class ManualSegment:
     annotator: str = ""
 
     def source_frames(self, rate_hz: float) -> tuple[int, int]:
-        """Return the source frames [start, stop); seconds become the nearest frame, a half the later one."""
+        """Return the source frames [start, stop); seconds are rounded to the nearest frame, halves upwards."""
         if not self.in_seconds:
             return int(self.start), int(self.stop)
         return math.floor(self.start * rate_hz + 0.5), math.floor(self.stop * rate_hz + 0.5)
@@ -138,12 +138,12 @@ class LabelFile:
     path : str
         The file.
     takes : tuple of str
-        Names of the takes that were labelled, each once, in the file's order; a take without any segment is one in
-        which nothing was found.
+        Names of the takes that were labelled, each once, in the file's order; in a take without segments, nothing was
+        found.
     segments : tuple of ManualSegment
-        The labelled ranges.
+        The labelled intervals.
     covered : tuple of (str, str, str)
-        Takes and limbs that an annotator has looked at without marking an error, with the annotator's name or "".
+        Takes and limbs that an annotator has examined without marking an error, with the annotator's name or "".
     """
 
     path: str
@@ -163,9 +163,9 @@ class LabelFile:
 
     @property
     def looked_at(self) -> dict[str, set[str]]:
-        """Annotator of limb errors → the takes that they looked at; nobody for a file without limb errors.
+        """Annotator of limb errors → the takes that they examined; empty for a file without limb errors.
 
-        Whoever marks errors of limbs in a file has looked at all takes that the file names.
+        An annotator who marks errors of limbs in a file has examined all takes that the file names.
         """
         people = {one.annotator for one in self.segments if one.label == ERROR and one.limb}
         people |= {annotator for _, _, annotator in self.covered}
@@ -173,10 +173,10 @@ class LabelFile:
 
 
 def is_writable(labels: TakeLabels, *, quoted: bool) -> bool:
-    """Return whether a file gives back the names of a take, its classes, limbs and annotators as they are.
+    """Return whether a file can store the names of a take, its classes, limbs and annotators unchanged.
 
-    Readers remove spaces around names. Formats without quotes have no characters that end lines or that XML does not
-    know.
+    Readers remove spaces around names. Formats without quotes cannot store line breaks or characters that XML does not
+    allow.
     """
     about = {text for one in labels.labels for text in (one.limb, one.annotator) if text}
     about |= {text for pair in labels.covered for text in pair if text}

@@ -1,4 +1,4 @@
-"""Label files as tables: CSV with a header, as ground truth is written, and rows in JSON."""
+"""Read and write label files as tables: CSV with a header, like ground truth, and rows in JSON."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ COLUMNS = (*NAMES, *FRAMES)
 """The columns of ground truth in CSV."""
 
 OPTIONAL = ("limb", "annotator")
-"""Columns, and keys in JSON, that a label may have: the limb that it is about, and the person who made it."""
+"""Optional columns, and keys in JSON: the limb that a label is about, and the person who made it."""
 
 _WRITTEN = ("take", "class", "subclass", *FRAMES, *SECONDS, "cost", "confidence")
 _MOST_DIGITS = 15
-_MOST_VALUES = 4 * MOST_LABELS  # lists and objects of a JSON file, which take far more memory than their text
+_MOST_VALUES = 4 * MOST_LABELS  # most lists and objects of a JSON file; they take far more memory than their text
 
 
 def write_csv(takes: Sequence[TakeLabels]) -> str:
     """Return a CSV file of the labels of takes; start and stop are source frames, half-open, as in ground truth.
 
-    A take without labels has a row of its name alone, and a limb that was looked at without an error being found a row
-    of take, limb and annotator. The columns limb and annotator are there where a label has one of them. Names that a
-    spreadsheet would compute are guarded.
+    A take without labels has a row with only its name; a limb that was examined without finding an error has a row of
+    take, limb and annotator. The columns limb and annotator exist if any label has one. Names that a spreadsheet would
+    evaluate are guarded (`csv_cells`).
     """
     rows = [
         {"take": labels.take, **row}
@@ -53,7 +53,7 @@ def write_csv(takes: Sequence[TakeLabels]) -> str:
 
 
 def write_json(takes: Sequence[TakeLabels]) -> str:
-    """Return a JSON file of the labels of takes, with the rate and length of each."""
+    """Return a JSON file of the labels of takes, with the rate and number of frames of each."""
     content = [
         {
             "take": labels.take,
@@ -94,13 +94,13 @@ def _rows(labels: TakeLabels) -> Iterator[dict[str, object]]:
 def read_csv(path: str | Path) -> LabelFile:
     """Read a CSV file with a header and the columns take, class, start, stop.
 
-    The columns limb and annotator may be there, too; further ones are ignored.
+    The columns limb and annotator are optional; further columns are ignored.
 
     Separator, encoding and decimal comma are those of `storage.formats.csv_tables`, so that files of Excel are read.
 
     start and stop are frames of the source rate, from 0, and half-open; a file that has neither of them may have
-    start_seconds and stop_seconds instead. A row with a take, and neither class nor start nor stop, records that
-    somebody looked at the take; with a limb or an annotator, that this limb was looked at, or by this person.
+    start_seconds and stop_seconds instead. A row with a take, and neither class nor start nor stop, records that the
+    take was examined; with a limb or an annotator, that this limb was, or by this person.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def read_csv(path: str | Path) -> LabelFile:
     Raises
     ------
     SourceError
-        A column is missing, a name is empty, a frame is no whole number, a segment does not end after its start, or the
+        A column is missing, a name is empty, a frame is not an integer, a segment does not end after its start, or the
         file is beyond a limit; the error names the line.
     """
     rows = list(_csv_rows(str(path), CsvTable.of(path, label_bytes(path))))
@@ -121,7 +121,7 @@ def read_csv(path: str | Path) -> LabelFile:
 
 
 def _csv_rows(path: str, table: CsvTable) -> Iterator[ManualSegment | tuple[str, str, str]]:
-    """Yield the segment of each row, or, of a row without one, take, limb and annotator."""
+    """Yield the segment of each row; of a row without one, yield take, limb and annotator."""
     header = table.header
     if not header:
         raise SourceError(path, f"is empty; expected a header with {', '.join(COLUMNS)}", line=1)
@@ -155,7 +155,7 @@ def _csv_rows(path: str, table: CsvTable) -> Iterator[ManualSegment | tuple[str,
 
 
 def _frame(path: str, line: int, name: str, text: str) -> int:
-    # no take has so many frames, and Python refuses to read thousands of digits
+    # no take has so many frames, and Python refuses to parse thousands of digits
     if not text.isdecimal() or len(text) > _MOST_DIGITS:
         raise SourceError(path, f"{name} must be a source frame, a whole number from 0, got '{shown(text)}'", line=line)
     return int(text)
@@ -176,7 +176,7 @@ def read_json(path: str | Path) -> LabelFile:
 
     start and stop are source frames, half-open; a segment that has neither may have start_seconds and stop_seconds. It
     may have a limb and an annotator, both texts. A take may have a list "without_errors" of objects with limb,
-    annotator or both: limbs that somebody has looked at without marking an error.
+    annotator or both: limbs that were examined without marking an error.
 
     Parameters
     ----------
@@ -186,7 +186,8 @@ def read_json(path: str | Path) -> LabelFile:
     Raises
     ------
     SourceError
-        The file is no JSON (the error names the line), or an element is wrong (it names it: "takes[0].segments[3]").
+        The file is not JSON (the error names the line), or an element is wrong (the error names it:
+        "takes[0].segments[3]").
     """
     text = read_text(path)
     values = text.count("{") + text.count("[")
@@ -216,7 +217,7 @@ def read_json(path: str | Path) -> LabelFile:
 
 
 def _about(path: str | Path, value: Any, place: str) -> tuple[str, str]:
-    """Return limb and annotator of an object, one of them at least."""
+    """Return limb and annotator of an object, which must have at least one of them."""
     if not isinstance(value, dict) or not any(value.get(key) for key in OPTIONAL):
         raise SourceError(path, f"{place} must be an object with a limb, an annotator or both")
     limb, annotator = (_name(path, value, key, place) if value.get(key) is not None else "" for key in OPTIONAL)

@@ -1,4 +1,4 @@
-"""Label files as text: limits of size, decoding, lines and times, with the file and line of every fault."""
+"""Read label files as text with limits of size, and report faults with file and line."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.small_files import read_bytes
 
 LONGEST_SECONDS = 10_000_000
-"""Of a take; a label that ends later is a slip of the pen."""
+"""The latest end of a label in seconds; a later one is a typing error."""
 
 MOST_LABELS = 500_000
-"""Labels, and takes, of a label file."""
+"""The largest number of labels, and of takes, in a label file."""
 
 MOST_LETTERS = 100_000
-"""Characters of a class or of a take's name."""
+"""The largest number of characters of a class or of a take's name."""
 
 _SECONDS = re.compile(r"[0-9]{1,9}(?:\.[0-9]{1,20})?|\.[0-9]{1,20}", re.ASCII)
 
 
 def label_bytes(path: str | Path) -> bytes:
-    """Return the bytes of a label file; a SourceError reports that it cannot be read, or is too large."""
+    """Return the bytes of a label file; raise SourceError if it cannot be read or is too large."""
     return read_bytes(path, "label files", "divide it by takes")
 
 
 def read_text(path: str | Path) -> str:
-    """Return a file as UTF-8 text, without a byte order mark; a SourceError reports another encoding."""
+    """Return a file as UTF-8 text without a byte order mark; raise SourceError for another encoding."""
     return _decoded(path, label_bytes(path))
 
 
@@ -39,17 +39,17 @@ def _decoded(path: str | Path, data: bytes) -> str:
 
 
 def open_lines(path: str | Path, newline: str | None = None) -> io.TextIOWrapper:
-    """Return the lines of a file one by one, as UTF-8 text; errors as `read_text`.
+    """Open a file of UTF-8 text to read it line by line; errors are those of `read_text`.
 
     Parameters
     ----------
     path : str or Path
         The file.
     newline : str or None
-        As for `open`: None to end every line by LF, whatever ends it in the file (LF, CR LF, CR); "" to leave it so.
+        As for `open`: None to convert all line ends (LF, CR LF, CR) to LF; "" to keep them.
     """
     data = label_bytes(path)
-    _decoded(path, data)  # a fault is found here, with its place in the whole file
+    _decoded(path, data)  # decode it all now, so that a fault is reported with its position in the whole file
     return io.TextIOWrapper(io.BytesIO(data), encoding="utf-8-sig", newline=newline)
 
 
@@ -71,12 +71,12 @@ def refuse_long(path: str | Path, length: int, line: int | None = None, place: s
 
 
 def shown(text: str) -> str:
-    """Shorten a text for a message."""
+    """Shorten a text to show it in a message."""
     return text if len(text) <= 40 else f"{text[:40]}… ({len(text)} characters)"
 
 
 def parse_seconds(text: str) -> float | None:
-    """Parse a time in seconds from 0 with a decimal point; None if the text is none."""
+    """Parse a time in seconds from 0 with a decimal point; return None if the text is not such a time."""
     if not _SECONDS.fullmatch(text):
         return None
     value = float(text)

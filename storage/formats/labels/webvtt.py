@@ -1,4 +1,4 @@
-"""WebVTT: subtitles of which every cue is a label, which video players show."""
+"""Read and write WebVTT: subtitles, each cue of which is a label, which video players show."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def write(labels: TakeLabels) -> str:
 def read(path: str | Path) -> LabelFile:
     """Read the cues of a WebVTT file: their text, without tags, is the class; each line of a cue is a label.
 
-    The take is that of kinedex's own note, or else the one that the file is named after. Other notes, styles and
+    The take is named by a note that kinedex writes, or else by the file's name. Other notes, styles and
     regions are ignored.
 
     Parameters

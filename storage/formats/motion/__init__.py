@@ -1,1 +1,1 @@
-"""Motion files: Acclaim, BVH, C3D, AMASS and joint positions, read as bodies and written from takes."""
+"""Read motion files (Acclaim, BVH, C3D, AMASS, joint positions) as bodies, and write them from takes."""

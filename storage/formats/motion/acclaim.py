@@ -1,4 +1,4 @@
-"""The reader of Acclaim files: an AMC motion with its ASF skeleton."""
+"""Read Acclaim files: an AMC motion with its ASF skeleton."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class AcclaimReader(Reader):
     reads_whole: ClassVar[bool] = True
 
     def relevant_settings(self, settings: ReadSettings) -> object:
-        """Return the rate, the only setting that counts."""
+        """Return the rate, the only setting that affects the result."""
         return settings.acclaim_hz
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Count the frames; the memory is that of the joints, and of a block of the text."""
+        """Count the frames and estimate the memory: the joints, and one block of the text."""
         skeleton = _skeleton_of(file)
         motion = AmcFile(file.path, skeleton, file.data)
         need = posed_bytes(motion.frames, file_size(file.path), len(skeleton.nodes), joints)
@@ -68,7 +68,7 @@ def fitted_skeleton(file: MotionFile, mappings: Mappings) -> tuple[Skeleton, Fit
     Raises
     ------
     SourceError
-        The skeleton is damaged or not given, or no mapping fits.
+        The skeleton is damaged or missing, or no mapping fits.
     """
     skeleton = _skeleton_of(file)
     fit = mappings.detect(Path(skeleton.path), "acclaim", skeleton.bones)

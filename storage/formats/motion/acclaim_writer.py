@@ -1,4 +1,4 @@
-"""The writer of Acclaim files: ASF skeletons and AMC motion, in the dialects of real archives."""
+"""Write Acclaim files: ASF skeletons and AMC motion, in the dialects of real archives."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ F64 = npt.NDArray[np.float64]
 U8 = npt.NDArray[np.uint8]
 Columns = Sequence[tuple[str, tuple[str, ...]]]
 
-_BLOCK = 4096  # frames formatted at once
+_BLOCK = 4096  # frames that are formatted at once
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class Dialect:
     length : float
         The ASF's unit, a divisor of inches.
     decimals : int
-        Digits behind the point.
+        Digits after the decimal point.
     scientific : bool
-        Write numbers with an exponent.
+        True to write numbers with an exponent.
     remarks : tuple of str
         Comment lines at the head of both files, Latin-1.
     """
@@ -47,7 +47,7 @@ class Dialect:
 
 
 def write_asf(path: Path, body: Body, name: str, dialect: Dialect) -> None:
-    """Write a skeleton; an existing file is replaced in one step.
+    """Write a skeleton as an ASF file atomically, replacing an existing file.
 
     Parameters
     ----------
@@ -90,14 +90,14 @@ def write_asf(path: Path, body: Body, name: str, dialect: Dialect) -> None:
 
 
 def write_amc(path: Path, columns: Columns, table: F64, dialect: Dialect) -> int:
-    """Write motion; an existing file is replaced in one step.
+    """Write motion as an AMC file atomically, replacing an existing file.
 
     Parameters
     ----------
     path : Path
         The file.
     columns : sequence of (str, tuple of str)
-        Bone and dofs of every line of a frame; the root's first three are its place.
+        Bone and degrees of freedom of every line of a frame; the root's first three are its position.
     table : float64 array (T, n)
         Metres and degrees.
     dialect : Dialect
@@ -124,7 +124,7 @@ def write_amc(path: Path, columns: Columns, table: F64, dialect: Dialect) -> int
 
 
 def _frames(values: F64, first: int, columns: Columns, dialect: Dialect) -> bytes:
-    """Format frames: every line as wide as it can get, and a mask of the bytes that are written."""
+    """Return the text of frames: fields of fixed width, of which only the bytes marked as written are kept."""
     frames = len(values)
     numbers = np.arange(first, first + frames, dtype=np.int64)
     texts, kept = (_scientific if dialect.scientific else _fixed)(values, dialect.decimals)
@@ -149,7 +149,7 @@ def _same(text: bytes, frames: int) -> tuple[U8, npt.NDArray[np.bool_]]:
 
 
 def _digits(numbers: npt.NDArray[np.int64], least: int = 1) -> tuple[U8, npt.NDArray[np.bool_]]:
-    """Write non-negative integers with at least so many digits; a last axis of digits is added."""
+    """Return non-negative integers as characters, at least `least` digits, and a mask of those to write."""
     width = max(least, len(str(int(numbers.max(initial=0)))))
     digits = np.empty((*numbers.shape, width), np.uint8)
     rest = numbers
@@ -177,7 +177,7 @@ def _joined(pieces: list[tuple[U8, npt.NDArray[np.bool_]]]) -> tuple[U8, npt.NDA
 
 
 def _fixed(values: F64, decimals: int) -> tuple[U8, npt.NDArray[np.bool_]]:
-    """Write numbers with so many decimals, without padding."""
+    """Return numbers with a fixed number of decimals as characters, and a mask of those to write."""
     scaled = np.rint(np.abs(values) * 10.0**decimals).astype(np.int64)
     whole = scaled // 10**decimals
     fraction = scaled - whole * 10**decimals
@@ -185,9 +185,9 @@ def _fixed(values: F64, decimals: int) -> tuple[U8, npt.NDArray[np.bool_]]:
 
 
 def _scientific(values: F64, decimals: int) -> tuple[U8, npt.NDArray[np.bool_]]:
-    """Write numbers with one digit before the point and an exponent of three digits, as old Windows programs do.
+    """Return numbers with a mantissa and a three-digit exponent, as old Windows programs write them, and a mask.
 
-    What is smaller than 1e-99 is written as zero.
+    Numbers below 1e-99 in magnitude are written as zero.
     """
     sizes = np.abs(values)
     exponent = np.floor(np.log10(np.maximum(sizes, 1e-99))).astype(np.int64)

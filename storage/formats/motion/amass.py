@@ -1,6 +1,6 @@
-"""The reader of the joint angles of SMPL bodies: AMASS, AIST++, and what estimators of body and shape write.
+"""Read the joint angles of SMPL bodies: AMASS, AIST++, and the output of body and shape estimators.
 
-The places of the joints at rest come from a body model, a file of the user's own.
+The joint positions at rest come from a body model, a file that the user must provide.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ _SYNONYMS = {
 
 _PAIRS = {"pose_hand": ("left_hand_pose", "right_hand_pose"), "pose_eye": ("leye_pose", "reye_pose")}
 _NESTED = ("smpl_params_global", "smpl_params", "smplx_params", "smpl")
-"""Dicts in pickles that hold the angles; the first one counts."""
+"""Dicts in pickles that hold the angles, in order of precedence."""
 
 _READ = (
     *("poses", "trans", "betas", "gender", "scaling", *PARTS, *RATES),
@@ -74,15 +74,15 @@ _READ = (
 _SURE = frozenset(
     ("smpl_poses", "smpl_trans", "smpl_scaling", "global_orient", "body_pose", "root_orient", "pose_body", "fullpose")
 )
-_HEAD = 4096  # bytes of a pickle in which its first keys stand
+_HEAD = 4096  # bytes of a pickle that are searched for its first keys
 _NO_TAKE = (b"chumpy", b"J_regressor", b"v_template", b"shapedirs")
 SHIPPED = "smpl-amass"
-"""The mapping whose axes are those of AMASS; one of the user's own states its axes for all files."""
+"""The mapping with the axes of AMASS; a user's own mapping sets the axes for all files."""
 
 AIST_HZ = 60.0
 """The rate of the AIST Dance Video Database, which the files of AIST++ do not state."""
 
-_AT_ONCE = 4096  # frames; axisangle.forward computes so many at a time, too
+_AT_ONCE = 4096  # frames at once; axisangle.forward uses the same number
 _POSED = {22: BODY, 24: (*BODY, "left_hand", "right_hand"), 52: (*BODY, *HANDS), 55: (*BODY, *FACE, *HANDS)}
 
 
@@ -93,13 +93,13 @@ class Poses:
     Attributes
     ----------
     names : tuple of str
-        The joints that turn.
+        The joints that have rotations.
     turns : float64 array (T, J, 3)
         Rotation vectors, in radians.
     places : float64 array (T, 3)
-        The root's displacement from its place at rest, in metres.
+        The root's displacement from its rest position, in metres.
     shape : float64 array (B,)
-        The figure's shape (betas).
+        The shape parameters (betas) of the body.
     gender : str
         "male", "female" or "neutral".
     rate_hz : float, optional
@@ -127,24 +127,24 @@ class AmassReader(Reader):
     endings: ClassVar[tuple[str, ...]] = (".npz", ".pkl")
 
     def sniff(self, path: Path) -> bool:
-        """Return whether a file holds joint angles and no positions; of a pickle its first keys count."""
+        """Return whether a file holds joint angles and no positions; a pickle is judged by its first keys."""
         if path.suffix.lower() == ".pkl":
             return _is_pickle_of_angles(path)
         names = set(array_names(path))
         return bool(names & {"poses", *_SURE}) and not names & set(ARRAYS)
 
     def relevant_settings(self, settings: ReadSettings) -> object:
-        """Return the rates, and the body model with size and time of its files."""
+        """Return the rates, and the body model with size and time of its files: the settings that affect the result."""
         return settings.rate_hz, settings.override_rate_hz, model_digest(settings.body_model)
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Read the headers of the arrays; the memory is that of all angles, and of the joints."""
+        """Read the headers of the arrays and estimate the memory: all angles, and the joints."""
         if file.path.suffix.lower() == ".pkl":
             return Extent(0, 8 * file_size(file.path), settings.override_rate_hz)
         shapes = array_shapes(file.path)
         known = [shapes[key] for key in _READ if key in shapes]
         stored = sum(math.prod(shape) * kind.itemsize for shape, kind in known)
-        # read, as doubles where it is stored otherwise, and put together where it comes in parts
+        # memory as read, as doubles if stored otherwise, and concatenated if stored in parts
         numbers = sum(math.prod(shape) * (0 if kind == np.float64 else 8) for shape, kind in known)
         parts = [shape for key, (shape, _) in shapes.items() if key in _READ and key != "poses"]
         together = 0 if "poses" in shapes else 16 * sum(map(math.prod, parts))
@@ -189,7 +189,7 @@ class AmassReader(Reader):
 
 
 class FittedPoses(NamedTuple):
-    """The angles of a file, the body that they turn, its joints at rest (J, 3), its mapping, and why it is upright."""
+    """The angles of a file with its body model, rest joints (J, 3), mapping, and the reason for its up axis."""
 
     poses: Poses
     model: BodyModel
@@ -222,7 +222,7 @@ def fitted_poses(file: MotionFile, mappings: Mappings, joints: tuple[str, ...], 
 
 
 def _is_pickle_of_angles(path: Path) -> bool:
-    """Return whether the first keys of a pickle are those of angles; that of a body model is none of a take."""
+    """Return whether the first keys of a pickle are those of angles, not of a body model."""
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD)
@@ -234,7 +234,7 @@ def _is_pickle_of_angles(path: Path) -> bool:
 def _upright(
     poses: Poses, model: BodyModel, rest: F64, fit: Fit, joints: tuple[str, ...]
 ) -> tuple[Fit, tuple[str, ...]]:
-    """Return the fit with the axis along which the body stands, for files whose source does not fix it."""
+    """Return the fit with the axis along which the body stands, for files whose source does not fix the up axis."""
     if poses.up is not None or fit.mapping.path != config_path("skeletons", SHIPPED):
         return fit, ()
     sample = np.unique(np.linspace(0, len(poses.turns) - 1, min(len(poses.turns), SAMPLED_FRAMES)).astype(int))
@@ -260,7 +260,7 @@ def _posed(poses: Poses, model: BodyModel, rest: F64, fit: Fit, joints: tuple[st
 
 
 def model_turns(poses: Poses, model: BodyModel, part: slice) -> F64:
-    """Return the rotation vectors (K, J, 3) of all joints of a model in a part of the frames; 0 for those not given."""
+    """Return the rotation vectors (K, J, 3) of all joints of a model in some frames; 0 for joints not given."""
     given = poses.turns[part]
     turns = np.zeros((len(given), len(model.names), 3))
     for i, name in enumerate(model.names):
@@ -280,7 +280,7 @@ def parse_amass(path: Path) -> Poses:
     Raises
     ------
     SourceError
-        An array is missing, has another shape, or holds something else than numbers.
+        An array is missing, has another shape, or holds anything but numbers.
     """
     if path.suffix.lower() == ".pkl":
         arrays = _of_pickle(load_pickle(path))
@@ -312,13 +312,13 @@ def parse_amass(path: Path) -> Poses:
 
 
 def _of_pickle(found: dict[str, Any]) -> dict[str, Any]:
-    """Return the arrays of a pickle, those of a dict in it that holds angles."""
+    """Return the arrays of a pickle, or those of a dict in it that holds the angles."""
     inner = next((found[key] for key in _NESTED if isinstance(found.get(key), dict)), found)
     return {key: value for key, value in inner.items() if not isinstance(value, dict) and key in _READ}
 
 
 def _usual(path: Path, arrays: dict[str, Any]) -> dict[str, Any]:
-    """Return the arrays under their usual keys, and rotation matrices as rotation vectors."""
+    """Return the arrays under their usual keys, with rotation matrices converted to rotation vectors."""
     usual = {key: value for key, value in arrays.items() if key in ("betas", "gender", "scaling", *PARTS, *RATES)}
     for key, others in _SYNONYMS.items():
         there = next((other for other in (key, *others) if other in arrays), None)
@@ -336,7 +336,7 @@ def _usual(path: Path, arrays: dict[str, Any]) -> dict[str, Any]:
 
 
 def _vectors(path: Path, arrays: dict[str, Any], key: str) -> Any:
-    """Return angles (T, 3 J), of joints on an axis of their own and of rotation matrices (T, J, 3, 3), too."""
+    """Return angles (T, 3 J), also from arrays (T, J, 3) and from rotation matrices (T, J, 3, 3)."""
     array = arrays[key]
     if array.ndim == 4 and array.shape[2:] == (3, 3) and array.size:
         matrices = _numbers(path, arrays, key)
@@ -347,7 +347,7 @@ def _vectors(path: Path, arrays: dict[str, Any], key: str) -> Any:
 
 
 def _scale(path: Path, arrays: dict[str, Any]) -> float:
-    """Return the size of the figure in the unit of its places, by which AIST++ brings both to centimetres."""
+    """Return the body's scale in the unit of its positions, by which AIST++ converts both to centimetres."""
     scale = _numbers(path, arrays, "scaling")
     if scale.size != 1 or not 1e-3 <= float(scale.ravel()[0]) <= 1e6:
         raise SourceError(path, f"`scaling` must be one positive number, got {scale.ravel()[:3]}")
@@ -355,7 +355,7 @@ def _scale(path: Path, arrays: dict[str, Any]) -> float:
 
 
 def _turns(path: Path, arrays: dict[str, Any]) -> tuple[tuple[str, ...], F64]:
-    """Return the joints that turn, and their rotation vectors (T, J, 3)."""
+    """Return the joints that have rotations, and their rotation vectors (T, J, 3)."""
     if "poses" in arrays:
         poses = _angles(path, arrays, "poses")
         if poses.shape[1] not in _POSED:

@@ -1,4 +1,4 @@
-"""AMC files: the motion of Acclaim skeletons, as real archives write it."""
+"""Read AMC files, the motion of Acclaim skeletons, as real archives write them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Motion:
     channels : float64 array (T, C)
         Radians and metres, in the column order of the skeleton.
     warnings : tuple of str
-        Reservations about the file.
+        Warnings about the file.
     """
 
     channels: npt.NDArray[np.float64]
@@ -75,7 +75,7 @@ class AmcFile(RowFile):
     start : int
         The byte at which the first frame begins.
     warnings : tuple of str
-        Reservations about the file, complete once a block was parsed.
+        Warnings about the file, complete once a block has been parsed.
 
     Raises
     ------
@@ -113,7 +113,7 @@ class AmcFile(RowFile):
             start, line = (0, 1) if block.start else (self.start, self._line)
             room = memory.free(len(block.view))
             values, first, fault = t.parse_frames(block.view, start, line, names, widths, room)
-            # every block but the first begins with the line of a frame's number
+            # every block but the first begins with a line that holds a frame number
             numbered = fault is None or (fault.code, fault.line) != (t.BAD_NUMBER, line)
             if expected is not None and numbered and first != expected:
                 fault = t.Fault(t.NOT_NEXT, line, expected - 1, first)
@@ -122,7 +122,7 @@ class AmcFile(RowFile):
                 after = next(source)
                 _, _, other = t.parse_frames(after.view, 0, 1, names, widths)
                 if other is not None and (other.code, other.line) == (t.BAD_NUMBER, 1):
-                    fault, block = other, after  # the whole file's first fault is the number of the frame that follows
+                    fault, block = other, after  # the first fault of the whole file is the number of the next frame
             if fault is not None:
                 raise self._error(fault, block)
             if len(values):
@@ -136,14 +136,14 @@ class AmcFile(RowFile):
             raise SourceError(self.path, "no frames: the file ends after its header", line=self._line)
 
     def _error(self, fault: t.Fault, block: Block) -> SourceError:
-        """Return the error of a fault in a block."""
+        """Return the SourceError for a fault in a block."""
         if fault.code == t.FULL:
             return changed(self.path)
         return SourceError(self.path, _explain(fault, block.data, self.skeleton), line=fault.line + block.line - 1)
 
 
 def _amc_header(block: Block) -> tuple[int, int, bool]:
-    """Return the byte and the line where the frames begin, and whether angles are degrees."""
+    """Return the byte and the line at which the frames begin, and True if angles are in degrees."""
     data, position, line, degrees = block.view, 0, 1, True
     while position < len(data):
         end = _LINE_END.search(data, position)

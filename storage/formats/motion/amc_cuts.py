@@ -1,4 +1,4 @@
-"""Cuts of AMC files: an interval of their frames with their own numbers, and their ASF skeleton beside it."""
+"""Cut intervals of frames out of AMC files with their original numbers, and copy their ASF skeleton."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ _NUMBER = re.compile(rb"([ \t]*)[0-9]+")
 def write_amc_cut(paths: Sequence[Path], cut: SourceCut) -> None:
     """Write an interval of an AMC file as an AMC file, and its ASF file beside it.
 
-    Header, keywords and all numbers are the text of the source; frames are numbered from 1. With a mirrored cut, bones
-    of the ASF file have the length, direction and axis of the other side's: a symmetric skeleton keeps its text.
+    Header, keywords and all numbers keep the text of the source; frames are numbered from 1. In a mirrored cut, bones
+    of the ASF file get the mirrored length, direction and axis of the other side; a symmetric skeleton keeps its text.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def write_amc_cut(paths: Sequence[Path], cut: SourceCut) -> None:
 
 
 class AmcSource:
-    """An AMC file that is cut, with its skeleton, and the places of its frames."""
+    """An AMC file to be cut, with its skeleton and the byte offsets of its frames."""
 
     def __init__(self, path: Path, skeleton: Path) -> None:
         self.skeleton = read_asf(skeleton)
@@ -78,7 +78,7 @@ class AmcSource:
         return Figure(self.file.path, skeleton.nodes, fit, angle, skeleton.unit_m / skeleton.length_scale)
 
     def tokens(self, frames: Sequence[bytes]) -> tuple[Tokens, list[str]]:
-        """Return the numbers of frames in the order of the skeleton's columns, and the bones in that of the lines."""
+        """Return the numbers of frames in the skeleton's column order, and the bones in the order of the lines."""
         rows: Tokens = []
         names: list[str] = []
         for frame in frames:
@@ -97,7 +97,7 @@ class AmcSource:
         return rows, names
 
     def text(self, row: Sequence[bytes], names: Sequence[str]) -> bytes:
-        """Return a frame with the numbers of a row, its number not yet the right one."""
+        """Return the text of a frame with the numbers of a row; its frame number is set later (`numbered`)."""
         at, found = 0, {}
         for name, dofs in self.skeleton.channels:
             found[name] = row[at : at + len(dofs)]
@@ -112,7 +112,7 @@ def _opened(path: Path, _stamp: Stamp, skeleton: Path, _skeleton_stamp: Stamp) -
 
 
 def numbered(frame: bytes, number: int) -> bytes:
-    """Return the text of a frame with another number."""
+    """Return the text of a frame with its frame number replaced."""
     found = _NUMBER.match(frame)
     assert found is not None  # a frame begins with its number
     return found[1] + b"%d" % number + frame[found.end() :]
@@ -154,7 +154,7 @@ _ROOT = {b"position": b"direction", b"orientation": b"axis"}
 
 
 def _bone_words(text: bytes) -> dict[str, dict[bytes, list[bytes]]]:
-    """Return the words of the lines of every bone that a mirror changes."""
+    """Return bone → keyword → words of its line, for the lines that a mirror changes."""
     bones: dict[str, dict[bytes, list[bytes]]] = {}
     found: dict[bytes, list[bytes]] = {}
     for line in text.splitlines():
@@ -170,7 +170,7 @@ def _bone_words(text: bytes) -> dict[str, dict[bytes, list[bytes]]]:
 
 
 def _mirrored_words(key: bytes, words: Sequence[bytes], plane: MirrorPlane) -> list[bytes]:
-    """Return the words of a line for the mirror image: a direction, an axis of turns, or a length."""
+    """Return the mirrored words of a line: a direction, a rotation axis, or a length."""
     found = list(words)
     for i in range(3 if key != b"length" else 0):
         if (i == plane.axis) == (key == b"direction"):
@@ -179,7 +179,7 @@ def _mirrored_words(key: bytes, words: Sequence[bytes], plane: MirrorPlane) -> l
 
 
 def _with_words(line: bytes, own: list[bytes], other: list[bytes]) -> bytes:
-    """Return a line with the words behind its key that another one has; the line itself where they are as large."""
+    """Return a line with its words replaced by another line's; the same line if their values are equal."""
     try:
         same = [float(word) for word in own[1:4]] == [float(word) for word in other[1:4]] and own[4:] == other[4:]
     except ValueError:

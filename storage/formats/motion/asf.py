@@ -1,4 +1,4 @@
-"""ASF files: the skeletons of Acclaim motion, as real archives write them."""
+"""Read ASF files, the skeletons of Acclaim motion, as real archives write them."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from kinedex.storage.formats.motion.reader import MOST_POINTS, file_size, source
 from kinedex.storage.formats.motion.text_blocks import LONGEST
 
 INCH_M = 0.0254
-"""Metres of an inch, the unit of Acclaim files."""
+"""Metres in an inch, the unit of Acclaim files."""
 
 _DOFS = {"rx": k.ROTATE_X, "ry": k.ROTATE_Y, "rz": k.ROTATE_Z, "tx": k.MOVE_X, "ty": k.MOVE_Y, "tz": k.MOVE_Z}
-_LARGEST = 1e9  # longer lengths are no body's, and results computed from them would overflow
+_LARGEST = 1e9  # longer bones are implausible, and results computed from them would overflow
 _SECTION = re.compile(r"^:([A-Za-z-]+)\s*(.*)$")
 
 
 @dataclass
 class Bone:
-    """One bone of an ASF file, in the file's own units and degrees."""
+    """A bone of an ASF file, in the file's own units and in degrees."""
 
     name: str
     line: int
@@ -48,9 +48,9 @@ class Skeleton:
     nodes : tuple of Node
         The bones, parents first.
     channels : tuple of (str, tuple of str)
-        Bone and dofs of every line of an AMC frame, in the order of the channel matrix's columns.
+        Bone and degrees of freedom of every line of an AMC frame, in the order of the channel matrix's columns.
     root_frame : float64 array (3, 3)
-        The root's fixed orientation; the root's orientation in a frame is its own turn times this.
+        The root's fixed orientation; in a frame, the root's orientation is its rotation times this matrix.
     length_scale : float
         The file's `length` unit; metres = value / length_scale · unit_m.
     unit_m : float
@@ -126,7 +126,7 @@ def read_asf(path: str | Path, unit_m: float = INCH_M) -> Skeleton:
     size = file_size(asf.path)
     if size > LONGEST:
         raise asf.error(f"has {size / 1e6:.0f} MB; skeletons have at most {LONGEST >> 20} MB")
-    # Real headers hold bytes of every code page; Latin-1 reads them all.
+    # real headers hold bytes of any code page, and Latin-1 decodes them all
     lines = source_bytes(path).decode("latin-1").splitlines()
     section, bone = "", None
     for number, raw in enumerate(lines, 1):
@@ -227,7 +227,7 @@ def _read_bone(asf: _Asf, bone: Bone | None, words: list[str], line: int) -> Bon
 
 
 def _chain(asf: _Asf, unit_m: float) -> Skeleton:
-    """Order the bones by the hierarchy and turn them into nodes.
+    """Order the bones by the hierarchy, and convert them to nodes of a kinematic chain.
 
     With H the orientation of a bone times its axis rotation C, the Acclaim rule L = C · M · C⁻¹ becomes
     H = H_parent · (C_parent⁻¹ · C) · M: the node's fixed frame is C_parent⁻¹ · C, and its bone points along
@@ -237,8 +237,8 @@ def _chain(asf: _Asf, unit_m: float) -> Skeleton:
     turn = 1.0 if asf.degrees else 180.0 / np.pi
     root_turn = _euler(asf.root_orientation, asf.root_axis, turn)
     axes = {name: _euler(bone.axis, bone.order, turn) for name, bone in asf.bones.items()}
-    # The root's own rotation M comes left of its fixed orientation, so its node keeps identity axes and its children
-    # take the orientation over.
+    # The root's rotation M is left of its fixed orientation, so its node keeps identity axes and its children apply the
+    # orientation.
     nodes = [
         k.Node("root", -1, np.eye(3), np.array(asf.root_position) * scale, np.zeros(3), np.zeros(3),
                _steps(asf.root_order, 0))
@@ -272,7 +272,7 @@ def _chain(asf: _Asf, unit_m: float) -> Skeleton:
 
 
 def _euler(degrees_or_radians: tuple[float, float, float], order: str, turn: float) -> npt.NDArray[np.float64]:
-    # The three numbers belong to X, Y, Z as written; `order` is the order of the turns.
+    # The three numbers belong to X, Y, Z as written; `order` is the order of the rotations.
     by_axis = dict(zip("XYZ", degrees_or_radians, strict=True))
     return k.euler(tuple(by_axis[axis] * turn for axis in order), order)  # type: ignore[arg-type]
 
@@ -284,7 +284,7 @@ def _unit(direction: tuple[float, float, float]) -> npt.NDArray[np.float64]:
 
 
 def _steps(dofs: tuple[str, ...], column: int) -> tuple[k.Step, ...]:
-    """Return the channels of a bone; the first listed turn is applied first, so its matrix stands rightmost."""
+    """Return the channels of a bone; the first listed rotation is applied first, so its matrix is rightmost."""
     steps = [k.Step(k.STRETCH if dof == "l" else _DOFS[dof], column + i) for i, dof in enumerate(dofs)]
     turns = [step for step in steps if step.kind <= k.ROTATE_Z]
     return (*(step for step in steps if step.kind > k.ROTATE_Z), *reversed(turns))

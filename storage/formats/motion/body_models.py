@@ -1,4 +1,4 @@
-"""Body models: the joints of a figure at rest, from files of the user, since none may be shipped."""
+"""Load body models, the rest joints of a figure, from files of the user, since none may be distributed."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ BODY = (
     "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder",
     "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist",
 )  # fmt: skip
-"""The joints that all SMPL bodies begin with, in their order."""
+"""The joints with which all SMPL bodies begin, in their order."""
 
 FACE = ("jaw", "left_eye", "right_eye")
-"""The joints that SMPL-X has after these."""
+"""The joints that follow these in SMPL-X."""
 
 HANDS = tuple(
     f"{side}_{finger}{i}"
@@ -46,9 +46,9 @@ _NAMED = {22: BODY, 24: (*BODY, "left_hand", "right_hand"), 52: (*BODY, *HANDS),
 _MODEL = ("v_template", "J_regressor", "shapedirs")
 _TABLE = ("joints", "names", "shapes")
 LARGEST = 1e9
-"""No angle, place, or number of a body model is larger; what is computed of such numbers would overflow."""
+"""The largest plausible angle, position or number of a body model; larger ones would overflow in computations."""
 
-_MOST_SHAPES = 16  # AMASS has as many; models have up to 400
+_MOST_SHAPES = 16  # AMASS uses this many; models have up to 400
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class BodyModel:
     shapes: F64
 
     def rest(self, shape: F64) -> F64:
-        """Return the joints (J, 3) of a figure of some shape (betas)."""
+        """Return the rest joints (J, 3) of a body with shape parameters (betas)."""
         count = min(len(shape), self.shapes.shape[2])
         moved: F64 = self.joints + self.shapes[:, :, :count] @ shape[:count]
         return moved
@@ -85,7 +85,7 @@ def model_path(given: str, gender: str) -> Path:
 
 
 def model_digest(given: str | None) -> str:
-    """Return path, size and time of the files of a body model, on which takes depend that are read with it."""
+    """Return paths, sizes and times of a body model's files, for the checksum of takes that are read with it."""
     if given is None:
         return ""
     stamps = {str(path): _stamp(path) for path in (model_path(given, gender) for gender in GENDERS)}
@@ -205,7 +205,7 @@ def _numbers(path: Path, arrays: dict[str, Any], key: str, axes: int) -> F64:
 
 
 def _model(path: Path, names: tuple[str, ...], joints: F64, shapes: F64) -> BodyModel:
-    """Return the model of the joints of SMPL in their order, by name; other joints are ignored."""
+    """Return the model with SMPL's joints by name, in SMPL's order; other joints are ignored."""
     if not names:
         if len(joints) not in _NAMED:
             counts = ", ".join(map(str, _NAMED))

@@ -1,4 +1,4 @@
-"""The reader of BVH files: named joints and orientation from the channels of the file's own skeleton."""
+"""Read BVH files: named joints and the root's orientation from the channels of the file's own skeleton."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ from kinedex.storage.formats.motion.scene_figures import chosen_person
 F64 = npt.NDArray[np.float64]
 
 _LEAST_NODES = 10  # a root with fewer nodes is a prop or a camera
-_HEAD_BYTES = 1 << 18  # the hierarchy of some thousand joints
-_KEPT_BYTES = 32 << 20  # channels of a file that are kept between recognition and reading
-_NEARLY_NOTHING = 0.01  # of the length of the OFFSET
+_HEAD_BYTES = 1 << 18  # bytes; enough for the hierarchy of some thousand joints
+_KEPT_BYTES = 32 << 20  # bytes of channels that are kept between recognition and reading
+_NEARLY_NOTHING = 0.01  # fraction of the length of the OFFSET
 _NODES = re.compile(rb"(?<![^\s{}])(ROOT|JOINT)\s+[^\s{}]+", re.IGNORECASE)
 _MOTION_LINE = re.compile(rb"^[ \t]*MOTION[ \t\r]*$", re.IGNORECASE | re.MULTILINE)
 _SECOND = re.compile(r"#\d+$")
@@ -53,9 +53,9 @@ class Person:
     nodes : tuple of Node
         Parents first; node 0 is the root.
     redundant : frozenset of int
-        Indices of End Sites at the place of their joint.
+        Indices of End Sites at the position of their joint.
     offsets : float64 array (N, 3)
-        The OFFSET of every node, also of those whose position channels stand in its place.
+        The OFFSET of every node, also of nodes whose position channels replace it.
     members : tuple of int
         The indices of the nodes in the file.
     """
@@ -80,11 +80,11 @@ class BvhReader(Reader):
     reads_whole: ClassVar[bool] = True
 
     def relevant_settings(self, settings: ReadSettings) -> object:
-        """Return the rate that replaces the file's, the only setting that counts."""
+        """Return the rate that replaces the file's, the only setting that affects the result."""
         return settings.override_rate_hz
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Count the frames; the memory is that of the joints, of a block of the text, and of kept channels."""
+        """Count the frames and estimate the memory: joints, one block of the text, and kept channels."""
         bvh = BvhFile(file.path, file.data)
         need = posed_bytes(bvh.frames, file_size(file.path), len(bvh.nodes), joints) + 1000 * len(bvh.nodes)
         kept = min(8 * bvh.frames * bvh.columns, _KEPT_BYTES) + 24 * SAMPLED_FRAMES * len(bvh.nodes)
@@ -103,7 +103,7 @@ class BvhReader(Reader):
         Raises
         ------
         SourceError
-            The file is damaged, or no mapping fits and no body is recognised; the error names the first fault.
+            The file is damaged, or no mapping fits and no body is recognised.
         """
         bvh = _Motion(BvhFile(file.path, file.data))
         fit, positions, turned, turned_by, restored, *_ = _fitted(bvh, file.person, mappings, joints)
@@ -136,15 +136,15 @@ class FittedPerson(NamedTuple):
     Attributes
     ----------
     fit : Fit
-        The mapping, turned where another axis than its own is up.
+        The mapping, rotated if another axis than its own is up.
     positions : float64 array (J, 3, T)
         The named joints in the file's unit.
     turned : float64 array (9, T)
-        Rotations of the root, row by row.
+        Rotation matrices of the root, row by row.
     turned_by : tuple of str
-        The reasons to turn the mapping.
+        The reasons for rotating the mapping.
     restored : list of str
-        Bones without length in the file that have got one.
+        Bones without length in the file that were given one.
     nodes : tuple of Node
         The figure's nodes, with the lengths of these bones.
     members : tuple of int
@@ -180,7 +180,7 @@ def _fitted(bvh: _Motion, name: str, mappings: Mappings, joints: tuple[str, ...]
             fit = mappings.recognised(bvh.path, "bvh", _evidence(bvh, person))
     except SourceError:
         if bvh.skimmed:
-            bvh.file.refuse_faults()  # a fault of the frames comes before what is made of them
+            bvh.file.refuse_faults()  # report a fault of the frames before anything that follows from it
         raise
     nodes, restored = _restore(person, fit)
     positions, turned = posed(bvh, nodes, fit.root, fit, joints)
@@ -189,7 +189,7 @@ def _fitted(bvh: _Motion, name: str, mappings: Mappings, joints: tuple[str, ...]
 
 
 class _Motion:
-    """The motion of a file; the channels of a small one are parsed once, and kept; of a long one some are skimmed."""
+    """The motion of a file; channels of a small file are parsed once and kept, a long file is sampled first."""
 
     def __init__(self, file: BvhFile) -> None:
         self.file = file
@@ -205,7 +205,7 @@ class _Motion:
             yield from self.file.blocks()
 
     def sampled(self, count: int) -> F64:
-        """Return the channels of about as many frames, evenly spread."""
+        """Return the channels of about `count` frames, evenly spaced."""
         if self.kept is None and 8 * self.file.frames * self.file.columns <= _KEPT_BYTES:
             self.kept = [self.file.channels()]
         wanted = np.unique(np.linspace(0, self.frames - 1, count).round().astype(np.int64))
@@ -216,7 +216,7 @@ class _Motion:
 
 
 def _one_root(file: MotionFile) -> bool:
-    """Return whether the beginning of a file holds its whole hierarchy, with one root; frames are not read for that."""
+    """Return whether the start of a file contains its whole hierarchy, with one root; no frames are read."""
     if file.data is not None:
         head = file.data[:_HEAD_BYTES]
     else:
@@ -228,13 +228,13 @@ def _one_root(file: MotionFile) -> bool:
     motion = _MOTION_LINE.search(head)
     if motion is None:
         return False
-    # a word after either keyword is a name, which may be `Root` itself
+    # the word after either keyword is a name, which may itself be `Root`
     keywords = [found[1].upper() for found in _NODES.finditer(head, 0, motion.start())]
     return keywords.count(b"ROOT") < 2
 
 
 def _offsets_apart(motion: _Motion) -> frozenset[int]:
-    """Return the nodes whose position channels do not hold their OFFSET, but what is added to it: nearly nothing."""
+    """Return the nodes whose position channels are added to their OFFSET instead of replacing it, being nearly 0."""
     nodes, offsets = motion.file.nodes, motion.file.offsets
     lengths = np.sqrt((offsets * offsets).sum(axis=1)).tolist()
     moved = {
@@ -253,14 +253,14 @@ def _offsets_apart(motion: _Motion) -> frozenset[int]:
 
 
 def persons_of(file: BvhFile, apart: frozenset[int] = frozenset()) -> list[Person]:
-    """Return the figures of a file: the trees of its roots, without props; all of them where no tree is large.
+    """Return the figures of a file: the trees of its roots without small ones (props), or all if no tree is large.
 
     Parameters
     ----------
     file : BvhFile
         The file.
     apart : frozenset of int, optional
-        Nodes to whose OFFSET the position channels are added, in place of standing for it.
+        Nodes whose position channels are added to their OFFSET instead of replacing it.
     """
     all_nodes = tuple(
         replace(node, before=file.offsets[i]) if i in apart else node for i, node in enumerate(file.nodes)
@@ -282,7 +282,7 @@ def persons_of(file: BvhFile, apart: frozenset[int] = frozenset()) -> list[Perso
 
 
 def _root_name(name: str) -> str:
-    """Return the prefix of a root's name, or the name."""
+    """Return the prefix of a root's name, or the name if it has none."""
     short = _SECOND.sub("", name)
     return re.split(r"[:|]", short)[0] or short
 
@@ -294,7 +294,7 @@ def _free_name(name: str, used: list[str]) -> str:
 
 
 def _person(file: BvhFile, nodes: Sequence[kinematics.Node], name: str, members: list[int]) -> Person:
-    """Return the tree of one root; the marks that tell its names from those of other trees are taken off."""
+    """Return the tree of one root, without the suffixes by which its names differ from those of other trees."""
     index = {old: new for new, old in enumerate(members)}
     plain = [_SECOND.sub("", nodes[old].name.removesuffix("_end")) for old in members]
     ends = ["_end" if nodes[old].name.endswith("_end") else "" for old in members]
@@ -309,7 +309,7 @@ def _person(file: BvhFile, nodes: Sequence[kinematics.Node], name: str, members:
 
 
 def _evidence(motion: _Motion, person: Person) -> Evidence:
-    """Return the places of a figure's nodes in sampled frames, and its tree."""
+    """Return the positions of a figure's nodes in sampled frames, and its tree."""
     places, _ = kinematics.forward(person.nodes, motion.sampled(SAMPLED_FRAMES))
     return Evidence(
         names=tuple(node.name for node in person.nodes),
@@ -320,7 +320,7 @@ def _evidence(motion: _Motion, person: Person) -> Evidence:
 
 
 def _skips_spine(person: Person, fit: Fit) -> bool:
-    """Return whether a shipped mapping leaves out bones between chest and neck, as Mixamo's does of longer spines."""
+    """Return whether a shipped mapping skips bones between chest and neck, as Mixamo's does in longer spines."""
     chest, neck = fit.joints.get("chest"), fit.joints.get("neck")
     if not is_shipped(fit) or chest is None or neck is None or chest.node is None or neck.node is None:
         return False
@@ -333,7 +333,7 @@ def _skips_spine(person: Person, fit: Fit) -> bool:
 
 
 def _resting(person: Person) -> F64:
-    """Return the places (N, 3) of the nodes when none is turned."""
+    """Return the positions (N, 3) of the nodes without any rotation."""
     rest = np.zeros((len(person.nodes), 3))
     for i, node in enumerate(person.nodes):
         rest[i] = person.offsets[i] + (rest[node.parent] if node.parent >= 0 else 0.0)
@@ -341,7 +341,7 @@ def _resting(person: Person) -> F64:
 
 
 def _orientation(fit: Fit, positions: F64, turned: F64, joints: tuple[str, ...], upturned: bool) -> F64:
-    """Return the root's turn: by hips and spine where the root's own axes are not known, else from the file."""
+    """Return the root's orientation: from hips and spine if the root's own axes are unknown, else from the file."""
     if not (fit.recognised or upturned) or {"lhip", "rhip", "root"} & set(fit.unknown):
         return mapped_orientation(fit, turned)
     if not {"chest", "neck", "belly", "head"} <= set(fit.unknown):
@@ -352,7 +352,7 @@ def _orientation(fit: Fit, positions: F64, turned: F64, joints: tuple[str, ...],
 
 
 def _restore(person: Person, fit: Fit) -> tuple[tuple[kinematics.Node, ...], list[str]]:
-    """Return the nodes, bones without length with that of the mapping, and the names of those bones."""
+    """Return the nodes, with the mapping's lengths for bones without length, and the names of those bones."""
     nodes, restored = list(person.nodes), []
     for name, weights in fit.mapping.bones.items():
         index = fit.places[name]

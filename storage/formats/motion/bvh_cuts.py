@@ -1,4 +1,4 @@
-"""Cuts of BVH files: an interval of their frames, with their own skeleton, rate and numbers."""
+"""Cut intervals of frames out of BVH files, with their own skeleton, rate and numbers."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from kinedex.storage.formats.motion.text_blocks import after_last_line
 from kinedex.storage.formats.motion.text_rows import TextRows
 
 Replacements = dict[tuple[int, int], bytes]
-"""Start and stop of a part of a text → the text in its place."""
+"""Start and stop of a part of a text → the text that replaces it."""
 
 
 def write_bvh_cut(paths: Sequence[Path], cut: SourceCut) -> None:
     """Write an interval of a BVH file as a BVH file.
 
-    The hierarchy, the frame time and all numbers are the text of the source; the number of frames is that of the cut.
-    Of a file of several persons the cut holds the person of the take. A mirrored cut has the joints of the source in
-    the same order, and each OFFSET is that of the other side: a symmetric skeleton keeps its text.
+    The hierarchy, the frame time and all numbers keep the text of the source; the number of frames is the cut's. From a
+    file of several persons, only the take's person is written. A mirrored cut has the joints of the source in the same
+    order, and each OFFSET is the mirrored one of the other side; a symmetric skeleton keeps its text.
 
     Parameters
     ----------
     paths : sequence of Path
         The file to write.
     cut : SourceCut
-        The interval, and the changes that are asked for.
+        The interval, and the changes to apply.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def write_bvh_cut(paths: Sequence[Path], cut: SourceCut) -> None:
 
 
 class BvhSource:
-    """A BVH file that is cut: its hierarchy, and the places of its frames."""
+    """A BVH file to be cut: its hierarchy, and the byte offsets of its frames."""
 
     def __init__(self, path: Path) -> None:
         self.file = BvhFile(path)
@@ -77,12 +77,12 @@ class BvhSource:
         self._fitted: dict[tuple[str, int], tuple[Mappings, FittedPerson]] = {}
 
     def members(self, person: str) -> tuple[int, ...]:
-        """Return the nodes of a person; a SourceError lists the persons of the file if it is not clear which."""
+        """Return the nodes of a person; raise a SourceError that lists the persons if the choice is not clear."""
         persons = persons_of(self.file)
         return persons[chosen_person(self.file.path, person, [person.name for person in persons])].members
 
     def columns(self, members: Sequence[int]) -> tuple[int, int]:
-        """Return start and stop of the channels of some nodes, which follow each other."""
+        """Return start and stop of the channels of some nodes, which are contiguous."""
         found = [step.column for i in members for step in self.file.nodes[i].steps]
         return min(found, default=0), max(found, default=-1) + 1
 
@@ -92,7 +92,7 @@ class BvhSource:
         key = (cut.person or "", id(mappings))
         if key not in self._fitted:
             fitted = fitted_person(self.file, key[0], mappings, mappings.joints)
-            nowhere = np.empty((0, 0, 0))  # positions of a long take need not be kept
+            nowhere = np.empty((0, 0, 0))  # node positions of a long take need not be kept
             self._fitted[key] = mappings, fitted._replace(positions=nowhere, turned=nowhere)
         found = self._fitted[key][1]
         first, _ = self.columns(found.members)
@@ -114,7 +114,7 @@ def _tokens(rows: Sequence[bytes], columns: tuple[int, int]) -> Tokens:
 
 
 def _head(file: BvhFile, members: tuple[int, ...] | None, changes: Replacements) -> list[bytes]:
-    """Return the text before the frames with parts replaced, and with the tree of one root if its nodes are given."""
+    """Return the text before the frames with parts replaced, reduced to one root's tree if its nodes are given."""
     text, joints = file.layout.text, file.layout.joints
     spans = [(0, len(text))]
     if members is not None:

@@ -1,4 +1,4 @@
-"""The hierarchy of a BVH file: its joints with offsets and channels, and the chain that they make."""
+"""Parse the hierarchy of a BVH file: its joints with offsets and channels, and the chain that they form."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from kinedex.ops.errors import SourceError, did_you_mean
 from kinedex.storage.formats.motion.bvh_text import BvhText, shown
 
 MOST_JOINTS = 10_000
-"""A body has some hundred joints with every finger; a file that claims more than this is refused."""
+"""The largest number of joints; a body has some hundred joints with every finger."""
 
 _CHANNELS = {
     "xrotation": k.ROTATE_X, "yrotation": k.ROTATE_Y, "zrotation": k.ROTATE_Z,
@@ -24,12 +24,12 @@ _CHANNELS = {
 }  # fmt: skip
 _BOM = b"\xef\xbb\xbf"
 _MOTION = re.compile(rb"(?<![^\s{}])MOTION(?![^\s{}])")
-_KNOWN_BYTES = 1 << 17  # a longer hierarchy is parsed anew for every file
+_KNOWN_BYTES = 1 << 17  # a longer hierarchy is parsed again for every file
 
 
 @dataclass
 class BvhJoint:
-    """One ROOT, JOINT or End Site of the hierarchy as it is read."""
+    """A ROOT, JOINT or End Site of the hierarchy while it is parsed."""
 
     name: str
     at: int
@@ -37,7 +37,7 @@ class BvhJoint:
     end: bool = False
     offset: tuple[float, ...] | None = None
     channels: list[str] | None = None
-    numbers: tuple[int, int] = (0, 0)  # the bytes of its OFFSET's numbers
+    numbers: tuple[int, int] = (0, 0)  # start and stop of its OFFSET's numbers, in bytes
     stop: int = 0  # the byte after its closing brace
 
 
@@ -48,19 +48,19 @@ class Hierarchy:
     Attributes
     ----------
     stop : int
-        The byte behind MOTION.
+        The byte after MOTION.
     nodes : tuple of Node
-        Parents first, each with a name of its own.
+        Nodes, parents first, each with a unique name.
     rotations : bool array (C,)
         The channels that are rotations.
     offsets : float64 array (N, 3)
         The OFFSET of every node.
     redundant : frozenset of int
-        Indices of End Sites at the place of their joint.
+        Indices of End Sites at the position of their joint.
     spans, numbers : tuple of (int, int)
         Bytes of every node, and of the numbers of its OFFSET.
     warnings : tuple of str
-        Reservations about the names.
+        Warnings about the names.
     """
 
     stop: int
@@ -74,7 +74,7 @@ class Hierarchy:
 
 
 def read_hierarchy(text: BvhText) -> Hierarchy:
-    """Read up to MOTION; a hierarchy that a file before this one had is known.
+    """Parse the text up to MOTION; a hierarchy that was parsed before is taken from a cache.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def read_hierarchy(text: BvhText) -> Hierarchy:
     try:
         hierarchy = _known(text.data[: found.end()]) if found is not None else _parsed(text)
     except SourceError:
-        hierarchy = _parsed(text)  # MOTION was part of a comment, or the error is to name the file
+        hierarchy = _parsed(text)  # MOTION was part of a comment, or the error must name this file
     text.pos = hierarchy.stop
     return hierarchy
 
@@ -116,7 +116,7 @@ def _parsed(text: BvhText) -> Hierarchy:
 
 
 def _joints(text: BvhText) -> list[BvhJoint]:
-    """Read up to MOTION and return the joints in the order of the file, parents first."""
+    """Parse the text up to MOTION, and return the joints in the order of the file, parents first."""
     word = text.word()
     if word is None or word.upper() != "HIERARCHY":
         raise text.error(f"expected HIERARCHY, got {shown(word)}: this is no BVH file")
@@ -203,7 +203,7 @@ def _read_channels(text: BvhText, joint: BvhJoint) -> None:
 
 
 def name_joints(joints: list[BvhJoint]) -> list[str]:
-    """Give End Sites their names and every joint a name of its own; return warnings."""
+    """Name End Sites, and make all names unique, in place; return warnings."""
     used: dict[str, int] = {}
     twice: list[str] = []
     for joint in joints:
@@ -221,7 +221,7 @@ def name_joints(joints: list[BvhJoint]) -> list[str]:
 
 
 def _free(name: str, mark: str, used: dict[str, int]) -> str:
-    """Return the name itself, or with the next number behind it if it is used already."""
+    """Return the name itself, or with the next free number after it if it is in use."""
     free = name
     while free in used:
         used[name] += 1

@@ -1,4 +1,4 @@
-"""The parser of BVH files: a skeleton and its motion in one text, as many programs write them."""
+"""Parse BVH files, a skeleton and its motion in one text, in the variants of many programs."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ class Bvh:
     rate_hz : float
         Frames per second, see `frame_rate`.
     warnings : tuple of str
-        Reservations about the file.
+        Warnings about the file.
     redundant : frozenset of int
-        Indices of End Sites at the place of their joint, which add nothing to it.
+        Indices of End Sites at the position of their joint.
     """
 
     path: str
@@ -72,7 +72,7 @@ def _places(nodes: tuple[k.Node, ...], redundant: frozenset[int]) -> dict[str, i
 
 @dataclass(frozen=True)
 class Layout:
-    """The text before the frames of a BVH file, and the bytes of its parts.
+    """The text before the frames of a BVH file, with the byte ranges of its parts.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ def parse_bvh(path: str | Path, data: bytes | None = None) -> Bvh:
     """Read a BVH file.
 
     A joint's rotation is the product of its rotation channels in the order in which they are listed, leftmost first.
-    A position channel stands in the place of the same axis of the joint's OFFSET, at the root and at any other joint:
+    A position channel replaces the same axis of the joint's OFFSET, at the root and at any other joint:
     files with six channels at every joint repeat the OFFSET in them.
 
     Parameters
@@ -133,7 +133,7 @@ class BvhFile(RowFile):
     frames : int
         The number of frames.
     offsets : float64 array (N, 3)
-        The OFFSET of every node, also of those whose position channels stand in its place.
+        The OFFSET of every node, also of nodes whose position channels replace it.
     layout : Layout
         The text before the frames.
 
@@ -178,7 +178,7 @@ class BvhFile(RowFile):
         return self._columns
 
     def _read_header(self) -> tuple[BvhText, Hierarchy, int]:
-        """Read hierarchy and header from the first block, or from a longer one as long as it ends within them."""
+        """Parse hierarchy and header from the first block, or from a longer one if they do not end within it."""
         self._least = 0
         while True:
             block = next(self._blocks())
@@ -249,7 +249,9 @@ class BvhFile(RowFile):
             yield values
 
     def _error(self, fault: t.Fault, rows: int, block: Block, source: Iterator[Block]) -> SourceError:
-        """Return the error of a fault behind so many rows, in a block to which others may follow."""
+        """Return the SourceError for a fault after `rows` sound rows of a block; `source` yields the following
+        blocks.
+        """
         if fault.code == t.FULL:
             return changed(self.path)
         at, data = fault.line + block.line - 1, block.data
@@ -262,7 +264,7 @@ class BvhFile(RowFile):
 
 
 def _motion_header(text: BvhText) -> tuple[int, float, list[str]]:
-    """Read Frames and Frame Time, up to where the frames begin; return frames claimed, rate and warnings."""
+    """Parse Frames and Frame Time; return the claimed number of frames, the rate and warnings."""
     count = _setting(text, _COUNT, "'Frames: <how many>'")
     if not re.fullmatch("[0-9]{1,18}", count):
         raise text.error(f"Frames must be a whole number, got {count!r}")

@@ -1,4 +1,4 @@
-"""The frame time of a BVH file, and the rate that it stands for."""
+"""Convert between the frame time of a BVH file and the rate that it stands for."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from decimal import Decimal
 from functools import lru_cache
 
 MILLISECONDS = 1000
-"""A frame time of more than a second is one in milliseconds."""
+"""The factor for frame times above one second, which are taken as milliseconds."""
 
 _USUAL_HZ = (
     *(24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 72.0, 75.0, 90.0, 100.0, 120.0, 125.0, 144.0, 150.0, 180.0, 200.0),
@@ -15,14 +15,14 @@ _USUAL_HZ = (
 )
 
 
-@lru_cache(maxsize=64)  # The files of an archive state a few.
+@lru_cache(maxsize=64)  # The files of an archive share a few frame times.
 def frame_rate(frame_time: str) -> float:
     """Return the frames per second of a frame time as it is written.
 
-    Frame times are cut or rounded to a few digits: 0.0083333 stands for 120 Hz and not for 120.0005. So the rate is a
-    usual one where its own frame time, cut or rounded to as many digits (or to a 32-bit float), is the one that is
-    written and no more than 2.5 % away; whole rates come before those of television (29.97). It is 1 / frame time
-    where no usual rate is that near.
+    Frame times are truncated or rounded to a few digits: 0.0083333 stands for 120 Hz and not for 120.0005. So the
+    result is a usual rate whose frame time, truncated or rounded to as many digits (or to a 32-bit float), equals the
+    given one and which is at most 2.5 % away; integer rates take precedence over those of television (29.97). Without
+    such a rate it is 1 / frame time.
 
     Parameters
     ----------
@@ -44,6 +44,6 @@ def frame_rate(frame_time: str) -> float:
 
 
 def frame_time(rate_hz: float) -> str:
-    """Return a frame time that `frame_rate` turns into a rate: with 8 decimals where they say enough."""
+    """Return a frame time that `frame_rate` converts back to the rate, with 8 decimals if they suffice."""
     short = f"{1.0 / rate_hz:.8f}"
     return short if frame_rate(short) == rate_hz else repr(1.0 / rate_hz)

@@ -1,4 +1,4 @@
-"""The text of a BVH file before its frames, word by word, with the places of faults."""
+"""Parse the text of a BVH file before its frames word by word, and locate faults."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ _NAME = re.compile(rb"[^\r\n{}]*")
 
 @dataclass
 class BvhText:
-    """The bytes of a file, and the place up to which they are read."""
+    """The bytes of a file, and the position up to which they are parsed."""
 
     path: Path
     data: bytes
     pos: int = 0
-    at: int = field(default=0, init=False)  # where the last word began
-    settings: list[tuple[int, int]] = field(default_factory=list, init=False)  # bytes of Frames, of Frame Time
+    at: int = field(default=0, init=False)  # byte at which the last word began
+    settings: list[tuple[int, int]] = field(default_factory=list, init=False)  # byte ranges of Frames and of Frame Time
 
     def line(self, at: int) -> int:
-        """Return the number of the line of a byte, from 1."""
+        """Return the line number of a byte, from 1."""
         return 1 + len(LINE_END.findall(self.data, 0, at))
 
     def error(self, message: str, at: int | None = None) -> SourceError:
-        """Return an error that names the line of a byte; that of the last word unless given."""
+        """Return an error that names the line of a byte, by default of the last word."""
         return SourceError(self.path, message, line=self.line(self.at if at is None else at))
 
     def word(self) -> str | None:
@@ -59,7 +59,7 @@ class BvhText:
         return found
 
     def number(self, what: str) -> float:
-        """Read a finite number; an error reports what it should have been."""
+        """Parse a finite number; the error states what was expected."""
         word = self.word()
         value = float(word) if word is not None and _NUMBER.fullmatch(word) else np.nan
         if not np.isfinite(value):
@@ -76,5 +76,5 @@ def decoded(text: bytes) -> str:
 
 
 def shown(word: str | None) -> str:
-    """Return a word as messages show it."""
+    """Return a word in the form in which messages show it."""
     return "the end of the file" if word is None else repr(word[:40])

@@ -1,4 +1,4 @@
-"""The writer of BVH files from the 24 named joints: the turns of a kinematic chain, and places at the root only."""
+"""Write BVH files from the 24 named joints: the rotations of a kinematic chain, and positions at the root only."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ F64 = npt.NDArray[np.float64]
 ORDER = "ZXY"
 """The rotation channels of every joint: R = Rz · Rx · Ry."""
 
-_BESIDE_M = 0.01  # joints that are nearer to another one lie on it
+_BESIDE_M = 0.01  # metres; a joint nearer than this to another coincides with it
 
 _CHANNELS = " ".join(f"{axis}rotation" for axis in ORDER)
 
@@ -28,7 +28,7 @@ _CHANNELS = " ".join(f"{axis}rotation" for axis in ORDER)
 def write_chain_bvh(path: Path, motion: JointMotion) -> None:
     """Write the joints of a motion as a BVH file with bones of fixed length, in metres with Y up.
 
-    The joints are fitted by a kinematic chain, whose bones are the median lengths of the motion; in the rest pose the
+    A kinematic chain is fitted to the joints; its bones have the median lengths of the motion; in the rest pose the
     body faces +Z with its arms to the sides. The root has three position and three rotation channels, every other joint
     three rotation channels, Z, X and Y.
 
@@ -58,7 +58,7 @@ def write_chain_bvh(path: Path, motion: JointMotion) -> None:
 
 
 def _all_joints(chain: KinematicChain, motion: JointMotion) -> F64:
-    """Return the joints (J, 3, T) in the order of the chain; a KinedexError names those that are missing."""
+    """Return the joints (J, 3, T) in the order of the chain; raise a KinedexError that names missing ones."""
     seen = np.isfinite(motion.places.sum(axis=2))
     known = {name: i for i, name in enumerate(motion.joints) if seen[:, i].any()}
     unknown = [name for name in chain.joints if name not in known]
@@ -79,9 +79,9 @@ def _all_joints(chain: KinematicChain, motion: JointMotion) -> F64:
 
 
 def _with_clavicles(body: ChainBody, positions: F64) -> ChainBody:
-    """Return the body with joints on the chest where the motion has them, if they are not at the neck.
+    """Return the body with clavicles that begin at the motion's joints on the chest, if these are not at the neck.
 
-    The chain has the clavicles at the neck, about which they turn; so has HDM05. Elsewhere they begin beside it.
+    In the chain, as in HDM05, clavicles begin at the neck and rotate about it; in other skeletons they begin beside it.
     """
     chain = body.chain
     poses = start_poses(body, positions)
@@ -97,7 +97,7 @@ def _with_clavicles(body: ChainBody, positions: F64) -> ChainBody:
 
 
 def _describe(body: ChainBody, node: int, pad: str, lines: list[str], columns: list[F64], turns: F64) -> None:
-    """Append the lines of a node and of all below it, and the columns of their rotations in degrees."""
+    """Append the lines of a node and its descendants, and the columns of their rotations in degrees."""
     chain, inner = body.chain, pad + "\t"
     root = chain.parents[node] < 0
     offset = np.zeros(3) if root else body.offsets[chain.centres[node]]
@@ -116,7 +116,7 @@ def _describe(body: ChainBody, node: int, pad: str, lines: list[str], columns: l
 
 
 def _name(body: ChainBody, node: int) -> str:
-    """Return the joint's name in the file: that of the named joint at its place, else the node's own with a mark."""
+    """Return a joint's name in the file: that of the named joint at its position, else the node's own with a suffix."""
     chain = body.chain
     own, centre = chain.nodes[node], chain.centres[node]
     if own not in chain.joints:

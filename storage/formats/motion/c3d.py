@@ -1,4 +1,4 @@
-"""The reader of C3D files: named joints from optical markers."""
+"""Read C3D files: named joints from optical markers."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ class C3dReader(Reader):
     endings: ClassVar[tuple[str, ...]] = (".c3d",)
 
     def relevant_settings(self, settings: ReadSettings) -> object:
-        """Return the rates and the longest gap."""
+        """Return the rates and the longest gap, the settings that affect the result."""
         return settings.rate_hz, settings.override_rate_hz, settings.fill_gap_frames
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Return the frames of the file's layout; the memory is that of all markers and of a block of them."""
+        """Return the frames of the file's layout, and estimate the memory: all markers and a block of them."""
         layout = read_layout(file.path)
         need = points_bytes(layout.frames, layout.points, joints) + frames_bytes(layout)
         rate_hz = next((rate for rate in layout.rates if SLOWEST_HZ <= rate <= FASTEST_HZ), None)
         return Extent(layout.frames, need, rate_hz and settings.rate_of(rate_hz, []))
 
     def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
-        """Return the subjects of labels such as `Ann:LKNE` that have the landmarks of a body, if they are several."""
+        """Return the subjects of labels such as `Ann:LKNE` that have the landmarks of a body, if there are several."""
         return tuple(bodies_of(labels_of(read_layout(file.path))))
 
     def read(self, file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings) -> Body:
@@ -46,8 +46,8 @@ class C3dReader(Reader):
         Raises
         ------
         SourceError
-            The file contradicts itself or its size, it holds several persons and none is asked for, no body is
-            recognised, or no frame is whole.
+            The file contradicts itself or its size, it holds several persons and none is chosen, no body is recognised,
+            or no frame is complete.
         """
         markers, fit, warnings = self.fitted(file, mappings, settings)
         return body_of_points(markers, markers.names, fit, joints, settings, warnings)
@@ -58,7 +58,7 @@ class C3dReader(Reader):
         Raises
         ------
         SourceError
-            The file contradicts itself or its size, it holds several persons and none is asked for, or no body is
+            The file contradicts itself or its size, it holds several persons and none is chosen, or no body is
             recognised.
         """
         markers = points_of_person(parse_c3d(file.path), file.person)
