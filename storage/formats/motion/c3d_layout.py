@@ -1,6 +1,7 @@
-"""The layout of C3D files: the statements of header and parameters about the frames, checked against the file's size.
+"""Read the layout of C3D files from header and parameters, and check it against the size of the file.
 
-Blocks of 512 bytes: a header, parameters, frames (the C3D user guide, c3d.org). Nothing here trusts a count.
+Blocks of 512 bytes: a header, parameters, frames (the C3D user guide, c3d.org). No stated count is used before it is
+checked.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from kinedex.storage.formats.motion.reader import MOST_POINTS
 BLOCK = 512
 KEY = 0x50
 INTEL, DEC, MIPS = 84, 85, 86
-"""Processor types, which determine how numbers are written."""
+"""Processor types, which determine byte order and floating-point format."""
 
 _USED = {
     "POINT": r"USED|SCALE|RATE|DATA_START|FRAMES|LONG_FRAMES|UNITS|Y_SCREEN|LABELS\d*",
@@ -28,23 +29,23 @@ _USED = {
 """The groups and parameters that are read; others may be damaged."""
 
 _LONGEST_HEAD = 16 << 20  # bytes of header and parameters; 300 labels take some 50 kB
-_MOST_COUNTED = 0xFFFF  # frames that 16 bits can count
+_MOST_COUNTED = 0xFFFF  # frames; the largest number in 16 bits
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter as the file holds it.
+    """A parameter as the file stores it.
 
     Attributes
     ----------
     kind : int
-        Bytes of a value; −1 for text.
+        Bytes per value; −1 for text.
     dims : tuple of int
-        Numbers of its values along each dimension.
+        Its number of values along each dimension.
     values : bytes
         All values.
     order : str
-        The order of bytes in numbers, as `struct` has it.
+        The byte order of numbers, in the notation of `struct`.
     """
 
     kind: int
@@ -54,7 +55,7 @@ class Parameter:
 
     @property
     def words(self) -> tuple[int, ...]:
-        """The values as unsigned numbers if they have two bytes each; otherwise empty."""
+        """The values as unsigned integers if they have two bytes each; otherwise empty."""
         return struct.unpack(f"{self.order}{len(self.values) // 2}H", self.values) if self.kind == 2 else ()
 
     @property
@@ -80,20 +81,20 @@ def _decoded(text: bytes) -> str:
 
 
 def real(raw: bytes, processor: int) -> float:
-    """Decode a number of four bytes; DEC's has its halves exchanged and is four times as large."""
+    """Decode a 4-byte float; DEC's has its 16-bit halves exchanged and is four times as large."""
     if processor != DEC:
         return float(struct.unpack(order_of(processor) + "f", raw)[0])
     return float(struct.unpack("<f", raw[2:] + raw[:2])[0]) / 4.0
 
 
 def order_of(processor: int) -> str:
-    """Return the order of bytes in numbers, as `struct` and NumPy have it: MIPS machines write the high byte first."""
+    """Return the byte order of numbers in the notation of `struct`: big-endian for MIPS, else little-endian."""
     return ">" if processor == MIPS else "<"
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The places and sizes of everything in a file.
+    """The byte offsets and sizes of everything in a C3D file.
 
     Attributes
     ----------
@@ -108,17 +109,17 @@ class Layout:
     start : int
         Byte where the frames begin.
     size : int
-        Bytes of one number.
+        Bytes per number.
     processor : int
         `INTEL`, `DEC` or `MIPS`.
     scale : bytes
-        The factor of whole numbers, as the file writes it.
+        The scale factor of integers, in the bytes of the file.
     rates : tuple of float
         Frames per second by the parameters, and by the header.
     parameters : dict of str to Parameter
         The parameters of the group POINT.
     warnings : tuple of str
-        Reservations about the file.
+        Warnings about the file.
     """
 
     points: int
@@ -157,7 +158,7 @@ def read_layout(path: Path) -> Layout:
     order = order_of(processor)
     points, analog, first, last = struct.unpack_from(f"{order}4H", head, 2)
     start_block, per_frame = struct.unpack_from(f"{order}2H", head, 16)
-    # The count of blocks may be 0 or, above 255 blocks, overflow; the frames begin after the parameters anyhow.
+    # The count of blocks may be 0 or, above 255 blocks, overflow; the frames always begin after the parameters.
     end = max(begin + head[begin + 2] * BLOCK, (start_block - 1) * BLOCK)
     found = dict(_parameters(path, head[: end if end > begin else len(head)], begin + 4, order))
     stated = found.get("POINT:USED")
@@ -205,7 +206,7 @@ def _head(path: Path) -> tuple[bytes, int]:
 
 
 def _parameters(path: Path, head: bytes, at: int, order: str) -> Iterator[tuple[str, Parameter]]:
-    """Yield all parameters with their names "GROUP:NAME"; a damaged one of those in use is an error."""
+    """Yield all parameters with their names "GROUP:NAME"; raise an error for a damaged one that is needed."""
     end = len(head)
     groups: dict[int, str] = {}
     loose: list[tuple[int, str, Parameter | None]] = []
@@ -253,7 +254,7 @@ def _parameter(head: bytes, at: int, order: str) -> Parameter | None:
 
 
 def _start(path: Path, found: dict[str, Parameter], block: int, least: int, size: int) -> int:
-    """Return the byte where the frames begin, by the header, else by the parameters."""
+    """Return the byte at which the frames begin, from the header or else from the parameters."""
     stated = found.get("POINT:DATA_START")
     for candidate in (block, *(stated.words[:1] if stated is not None else ())):
         start = (candidate - 1) * BLOCK
@@ -263,7 +264,7 @@ def _start(path: Path, found: dict[str, Parameter], block: int, least: int, size
 
 
 def _number_size(scale: bytes, processor: int) -> int:
-    """Return the bytes of one number: 4 if the scale is negative, else 2."""
+    """Return the bytes per number: 4 if the scale is negative, else 2."""
     return 4 if scale[{INTEL: 3, DEC: 1, MIPS: 0}[processor]] & 0x80 else 2
 
 
@@ -275,7 +276,7 @@ def _long(parameter: Parameter | None) -> int | None:
 
 
 def _frame_counts(found: dict[str, Parameter], first: int, last: int, processor: int) -> list[int]:
-    """Return the stated numbers of frames, the parameters that can hold large ones first."""
+    """Return the stated numbers of frames, first those of parameters that can hold large ones."""
     counts = []
     start, end = (_long(found.get(f"TRIAL:ACTUAL_{name}_FIELD")) for name in ("START", "END"))
     if start is not None and end is not None:
@@ -294,9 +295,9 @@ def _frame_counts(found: dict[str, Parameter], first: int, last: int, processor:
 def _fit(
     path: Path, start: int, end: int, number: int, points: int, samples: set[int], counts: list[int]
 ) -> tuple[int, int, tuple[str, ...]]:
-    """Return analog samples of a frame, and frames, that fit the bytes from start to end, with warnings if none do."""
+    """Return the analog samples per frame and the frames that fit the bytes from start to end, and warnings."""
     room = end - start
-    # The frames fill their last block, or end where they end; some programs add a block to those that fill it exactly.
+    # The frames fill their last block, or end within it; some programs add a block to frames that fill it exactly.
     sizes = {analog: number * (4 * points + analog) for analog in sorted(samples)}
     for analog, size in sizes.items():
         for count in counts:
@@ -319,7 +320,7 @@ def _fit(
 
 
 def _empty(path: Path, end: int, size: int) -> int:
-    """Return the number of frames before a byte that only fill up the last block."""
+    """Return the number of frames before a byte that only pad the last block."""
     with path.open("rb") as file:
         file.seek(end - BLOCK // size * size)
         tail = file.read(BLOCK // size * size)

@@ -1,7 +1,7 @@
-"""The markers of C3D files: frames of whole or floating-point numbers in the byte orders of three processors.
+"""Read the markers of C3D files: frames of integers or floats in the byte orders of three processors.
 
 The frames are a plain array of four numbers for every marker (x, y, z and its residual) and the analog samples. The
-layout that `c3d_layout` has checked against the file's size gives their place (docs/decisions/0007).
+layout that `c3d_layout` has checked against the file's size gives their offset (docs/decisions/0007).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ
 
 F64 = npt.NDArray[np.float64]
 
-_AT_ONCE = 4_000_000  # numbers of frames that are decoded at a time: some 50 MB
+_AT_ONCE = 4_000_000  # numbers of the frames decoded at once: some 50 MB
 _UNITS_M = {
     "m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "meters": 1.0, "metres": 1.0, "centimeters": 0.01,
     "centimetres": 0.01, "millimeters": 0.001, "millimetres": 0.001, "inches": 0.0254,
@@ -36,7 +36,7 @@ class Markers(Points):
     Attributes
     ----------
     up : str, optional
-        The axis that the file calls vertical: "x", "y" or "z".
+        The axis that the file states as vertical: "x", "y" or "z".
     """
 
     up: str | None = None
@@ -45,7 +45,7 @@ class Markers(Points):
 def parse_c3d(path: Path) -> Markers:
     """Read the markers of a C3D file.
 
-    A marker is not seen, and NaN, where its residual is negative, where a coordinate is NaN, and at 0, 0, 0.
+    A marker counts as missing, NaN, if its residual is negative, a coordinate is NaN, or it lies at 0, 0, 0.
 
     Parameters
     ----------
@@ -55,8 +55,8 @@ def parse_c3d(path: Path) -> Markers:
     Returns
     -------
     Markers
-        The markers by their labels, which may begin with a subject's name; rate, unit, and the axis that is up where
-        the file states them. A label that several markers share names none of them.
+        The markers by their labels, which may begin with a subject's name; rate, unit and up axis as far as the file
+        states them. A label that several markers share is not used.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def _decode(path: Path, layout: Layout, start: int, stop: int) -> F64:
         raise SourceError(path, f"cannot be read: {fault.strerror}") from None
     if len(raw) != count * row * layout.size:
         raise SourceError(path, "was changed while it was read; run again when it is whole")
-    if layout.size == 4 and layout.processor == DEC:  # the halves of numbers exchanged, and four times as large
+    if layout.size == 4 and layout.processor == DEC:  # exchanged 16-bit halves, and four times too large
         raw = raw.view("<u2").reshape(-1, 2)[:, ::-1].copy().view(np.uint8).reshape(-1)
     numbers = raw.view(kind).reshape(count, row)[:, : 4 * layout.points].reshape(count, layout.points, 4)
     with np.errstate(invalid="ignore", over="ignore"):
@@ -125,7 +125,7 @@ def _texts(layout: Layout, name: str) -> list[str]:
 
 
 def labels_of(layout: Layout) -> tuple[str, ...]:
-    """Return the labels of all markers, those of POINT:LABELS2 and on included; markers without one are numbered."""
+    """Return the labels of all markers, also from POINT:LABELS2 and on; markers without a label are numbered."""
     labels = _texts(layout, "LABELS")
     for key in sorted(
         (key for key in layout.parameters if re.fullmatch(r"LABELS\d+", key)), key=lambda key: int(key[6:])
@@ -136,7 +136,7 @@ def labels_of(layout: Layout) -> tuple[str, ...]:
 
 
 def _names(layout: Layout, positions: F64, warnings: list[str]) -> tuple[str, ...]:
-    """Return a name for every marker; labels that several share are numbered, so that none is mistaken."""
+    """Return a name for every marker; equal labels are numbered, so that none is taken for another."""
     labels = labels_of(layout)
     seen = [bool(np.isfinite(track[0]).any()) for track in positions]
     twice = [
@@ -166,7 +166,7 @@ def _rate(layout: Layout, warnings: list[str]) -> float | None:
 
 
 def _unit_m(layout: Layout, warnings: list[str]) -> float | None:
-    """Return the metres of the unit that POINT:UNITS names; None if it names none that is known."""
+    """Return the metres per unit named by POINT:UNITS; None if it is missing or unknown."""
     units = [unit.lower() for unit in _texts(layout, "UNITS") if unit]
     if not units:
         return None
@@ -176,9 +176,9 @@ def _unit_m(layout: Layout, warnings: list[str]) -> float | None:
 
 
 def _up(layout: Layout, warnings: list[str]) -> str | None:
-    """Return the axis that POINT:Y_SCREEN calls vertical; None without.
+    """Return the axis that POINT:Y_SCREEN states as vertical; None if it is missing.
 
-    The sign is ignored: the floor is at 0 in files of all systems, and some write −Z where Z is up.
+    The sign is ignored: in files of all systems the floor is at 0, and some write −Z although Z is up.
     """
     text = next((text.lower() for text in _texts(layout, "Y_SCREEN") if text), "")
     if not re.fullmatch(r"[+-]?[xyz]", text):

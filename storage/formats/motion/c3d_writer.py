@@ -1,4 +1,4 @@
-"""The writer of C3D files: named joints as points, in floating-point numbers of Intel processors (C3D user guide)."""
+"""Write C3D files: named joints as points, in floating-point numbers of Intel processors (C3D user guide)."""
 
 from __future__ import annotations
 
@@ -13,19 +13,18 @@ from kinedex.storage.formats.motion.c3d_layout import BLOCK, INTEL, KEY
 from kinedex.storage.formats.motion.joint_motion import JointMotion
 from kinedex.storage.formats.motion.marker_names import MARKER_NAMES, seen_markers
 
-_MOST_COUNTED = 0xFFFF  # frames that 16 bits can count
-_FLOATS = -1.0  # a negative scale states that the numbers are floating-point ones
-_AT_ONCE = 16_384  # frames that are written at a time
+_MOST_COUNTED = 0xFFFF  # frames; the largest number in 16 bits
+_FLOATS = -1.0  # a negative scale marks floating-point numbers
+_AT_ONCE = 16_384  # frames written at once
 _NEAR_ORIGIN_MM = 1e-6
 
 
 def write_c3d(path: Path, motion: JointMotion) -> None:
     """Write the joints of a motion as the points of a C3D file, in millimetres with Y up.
 
-    A joint that is not seen in a frame has the residual −1 there, and one that is never seen is no point of the file. A
-    joint exactly at the origin is written a millionth of a millimetre beside it, because readers take a point at
-    0, 0, 0 for one that was not seen. Takes of more than 65,535 frames state their length by POINT:LONG_FRAMES and
-    TRIAL:ACTUAL_END_FIELD.
+    A joint that is missing in a frame has the residual −1 there, and one that is always missing is not written. A joint
+    exactly at the origin is moved by a millionth of a millimetre, because readers take a point at 0, 0, 0 for missing.
+    Takes of more than 65,535 frames state their length by POINT:LONG_FRAMES and TRIAL:ACTUAL_END_FIELD.
 
     Parameters
     ----------
@@ -52,12 +51,12 @@ def write_c3d(path: Path, motion: JointMotion) -> None:
         file.write((bytes([1, KEY, blocks, INTEL]) + parameters).ljust(blocks * BLOCK, b"\0"))
         for start in range(0, frames, _AT_ONCE):
             file.write(_numbers(places[start : start + _AT_ONCE]).tobytes())
-        if frames <= _MOST_COUNTED:  # some programs read longer takes up to the end of the file
+        if frames <= _MOST_COUNTED:  # some programs read frames up to the end of the file in longer takes
             file.write(b"\0" * (-file.tell() % BLOCK))
 
 
 def _blocks(parameters: bytes) -> int:
-    """Return the blocks that parameters take with the four bytes before them."""
+    """Return the number of blocks that parameters and the four bytes before them fill."""
     return -(-(4 + len(parameters)) // BLOCK)
 
 
@@ -115,7 +114,7 @@ def _parameter(group: int, name: str, value: bytes) -> bytes:
 
 
 def _words(*numbers: int) -> bytes:
-    """Return whole numbers of two bytes each."""
+    """Encode integers with two bytes each."""
     dims = bytes([1, len(numbers)]) if len(numbers) > 1 else b"\0"
     return b"\2" + dims + struct.pack(f"<{len(numbers)}H", *numbers)
 
@@ -125,6 +124,6 @@ def _real(number: float) -> bytes:
 
 
 def _texts(texts: Sequence[str]) -> bytes:
-    """Return texts of equal width."""
+    """Encode texts padded to equal width."""
     width = max(len(text) for text in texts)
     return b"\xff\2" + bytes([width, len(texts)]) + "".join(text.ljust(width) for text in texts).encode("ascii")

@@ -1,6 +1,6 @@
-"""Cuts of a source's own channels: the checks that its formats share, and the files that a cut is written to.
+"""Check intervals to be cut out of a motion file, and write the files of a cut, in any format.
 
-The numbers of a cut are the text of the source, byte by byte, wherever no change is asked for.
+The numbers of a cut keep the text of the source, byte by byte, unless a change applies to them.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from kinedex.storage.formats.motion.source_cut import SourceCut
 from kinedex.storage.formats.motion.sources import checksum
 
 Stamp = tuple[int, int]
-"""Size in bytes, and time of the last change in nanoseconds, of a file."""
+"""A file's size in bytes and the time of its last change in nanoseconds."""
 
 
 def stamp_of(path: Path) -> Stamp:
-    """Return the state of a file; a SourceError reports that it is not there.
+    """Return size and time of a file; raise SourceError if it is missing.
 
     Raises
     ------
     SourceError
-        The file cannot be read; the message names the form that needs no source.
+        The file cannot be read; the message names an export format that needs no source.
     """
     try:
         found = path.stat()
@@ -39,7 +39,7 @@ def stamp_of(path: Path) -> Stamp:
 
 
 def check_source(cut: SourceCut) -> None:
-    """Check that the source is the file that the store has read.
+    """Check that the source is the file that was read into the store.
 
     Raises
     ------
@@ -65,9 +65,9 @@ def check_interval(cut: SourceCut, frames: int) -> None:
     Raises
     ------
     SourceError
-        It does not; the store and the file disagree.
+        The cut is not within the file, so that store and file disagree.
     ParameterError
-        The interval is empty, or the frames that are meant lie outside of it.
+        The interval is empty, or `cut.inner` lies outside it.
     """
     if cut.rate_hz is not None and not SLOWEST_HZ <= cut.rate_hz <= FASTEST_HZ:
         raise ParameterError("rate_hz", f"from {SLOWEST_HZ:g} to {FASTEST_HZ:g}", cut.rate_hz)
@@ -84,7 +84,7 @@ def check_interval(cut: SourceCut, frames: int) -> None:
 
 
 def write_bytes(path: Path, pieces: Iterable[bytes]) -> None:
-    """Write a file whole or not at all.
+    """Write a file atomically.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""Changes of the channels of a motion file: mirrored, moved to the origin, and at another rate.
+"""Change the channels of a motion file: mirror them, move them to the origin, or resample them.
 
-Numbers that a change does not concern keep their text; a mirrored number loses or gets its minus sign.
+Numbers that a change does not affect keep their text; a negated number only loses or gets its minus sign.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ class Figure:
     nodes : tuple of Node
         Parents first; the columns of their steps count from 0.
     fit : Fit
-        The skeleton mapping that fits them, with the vertical axis that the file really has.
+        The skeleton mapping that fits them, with the file's actual vertical axis.
     angle : float
-        Radians of the file's unit of angles.
+        Radians per unit of the file's angles.
     scale : float
-        The nodes' unit of length over the file's.
+        The ratio of the nodes' lengths to the file's.
     """
 
     path: Path
@@ -58,7 +58,7 @@ class Figure:
 
     @property
     def kinds(self) -> list[int]:
-        """The effects of the columns, see `ops.body.kinematics`."""
+        """The kind of each column (a rotation or translation axis), see `ops.body.kinematics`."""
         found = {step.column: step.kind for node in self.nodes for step in node.steps}
         return [found[column] for column in range(len(found))]
 
@@ -82,26 +82,28 @@ class Figure:
 
 @dataclass(frozen=True)
 class MirrorPlane:
-    """The plane that a body is mirrored in, and the node that each node's image is.
+    """The plane at which a body is mirrored, and the partner of each node.
 
     Attributes
     ----------
     axis : int
-        The axis of the file, 0, 1 or 2, across the plane.
+        The axis of the file, 0, 1 or 2, normal to the plane.
     image : tuple of int
-        Node → node of the other side, or itself.
+        Node → the same node on the other side, or itself.
     """
 
     axis: int
     image: tuple[int, ...]
 
     def flips(self, kind: int) -> bool:
-        """Return whether a channel changes its sign: turns about other axes than that across, moves along it."""
+        """Return whether a channel is negated: a rotation about an axis in the plane, or a translation along the
+        normal.
+        """
         return (kind % 3 != self.axis) == (kind <= k.ROTATE_Z) and kind != k.STRETCH
 
 
 def mirror_plane(figure: Figure) -> MirrorPlane:
-    """Return the plane that a body is mirrored in.
+    """Return the plane at which a body is mirrored.
 
     Raises
     ------
@@ -121,7 +123,7 @@ def mirror_plane(figure: Figure) -> MirrorPlane:
                 "--joints)",
             )
     axis = int(np.argmax(np.abs(fit.mapping.root_axes[0])))
-    if fit.recognised:  # the root's own axes are not known: the rest pose shows its sides
+    if fit.recognised:  # the root's own axes are unknown: use the sides of the rest pose
         rest = figure.rest
         signs = 1.0 - 2.0 * np.eye(3)
         axis = int(np.argmin([np.abs(rest[list(image)] * sign - rest).sum() for sign in signs]))
@@ -133,7 +135,7 @@ def _in_columns(node: k.Node) -> list[k.Step]:
 
 
 def edited(figure: Figure, cut: SourceCut, tokens: Tokens, plane: MirrorPlane | None) -> Tokens:
-    """Return the numbers of a cut with the changes that are asked for, as text.
+    """Return the numbers of a cut, as text, after the requested changes.
 
     Parameters
     ----------
@@ -144,7 +146,7 @@ def edited(figure: Figure, cut: SourceCut, tokens: Tokens, plane: MirrorPlane | 
     tokens : list of list of bytes
         The numbers of the source in the frames of the cut.
     plane : MirrorPlane or None
-        The plane of the mirror; None without one.
+        The mirror plane; None to keep the sides.
 
     Raises
     ------
@@ -167,15 +169,15 @@ def edited(figure: Figure, cut: SourceCut, tokens: Tokens, plane: MirrorPlane | 
 
 
 def negated(number: bytes) -> bytes:
-    """Return the text of a number with the other sign; done twice, it is the text again, but for a plus sign."""
+    """Negate the text of a number; negating twice gives the text back, except for a plus sign."""
     return number[1:] if number.startswith(b"-") else b"-" + number.removeprefix(b"+")
 
 
 def mirrored_tokens(figure: Figure, plane: MirrorPlane, tokens: Tokens) -> Tokens:
-    """Return the numbers of the mirror image: those of the other side, some with the other sign.
+    """Return the numbers of the mirror image: those of the other side, some negated.
 
-    With S the reflection, a node's rotation R becomes S · R · S, a product of the same turns, those about the axis
-    across the plane with the same sign and the others with the opposite one.
+    With S the reflection, a node's rotation R becomes S · R · S, a product of rotations about the same axes, with the
+    same angle about the normal of the plane and the negated angle about the others.
     """
     source, flips = list(range(len(figure.kinds))), [False] * len(figure.kinds)
     for node, other in zip(figure.nodes, plane.image, strict=True):
@@ -186,7 +188,7 @@ def mirrored_tokens(figure: Figure, plane: MirrorPlane, tokens: Tokens) -> Token
 
 
 def _upright(fit: Fit, plane: MirrorPlane) -> F64:
-    """Return the turn after the mirror that keeps up what is up: none, unless the plane is the ground."""
+    """Return the rotation that keeps the up axis up after the mirror: none, unless the plane is the ground."""
     axes = np.abs(fit.mapping.axes)
     if int(np.argmax(axes[1])) != plane.axis:
         return np.eye(3)
@@ -198,7 +200,7 @@ def _upright(fit: Fit, plane: MirrorPlane) -> F64:
 def _to_origin(
     figure: Figure, cut: SourceCut, row: list[bytes], plane: MirrorPlane | None, turn: F64
 ) -> tuple[F64, F64]:
-    """Return the turn and the shift, in the file's axes, that put the body of a frame above the origin, facing +Z."""
+    """Return the rotation and translation, in the file's axes, that put a frame's body at the origin, facing +Z."""
     joints, axes = tuple(figure.fit.joints), figure.fit.mapping.axes
     found, _ = k.forward(figure.nodes, figure.values([row]))
     places = figure.fit.apply(found, joints)[:, :, 0]
@@ -219,7 +221,7 @@ def _to_origin(
 
 
 def _moved(figure: Figure, tokens: Tokens, turn: F64, shift: F64) -> Tokens:
-    """Return the numbers of a body that is turned about the origin of the file, then moved, by its root's channels."""
+    """Return the numbers after rotating the body about the file's origin and translating it, by its root's channels."""
     root = figure.nodes[0]
     moves = [
         next((step.column for step in root.steps if step.kind == kind), -1) for kind in (k.MOVE_X, k.MOVE_Y, k.MOVE_Z)
@@ -242,9 +244,10 @@ def _moved(figure: Figure, tokens: Tokens, turn: F64, shift: F64) -> Tokens:
 
 
 def _resampled(figure: Figure, tokens: Tokens, before_hz: float, after_hz: float) -> Tokens:
-    """Return the numbers at another rate; frames that fall on one of the source keep its text.
+    """Return the numbers at another rate; frames that coincide with a source frame keep its text.
 
-    Three rotations of a node are turned together, by the shortest way; one or two angles, and places, change evenly.
+    Three rotations of a node are interpolated together, by the shortest rotation; one or two angles, and positions,
+    linearly.
     """
     frames = len(tokens)
     count = int(np.floor(round((frames - 1) * after_hz / before_hz, 9))) + 1
@@ -270,7 +273,7 @@ def _resampled(figure: Figure, tokens: Tokens, before_hz: float, after_hz: float
 
 
 def _texts(figure: Figure, values: F64, tokens: Tokens, columns: Sequence[int]) -> Tokens:
-    """Return rows in which some columns have other numbers, with as many decimals as the source has there."""
+    """Return rows with new numbers in some columns, with as many decimals as the source has there."""
     rows = [list(row) for row in tokens]
     for column in columns:
         factor = figure.angle if figure.kinds[column] <= k.ROTATE_Z else figure.scale

@@ -1,4 +1,4 @@
-"""The reader of FBX files: skeletons, moved by the animation stacks of the file."""
+"""Read FBX files: skeletons, moved by the animation stacks of the file."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ from kinedex.storage.formats.motion.scene_figures import Group, chosen_person, c
 F64 = npt.NDArray[np.float64]
 
 HIDDEN = {"Mesh", "Camera", "CameraSwitcher", "Light", "NurbsCurve", "NurbsSurface", "Patch", "Shape"}
-"""Classes of nodes that are no part of a skeleton."""
+"""Classes of nodes that are not part of a skeleton."""
 
 _KEPT_TIMES = 25
-"""Records in memory take at most as many times their bytes in the file."""
+"""The largest ratio of a record's memory to its bytes in the file."""
 
-_ALIKE = 0.05  # shares by which lengths of bones in the pose of binding and in the scene may differ
+_ALIKE = 0.05  # largest relative difference of bone lengths between the bind pose and the scene
 
 
 class FbxReader(FigureReader):
-    """Reads FBX files, binary and text, of the versions 7.0 to 7.7."""
+    """Reads FBX files, binary and text, of versions 7.0 to 7.7."""
 
     endings: ClassVar[tuple[str, ...]] = (".fbx",)
     reads_whole: ClassVar[bool] = True
 
     def relevant_settings(self, settings: ReadSettings) -> object:
-        """Return the rate that replaces the file's, the only setting that counts."""
+        """Return the rate that replaces the file's, the only setting that affects the result."""
         return settings.override_rate_hz
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Find the frames by the times of the keys; the memory is that of the file, its records, and of the joints."""
+        """Count the frames by the times of the keys, and estimate the memory: the file, its records, and the joints."""
         scene = Scene(file.path, file.data)
         clips = figure_clips(scene)
         clip = clips[chosen_person(file.path, file.person, clip_names(clips))]
@@ -51,12 +51,12 @@ class FbxReader(FigureReader):
         return Extent(frames, need, settings.rate_of(rate_hz, []))
 
     def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
-        """Return the names of figures and clips; empty where there is one clip of one figure."""
+        """Return the names of figures and clips; empty if the file has one clip of one figure."""
         names = clip_names(figure_clips(Scene(file.path, file.data)))
         return names if len(names) > 1 else ()
 
     def figure(self, file: MotionFile, settings: ReadSettings) -> Figure:
-        """Return a figure with the motion of a clip."""
+        """Return the chosen figure with the motion of its clip."""
         scene = Scene(file.path, file.data)
         clips = figure_clips(scene)
         return figure_of(scene, clips[chosen_person(file.path, file.person, clip_names(clips))])
@@ -73,7 +73,7 @@ class FigureClip:
 
 
 def figure_clips(scene: Scene) -> list[FigureClip]:
-    """Return the stacks that move each figure; a SourceError reports that none does."""
+    """Return the animation stacks that move each figure; raise SourceError if there are none."""
     groups = skeletons(scene)
     figures = unique_names([scene.nodes[group.nodes[0]].name or "figure" for group in groups])
     names = unique_names([clip.name for clip in scene.clips])
@@ -93,7 +93,7 @@ def figure_clips(scene: Scene) -> list[FigureClip]:
 
 
 def skeletons(scene: Scene) -> list[Group]:
-    """Return the skeletons: bones that hang together, else the other nodes that clips move."""
+    """Return the skeletons: connected bones, or else the other nodes that clips move."""
     bones = {i for i, node in enumerate(scene.nodes) if node.kind in BONES}
     if not bones:
         moved = {node for clip in scene.clips for node, _, _ in clip.curves}
@@ -103,7 +103,7 @@ def skeletons(scene: Scene) -> list[Group]:
 
 
 def _frames(scene: Scene, clip: FigureClip) -> tuple[float, int, float, str]:
-    """Return the second of the first frame, the frames, their rate, and a sentence on it."""
+    """Return the time of the first frame in seconds, the number of frames, their rate, and a sentence on its origin."""
     chain, _, _ = clip.group.chain(scene.parents)
     nodes = set(chain)
     curves = [curve for (node, _, _), curve in clip.content.curves.items() if node in nodes]
@@ -134,7 +134,7 @@ def figure_of(scene: Scene, clip: FigureClip) -> Figure:
     Raises
     ------
     SourceError
-        Axes, unit or times of the file make no motion.
+        Axes, unit or times of the file are not valid.
     """
     start, frames, rate_hz, sentence = _frames(scene, clip)
     chain, parents, shown = clip.group.chain(scene.parents)
@@ -165,10 +165,10 @@ def _axes_in_words(axes: F64, unit: float) -> str:
 
 
 def rest_of(scene: Scene, group: Group) -> tuple[F64, F64, str]:
-    """Return turns (N, 3, 3) and places (N, 3) of a figure's nodes at rest, in the scene's axes, and the pose's name.
+    """Return rest rotations (N, 3, 3) and positions (N, 3) of a figure in the scene's axes, and the pose's name.
 
-    That is the pose in which a mesh was bound to the skeleton, if the file has it of all bones that have others below
-    them and its bones are as long as the scene's; else the pose of the scene outside of clips.
+    That is the bind pose, in which a mesh was bound to the skeleton, if the file has it for all bones with children and
+    its bones are as long as the scene's; else the pose of the scene outside of clips.
     """
     chain, parents, shown = group.chain(scene.parents)
     parts = [_still(scene.nodes[node]) for node in chain]
@@ -196,7 +196,7 @@ def _still(node: SceneNode) -> tuple[F64, F64]:
 
 
 def _lengths(parents: Sequence[int], shown: Sequence[int], places: F64) -> F64:
-    """Return the distances of a figure's nodes from their parents."""
+    """Return the distance of each of a figure's nodes from its parent."""
     pairs = [(i, parents[i]) for i in shown[1:] if parents[i] >= 0]
     lengths: F64 = np.array([np.linalg.norm(places[i] - places[above]) for i, above in pairs], np.float64)
     return lengths
@@ -204,14 +204,14 @@ def _lengths(parents: Sequence[int], shown: Sequence[int], places: F64) -> F64:
 
 @dataclass(frozen=True)
 class _Local:
-    """The transforms of nodes relative to their parents in a clip."""
+    """The transforms of nodes relative to their parents, as functions of time in a clip."""
 
     nodes: Sequence[SceneNode]
     curves: Mapping[tuple[int, int, int], Curve]
     late: float
 
     def __call__(self, seconds: F64) -> tuple[F64, F64]:
-        """Return rotation and scale, and places, at some times."""
+        """Return rotations with scale, and positions, at times in seconds."""
         linear = np.empty((len(self.nodes), len(seconds), 3, 3))
         offsets = np.empty((len(self.nodes), len(seconds), 3))
         moves = [[np.repeat(move[None], len(seconds), axis=0) for move in node.moves] for node in self.nodes]

@@ -1,7 +1,7 @@
-"""Records of FBX files, binary and text: named lists of values with records below them.
+"""Parse records of FBX files, binary and text: named lists of values with records below them.
 
-Only what describes nodes and their motion is kept; geometry, materials and embedded media are skipped. No count is
-believed before it is compared with the bytes that are there, and packed arrays unpack to no more than they claim.
+Only what describes nodes and their motion is kept; geometry, materials and embedded media are skipped. No count is used
+before it is compared with the bytes present, and compressed arrays are decompressed only to their stated size.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ Value: TypeAlias = int | float | str | Array
 
 MAGIC = b"Kaydara FBX Binary  \x00\x1a\x00"
 VERSIONS = (7000, 7999)
-"""Versions that are read: FBX 2011 to 2020."""
+"""The range of versions that are read: FBX 2011 to 2020."""
 
 DEEPEST = 40
-"""Levels of records; files have some seven."""
+"""The largest depth of nested records; files have about seven levels."""
 
 KEPT: dict[str, set[str] | None] = {
     "Objects": {"Model", "Pose", "AnimationStack", "AnimationLayer", "AnimationCurveNode", "AnimationCurve"},
     "Connections": None,
     "GlobalSettings": None,
 }
-"""The top records that are kept, with the records in them that are, None for all."""
+"""The top-level records that are kept → the records in them that are kept, None for all."""
 
 UNPACKED = 30
-"""Packed arrays may be as many times as large as the records that are kept, besides `FREE_BYTES`."""
+"""The largest ratio of decompressed arrays to the records that are kept, beyond `FREE_BYTES`."""
 
 FREE_BYTES = 16 << 20
 
@@ -47,7 +47,7 @@ _ARRAYS = {b"f": "<f4", b"d": "<f8", b"l": "<i8", b"i": "<i4", b"b": "<i1", b"c"
 
 @dataclass(eq=False)
 class Record:
-    """A record.
+    """A record of an FBX file.
 
     Attributes
     ----------
@@ -64,11 +64,11 @@ class Record:
     records: list[Record] = field(default_factory=list)
 
     def all(self, name: str) -> Iterator[Record]:
-        """Yield the records of a name directly below."""
+        """Yield the records with a name that are directly below."""
         return (record for record in self.records if record.name == name)
 
     def first(self, name: str) -> Record:
-        """Return the first record of a name directly below; an empty one if there is none."""
+        """Return the first record with a name directly below; an empty record if there is none."""
         return next(self.all(name), Record(name))
 
     def numbers(self) -> npt.NDArray[np.float64]:
@@ -79,7 +79,7 @@ class Record:
         return np.array([value for value in self.values if isinstance(value, int | float)], np.float64)
 
     def whole_numbers(self) -> npt.NDArray[np.int64]:
-        """Return the same as whole numbers; of text files, numbers that are none are 0."""
+        """Return the numbers as integers; in text files, values that are not numbers become 0."""
         for value in self.values:
             if isinstance(value, np.ndarray):
                 with np.errstate(invalid="ignore"):
@@ -100,18 +100,18 @@ def read_records(path: Path, data: bytes) -> tuple[Record, int]:
     Returns
     -------
     tuple[Record, int]
-        A record that has the top ones below it, and the version, such as 7400.
+        A record with the top-level records below it, and the version, such as 7400.
 
     Raises
     ------
     SourceError
-        The file is damaged, no FBX, or of a version that is not read.
+        The file is damaged, not FBX, or of an unsupported version.
     """
     return _Binary(path, data).top() if data.startswith(MAGIC[:18]) else _Text(path, data).top()
 
 
 def check_version(path: Path, version: int) -> None:
-    """Raise a SourceError for a version that is not read."""
+    """Raise SourceError for an unsupported version."""
     if not VERSIONS[0] <= version <= VERSIONS[1]:
         raise SourceError(path, f"is FBX of version {version}; save it as FBX 2013 to 2020 (version 7.3 to 7.7)")
 
@@ -120,7 +120,7 @@ def check_version(path: Path, version: int) -> None:
 
 
 class _Binary:
-    """A parser of binary files."""
+    """A parser of binary FBX files."""
 
     def __init__(self, path: Path, data: bytes) -> None:
         self.path, self.data = path, data
@@ -143,7 +143,7 @@ class _Binary:
         return top, self.version
 
     def _records(self, at: int, end: int) -> Iterator[tuple[str, int, int, int, int]]:
-        """Yield name, start of the values, their number and bytes, and end of the records from `at` on."""
+        """Yield the records from `at` on: name, start of the values, their number and bytes, and end of the record."""
         while at + self.head.size <= end:
             stop, count, length, letters = self.head.unpack_from(self.data, at)
             if stop == 0:
@@ -235,7 +235,7 @@ _VERSION = re.compile(rb"FBXVersion:\s*([0-9]{1,6})")
 
 
 class _Text:
-    """A parser of text files."""
+    """A parser of text FBX files."""
 
     def __init__(self, path: Path, data: bytes) -> None:
         self.path, self.data = path, data
@@ -284,7 +284,7 @@ class _Text:
         return record, closed.end()
 
     def _values(self, record: Record, at: int) -> tuple[int, int | None]:
-        """Add the values after a name to a record; return where they end, and the length of an array that follows."""
+        """Add the values after a name to a record; return their end, and the length of an array that follows."""
         while True:
             found = _VALUE.match(self.data, at)
             if found is None or (b"\n" in self.data[at : found.end()] and not record.values):
@@ -327,7 +327,7 @@ class _Text:
         return stop + 1
 
     def _end(self, at: int) -> int:
-        """Return where a block ends that is skipped; braces in texts do not count."""
+        """Return the end of a block that is skipped; braces in texts do not count."""
         depth = 1
         for found in _SKIPPED.finditer(self.data, at):
             depth += {b"{": 1, b"}": -1}.get(found[0], 0)

@@ -1,4 +1,4 @@
-"""Scenes of FBX files: nodes with their transforms, clips with their curves, axes, unit and rate.
+"""Read scenes of FBX files: nodes with their transforms, clips with their curves, axes, unit and rate.
 
 The transform of a node follows the documentation of the FBX SDK ("Computing transformation matrices").
 """
@@ -22,19 +22,19 @@ from kinedex.storage.formats.motion.reader import MOST_POINTS, source_bytes
 F64 = npt.NDArray[np.float64]
 
 TICKS = 46_186_158_000
-"""Units of time in a second."""
+"""FBX time units per second."""
 
 RATES_HZ = {
     1: 120.0, 2: 100.0, 3: 60.0, 4: 50.0, 5: 48.0, 6: 30.0, 7: 30.0, 8: 29.97, 9: 29.97, 10: 25.0, 11: 24.0,
     12: 1000.0, 13: 23.976, 15: 96.0, 16: 72.0, 17: 59.94, 18: 119.88,
 }  # fmt: skip
-"""Frames per second by the number of a file's TimeMode; 14 is a rate of the file's own."""
+"""The file's TimeMode → frames per second; 14 stands for a rate that the file states itself."""
 
 ORDERS = ("XYZ", "XZY", "YZX", "YXZ", "ZXY", "ZYX", "XYZ")
-"""The order in which a node turns about its axes, the first one first, by the number of its RotationOrder."""
+"""The order of a node's rotations about its axes, the first applied one first, indexed by RotationOrder."""
 
 CHANNELS = {"Lcl Translation": 0, "Lcl Rotation": 1, "Lcl Scaling": 2}
-"""The properties of a node that move it."""
+"""The properties that move a node → their indices."""
 
 BONES = {"LimbNode", "Limb", "Root", "Effector"}
 """Classes of nodes that are bones."""
@@ -55,9 +55,9 @@ class SceneNode:
     moves : list of float64 array (3,)
         Translation, rotation in degrees, and scale outside of clips.
     points : dict of str to float64 array (3,)
-        Pivots, offsets, and rotations before and after its own, where they are not 0.
+        Pivots, offsets, and pre- and post-rotations that are not 0.
     order : str
-        The order of its turns, the first one first.
+        The order of its rotations, the first applied one first.
     """
 
     name: str
@@ -67,7 +67,7 @@ class SceneNode:
     order: str = "XYZ"
 
     def local(self, moved: F64, turned: F64, scaled: F64) -> tuple[F64, F64]:
-        """Return rotation and scale (T, 3, 3), and the place (T, 3), relative to the parent.
+        """Return rotation with scale (T, 3, 3), and position (T, 3), relative to the parent.
 
         Parameters
         ----------
@@ -86,12 +86,12 @@ class SceneNode:
 
 
 def turn(degrees: F64) -> F64:
-    """Return the matrix of turns about X, then Y, then Z, which those before and after a node's own are."""
+    """Return the matrix of rotations about X, then Y, then Z, as pre- and post-rotations use it."""
     return euler((float(degrees[0]), float(degrees[1]), float(degrees[2])), "XYZ")
 
 
 def rotations_of(degrees: F64, order: str) -> F64:
-    """Return the matrices (T, 3, 3) of turns (T, 3) about X, Y and Z, the first axis of `order` first."""
+    """Return the matrices (T, 3, 3) of angles (T, 3) about X, Y and Z, applied in the order of `order`."""
     angles = np.deg2rad(degrees)
     result = np.broadcast_to(np.eye(3), (len(degrees), 3, 3))
     for name in order:
@@ -108,7 +108,7 @@ def rotations_of(degrees: F64, order: str) -> F64:
 
 @dataclass(eq=False)
 class Clip:
-    """A clip (an animation stack).
+    """A clip, which FBX calls an animation stack.
 
     Attributes
     ----------
@@ -117,9 +117,9 @@ class Clip:
     curves : dict
         (node, property, axis) → curve; properties are those of `CHANNELS`.
     span : tuple of float, optional
-        Seconds between which the clip lies, if the file states them.
+        Start and end of the clip in seconds, if the file states them.
     layers : int
-        Layers that move nodes; only the first is read.
+        The number of layers that move nodes; only the first is read.
     """
 
     name: str
@@ -141,7 +141,7 @@ class Scene:
     Raises
     ------
     SourceError
-        The file is damaged or no FBX.
+        The file is damaged or not FBX.
     """
 
     def __init__(self, path: Path, data: bytes | None = None) -> None:
@@ -161,7 +161,7 @@ class Scene:
 
     @cached_property
     def axes(self) -> F64:
-        """From the file's axes and unit to metres, X left, Y up, Z forward."""
+        """The matrix (3, 3) from the file's axes and unit to metres, X left, Y up, Z forward."""
         rows = []
         for key, usual in (("CoordAxis", 0), ("UpAxis", 1), ("FrontAxis", 2)):
             axis = self.settings.get(key, [usual])
@@ -187,7 +187,7 @@ class Scene:
         return RATES_HZ.get(mode)
 
     def bind_pose(self) -> dict[int, F64]:
-        """Return node → transform (4, 4) in the scene of the file's pose of binding."""
+        """Return node → transform (4, 4) in the scene's axes, from the file's bind pose."""
         found: dict[int, F64] = {}
         for pose in self._objects.all("Pose"):
             if "BindPose" not in pose.values:
@@ -245,7 +245,7 @@ class Scene:
         self.clips = list(clips.values())
 
     def _numbered(self, kind: str) -> dict[int, Record]:
-        """Return the objects of a kind by their numbers."""
+        """Return the objects of a kind by their ids."""
         found: dict[int, Record] = {}
         for record in self._objects.all(kind):
             number = record.values[0] if record.values else None
@@ -290,7 +290,7 @@ def _called(name: Value) -> str:
 
 
 def _links(connections: Record) -> list[tuple[int, int, str]]:
-    """Return the connections: the object below, the one above, and the property, if it is one's."""
+    """Return the connections: the lower object, the upper one, and the property if one is connected."""
     found = []
     for record in connections.all("C"):
         kind, below, above, name = ([*record.values, "", "", "", ""])[:4]
@@ -300,7 +300,7 @@ def _links(connections: Record) -> list[tuple[int, int, str]]:
 
 
 def _properties(record: Record) -> dict[str, list[float]]:
-    """Return the properties of an object that are numbers."""
+    """Return the numeric properties of an object."""
     found: dict[str, list[float]] = {}
     for entry in record.first("Properties70").all("P"):
         if entry.values and isinstance(entry.values[0], str):

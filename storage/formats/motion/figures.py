@@ -1,6 +1,6 @@
-"""Figures: trees of nodes in a scene with their transforms over time, and the bodies that they make.
+"""Make bodies of figures: trees of nodes in a scene with their transforms over time.
 
-The readers of glTF, FBX and MVNX files give figures in metres and with Y up, by what the files state.
+The readers of glTF, FBX and MVNX files give figures in metres with Y up, by the units and axes that the files state.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 AT_ONCE = 1024
-"""Most frames that are posed at once."""
+"""The largest number of frames that are posed at once."""
 
 MOST_FREE_FRAMES = 100_000
-"""Frames that any clip may have; a longer one must have keys in a hundredth of its frames."""
+"""The number of frames that any clip may have; a longer one must have keys in a hundredth of its frames."""
 
 _NO_LENGTH_M, _APART_M = 1e-5, 0.01
 
-_LEVEL, _UPRIGHT = 3.0, 35.0  # degrees by which hips and spine may be off in a pose of rest
+_LEVEL, _UPRIGHT = 3.0, 35.0  # largest tilt of hips and of spine, in degrees, in an upright rest pose
 
 
 class Poses(Protocol):
-    """The motion of a figure: places of its nodes and turns of some of them, in metres with Y up."""
+    """The motion of a figure: positions of its nodes and rotations of some of them, in metres with Y up."""
 
     def at(self, frames: I64, oriented: Sequence[int]) -> tuple[F64, F64]:
-        """Return the places (N, 3, K) in K frames, and the rotations (M, 9, K) of M nodes from their rest pose."""
+        """Return the positions (N, 3, K) in K frames, and the rotations (M, 9, K) of M nodes from their rest pose."""
         ...
 
 
@@ -59,20 +59,20 @@ class ScenePoses:
     Attributes
     ----------
     parents : tuple of int
-        Parents of the figure's nodes and of all that they hang from.
+        Index of the parent of each of M nodes: the figure's nodes and all their ancestors.
     shown : tuple of int
-        Places of the figure's N nodes in these.
+        Indices of the figure's N nodes among these.
     local : callable
-        Returns rotation and scale (M, K, 3, 3), and places (M, K, 3), of all M nodes relative to their parents at K
+        Returns rotation with scale (M, K, 3, 3), and positions (M, K, 3), of all M nodes relative to their parents at K
         times in seconds.
     start : float
-        Seconds of the first frame.
+        Time of the first frame in seconds.
     rate_hz : float
         Frames per second.
     axes : float64 array (3, 3)
-        From the scene's axes and unit to metres with Y up.
+        The matrix from the scene's axes and unit to metres with Y up.
     rest : float64 array (N, 3, 3)
-        The turns of the nodes in the rest pose, in the scene's axes.
+        The rotations of the nodes in the rest pose, in the scene's axes.
     """
 
     parents: tuple[int, ...]
@@ -84,34 +84,34 @@ class ScenePoses:
     rest: F64
 
     def at(self, frames: I64, oriented: Sequence[int]) -> tuple[F64, F64]:
-        """Return the places of the nodes, and the rotations of some from their rest pose."""
-        with np.errstate(over="ignore", invalid="ignore"):  # such joints are refused as too far away
+        """Return the positions of the nodes (N, 3, K), and the rotations (M, 9, K) of some from their rest pose."""
+        with np.errstate(over="ignore", invalid="ignore"):  # joints with such numbers are refused later as too far away
             whole, places = global_transforms(self.parents, *self.local(self.start + frames / self.rate_hz))
             shown = places[list(self.shown)] @ self.axes.T
         nodes = list(oriented)
         turned = without_scale(whole[[self.shown[node] for node in nodes]])
         turned = turned @ self.rest[nodes].transpose(0, 2, 1)[:, None]
-        axes = self.axes / np.cbrt(abs(np.linalg.det(self.axes)))  # may be a mirror image
+        axes = self.axes / np.cbrt(abs(np.linalg.det(self.axes)))  # the axes may be a reflection
         return np.ascontiguousarray(shown.transpose(0, 2, 1)), _rows(axes @ turned @ axes.T)
 
 
 def _rows(turns: F64) -> F64:
-    """Return matrices (M, K, 3, 3) row by row, (M, 9, K)."""
+    """Return matrices (M, K, 3, 3) flattened row by row to (M, 9, K)."""
     return turns.reshape(*turns.shape[:2], 9).transpose(0, 2, 1)
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A tree of named nodes.
+    """A tree of named nodes with its motion.
 
     Attributes
     ----------
     names : tuple of str
         Names of N nodes, all different.
     parents : tuple of int
-        Index of each node's parent, before it; −1 for a root.
+        Index of each node's parent, which precedes it; −1 for a root.
     rest : float64 array (N, 3)
-        Places of the nodes in the rest pose, in metres, Y up.
+        Positions of the nodes in the rest pose, in metres, Y up.
     poses : Poses
         The motion.
     frames : int
@@ -121,9 +121,9 @@ class Figure:
     evidence : tuple of str
         Sentences on how the file was read, for `kinedex inspect`.
     warnings : tuple of str
-        Reservations about the file.
+        Warnings about the file.
     upright : bool
-        True if the format defines that every node is unturned where the body stands upright and faces ahead.
+        True if, by the format's definition, all nodes are unrotated when the body stands upright and faces forward.
     """
 
     names: tuple[str, ...]
@@ -144,7 +144,7 @@ class FigureReader(Reader):
 
     @abstractmethod
     def figure(self, file: MotionFile, settings: ReadSettings) -> Figure:
-        """Return the figure of a file's person, without any mapping.
+        """Return the figure of the file's chosen person, before any mapping.
 
         Raises
         ------
@@ -164,28 +164,29 @@ class FigureReader(Reader):
 
 
 def refuse_many_frames(path: Path, frames: int, keys: int) -> None:
-    """Raise a SourceError if a few keys claim a motion of absurd length."""
+    """Raise SourceError if a few keys claim a motion of implausible length."""
     most = max(MOST_FREE_FRAMES, 100 * keys)
     if frames > most:
         raise SourceError(path, f"its {keys} key times make {frames} frames, more than {most}: a time must be wrong")
 
 
 def figure_bytes(frames: int, nodes: int, joints: int) -> int:
-    """Return the memory of a figure's body, and of the nodes of a block of frames between it and the file."""
+    """Estimate the memory in bytes of a figure's body, and of the nodes of a block of frames while it is read."""
     return body_bytes(frames, joints) + min(frames, _at_once(nodes)) * (600 * nodes + 96 * joints)
 
 
 def _at_once(nodes: int) -> int:
-    """Return the frames that are posed at once: some 100 MB of nodes at most."""
+    """Return the number of frames that are posed at once, for at most some 100 MB of node data."""
     return min(AT_ONCE, max(SAMPLED_FRAMES, 200_000 // nodes))
 
 
 def body_of_figure(
     path: Path, figure: Figure, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings
 ) -> Body:
-    """Make a body of a figure.
+    """Convert a figure to a body.
 
-    The file's own unit and axes count before those of the mapping; a unit that makes no human height is guessed anew.
+    The file's unit and axes take precedence over those of the mapping; a unit that gives no human height is replaced by
+    a guess.
 
     Parameters
     ----------
@@ -194,7 +195,7 @@ def body_of_figure(
     figure : Figure
         The figure.
     mappings : Mappings
-        Skeleton mappings; those of BVH files serve all trees.
+        Skeleton mappings; those for BVH files are used for all trees.
     joints : tuple of str
         The named joints, in the order of the result.
     settings : ReadSettings
@@ -203,7 +204,7 @@ def body_of_figure(
     Raises
     ------
     SourceError
-        No mapping fits, the unit cannot be guessed, or a joint is absurdly far away.
+        No mapping fits, the unit cannot be guessed, or a joint is implausibly far away.
     """
     warnings = list(figure.warnings)
     rate_hz = settings.rate_of(figure.rate_hz, warnings)
@@ -237,15 +238,15 @@ class FittedFigure(NamedTuple):
     figure : Figure
         The figure, with a length for bones that lack one.
     fit : Fit
-        The mapping, turned where another axis than its own is up.
+        The mapping, rotated if another axis than its own is up.
     positions : float64 array (J, 3, T)
         The named joints in metres.
     turned : float64 array (9, T)
         Rotations of the root from its rest pose, row by row.
     upturned : tuple of str
-        The reasons to turn the mapping.
+        The reasons for rotating the mapping.
     bones : tuple of str
-        The bones that have got a length.
+        The bones that were given a length.
     """
 
     figure: Figure
@@ -282,7 +283,7 @@ def fitted_figure(path: Path, figure: Figure, mappings: Mappings, joints: tuple[
 
 
 def _evidence(figure: Figure, places: F64) -> Evidence:
-    """Return the evidence of a figure; bones to which rounded numbers leave hardly any length have none."""
+    """Return the evidence for recognising a figure; bones whose length is only a rounding error get none."""
     places, offsets = places.copy(), figure.rest.copy()
     for node, above in enumerate(figure.parents):
         if above >= 0:
@@ -294,7 +295,7 @@ def _evidence(figure: Figure, places: F64) -> Evidence:
 
 @dataclass(frozen=True)
 class _Bone:
-    """A bone without length in the file: its node with all below it, its parent, and the way that it should have."""
+    """A bone without length in the file: its node with all descendants, its parent, and its intended vector."""
 
     members: tuple[int, ...]
     parent: int
@@ -302,7 +303,7 @@ class _Bone:
 
 
 def _lost_bones(figure: Figure, fit: Fit, places: F64) -> list[_Bone]:
-    """Return the bones that have no length in sampled frames, and to which the mapping gives one."""
+    """Return the bones that have no length in sampled frames, but one in the mapping."""
     bones = []
     for name, weights in fit.mapping.bones.items():
         node = fit.places[name]
@@ -334,10 +335,10 @@ def _posed(figure: Figure, fit: Fit, joints: tuple[str, ...], bones: Sequence[_B
 
 
 def _orientation(fit: Fit, figure: Figure, turned: F64, positions: F64, joints: tuple[str, ...], upturned: bool) -> F64:
-    """Return the root's turn: from the file where the rest pose stands upright and faces ahead, else by the body.
+    """Return the root's orientation: from the file if its rest pose is upright and faces forward, else from the body.
 
-    The pose that a file has as its rest may be any pose of a clip. Then the hips and the spine's base, which move with
-    the root, tell how far the root is turned in it. A body that was recognised has the turn of its hips and spine.
+    A file's rest pose may be any pose of a clip. Then the hips and the base of the spine, which move with the root,
+    show how far the root is rotated in it. A recognised body gets the orientation of its hips and spine.
     """
     if figure.upright and "root" not in fit.unknown:
         return kinematics.quaternions(turned)
@@ -356,7 +357,7 @@ def _orientation(fit: Fit, figure: Figure, turned: F64, positions: F64, joints: 
 
 
 def _spine_base(fit: Fit, figure: Figure) -> F64:
-    """Return the way from the root to the first node of the spine apart from it, at rest, in the file's axes."""
+    """Return the vector at rest from the root to the first spine node at another position, in the file's axes."""
     mix = fit.joints.get("chest")
     node = fit.places[mix.names[0]] if mix is not None and not mix.of_joints else fit.root
     way: F64 = np.zeros(3)
@@ -368,6 +369,6 @@ def _spine_base(fit: Fit, figure: Figure) -> F64:
 
 
 def _angle(a: F64, b: F64) -> float:
-    """Return the angle between vectors in degrees; 180 where one has no length."""
+    """Return the angle between two vectors in degrees; 180 if one has no length."""
     lengths = float(np.linalg.norm(a) * np.linalg.norm(b))
     return float(np.degrees(np.arccos(np.clip(a @ b / lengths, -1.0, 1.0)))) if lengths else 180.0

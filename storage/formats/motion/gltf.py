@@ -1,4 +1,4 @@
-"""The reader of glTF files: skeletons of skins, moved by the animations of the file."""
+"""Read glTF files: skeletons of skins, moved by the animations of the file."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from kinedex.storage.formats.motion.scene_figures import Group, chosen_person, c
 F64 = npt.NDArray[np.float64]
 
 PATHS = {"translation": "VEC3", "rotation": "VEC4", "scale": "VEC3"}
-"""The properties of a node that move it, and the types of their values."""
+"""The properties that move a node → the types of their values."""
 
 _HALF_TURN = np.diag([-1.0, 1.0, -1.0])
-"""From the axes of VRM 0, whose avatars face −Z, to those of glTF."""
+"""The rotation from the axes of VRM 0, whose avatars face −Z, to those of glTF."""
 
 
 class GltfReader(FigureReader):
-    """Reads .gltf and .glb files, and the avatars and animations of VRM, which are such files."""
+    """Reads .gltf and .glb files, and VRM avatars and animations, which use the same format."""
 
     endings: ClassVar[tuple[str, ...]] = (".glb", ".gltf", ".vrm", ".vrma")
 
     def relevant_settings(self, settings: ReadSettings) -> object:
-        """Return the rate that replaces the file's, the only setting that counts."""
+        """Return the rate that replaces the file's, the only setting that affects the result."""
         return settings.override_rate_hz
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Find the frames by the times of the keys; the memory is that of JSON, keys and joints."""
+        """Count the frames by the times of the keys, and estimate the memory: JSON, keys and joints."""
         document = read_gltf(file.path)
         clips = _clips(document)
         clip = clips[chosen_person(file.path, file.person, clip_names(clips))]
@@ -49,12 +49,12 @@ class GltfReader(FigureReader):
         return Extent(frames, need + (4 << 20), settings.rate_of(rate_hz, []))
 
     def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
-        """Return the names of figures and clips; empty where there is one clip of one figure."""
+        """Return the names of figures and clips; empty if the file has one clip of one figure."""
         names = clip_names(_clips(read_gltf(file.path)))
         return names if len(names) > 1 else ()
 
     def figure(self, file: MotionFile, settings: ReadSettings) -> Figure:
-        """Return a figure with the motion of a clip."""
+        """Return the chosen figure with the motion of its clip."""
         document = read_gltf(file.path)
         clips = _clips(document)
         return _figure(document, clips[chosen_person(file.path, file.person, clip_names(clips))])
@@ -95,7 +95,7 @@ def _clips(document: Document) -> list[_Clip]:
 
 
 def _groups(document: Document) -> list[Group]:
-    """Return the skeletons: the joints of skins that hang together, else the nodes that animations turn."""
+    """Return the skeletons: connected joints of skins, or else the nodes that animations rotate."""
     nodes = document.content.nodes
     joints = {joint for skin in document.content.skins for joint in skin.joints}
     if any(joint >= len(nodes) for joint in joints):
@@ -111,12 +111,12 @@ def _groups(document: Document) -> list[Group]:
 
 
 def _human_bones(document: Document) -> dict[str, int]:
-    """Return the nodes of VRM's bones by the name of each: `leftUpperLeg`; empty for files without this extension."""
+    """Return bone name (such as `leftUpperLeg`) → node for VRM files; empty for files without that extension."""
     extensions = document.content.extensions
     for key in ("VRMC_vrm", "VRMC_vrm_animation", "VRM"):
         humanoid = extensions[key].get("humanoid") if isinstance(extensions.get(key), dict) else None
         bones = humanoid.get("humanBones") if isinstance(humanoid, dict) else None
-        if isinstance(bones, list):  # VRM 0
+        if isinstance(bones, list):  # the form of VRM 0
             pairs = [(bone.get("bone"), bone) for bone in bones if isinstance(bone, dict)]
         else:
             pairs = list(bones.items()) if isinstance(bones, dict) else []
@@ -131,7 +131,7 @@ def _human_bones(document: Document) -> dict[str, int]:
 
 
 def _humanoid(document: Document) -> Group:
-    """Return the bones that VRM names, each below the nearest one above it."""
+    """Return the bones that VRM names, each below its nearest named ancestor."""
     bones = _human_bones(document)
     (group,) = groups_of(document.parents, set(bones.values()), set(bones.values()))[:1]
     return group
@@ -139,7 +139,7 @@ def _humanoid(document: Document) -> Group:
 
 @dataclass(frozen=True)
 class _Track:
-    """A moved property of a node."""
+    """A property of a node that an animation moves."""
 
     node: int
     path: str
@@ -150,7 +150,7 @@ class _Track:
 
 @dataclass(frozen=True)
 class _Local:
-    """The transforms of nodes relative to their parents in a clip."""
+    """The transforms of nodes relative to their parents, as functions of time in a clip."""
 
     linear: F64
     offsets: F64
@@ -160,7 +160,7 @@ class _Local:
     late: float
 
     def __call__(self, seconds: F64) -> tuple[F64, F64]:
-        """Return rotation and scale, and places, at some times."""
+        """Return rotations with scale, and positions, at times in seconds."""
         offsets = np.repeat(self.offsets[:, None], len(seconds), axis=1)
         linear = np.repeat(self.linear[:, None], len(seconds), axis=1)
         moved: dict[int, dict[str, F64]] = {}
@@ -215,16 +215,16 @@ def _figure(document: Document, clip: _Clip) -> Figure:
 def _bound(
     document: Document, chain: Sequence[int], parents: Sequence[int], local: tuple[F64, F64], scene: tuple[F64, F64]
 ) -> tuple[F64, F64, str]:
-    """Return turns (M, 3, 3) and places (M, 3) of a chain at rest, and the pose's name.
+    """Return rest rotations (M, 3, 3) and positions (M, 3) of a chain, and the pose's name.
 
-    That is the pose in which a mesh was bound to the skeleton, where the file has its nodes in another one outside of
-    clips. The matrices of binding are in axes of their own; these are the scene's, turned by right angles as far as the
-    first joint suggests.
+    That is the bind pose, in which a mesh was bound to the skeleton, if it differs from the nodes' pose outside of
+    clips. Bind matrices have their own axes; these are taken as the scene's up to right angles, which the first joint
+    suggests.
     """
     whole, places = scene
     inverse = _binding(document)
     bound = [(i, inverse[node]) for i, node in enumerate(chain) if node in inverse]
-    between = [whole[i] @ matrix[:3, :3] for i, matrix in bound]  # from the axes of binding to the scene's
+    between = [whole[i] @ matrix[:3, :3] for i, matrix in bound]  # from the axes of the bind matrices to the scene's
     usable = bool(bound) and all(abs(np.linalg.det(matrix)) > 1e-12 for matrix in between)
     if not usable:
         return whole, places, "that of the scene outside of clips"
@@ -244,7 +244,7 @@ def _bound(
 
 
 def _binding(document: Document) -> dict[int, F64]:
-    """Return node → inverse matrix (4, 4) of the pose in which its skin was bound, of the skins that have them."""
+    """Return node → inverse bind matrix (4, 4), for the skins that have them."""
     found: dict[int, F64] = {}
     for skin in document.content.skins:
         if skin.inverseBindMatrices is not None:
@@ -258,20 +258,20 @@ def _binding(document: Document) -> dict[int, F64]:
 
 
 def _right_angles(turn: F64) -> F64:
-    """Return the turn by right angles about the axes that is nearest to another one."""
+    """Return the nearest rotation that is composed of right angles about the axes."""
     ways = [[s * np.eye(3)[i] for i in range(3) for s in (1, -1)] for _ in range(2)]
     turns = [np.array([x, y, np.cross(x, y)]) for x in ways[0] for y in ways[1] if abs(x @ y) < 0.5]
     return max(turns, key=lambda other: float(np.sum(other * turn)))
 
 
 def _rest(node: Node) -> tuple[F64, F64, F64]:
-    """Return the quaternion w, x, y, z, the scale and the place of a node outside of any clip."""
+    """Return the quaternion w, x, y, z, the scale and the position of a node outside of any clip."""
     x, y, z, w = node.rotation
     return np.array([w, x, y, z]), np.array(node.scale), np.array(node.translation)
 
 
 def _names(document: Document, group: Group) -> tuple[str, ...]:
-    """Return the names of a figure's nodes; those of VRM's bones where the file has such."""
+    """Return the names of a figure's nodes, or of VRM's bones if the file names them."""
     bones = {node: name for name, node in _human_bones(document).items()}
     nodes = document.content.nodes
     return unique_names([bones.get(node) or nodes[node].name or f"node {node}" for node in group.nodes])

@@ -1,7 +1,7 @@
-"""glTF 2.0 documents: the JSON of .gltf and .glb files, and the numbers that their accessors describe.
+"""Read glTF 2.0 documents: the JSON of .gltf and .glb files, and the numbers of their accessors.
 
-Nothing outside of a file's own folder is read, nothing is fetched, and no count is believed before it is compared with
-the bytes that are there. Meshes, materials and images are not looked at.
+Nothing outside of a file's own folder is read, nothing is downloaded, and no count is used before it is compared with
+the bytes present. Meshes, materials and images are not read.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from kinedex.storage.formats.motion.reader import MOST_POINTS, file_size
 F64 = npt.NDArray[np.float64]
 
 LONGEST_JSON = 64 << 20
-"""Bytes of the JSON; longer ones embed models that belong into a .glb or a .bin file."""
+"""The largest size of the JSON in bytes; larger ones embed models that belong in a .glb or a .bin file."""
 
 MOST_NUMBERS = 50_000_000
-"""Numbers of one accessor; as many 32-bit numbers take 200 MB."""
+"""The largest number of values of an accessor; as many 32-bit numbers take 200 MB."""
 
 MOST_ENTRIES = 50_000
-"""Entries of a list in the JSON, animations with their channels and samplers; files of whole scenes have thousands."""
+"""The largest number of entries of a list in the JSON, nested ones included; whole scenes have thousands."""
 
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
@@ -47,7 +47,7 @@ class _Part(BaseModel):
 
 
 class Node(_Part):
-    """A node of the scene, its transform relative to its parent as a matrix or in parts."""
+    """A node of the scene; its transform relative to its parent is a matrix or separate parts."""
 
     name: str = ""
     children: list[Index] = []
@@ -60,28 +60,28 @@ class Node(_Part):
 
 
 class Skin(_Part):
-    """The joints of a mesh that is bent."""
+    """A skin: the joints that deform a mesh."""
 
     joints: list[Index] = []
     inverseBindMatrices: Index | None = None
 
 
 class Target(_Part):
-    """The property of a node that a channel moves."""
+    """The node and property that a channel moves."""
 
     node: Index | None = None
     path: str = ""
 
 
 class Channel(_Part):
-    """A sampler and what it moves."""
+    """A channel: a sampler and its target."""
 
     sampler: Index
     target: Target
 
 
 class Sampler(_Part):
-    """Times (input) and values (output), both by their accessors."""
+    """A sampler: the accessors of its times (input) and values (output)."""
 
     input: Index
     output: Index
@@ -89,7 +89,7 @@ class Sampler(_Part):
 
 
 class Animation(_Part):
-    """A clip."""
+    """An animation, which is a clip."""
 
     name: str = ""
     channels: list[Channel] = []
@@ -176,12 +176,12 @@ class Document:
 
     @cached_property
     def parents(self) -> tuple[int, ...]:
-        """The parent of every node, −1 for roots.
+        """The index of every node's parent, −1 for roots.
 
         Raises
         ------
         SourceError
-            A node has two parents, or hangs from itself.
+            A node has two parents, or is its own ancestor.
         """
         nodes = self.content.nodes
         above = [-1] * len(nodes)
@@ -191,7 +191,7 @@ class Document:
                     raise self.error(f"nodes.{i}.children must be nodes without another parent, got {child}")
                 above[child] = i
         order: list[int] = [i for i, parent in enumerate(above) if parent < 0]
-        for i in order:  # grows while it is walked
+        for i in order:  # `order` grows during the loop
             order += nodes[i].children
         if len(order) != len(nodes):
             raise self.error("nodes hang from each other in a circle")
@@ -202,19 +202,19 @@ class Document:
         return SourceError(self.path, message)
 
     def numbers(self, index: int, kind: str) -> F64:
-        """Return the numbers of an accessor (count, components), normalised integers as numbers from −1 to 1.
+        """Return the numbers of an accessor (count, components), with normalised integers scaled to −1 to 1.
 
         Parameters
         ----------
         index : int
             The accessor.
         kind : str
-            The type that it must have, such as "VEC3".
+            The required type, such as "VEC3".
 
         Raises
         ------
         SourceError
-            The accessor does not fit its bytes, is compressed, or its bytes are not there.
+            The accessor does not fit its bytes, is compressed, or its bytes are missing.
         """
         accessors = self.content.accessors
         if index >= len(accessors) or accessors[index].type != kind:
@@ -239,7 +239,7 @@ class Document:
         return values
 
     def _substitute(self, values: F64, sparse: _Sparse, where: str, dtype: str, normalized: bool) -> None:
-        """Replace the values that a sparse accessor lists."""
+        """Replace, in place, the values that a sparse accessor lists."""
         if sparse.count > len(values):
             raise self.error(f"{where}.sparse lists {sparse.count} of {len(values)} values")
         kind = self._dtype(sparse.indices.componentType, where)
@@ -257,7 +257,7 @@ class Document:
         return _COMPONENTS[component]
 
     def _values(self, where: str, view: int, offset: int, count: int, size: int, dtype: str) -> npt.NDArray[Any]:
-        """Return values of a buffer view as they lie there (count, size)."""
+        """Return values of a buffer view in their stored type (count, size)."""
         if view >= len(self.content.bufferViews):
             raise self.error(f"{where} names bufferViews.{view}, which is not there")
         found = self.content.bufferViews[view]
@@ -304,7 +304,7 @@ class Document:
         return self._embedded[buffer]
 
     def _beside(self, buffer: int, uri: str) -> Path:
-        """Return the file that a relative uri names, which must lie in the document's folder or below."""
+        """Return the file that a relative URI names, which must be in the document's folder or below."""
         name = unquote(uri)
         relative = PurePosixPath(name)
         inside = not relative.is_absolute() and ".." not in relative.parts and not set(name) & set("\\:\0")
@@ -331,7 +331,7 @@ class Document:
 
 
 def _normalised(raw: npt.NDArray[Any], dtype: str, normalized: bool) -> F64:
-    with np.errstate(invalid="ignore"):  # a float may be none; it is refused later
+    with np.errstate(invalid="ignore"):  # a float may be NaN, which is refused later
         values: F64 = raw.astype(np.float64)
     return np.maximum(values / _LARGEST[dtype], -1.0) if normalized and dtype in _LARGEST else values
 
@@ -347,7 +347,7 @@ def read_gltf(path: Path) -> Document:
     Raises
     ------
     SourceError
-        The file is no glTF 2.0, or a part has another form; the error names its key.
+        The file is not glTF 2.0, or a part is not valid; the error names its key.
     """
     text, binary = _parts(path)
     try:
@@ -369,7 +369,7 @@ def read_gltf(path: Path) -> Document:
 
 
 def _refuse_long_lists(path: Path, found: dict[str, Any]) -> None:
-    """Raise a SourceError for lists so long that their entries would take much memory."""
+    """Raise SourceError for lists whose entries would take too much memory."""
     lists = {key: found.get(key) for key in Content.model_fields}
     clips = lists["animations"] if isinstance(lists["animations"], list) else []
     parts = [clip.get(key) for clip in clips if isinstance(clip, dict) for key in ("channels", "samplers")]
@@ -382,7 +382,7 @@ def _refuse_long_lists(path: Path, found: dict[str, Any]) -> None:
 
 
 def _parts(path: Path) -> tuple[bytes, tuple[int, int]]:
-    """Return the JSON of a file, and start and length of its binary part."""
+    """Return the JSON of a file, and start and length of its binary part in bytes."""
     try:
         size = path.stat().st_size
         with path.open("rb") as file:
@@ -412,6 +412,6 @@ def _parts(path: Path) -> tuple[bytes, tuple[int, int]]:
 
 
 def matrix_parts(node: Node) -> tuple[F64, F64]:
-    """Return rotation and scale (3, 3) and the place (3,) of a node that has a matrix, which lists columns first."""
+    """Return rotation and scale (3, 3) and position (3,) from a node's matrix, which is stored by columns."""
     matrix = np.array(node.matrix, np.float64).reshape(4, 4).T
     return matrix[:3, :3], matrix[:3, 3]

@@ -1,4 +1,4 @@
-"""The writer of glTF files: a skeleton of the named joints with an animation, and a mesh that shows it (glTF 2.0)."""
+"""Write glTF files: a skeleton of the named joints with an animation, and a mesh that shows it (glTF 2.0)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from kinedex.storage.formats.motion.joint_motion import JointMotion
 F64 = npt.NDArray[np.float64]
 
 _RADIUS_M = 0.02
-_SPINE = ("chest", "neck", "belly", "head")  # the first one known gives the root's up direction
+_SPINE = ("chest", "neck", "belly", "head")  # the first known one gives the root's up direction
 _COLOURS = {
     "left": (0.0137, 0.1589, 0.552), "right": (0.638, 0.0666, 0.1046), "middle": (0.0452, 0.0452, 0.0452),
 }  # fmt: skip
@@ -37,9 +37,9 @@ _ARRAY, _ELEMENTS = 34962, 34963
 def write_gltf(path: Path, motion: JointMotion) -> None:
     """Write the joints of a motion as a binary glTF file (.glb), in metres with Y up.
 
-    Every joint is a node below the one it hangs from, and a key for each frame moves it. The root turns as the motion
-    states, or with hips and spine; the other nodes do not turn. A mesh of sticks, blue on the left and red on the
-    right, is bound to the nodes. Joints that are never seen are no nodes.
+    Every joint is a node below its parent, with a key for each frame. The root has the motion's orientation, or that of
+    hips and spine; the other nodes do not rotate. A mesh of sticks, blue on the left and red on the right, is bound to
+    the nodes. Joints that are missing in all frames are left out.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def write_gltf(path: Path, motion: JointMotion) -> None:
     Raises
     ------
     KinedexError
-        The root is never seen, or a joint is not seen in some frames only, which a glTF cannot express.
+        The root is always missing, or a joint is missing in only some frames, which glTF cannot express.
     """
     names, parents, places = _tree(motion)
     turns = _root_turns(names, places, motion.orientation)
@@ -82,7 +82,7 @@ def write_gltf(path: Path, motion: JointMotion) -> None:
 
 
 def _tree(motion: JointMotion) -> tuple[list[str], list[int], F64]:
-    """Return the joints that are seen, parents first, the index of each one's parent, and places (joints, T, 3)."""
+    """Return the joints present, parents first, the index of each one's parent, and positions (joints, T, 3)."""
     seen: npt.NDArray[np.bool_] = np.all(np.isfinite(motion.places), axis=2)
     known = {name: i for i, name in enumerate(motion.joints) if seen[:, i].any()}
     if "root" not in known:
@@ -107,7 +107,7 @@ def _tree(motion: JointMotion) -> tuple[list[str], list[int], F64]:
 
 
 def _root_turns(names: Sequence[str], places: F64, orientation: npt.NDArray[np.float32] | None) -> F64:
-    """Return rotations (T, 3, 3) of the root, those of hips and spine if its own are unknown; else no rotation."""
+    """Return the root's rotations (T, 3, 3): the motion's, or else those of hips and spine, or else none."""
     if orientation is not None and np.isfinite(orientation).all():
         return rotations(orientation.astype(np.float64))
     of = dict(zip(names, places, strict=True))
@@ -121,7 +121,7 @@ def _root_turns(names: Sequence[str], places: F64, orientation: npt.NDArray[np.f
 
 
 def _rest(parents: Sequence[int], local: F64) -> F64:
-    """Return places (joints, 3) of the nodes with an unturned root."""
+    """Return rest positions (joints, 3) of the nodes, with an unrotated root."""
     places = local.copy()
     for i, parent in enumerate(parents):
         if parent >= 0:
@@ -136,7 +136,7 @@ def _material(name: str, colour: tuple[float, float, float]) -> dict[str, Any]:
 
 @dataclass
 class _Document:
-    """The accessors of a document and the bytes that they describe."""
+    """A glTF document being written: its accessors and their bytes."""
 
     accessors: list[dict[str, Any]] = field(default_factory=list)
     views: list[dict[str, Any]] = field(default_factory=list)
@@ -161,17 +161,17 @@ class _Document:
         return len(self.accessors) - 1
 
     def skin(self, bound: F64, root: int) -> dict[str, Any]:
-        """Return the skin of nodes that stand at some places (joints, 3) where the mesh is bound to them."""
+        """Return the skin of nodes with bind positions (joints, 3)."""
         matrices = np.tile(np.eye(4, dtype=np.float32), (len(bound), 1, 1))
-        matrices[:, 3, :3] = -bound  # columns first
+        matrices[:, 3, :3] = -bound  # glTF stores matrices by columns
         inverse = self.accessor(matrices.reshape(-1, 16), "MAT4")
         return {"joints": list(range(len(bound))), "inverseBindMatrices": inverse, "skeleton": root}
 
     def mesh(self, names: Sequence[str], parents: Sequence[int], bound: F64) -> dict[str, Any]:
-        """Return a mesh of octahedra at the joints, and sticks between them, each corner bound to one joint.
+        """Return a mesh of octahedra at the joints and sticks between them, each vertex bound to one joint.
 
-        A stick has a face from every edge of one octahedron to that of the next, so that it has a body however the
-        bone between two nodes that do not turn may point.
+        A stick has a face from every edge of one octahedron to that of the next, so that it has volume whatever the
+        direction between two nodes that do not rotate.
         """
         corners = (bound[:, None] + _RADIUS_M * _CORNERS).reshape(-1, 3).astype(np.float32)
         joints = np.zeros((len(corners), 4), np.uint8)
@@ -198,7 +198,7 @@ class _Document:
         return {"name": "sticks", "primitives": primitives}
 
     def animation(self, motion: JointMotion, local: F64, turns: F64, root: int) -> dict[str, Any]:
-        """Return a clip with a key for each frame: places (joints, T, 3) of all nodes and turns of the root."""
+        """Return a clip with a key for each frame: positions (joints, T, 3) of all nodes, and rotations of the root."""
         seconds = (np.arange(local.shape[1]) / motion.rate_hz).astype(np.float32)
         times = self.accessor(seconds.reshape(-1, 1), "SCALAR", limits=True)
         samplers: list[dict[str, Any]] = []

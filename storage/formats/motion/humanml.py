@@ -1,4 +1,4 @@
-"""The reader of HumanML3D arrays: features of 263 numbers a frame, or the places of the 22 joints of SMPL, at 20 Hz."""
+"""Read HumanML3D arrays: 263 features a frame, or the positions of the 22 joints of SMPL, at 20 Hz."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ RATE_HZ = 20.0
 """The rate of HumanML3D, which its files do not state."""
 
 FEATURES = 4 + 3 * 21 + 6 * 21 + 3 * 22 + 4
-"""Numbers a frame: turn, steps and height of the root; places, rotations and velocities of joints; contacts of feet."""
+"""The number of features: the root's rotation, steps and height; joints' positions, rotations, velocities; contacts."""
 
 _LARGEST = 1e6
 
@@ -35,7 +35,7 @@ class HumanMlReader(PointsReader):
     up: ClassVar[str | None] = "y"
 
     def sniff(self, path: Path) -> bool:
-        """Return whether an array has the shape of one of the two."""
+        """Return whether an array has one of these two shapes."""
         try:
             shape, kind = array_shapes(path)[""]
         except SourceError:
@@ -43,13 +43,13 @@ class HumanMlReader(PointsReader):
         return kind.kind == "f" and (shape[1:] == (FEATURES,) or shape[1:] == (len(BODY), 3)) and shape[0] > 0
 
     def size(self, file: MotionFile) -> tuple[int, int, int]:
-        """Return the frames of the header, and the memory of the numbers."""
+        """Return frames and points by the header, and the memory of the numbers."""
         shape, kind = array_shapes(file.path)[""]
         numbers = int(np.prod(shape))
         return shape[0], len(BODY), numbers * (kind.itemsize + 8) + 400 * shape[0]
 
     def points(self, file: MotionFile, settings: ReadSettings) -> Points:
-        """Read the places of the joints, recovered from features where the file holds these."""
+        """Read the positions of the joints, or recover them from features."""
         array: npt.NDArray[Any] = load_array(file.path)
         found = array.astype(np.float64)
         if not (np.abs(found[np.isfinite(found)]) <= _LARGEST).all() or np.isinf(found).any():
@@ -62,18 +62,18 @@ class HumanMlReader(PointsReader):
 
 
 def recovered_joints(features: F64) -> F64:
-    """Return the places of the joints (22, 3, T) of features (T, 263).
+    """Return the positions of the joints (22, 3, T) from features (T, 263).
 
-    The root's turn about the vertical axis is the sum of its half angles a frame, its path that of its steps; steps and
-    joints are given in the root's own axes, the joints beside the root and above the ground. (C. Guo et al., Generating
-    Diverse and Natural 3D Human Motions from Text, CVPR 2022, Section 3.)
+    The root's rotation about the vertical axis is the sum of its half angles per frame, its path the sum of its steps.
+    Steps and joints are given in the root's axes, joints relative to the root horizontally and to the ground
+    vertically. (C. Guo et al., Generating Diverse and Natural 3D Human Motions from Text, CVPR 2022, Section 3.)
     """
     frames = len(features)
     half = np.concatenate([[0.0], np.cumsum(features[:-1, 0])])
     cosine, sine = np.cos(2 * half), np.sin(2 * half)
 
     def turned_back(x: F64, z: F64) -> tuple[F64, F64]:
-        """Return x and z of places given in the root's axes, in those of the ground."""
+        """Rotate x and z from the root's axes to those of the ground."""
         return cosine * x - sine * z, sine * x + cosine * z
 
     steps = np.zeros((2, frames))

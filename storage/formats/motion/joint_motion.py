@@ -1,4 +1,4 @@
-"""The motion of named joints, as the writers of motion files take it."""
+"""Hold the motion of named joints, the input of the writers of motion files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 @dataclass(frozen=True, eq=False)
 class JointMotion:
-    """Places of named joints over time, in metres with Y up.
+    """Positions of named joints over time, in metres with Y up.
 
     Attributes
     ----------
@@ -19,13 +19,13 @@ class JointMotion:
     joints : tuple of str
         Names of the joints, at most the 24 named ones.
     places : float32 array (T, joints, 3)
-        Places in metres; NaN where a joint was not seen.
+        Positions in metres; NaN where a joint is missing.
     rate_hz : float
         Frames per second.
     words : uint64 array (T,) or None
-        The word of each frame, `NO_WORD` where the frame is invalid; None where there are none.
+        The word of each frame, `NO_WORD` where the frame is invalid; None without words.
     orientation : float32 array (T, 4) or None
-        Orientation of the root as unit quaternions (w, x, y, z); None where it is not known.
+        Orientation of the root as unit quaternions (w, x, y, z); None if it is not known.
     """
 
     name: str

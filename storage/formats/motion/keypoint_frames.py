@@ -1,4 +1,4 @@
-"""Keypoints in JSON: persons in frames, in the forms of OpenPose, MMPose, MediaPipe and plain lists."""
+"""Parse keypoints in JSON: persons in frames, in the forms of OpenPose, MMPose, MediaPipe and plain lists."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PERSONS = ("people", "persons", "instances")
 WORLD = (
     "world_landmarks", "pose_world_landmarks", "worldLandmarks", "poseWorldLandmarks",
 )  # fmt: skip
-"""MediaPipe's landmarks in metres about the hips, with y down."""
+"""Keys of MediaPipe's landmarks in metres relative to the hips, with y down."""
 
 POINTS_3D = (
     "pose_keypoints_3d", "keypoints_3d", "keypoints3d", "joints_3d", "joints3d", "positions", "joints", "keypoints",
@@ -50,17 +50,17 @@ class Keypoints:
     Attributes
     ----------
     persons : dict of str to dict of int to float64 array (N, 3)
-        Person → frame → places; NaN for a point that was not seen.
+        Person → frame → positions; NaN for a missing point.
     names : tuple of str
-        Names of the N points; empty if the file has none, and their number is no known one.
+        Names of the N points; empty if the file has none and their number is not that of a known set.
     frames : int
         The number of frames.
     times : list of float
-        The times of frames in seconds, those that have one.
+        The times in seconds of the frames that have one.
     rate_hz : float, optional
         Frames per second, if the file states them.
     world : bool
-        True for landmarks of MediaPipe in metres about the hips.
+        True for landmarks of MediaPipe in metres relative to the hips.
     """
 
     persons: dict[str, dict[int, F64]] = field(default_factory=dict)
@@ -72,9 +72,9 @@ class Keypoints:
 
 
 def load_json(path: Path) -> Any:
-    """Return the content of a JSON file; a SourceError reports one that is too large, too deep, or none.
+    """Return the content of a JSON file; raise SourceError if it is too large, too deeply nested, or not JSON.
 
-    All numbers are floats, so that no number of a million digits has to be exact.
+    All numbers are parsed as floats, so that no integer of a million digits is built.
     """
     if file_size(path) > LONGEST:
         raise SourceError(path, f"has more than {LONGEST >> 20} MB of JSON; write shorter takes, or a table (CSV, NPZ)")
@@ -101,7 +101,7 @@ def read_keypoints(path: Path, content: Any) -> Keypoints:
     Raises
     ------
     SourceError
-        The content is none of the known forms, or has no depth; the error names the frame.
+        The content has no known form, or no depth coordinate; the error names the frame.
     """
     found = Keypoints()
     frames = content
@@ -120,7 +120,7 @@ def read_keypoints(path: Path, content: Any) -> Keypoints:
 
 
 def _header(found: Keypoints, content: Mapping[str, Any]) -> None:
-    """Take names and rate from a file's object, where they are what they should be."""
+    """Take names and rate from the file's top-level object if they are valid."""
     rate = next((content[key] for key in RATES if isinstance(content.get(key), float)), None)
     found.rate_hz = rate if rate is not None and math.isfinite(rate) else None
     names = next((content[key] for key in NAMES if isinstance(content.get(key), list)), None)
@@ -132,7 +132,7 @@ def _header(found: Keypoints, content: Mapping[str, Any]) -> None:
 
 
 def _frame(path: Path, found: Keypoints, number: int, frame: Any) -> None:
-    """Read the persons of a frame; an empty one has none."""
+    """Add the persons of a frame to the keypoints; an empty frame has none."""
     if frame is None or frame == [] or frame == {}:
         return
     persons: Sequence[Any] = [frame]
@@ -154,7 +154,7 @@ def _frame(path: Path, found: Keypoints, number: int, frame: Any) -> None:
 
 
 def _id(person: Any) -> str | None:
-    """Return a person's id; OpenPose writes [-1] for one that it does not follow."""
+    """Return a person's id; None if it is not tracked, for which OpenPose writes [-1]."""
     value = next((person[key] for key in IDS if key in person), None) if isinstance(person, Mapping) else None
     value = value[0] if isinstance(value, list) and value else value
     if isinstance(value, float) and value >= 0 and math.isfinite(value):
@@ -163,7 +163,7 @@ def _id(person: Any) -> str | None:
 
 
 def _places(path: Path, found: Keypoints, number: int, person: Any) -> F64 | None:
-    """Return the points (N, 3) of a person in a frame; None where there are none."""
+    """Return the points (N, 3) of a person in a frame; None if there are none."""
     points, flat = person, False
     if isinstance(person, Mapping):
         key = next((key for key in (*WORLD, *POINTS_3D) if person.get(key)), None)
@@ -176,7 +176,7 @@ def _places(path: Path, found: Keypoints, number: int, person: Any) -> F64 | Non
         points, found.world = person[key], found.world or key in WORLD
         flat = key == "keypoints"
     if isinstance(points, list) and len(points) == 1 and isinstance(points[0], list):
-        points = points[0]  # MediaPipe has a list of persons, of whom there is one
+        points = points[0]  # MediaPipe has a list of persons with one entry
     if isinstance(points, Mapping):
         _name(path, found, number, tuple(points))
         points = list(points.values())
@@ -195,13 +195,13 @@ def _places(path: Path, found: Keypoints, number: int, person: Any) -> F64 | Non
 
 
 def _names_of(count: int) -> tuple[str, ...]:
-    """Return the names of as many keypoints without names; empty for a number that no set is known by."""
+    """Return names for as many unnamed keypoints; empty if no known set has this number."""
     known = keypoint_sets_by_count().get(count, ())
     return known[0].order if known else ()
 
 
 def _name(path: Path, found: Keypoints, number: int, names: tuple[str, ...], count: int | None = None) -> None:
-    """Keep the names of the points, which are the same in all frames."""
+    """Record the names of the points, which must be the same in all frames."""
     if count is not None and not names:
         known = ", ".join(map(str, keypoint_sets_by_count()))
         raise SourceError(
@@ -217,7 +217,7 @@ def _name(path: Path, found: Keypoints, number: int, names: tuple[str, ...], cou
 
 
 def _rows(path: Path, number: int, points: Any) -> F64:
-    """Return points as rows of x, y, z, and perhaps a score; a flat list is cut into rows."""
+    """Return points as rows of x, y, z and an optional score; a flat list is split into rows."""
     rows: Any = points
     if isinstance(points, list) and points and all(isinstance(point, Mapping) for point in points):
         rows = [[point.get(axis) for axis in "xyz"] for point in points]

@@ -1,4 +1,4 @@
-"""The reader of keypoints in JSON: a file of frames, or a sequence of files of a frame each, as OpenPose writes it."""
+"""Read keypoints in JSON: a file of frames, or a sequence of files of one frame each, as OpenPose writes it."""
 
 from __future__ import annotations
 
@@ -40,17 +40,17 @@ _KEYS = re.compile(rf'"({"|".join(_NAMED)})"\s*:')
 _KINDS = re.compile(r'"(people|instance_info)"\s*:\s*\[')
 _NUMBERED = re.compile(r"(?P<before>.*?)(?P<number>\d+)(?P<after>_keypoints)?$")
 _MOST_FILES = 200_000
-_PER_BYTE = 12  # of memory for a byte of JSON, whose numbers become objects
+_PER_BYTE = 12  # bytes of memory per byte of JSON, whose numbers become objects
 
 
 class KeypointReader(PointsReader):
-    """Reads keypoints of persons; the first file of a sequence stands for it."""
+    """Reads keypoints of persons; a sequence of files is represented by its first one."""
 
     title: ClassVar[str] = "JSON, keypoints"
     endings: ClassVar[tuple[str, ...]] = (".json",)
 
     def sniff(self, path: Path) -> bool:
-        """Return whether a file begins as one of keypoints does, and is not a later one of a sequence."""
+        """Return whether a file begins like one of keypoints, and is not a later one of a sequence."""
         head = beginning(path)
         if not (_KEYS.search(head) or _KINDS.search(head)):
             return False
@@ -63,12 +63,12 @@ class KeypointReader(PointsReader):
         return found if len(found) > 1 else ()
 
     def size(self, file: MotionFile) -> tuple[int, int, int]:
-        """Return the number of files of a sequence, and the memory of their numbers."""
+        """Return the number of files of a sequence as its frames, and the memory of their numbers."""
         files = sequence_of(file.path, beginning(file.path)) or (file.path,)
         return len(files), 0, _PER_BYTE * max(file_size(path) for path in files) + 4000 * len(files)
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Return the memory of a file as JSON; its frames are counted only when it is read."""
+        """Estimate the memory of a file as JSON; its frames are counted only on reading."""
         frames, _, need = self.size(file)
         return Extent(0 if frames == 1 else frames, need + body_bytes(frames, joints), settings.override_rate_hz)
 
@@ -78,7 +78,7 @@ class KeypointReader(PointsReader):
         Raises
         ------
         SourceError
-            The file holds 2D keypoints, several persons of whom none is asked for, or is damaged.
+            The file holds 2D keypoints, several persons of whom none is chosen, or is damaged.
         """
         path = file.path
         found = _keypoints(path)
@@ -103,7 +103,7 @@ class KeypointReader(PointsReader):
 
 
 def _clock(found: Keypoints) -> float | None:
-    """Return the frames per second by the times of the frames, if all have one."""
+    """Return the frames per second from the times of the frames, if all have one; else None."""
     if len(found.times) != found.frames or found.frames < 2:
         return None
     span = found.times[-1] - found.times[0]
@@ -112,7 +112,7 @@ def _clock(found: Keypoints) -> float | None:
 
 
 def _keypoints(path: Path) -> Keypoints:
-    """Read a file, or all files of its sequence; a number that has no file is a frame without a person."""
+    """Read a file, or all files of its sequence; a missing file number is a frame without a person."""
     files = sequence_of(path, beginning(path))
     if len(files) < 2:
         return read_keypoints(path, load_json(path))
@@ -143,14 +143,14 @@ def _is_empty(content: object) -> bool:
 
 
 def sequence_of(path: Path, head: str) -> tuple[Path, ...]:
-    """Return the files of the sequence that a file is in, by the numbers in their names; none for a file of frames.
+    """Return the files of the sequence that contains a file, by the numbers in their names; empty for a file of frames.
 
     Parameters
     ----------
     path : Path
         The file.
     head : str
-        Its beginning: files of OpenPose have `people` before any frame.
+        The beginning of its text: files of OpenPose have `people` before any frame.
     """
     if any(f'"{key}"' in head for key in FRAMES) or not re.search(
         rf'^\s*\{{.*?"({"|".join(PERSONS)})"', head, re.DOTALL
@@ -168,7 +168,7 @@ def sequence_of(path: Path, head: str) -> tuple[Path, ...]:
 
 @lru_cache(maxsize=8)
 def _sequences(folder: Path, _stamp: int) -> dict[tuple[str, str], tuple[Path, ...]]:
-    """Return the numbered JSON files of a folder by what stands around their number, in the order of these."""
+    """Return (text before, text after the number) → the numbered JSON files of a folder, in numeric order."""
     found: dict[tuple[str, str], list[Path]] = {}
     for path in folder.iterdir():
         if path.suffix.lower() == ".json" and (parts := _NUMBERED.fullmatch(path.stem)):

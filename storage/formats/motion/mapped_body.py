@@ -1,4 +1,4 @@
-"""From mapped nodes to a body: units, plausible places and the root's orientation, the steps that readers share."""
+"""Convert mapped nodes to a body: units, plausible positions and the root's orientation, for all readers."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from kinedex.storage.formats.motion.text_blocks import BLOCK, changed
 
 F64 = npt.NDArray[np.float64]
 
-_UPRIGHT = 0.8  # cosine of the tilt of a body that stands
-_MOSTLY = 0.9  # of the frames
+_UPRIGHT = 0.8  # cosine of the tilt below which a body does not stand upright
+_MOSTLY = 0.9  # share of the frames
 
 FARTHEST_M = 100_000.0
-"""No body is farther from the origin: a joint beyond this is a fault of the file."""
+"""The largest plausible distance of a joint from the origin, in metres."""
 
-_BLOCK_SIZE = 2_000_000  # nodes times frames at once: some 50 MB of positions, whatever the file's size
+_BLOCK_SIZE = 2_000_000  # nodes times frames processed at once: some 50 MB of positions, whatever the file's size
 
 
 DOUBTFUL = 0.6
-"""A body that is recognised with less confidence is warned of."""
+"""The confidence below which a recognised body causes a warning."""
 
 
 def recognition_warnings(fit: Fit) -> list[str]:
-    """Return a warning of a doubtful recognition; nothing for a body that is surely recognised."""
+    """Return a warning about a recognition of low confidence; empty for any other."""
     if not fit.recognised or fit.confidence >= DOUBTFUL:
         return []
     reasons = "; ".join(fit.reasons)
@@ -44,7 +44,7 @@ def recognition_warnings(fit: Fit) -> list[str]:
 
 
 def recognition_evidence(fit: Fit) -> tuple[str, ...]:
-    """Return the reasons of a recognition, and a sentence on the joints that are estimated or built from others."""
+    """Return the reasons for a recognition, and a sentence on joints that are estimated or derived from others."""
     if fit.recognised:
         how = ", ".join(f"{joint} ({phrase})" for joint, phrase in fit.estimated.items())
         return (*fit.reasons, f"joints that the file does not hold are estimated: {how}") if how else fit.reasons
@@ -60,14 +60,14 @@ class Motion(Protocol):
     frames: int
 
     def blocks(self) -> Iterator[F64]:
-        """Yield the channels of consecutive frames, which hold until the next ones."""
+        """Yield the channels of consecutive frames; an array is valid until the next one."""
         ...
 
 
 def posed(
     motion: Motion, nodes: tuple[kinematics.Node, ...], oriented: int, fit: Fit, joints: tuple[str, ...]
 ) -> tuple[F64, F64]:
-    """Compute joints and orientation in blocks of frames, so that neither channels nor nodes exist for all at once.
+    """Compute joints and orientation in blocks of frames, so that channels and nodes never exist for all frames.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def _step(nodes: int, joints: int) -> int:
 
 
 def posed_bytes(frames: int, size: int, nodes: int, joints: int) -> int:
-    """Return the memory that `posed` takes for a text of `size` bytes.
+    """Estimate the memory in bytes that `posed` takes for a text of `size` bytes.
 
     Besides the result these are a block of text, its numbers, and nodes and joints of the frames in it.
     """
@@ -143,7 +143,7 @@ def to_metres(
     positions : float64 array (J, 3, T)
         Joint positions in the file's unit.
     unit_m : float or None
-        Metres of the unit; None to guess it from the size of the body.
+        Metres per unit; None to guess the unit from the size of the body.
     joints : tuple of str
         The names of the J joints.
     warnings : list of str
@@ -153,7 +153,7 @@ def to_metres(
     frame : int, optional
         First frame in which the body is measured.
     stated : bool, optional
-        True for a unit that the file states. Another one replaces it if it makes no body; that of a mapping stands.
+        True for a unit that the file states. It is replaced if it gives no human size; that of a mapping is kept.
     """
     unit = f"{unit_m:.6g} m" if unit_m is not None else ""
     if unit_m is None:
@@ -179,10 +179,10 @@ def refuse_far(
     unknown: tuple[str, ...],
     valid: npt.NDArray[np.bool_] | None = None,
 ) -> None:
-    """Raise a SourceError if a joint is so far away that a number of the file must be wrong."""
+    """Raise SourceError if a joint is so far away that a number of the file must be wrong."""
     if positions.min() >= -FARTHEST_M and positions.max() <= FARTHEST_M:
         return
-    far = ~(np.abs(positions) <= FARTHEST_M)  # a NaN counts, too: it results from infinities
+    far = ~(np.abs(positions) <= FARTHEST_M)  # a NaN counts as well: it results from infinities
     far[[joints.index(joint) for joint in unknown]] = False
     if valid is not None:
         far &= valid | ~np.isnan(positions)
@@ -194,12 +194,12 @@ def refuse_far(
 
 
 def is_shipped(fit: Fit) -> bool:
-    """Return whether a fit is of a mapping that comes with kinedex, neither recognised nor the user's."""
+    """Return whether a fit uses a mapping that comes with kinedex, neither recognised nor the user's."""
     return not fit.recognised and fit.mapping.path.is_relative_to(shipped_configs())
 
 
 def _stands(positions: F64, joints: tuple[str, ...]) -> bool:
-    """Return whether a body stands along Y in nearly all of a few frames, which leaves nothing to judge."""
+    """Return whether a body stands along Y in nearly all of a few frames, so that its up axis is clear."""
     wanted = ("head", "lankle", "rankle")
     if not set(wanted) <= set(joints):
         return False
@@ -212,9 +212,9 @@ def _stands(positions: F64, joints: tuple[str, ...]) -> bool:
 
 
 def turned_upright(fit: Fit, rest: F64, positions: F64, joints: tuple[str, ...]) -> tuple[Fit, tuple[str, ...]]:
-    """Turn the joints in place where another axis than that of a shipped mapping is up; return its fit, and why.
+    """Rotate the joints in place if another axis than a shipped mapping's is up; return its fit, and the reasons.
 
-    A mapping of the user's own counts as it is.
+    A user's own mapping is kept unchanged.
 
     Parameters
     ----------
@@ -223,7 +223,7 @@ def turned_upright(fit: Fit, rest: F64, positions: F64, joints: tuple[str, ...])
     rest : float64 array (N, 3)
         The file's nodes in the rest pose.
     positions : float64 array (J, 3, T)
-        The joints; they are turned in place.
+        The joints, which are rotated in place.
     joints : tuple of str
         The names of the J joints.
     """
@@ -232,7 +232,7 @@ def turned_upright(fit: Fit, rest: F64, positions: F64, joints: tuple[str, ...])
     frames = np.unique(np.linspace(0, positions.shape[2] - 1, SAMPLED_FRAMES).round().astype(np.int64))
     known = {joint: positions[i][:, frames] for i, joint in enumerate(joints) if joint not in fit.unknown}
     resting = None
-    if np.array_equal(fit.mapping.root_axes, fit.mapping.axes):  # else the bones lie along their own axes: no pose
+    if np.array_equal(fit.mapping.root_axes, fit.mapping.axes):  # else the rest pose is no real pose
         placed = fit.apply(rest[:, :, None], joints)
         resting = {joint: placed[joints.index(joint)][:, 0] for joint in known}
     judged = judged_up(known, resting)
@@ -247,7 +247,7 @@ def turned_upright(fit: Fit, rest: F64, positions: F64, joints: tuple[str, ...])
 
 
 def mapped_orientation(fit: Fit, turned: F64, own: F64 | None = None) -> F64:
-    """Return the root's quaternion in kinedex's axes: the turn between the file's basis and ours.
+    """Return the root's quaternions in kinedex's axes, after a change of basis from the file's axes.
 
     Parameters
     ----------
@@ -256,7 +256,7 @@ def mapped_orientation(fit: Fit, turned: F64, own: F64 | None = None) -> F64:
     turned : float64 array (9, T)
         Rotations of the root in the file's axes.
     own : float64 array (3, 3), optional
-        The root's own axes at rest, if it has some.
+        The root's own axes at rest, if they differ from the file's.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The names of the 24 joints in files of markers: those of Pose2Sim's HALPE_26 model where it has such a point."""
+"""Name the 24 joints in marker files, by Pose2Sim's HALPE_26 model where it has such a point."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ MARKER_NAMES = {
 
 
 def seen_markers(motion: JointMotion) -> tuple[tuple[str, ...], npt.NDArray[np.float32]]:
-    """Return the joints that are seen in any frame, and their places (T, joints, 3); NaN in all coordinates or in none.
+    """Return the joints present in any frame, and their positions (T, joints, 3), NaN in all coordinates or none.
 
     Raises
     ------
     KinedexError
-        The motion has no frames, or no joint is seen.
+        The motion has no frames, or all joints are missing.
     """
     places = motion.places.astype(np.float32)
     seen = np.isfinite(places).all(axis=2)

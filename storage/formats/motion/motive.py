@@ -1,4 +1,4 @@
-"""The reader of CSV files that OptiTrack's Motive exports: bones of skeletons, or markers, in the global space."""
+"""Read CSV files that OptiTrack's Motive exports: bones of skeletons, or markers, in global coordinates."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from kinedex.storage.formats.motion.position_tables import cells_of, parse_numbe
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.table_sections import Section, beginning, first_lines, refuse_jumps
 
-_HEADER_LINES = 16  # the first line, some empty ones, and up to six rows that describe the columns
+_HEADER_LINES = 16  # lines: the first one, some empty ones, and up to six rows that describe the columns
 _UNITS_M = {"meters": 1.0, "centimeters": 0.01, "millimeters": 0.001}
 _UNLABELED = re.compile(r"unlabell?ed\b", re.IGNORECASE)
 _KINDS = ("Bone", "Marker", "Bone Marker", "Rigid Body Marker")
@@ -24,7 +24,7 @@ _KINDS = ("Bone", "Marker", "Bone Marker", "Rigid Body Marker")
 
 @dataclass(frozen=True)
 class _Layout:
-    """The columns of a file: the labels of its points, and where x, y and z of each stand."""
+    """The columns of a file: the labels of its points, and the columns of x, y and z of each."""
 
     header: tuple[str, ...]
     line: int
@@ -50,13 +50,13 @@ class MotiveReader(PointsReader):
         return tuple(bodies_of(_layout(file.path).labels))
 
     def size(self, file: MotionFile) -> tuple[int, int, int]:
-        """Count the rows; the columns are those of the points."""
+        """Count the rows and points of a file."""
         layout = _layout(file.path)
         table = _table(file.path, layout)
         return table.rows, len(layout.labels), table.bytes + 24 * table.rows
 
     def points(self, file: MotionFile, settings: ReadSettings) -> Points:
-        """Read the positions of the bones of a skeleton, or of markers where there is none."""
+        """Read the positions of the bones of a skeleton, or of markers if there is no skeleton."""
         path, layout = file.path, _layout(file.path)
         stated, warnings = layout.stated, list[str]()
         if stated.get("Coordinate Space", "Global").lower() != "global":
@@ -81,7 +81,7 @@ def _table(path: Path, layout: _Layout) -> Section:
 
 
 def _layout(path: Path) -> _Layout:
-    """Read the rows before the numbers: key and value by turns, then a row for type, name and axis of every column."""
+    """Read the rows before the numbers: key, value pairs, then a row each for type, name and axis of the columns."""
     rows = [[cell.strip() for cell in cells_of(line, ",")] for line in first_lines(path, _HEADER_LINES)]
     if rows[0][:1] != ["Format Version"]:
         raise SourceError(path, "expected a CSV file of Motive, which begins with 'Format Version'", line=1)
@@ -119,7 +119,7 @@ def _described(path: Path, rows: list[list[str]]) -> tuple[list[str], list[str],
 
 
 def _rate(path: Path, stated: dict[str, str]) -> float:
-    """Return the frames per second, of the export before those of the recording."""
+    """Return the frames per second of the export, or else of the recording."""
     key = next((key for key in ("Export Frame Rate", "Capture Frame Rate") if stated.get(key)), None)
     if key is None:
         raise SourceError(path, "its first line has neither Export Frame Rate nor Capture Frame Rate", line=1)
@@ -130,7 +130,7 @@ def _rate(path: Path, stated: dict[str, str]) -> float:
 
 
 def _unit(path: Path, stated: dict[str, str]) -> float | None:
-    """Return the metres of the unit; None for older files, which do not state it."""
+    """Return the metres per unit; None for older files, which do not state it."""
     unit = stated.get("Length Units")
     if unit and unit.lower() not in _UNITS_M:
         raise SourceError(path, f"Length Units must be one of {', '.join(_UNITS_M)}, got {unit!r}", line=1)

@@ -1,4 +1,4 @@
-"""The reader of MVNX files of Xsens MVN: places and turns of the segments of the body."""
+"""Read MVNX files of Xsens MVN: positions and orientations of the segments of the body."""
 
 from __future__ import annotations
 
@@ -35,42 +35,42 @@ PARENTS = {
     "RightToe": "RightFoot",
     "LeftUpperLeg": "Pelvis", "LeftLowerLeg": "LeftUpperLeg", "LeftFoot": "LeftLowerLeg", "LeftToe": "LeftFoot",
 }  # fmt: skip
-"""The segments of MVN's model of the body and the one that each hangs from; a segment lies at its upper joint."""
+"""Segment of MVN's body model → its parent segment; a segment's origin is its upper joint."""
 
 TIPS = {
     "Head": "pTopOfHead", "RightHand": "pRightTopOfHand", "LeftHand": "pLeftTopOfHand", "RightToe": "pRightToe",
     "LeftToe": "pLeftToe",
 }  # fmt: skip
-"""The points at the ends of segments that no further one hangs from; they become nodes such as `Head_end`."""
+"""Segment without children → the point at its end, which becomes a node such as `Head_end`."""
 
 MEASURED = {
     "UpperBody": ("UpperLeg", "LowerLeg", "Foot", "Toe"),
     "LowerBody": ("L5", "L3", "T12", "T8", "Neck", "Head", "Shoulder", "UpperArm", "ForeArm", "Hand"),
 }
-"""Suits without sensors on some segments, which then move stiffly with the pelvis: endings of these segments' names."""
+"""Suit → endings of the names of segments without sensors, which move rigidly with the pelvis."""
 
 _Y_UP = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-"""MVN's axes, X forward, Y left and Z up, in kinedex's: X left, Y up and Z forward."""
+"""The matrix from MVN's axes (X forward, Y left, Z up) to kinedex's (X left, Y up, Z forward)."""
 
 
 class MvnxReader(FigureReader):
-    """Reads MVNX files; every subject is a person of its own."""
+    """Reads MVNX files; every subject becomes a separate person."""
 
     endings: ClassVar[tuple[str, ...]] = (".mvnx",)
 
     def relevant_settings(self, settings: ReadSettings) -> object:
-        """Return the rates, the only settings that count."""
+        """Return the rates, the only settings that affect the result."""
         return settings.rate_hz, settings.override_rate_hz
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Count the frames; the memory is that of the places and turns of all segments, and of the joints."""
+        """Count the frames, and estimate the memory: positions and orientations of all segments, and the joints."""
         frames, nodes = count_elements(file.path, "frame"), len(PARENTS) + 1 + len(TIPS)
-        in_frame = 8 * (7 * 2 + 1) * nodes  # numbers, twice while an array grows
+        in_frame = 8 * (7 * 2 + 1) * nodes  # numbers; twice as many while an array grows
         need = figure_bytes(frames, nodes, joints) + in_frame * frames + (8 << 20)
         return Extent(frames, need, settings.override_rate_hz)
 
     def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
-        """Return the names of the subjects; empty where there is only one."""
+        """Return the names of the subjects; empty if there is only one."""
         if count_elements(file.path, "subject") < 2:
             return ()
         names = subject_names(read_mvnx(file.path))
@@ -84,7 +84,7 @@ class MvnxReader(FigureReader):
 
 
 def figure_of(path: Path, subject: Subject, settings: ReadSettings) -> Figure:
-    """Return the tree of a subject's segments and their ends.
+    """Return the tree of a subject's segments and their end points.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def _of_body(name: str) -> bool:
 
 
 def _parent(name: str, names: list[str]) -> int:
-    """Return the nearest segment above one that the file has."""
+    """Return the index of a segment's nearest ancestor that the file has."""
     above = PARENTS[name]
     while above not in names:
         above = PARENTS[above]
@@ -148,7 +148,7 @@ def _gaps(subject: Subject) -> list[str]:
 
 
 def _rest(subject: Subject, names: list[str], parents: list[int], tips: list[str]) -> F64:
-    """Return the places of the nodes when no segment is turned, by the points that segments share: the T-pose."""
+    """Return the T-pose positions of the nodes, from the points that neighbouring segments share."""
     rest = np.zeros((len(names), 3))
     for i, name in enumerate(names[1:], 1):
         above = names[parents[i]]
@@ -156,7 +156,7 @@ def _rest(subject: Subject, names: list[str], parents: list[int], tips: list[str
         shared = next((label for label in own if label in subject.points[above]), None)
         if shared is not None:
             rest[i] = rest[parents[i]] + np.array(subject.points[above][shared])
-        else:  # no points: as far as in the first frame, which serves sizes but not directions
+        else:  # no points: use the distances of the first frame, which give sizes but no directions
             places = subject.numbers("position")[0]
             ends = places[subject.segments.index(name)] - places[subject.segments.index(above)]
             rest[i] = rest[parents[i]] + ends
@@ -167,7 +167,7 @@ def _rest(subject: Subject, names: list[str], parents: list[int], tips: list[str
 
 @dataclass(frozen=True)
 class _Segments:
-    """The motion of a subject: the segments in use, and the tips that follow them."""
+    """The motion of a subject: the segments in use, and the end points that follow them."""
 
     subject: Subject
     used: list[int]
@@ -176,7 +176,7 @@ class _Segments:
     orientations: F64
 
     def at(self, frames: I64, oriented: Sequence[int]) -> tuple[F64, F64]:
-        """Return places and turns, in metres with Y up."""
+        """Return positions (N, 3, K) and rotations (M, 9, K), in metres with Y up."""
         turns = self.orientations[frames]
         all_places = self.positions[frames]
         places = [all_places[:, self.used]]

@@ -1,4 +1,4 @@
-"""The reader of CSV files that Vicon Nexus and Workstation export: sections with a rate, labels, axes and units."""
+"""Read CSV files that Vicon Nexus and Workstation export: sections with a rate, labels, axes and units."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _START = re.compile(rf'(?im)^"?({"|".join(_TITLES)})"?[,\s]*?\r?\n"?\d+(\.\d+)?"
 _UNITS_M = {"mm": 0.001, "cm": 0.01, "m": 1.0}
 _OTHER = re.compile(r"(Angles?|Force|Moment|Power|GRF)\d?$")
 _AXES = (("X", "Y", "Z"), ("TX", "TY", "TZ"))
-"""The axes of a point, and those of the origin of a segment, which is named by an O at the end as in C3D files."""
+"""The axis names of points, and of the origins of segments, whose names end in O as in C3D files."""
 
 
 @dataclass(frozen=True)
@@ -46,13 +46,13 @@ class _Layout:
 
 
 class NexusReader(PointsReader):
-    """Reads CSV files of Vicon, in which a line with a title and one with a rate begin every section."""
+    """Reads CSV files of Vicon, whose sections begin with a line for the title and one for the rate."""
 
     title: ClassVar[str] = "CSV (Vicon Nexus)"
     endings: ClassVar[tuple[str, ...]] = (".csv",)
 
     def sniff(self, path: Path) -> bool:
-        """Return whether the file begins with a section, or with the lines of a Workstation file and one."""
+        """Return whether the file begins with a section, after optional header lines of Workstation."""
         return _START.search(beginning(path, 1 << 14)) is not None
 
     def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
@@ -60,13 +60,13 @@ class NexusReader(PointsReader):
         return tuple(bodies_of(_layout(file.path).labels))
 
     def size(self, file: MotionFile) -> tuple[int, int, int]:
-        """Count the rows of the section; the columns are those of the points."""
+        """Count the rows and points of the section."""
         layout = _layout(file.path)
         table = _table(file.path, layout)
         return table.rows, len(layout.labels), table.bytes + 24 * table.rows
 
     def points(self, file: MotionFile, settings: ReadSettings) -> Points:
-        """Read the markers of a subject, or the points that its model computes where there are no markers."""
+        """Read the markers of a subject, or the points that its model computes if there are no markers."""
         path, layout = file.path, _layout(file.path)
         warnings: list[str] = []
         if layout.title != "trajectories":
@@ -83,7 +83,7 @@ def _table(path: Path, layout: _Layout) -> Section:
 
 
 def _layout(path: Path) -> _Layout:
-    """Find the section that is used and describe its columns."""
+    """Find the section with positions, and describe its columns."""
     found: dict[str, tuple[int, int, list[str]]] = {}
     for title, start, stop, head in _sections(path):
         found.setdefault(title, (start, stop, head))
@@ -110,7 +110,7 @@ def _layout(path: Path) -> _Layout:
 
 
 def _sections(path: Path) -> Iterator[tuple[str, int, int, list[str]]]:
-    """Yield title, first line, last line and the first five lines of every section; an empty line ends one."""
+    """Yield title, first line, last line and the first five lines of every section; empty lines separate them."""
     title, start, head = "", 0, list[str]()
     number = 0
     for number, line in enumerate(_lines(path), 1):
@@ -134,7 +134,7 @@ def _lines(path: Path) -> Iterator[str]:
 def _points(
     path: Path, names: list[str], axes: list[str], units: list[str], line: int
 ) -> tuple[tuple[str, ...], tuple[tuple[int, int, int], ...], float | None]:
-    """Return the labels of points, the columns of each, and the metres of their unit."""
+    """Return the labels of points, the columns of each, and the metres per unit."""
     starts = [i for i, name in enumerate(names) if name]
     labels, columns, units_m = [], [], set[float | None]()
     for start, stop in pairwise([*starts, len(axes)]):

@@ -1,4 +1,4 @@
-"""The writer of NPZ files: named joints, the same in the order of SMPL's joints, and words, as numpy loads them."""
+"""Write NPZ files: named joints, also in the order of SMPL's joints, and words, as numpy loads them."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ _SMPL_FROM_NAMED = {
         }.items()
     },
 }  # fmt: skip
-"""Joint of SMPL → the named joint at its place. None lies at spine3."""
+"""Joint of SMPL → the named joint at its position; no named joint corresponds to spine3."""
 
 SPINE3 = 0.2
-"""Share of the way from the chest (spine2) to the neck at which spine3 is put."""
+"""The fraction of the way from chest (spine2) to neck at which spine3 is placed."""
 
 
 def write_npz(path: Path, motion: JointMotion) -> None:
     """Write an NPZ file, which kinedex also reads as joint positions.
 
     It has `positions` (T, J, 3) float32 in metres with Y up and `names` (J,); `smpl24` (T, 24, 3), the joints in the
-    order of SMPL, and `smpl24_names`; `words` (T,) uint64, `root_orientation` (T, 4) float32 (w, x, y, z) where they
-    are known; `rate_hz`, `unit` and `up`. The same motion makes the same bytes.
+    order of SMPL, and `smpl24_names`; `words` (T,) uint64, `root_orientation` (T, 4) float32 (w, x, y, z) if they are
+    known; `rate_hz`, `unit` and `up`. Equal motions give equal bytes.
 
     Parameters
     ----------
     path : Path
         The file to write.
     motion : JointMotion
-        The motion; places that are not known are NaN in it.
+        The motion; unknown positions are NaN.
     """
     arrays: dict[str, npt.NDArray[np.generic]] = {
         "positions": motion.places,
@@ -64,10 +64,9 @@ def write_npz(path: Path, motion: JointMotion) -> None:
 
 
 def smpl_places(motion: JointMotion) -> F32:
-    """Return the places of a motion in the order of SMPL's 24 joints, float32 (T, 24, 3), in metres.
+    """Return the positions of a motion in the order of SMPL's 24 joints, float32 (T, 24, 3), in metres.
 
-    `spine3`, at whose place no named joint lies, is put on the line from the chest to the neck. What a motion lacks is
-    NaN.
+    `spine3`, to which no named joint corresponds, is placed between chest and neck. Missing joints are NaN.
     """
     index = {joint: j for j, joint in enumerate(motion.joints)}
     absent = np.full((len(motion.places), 3), np.nan, np.float32)

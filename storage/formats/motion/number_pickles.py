@@ -1,8 +1,8 @@
-"""Pickles of numbers, read without trust: no code of the file's choice runs, and no size in it is believed.
+"""Read pickles of numbers safely: no code named by the file runs, and no stated size is trusted.
 
 A pickle is a program. Here it can make numbers, texts, lists, tuples, dicts and NumPy arrays: functions that it names
-are replaced by those of this module, which note the parts of an array, and any other name refuses the file. The arrays
-are made from the noted parts afterwards, when shape, type and bytes have been found to agree.
+are replaced by those of this module, which record the parts of an array; any other name is an error. The arrays are
+made from these parts afterwards, if shape, type and bytes agree.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.reader import file_size
 
 MOST_BYTES = 512 << 20
-"""A larger pickle is none of a take."""
+"""The largest size of a pickle in bytes."""
 
 MOST_TUPLES = 20_000
-"""More tuples could lie in each other so deep that Python fails on them."""
+"""The largest number of tuples; more could be nested so deeply that Python fails."""
 
 MOST_LISTS = 200_000
-"""Lists and dicts of a file; each takes far more memory than the byte that makes it."""
+"""The largest number of lists and dicts; each takes far more memory than the byte that creates it."""
 
 _WAY_OUT = (
     "a pickle can run any code, so only numbers, texts, lists, dicts and NumPy arrays are read; with a program that "
@@ -47,11 +47,11 @@ _PACKED = {b"\x1f\x8b": "gzip", b"\x78\x01": "zlib", b"\x78\x5e": "zlib", b"\x78
 
 
 class _Refused(Exception):
-    """The file names a function or an instruction that is not read."""
+    """The file uses a function or an instruction that is not allowed."""
 
 
 class _Call:
-    """A function that a pickle may call; it has no attribute that a pickle could set."""
+    """A function that a pickle may call; it has no attributes that a pickle could set."""
 
     __slots__ = ("_make",)
 
@@ -79,14 +79,14 @@ class _Type:
         )
 
     def dtype(self) -> np.dtype[Any]:
-        """Return the type; an error reports one that is no number, truth value or text."""
+        """Return the type; raise an error unless it is a number, bool or text."""
         if not isinstance(self.code, str) or not _DTYPE.fullmatch(self.code):
             raise _Refused(f"holds an array of type {str(self.code)[:20]!r}")
         return np.dtype(self.code).newbyteorder(self.order)  # type: ignore[arg-type]
 
 
 class _Array:
-    """The parts of an array: shape, type, order and bytes; an array of them is made only when it is asked for."""
+    """The parts of an array: shape, type, order and bytes; the array itself is made only on request."""
 
     __slots__ = ("_parts",)
 
@@ -97,7 +97,7 @@ class _Array:
         self._parts = state[1:] if isinstance(state, tuple) and len(state) == 5 else ()
 
     def array(self) -> npt.NDArray[Any]:
-        """Return the array; an error reports parts that do not agree."""
+        """Return the array; raise an error if the parts do not agree."""
         if len(self._parts) != 4:
             raise _Refused("holds an array without its numbers")
         shape, kind, fortran, data = self._parts
@@ -131,7 +131,7 @@ def _encoded(text: object, encoding: object = "latin1") -> bytes:
 
 
 def _no_bytes(*arguments: object) -> bytes:
-    """Return no bytes, as older protocols write them; a number of them is asked for by no honest file."""
+    """Return no bytes, as older protocols encode them; raise an error if the file asks for a number of bytes."""
     if arguments:
         raise _Refused("asks for bytes of its choice")
     return b""
@@ -145,10 +145,10 @@ _MADE: dict[str, Callable[..., Any]] = {
 
 
 class _Unpickler(pickle.Unpickler):
-    """An unpickler that gives its own functions for those of NumPy, and none for any other name."""
+    """An unpickler that substitutes its own functions for those of NumPy, and allows no other name."""
 
     def find_class(self, module: str, name: str) -> _Call:
-        """Return the function that stands for a name of the file."""
+        """Return the substitute for a function that the file names."""
         if module in _NUMPY and name in _MADE:
             return _Call(_MADE[name])
         if (module, name) == ("_codecs", "encode"):
@@ -171,12 +171,12 @@ def load_pickle(path: Path) -> dict[str, Any]:
     Returns
     -------
     dict of str to array or dict
-        Lists of numbers are arrays; what is no number and no text is not there.
+        Lists of numbers become arrays; values that are neither numbers nor texts are left out.
 
     Raises
     ------
     SourceError
-        The file is packed, damaged, or holds something else than numbers; the error tells the way out.
+        The file is compressed, damaged, or holds anything but numbers; the error states the remedy.
     """
     if file_size(path) > MOST_BYTES:
         raise SourceError(path, f"has more than {MOST_BYTES >> 20} MB, which no pickle of a take has")
@@ -193,12 +193,12 @@ def load_pickle(path: Path) -> dict[str, Any]:
         raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
     except _Refused as fault:
         raise SourceError(path, f"{fault}; {_WAY_OUT}") from None
-    except Exception as fault:  # the unpickler has an error of its own for every broken byte
+    except Exception as fault:  # the unpickler raises many classes of errors for damaged data
         raise SourceError(path, f"is no pickle that can be read ({str(fault)[:200]}); {_WAY_OUT}") from None
 
 
 def _check(data: bytes) -> None:
-    """Refuse instructions that are not needed for numbers, and places in the memory far beyond those in use."""
+    """Raise an error for instructions that numbers do not need, and for memo indices far beyond those in use."""
     tuples = others = 0
     for count, (opcode, argument, _) in enumerate(pickletools.genops(data), 1):
         if opcode.name not in _OPCODES:
@@ -214,7 +214,7 @@ def _check(data: bytes) -> None:
 
 
 def _plain(found: Mapping[Any, Any], depth: int) -> dict[str, Any]:
-    """Return what can be an array as one, and dicts in dicts as such; the rest is left away."""
+    """Convert values that can be arrays to arrays, keep nested dicts, and leave out the rest."""
     plain: dict[str, Any] = {}
     for key, value in found.items():
         if isinstance(value, dict) and depth:
@@ -223,7 +223,7 @@ def _plain(found: Mapping[Any, Any], depth: int) -> dict[str, Any]:
             try:
                 plain[str(key)[:200]] = value.array()
             except _Refused:
-                continue  # a take may hold other things beside its numbers
+                continue  # a take may hold other values beside its numbers
         elif isinstance(value, (bool, int, float, str)):
             if _small(value):
                 plain[str(key)[:200]] = np.array(value)
@@ -233,5 +233,5 @@ def _plain(found: Mapping[Any, Any], depth: int) -> dict[str, Any]:
 
 
 def _small(value: object) -> bool:
-    """Return whether a number or text can be an array: Python's whole numbers have no end."""
+    """Return whether a number or text fits into an array; Python's integers are unbounded."""
     return not isinstance(value, int) or abs(value) < 1 << 62

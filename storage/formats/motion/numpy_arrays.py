@@ -1,4 +1,4 @@
-"""Arrays of NPY and NPZ files, read without trust: no code in them runs, and no header is believed."""
+"""Read arrays of NPY and NPZ files safely: no code in them runs, and no header is trusted."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy.typing as npt
 from kinedex.ops.errors import SourceError
 
 MOST_BYTES = 2 << 30
-"""An array that takes more memory than this is none of a take: packed files may claim to be anything."""
+"""The largest memory of an array in bytes; compressed files may claim any size."""
 
 
 def load_arrays(path: Path, wanted: Iterable[str]) -> tuple[dict[str, npt.NDArray[Any]], list[str]]:
@@ -43,12 +43,12 @@ def load_arrays(path: Path, wanted: Iterable[str]) -> tuple[dict[str, npt.NDArra
             return arrays, list(keys)
     except SourceError:
         raise
-    except Exception as fault:  # NumPy, zipfile, zlib and tokenize have an error of their own for every broken byte
+    except Exception as fault:  # NumPy, zipfile, zlib and tokenize raise many classes of errors for damaged data
         raise SourceError(path, f"cannot be read as NumPy arrays: {fault}") from None
 
 
 def array_shapes(path: Path) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
-    """Return shape and type of every array of an NPZ file, or of that of an NPY file as "", by their headers.
+    """Return name → shape and type of the arrays of an NPZ file, by their headers; the name is "" for an NPY file.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def array_shapes(path: Path) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]
 
 
 def load_array(path: Path) -> npt.NDArray[Any]:
-    """Return the array of an NPY file; a SourceError reports a file that cannot be read or is cut off."""
+    """Return the array of an NPY file; raise SourceError if it cannot be read or is truncated."""
     try:
         with path.open("rb") as file:
             return _array(path, file, "the file", path.stat().st_size)
@@ -82,18 +82,18 @@ def load_array(path: Path) -> npt.NDArray[Any]:
 
 
 def array_names(path: Path) -> list[str]:
-    """Return the names of an NPZ file's arrays; none of a file that cannot be read."""
+    """Return the names of an NPZ file's arrays; empty if the file cannot be read."""
     try:
         with zipfile.ZipFile(path) as packed:
             return [name.removesuffix(".npy") for name in packed.namelist()]
     except (
         Exception
-    ):  # zipfile has an error of its own for every broken byte; the reader of the file reports what is wrong
+    ):  # zipfile raises many classes of errors for damaged data; the file's reader reports the fault
         return []
 
 
 def _array(path: Path, file: IO[bytes], what: str, size: int) -> npt.NDArray[Any]:
-    """Return an array in the NPY format of `size` bytes in all, once its header is found to fit them."""
+    """Return an array in NPY format of `size` bytes in all, after a check of its header against them."""
     shape, dtype = _header(file)
     numbers = math.prod(shape)
     if numbers * dtype.itemsize != size - file.tell():
@@ -122,5 +122,5 @@ def _header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
 
 
 def _letters(texts: npt.NDArray[np.str_]) -> npt.NDArray[np.uint32]:
-    """Return the code points of texts, which Python does not check before it fails on them."""
+    """Return the code points of texts, since invalid ones make Python fail later."""
     return np.ascontiguousarray(texts.astype(texts.dtype.newbyteorder("="))).view(np.uint32)

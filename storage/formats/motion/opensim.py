@@ -1,4 +1,4 @@
-"""The reader of OpenSim motions (.mot, .sto): coordinates of a model, whose joints its .osim file places."""
+"""Read OpenSim motions (.mot, .sto): the coordinates of a model, whose joints are defined in its .osim file."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from kinedex.storage.formats.motion.table_sections import Section, beginning, fi
 F64 = npt.NDArray[np.float64]
 
 _HEADER_LINES = 200
-_AT_ONCE = 4096  # frames whose bodies are computed at a time
+_AT_ONCE = 4096  # frames whose bodies are computed at once
 _END = "endheader"
 _FORCES = re.compile(r"(force|torque|moment|grf|emg|activation|fiber_length)|_?[vpm][xyz]$", re.IGNORECASE)
 _VALUE = re.compile(r"(?:.*/)?([^/]+)/value$")
@@ -33,7 +33,7 @@ JOINT_OF_BODY = {
     "femur": "hip", "tibia": "knee", "talus": "ankle", "calcn": "heel", "toes": "mtp", "humerus": "shoulder",
     "ulna": "elbow", "hand": "wrist", "head": "head",
 }  # fmt: skip
-"""The bodies of OpenSim's models of people, and the joint at the origin of each; others are called by their joint."""
+"""Body of OpenSim's human models → the joint at its origin; other bodies are named by their joint."""
 
 
 @dataclass(frozen=True)
@@ -47,20 +47,20 @@ class _Layout:
     warnings: tuple[str, ...]
 
     def coordinates(self) -> dict[str, int]:
-        """Return coordinate → column; states of OpenSim 4 have the path of the joint before it, and /value after it."""
+        """Return coordinate → column; OpenSim 4 states have the joint's path before the name and /value after it."""
         whole = {name: i for i, name in enumerate(self.columns) if "/" not in name}
         return whole | {found[1]: i for i, name in enumerate(self.columns) if (found := _VALUE.fullmatch(name))}
 
 
 class OpenSimReader(PointsReader):
-    """Reads motions with the model that lies beside them, or that `body_model` gives."""
+    """Reads motions with the model beside them, or the one that `body_model` names."""
 
     title: ClassVar[str] = "OpenSim motion"
     endings: ClassVar[tuple[str, ...]] = (".mot", ".sto")
     up: ClassVar[str | None] = "y"
 
     def sniff(self, path: Path) -> bool:
-        """Return whether a file has OpenSim's header, and columns that may be coordinates, not forces alone."""
+        """Return whether a file has OpenSim's header, and columns that may be coordinates, not only forces."""
         head = beginning(path, 1 << 16)
         lines = head.splitlines()
         at = next((i for i, line in enumerate(lines) if line.strip(", \t").lower() == _END), None)
@@ -74,7 +74,7 @@ class OpenSimReader(PointsReader):
         return super().relevant_settings(settings), model_digest(_given(settings))
 
     def size(self, file: MotionFile) -> tuple[int, int, int]:
-        """Count the rows; the points are at most those of a large model."""
+        """Count the rows; the number of points is at most that of a large model."""
         layout = _layout(file.path)
         table = _table(file.path, layout)
         return table.rows, 200, table.bytes + 40 * table.rows * len(layout.columns) + 1600 * _AT_ONCE * 100
@@ -85,7 +85,7 @@ class OpenSimReader(PointsReader):
         Raises
         ------
         SourceError
-            There is no model, it does not have the coordinates, or a file is damaged.
+            There is no model, it lacks the coordinates, or a file is damaged.
         """
         path, layout = file.path, _layout(file.path)
         if all(_FORCES.search(name) for name in layout.columns[1:]):
@@ -99,18 +99,18 @@ class OpenSimReader(PointsReader):
 
 
 def _given(settings: ReadSettings) -> str | None:
-    """Return the model of the settings if it is one of OpenSim; those of AMASS files are none."""
+    """Return the model of the settings if it is an OpenSim model, not a body model of AMASS; else None."""
     given = settings.body_model
     return given if given is not None and given.lower().endswith(".osim") else None
 
 
 def model_of(path: Path, columns: Sequence[str], settings: ReadSettings) -> Path:
-    """Return the model of a motion: that of the settings, else the .osim beside it, by name if there are several.
+    """Return a motion's model: that of the settings, else the .osim file beside it, the best by name of several.
 
     Raises
     ------
     SourceError
-        There is no model, or several go equally well with the motion's name.
+        There is no model, or several match the motion's name equally well.
     """
     given = _given(settings)
     if given is not None:
@@ -163,7 +163,7 @@ def _table(path: Path, layout: _Layout) -> Section:
 
 
 def _values(path: Path, layout: _Layout, model: Model, warnings: list[str]) -> tuple[F64, float]:
-    """Return the coordinates (Q, T) of a model in radians and metres, at even times, and the rate of these."""
+    """Return the coordinates (Q, T) of a model in radians and metres, at a constant rate, and that rate."""
     there = layout.coordinates()
     names = [coordinate.name for coordinate in model.coordinates]
     known = [name for name in names if name in there]
@@ -206,7 +206,7 @@ def _values(path: Path, layout: _Layout, model: Model, warnings: list[str]) -> t
 
 
 def _refuse_gaps(path: Path, layout: _Layout, numbers: list[F64], columns: list[int]) -> None:
-    """Raise a SourceError at a coordinate without a number: a joint without an angle has no place."""
+    """Raise SourceError for a coordinate without a number: a joint without an angle has no position."""
     for column, found in zip(columns, numbers, strict=True):
         bad = ~(np.abs(found) <= LARGEST)
         if bad.any():
@@ -223,7 +223,7 @@ def _posed(path: Path, model: Model, values: F64) -> tuple[tuple[str, ...], F64]
     positions = np.empty((len(stations), 3, values.shape[1]))
     for start in range(0, values.shape[1], _AT_ONCE):
         part = slice(start, start + _AT_ONCE)
-        with np.errstate(over="ignore", invalid="ignore"):  # functions of absurd numbers; their places are refused
+        with np.errstate(over="ignore", invalid="ignore"):  # implausible numbers are refused later, by their positions
             rotations, origins = multibody.forward(model.joints, values[:, part])
             for station, (body, place) in enumerate(stations.values()):
                 positions[station, :, part] = (origins[body] + rotations[body] @ place).T
@@ -236,7 +236,7 @@ def _posed(path: Path, model: Model, values: F64) -> tuple[tuple[str, ...], F64]
 
 
 def _name(model: Model, joint: int) -> str:
-    """Return the name of a joint's centre: the usual one of its body, such as hip_r of femur_r, or its own."""
+    """Return the name of a joint's centre: the usual one of its body (hip_r of femur_r), or the joint's own."""
     body = model.bodies[joint]
     stem, mark, side = body.rpartition("_")
     stem, side = (stem, f"_{side}") if mark and side.lower() in ("r", "l") else (body, "")

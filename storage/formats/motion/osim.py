@@ -1,4 +1,4 @@
-"""OpenSim models (.osim): the joints of a skeleton and the markers on it, of versions 3 and 4."""
+"""Read OpenSim models (.osim): the joints of a skeleton and the markers on it, of versions 3 and 4."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from kinedex.storage.formats.motion.xml_tree import parse_xml
 F64 = npt.NDArray[np.float64]
 
 LARGEST = 1e6
-"""No number of a model of a body is larger: places in metres, angles in radians, coefficients of functions."""
+"""The largest number of a body model: positions in metres, angles in radians, coefficients of functions."""
 
 NEAREST = 1e-9
-"""Knots of a spline are farther apart than this, and axes are longer."""
+"""The least distance between knots of a spline, and the least length of an axis."""
 
 MOST_KNOTS = 1000
-"""A spline of more knots is no joint's."""
+"""The largest number of knots of a spline."""
 
 _SKIPPED = (
     "ForceSet", "attached_geometry", "WrapObjectSet", "FrameGeometry", "VisibleObject", "ContactGeometrySet",
@@ -38,7 +38,7 @@ _TURNS: dict[str, str] = {
     "FreeJoint": "xyz", "SliderJoint": "", "PlanarJoint": "z",
 }  # fmt: skip
 _SHIFTS: dict[str, str] = {"FreeJoint": "xyz", "SliderJoint": "x", "PlanarJoint": "xy"}
-"""The axes of joints of fixed kind; their coordinates are those of the turns, then those of the shifts, in order."""
+"""Joint type → the axes of its translations; its coordinates are those of rotations, then of translations."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,9 @@ class Coordinate:
     name : str
         Its name.
     default : float
-        Its value where nothing gives another, in radians or metres.
+        Its value without a column or coupling, in radians or metres.
     turns : bool
-        True if motion files in degrees hold it in degrees.
+        True for an angle, which motion files may hold in degrees.
     """
 
     name: str
@@ -62,7 +62,7 @@ class Coordinate:
 
 @dataclass(frozen=True)
 class Coupling:
-    """A coordinate that follows from others."""
+    """A coordinate that depends on others through a constraint."""
 
     of: tuple[int, ...]
     function: Function
@@ -79,13 +79,13 @@ class Model:
     coordinates : tuple of Coordinate
         The Q coordinates.
     couplings : Mapping[int, Coupling]
-        The coordinates that follow from others where a motion does not hold them.
+        Index → coupling of the coordinates that depend on others if a motion does not hold them.
     joints : tuple of Joint
-        The joints, each after the one of its parent.
+        The joints, each after its parent.
     names, bodies : tuple of str
         The names of the joints, and of their child bodies.
     markers : Mapping[str, tuple[int, float64 array (3,)]]
-        Marker → index of the joint whose child body it is on, and its place there in metres.
+        Marker → index of the joint to whose child body it is fixed, and its position in that body in metres.
     """
 
     name: str
@@ -99,7 +99,7 @@ class Model:
 
 @dataclass
 class _Parser:
-    """The state of a file that is read: its path for errors, and the coordinates so far."""
+    """The state while a file is parsed: its path for errors, and the coordinates so far."""
 
     path: Path
     coordinates: dict[str, Coordinate] = field(default_factory=dict)
@@ -108,7 +108,7 @@ class _Parser:
         return SourceError(self.path, f"{what}: {expected}")
 
     def numbers(self, element: Element | None, what: str, count: int | None, default: float | None = None) -> F64:
-        """Return the numbers of an element's text, or `count` defaults where there is no element."""
+        """Return the numbers of an element's text, or `count` times the default if the element is missing."""
         if element is None and default is not None and count is not None:
             return np.full(count, default)
         words = ((element.text if element is not None else "") or "").split()
@@ -162,7 +162,7 @@ def read_osim(path: Path) -> Model:
     Raises
     ------
     SourceError
-        The file is no OpenSim model, or has a joint or function that is not read; the error names it.
+        The file is not an OpenSim model, or has an unsupported joint or function; the error names it.
     """
     root = parse_xml(path, _SKIPPED)
     model = root if root.tag == "Model" else root.find("Model")
@@ -197,21 +197,21 @@ def read_osim(path: Path) -> Model:
 
 
 def _last(path: str | None) -> str:
-    """Return the last name of a component's path, such as femur_r of /bodyset/femur_r."""
+    """Return the last component of a path, such as femur_r of /bodyset/femur_r."""
     return (path or "").strip().rpartition("/")[2]
 
 
 def _text(element: Element, *names: str) -> str:
-    """Return the text of the first child with one of the names."""
+    """Return the text of the first child element with one of the names."""
     return next((found.text or "" for name in names if (found := element.find(name)) is not None), "").strip()
 
 
 Frames = tuple[tuple[Element, ...], tuple[Element, ...]]
-"""The elements that place a joint's frame in the parent and in the child; the outermost first."""
+"""The elements that position a joint's frame in the parent and in the child body, the outermost first."""
 
 
 def _joint_elements(model: Element) -> Iterator[tuple[str, str, str, Element, Frames]]:
-    """Yield name, parent body, child body, element and frames of every joint."""
+    """Yield name, parent body, child body, element and frames of every joint in the model."""
     for body in model.iterfind("BodySet/objects/Body"):
         for element in body.iterfind("Joint/*"):
             parent = _text(element, "parent_body")
@@ -231,7 +231,7 @@ def _joint_elements(model: Element) -> Iterator[tuple[str, str, str, Element, Fr
 
 
 def _placed(parser: _Parser, frames: tuple[Element, ...], keys: tuple[str, str], what: str) -> Placed:
-    """Return the frame that is reached through others, each placed by a translation and an orientation."""
+    """Return a frame that is defined through others, each by a translation and an orientation."""
     rotation, origin = np.eye(3), np.zeros(3)
     for frame in frames:
         origin = origin + rotation @ parser.numbers(frame.find(keys[0]), f"{what} {keys[0]}", 3, 0.0)
@@ -241,7 +241,7 @@ def _placed(parser: _Parser, frames: tuple[Element, ...], keys: tuple[str, str],
 
 
 def _joint(parser: _Parser, name: str, element: Element, frames: Frames) -> Joint:
-    """Return a joint whose parent is not known yet."""
+    """Return a joint, without its parent, which is set later."""
     what = f"joint '{name}'"
     old = frames[0][:1] == (element,)
     keys = [("location_in_parent", "orientation_in_parent"), ("location", "orientation")]
@@ -284,7 +284,7 @@ def _joint(parser: _Parser, name: str, element: Element, frames: Frames) -> Join
 
 
 def _axis_function(axis: Element) -> Element | None:
-    """Return the element of an axis's function: in version 3 it is in <function>, in version 4 it stands itself."""
+    """Return the element of an axis's function: version 3 wraps it in <function>, version 4 does not."""
     inner = axis.find("function")
     if inner is not None:
         return inner[0] if len(inner) else None
@@ -292,7 +292,7 @@ def _axis_function(axis: Element) -> Element | None:
 
 
 def _turns(joint: Element, coordinate: str) -> bool:
-    """Return whether a coordinate is the angle about an axis of a custom joint, as it is or with the sign changed."""
+    """Return whether a coordinate is the angle about an axis of a custom joint, up to its sign."""
     for axis in joint.iterfind("SpatialTransform/TransformAxis"):
         function = _axis_function(axis)
         slope = ["1"] if function is None else _text(function, "coefficients").lstrip("+-").split()[:1]
@@ -306,7 +306,7 @@ def _turns(joint: Element, coordinate: str) -> bool:
 def _spatial(
     parser: _Parser, what: str, joint: Element
 ) -> tuple[tuple[multibody.Motion, ...], tuple[multibody.Motion, ...]]:
-    """Return the turns and shifts of a custom joint."""
+    """Return the rotations and translations of a custom joint."""
     index = list(parser.coordinates)
     found: dict[bool, list[multibody.Motion]] = {True: [], False: []}
     for nth, axis in enumerate(joint.findall("SpatialTransform/TransformAxis")[:6]):
@@ -330,7 +330,7 @@ def _spatial(
 
 
 def _fits(function: Function, count: int) -> bool:
-    """Return whether a function can be computed of so many coordinates."""
+    """Return whether a function takes `count` coordinates."""
     if isinstance(function, multibody.Multiple):
         return _fits(function.function, count)
     if isinstance(function, multibody.Linear):
@@ -339,7 +339,7 @@ def _fits(function: Function, count: int) -> bool:
 
 
 def _order(parser: _Parser, parents: dict[str, str]) -> list[str]:
-    """Return the bodies, each after its parent."""
+    """Return the bodies, each after its parent body."""
     order: list[str] = []
     known = {"ground"}
     while len(order) < len(parents):
@@ -355,7 +355,7 @@ def _order(parser: _Parser, parents: dict[str, str]) -> list[str]:
 
 
 def _couplings(parser: _Parser, model: Element) -> dict[int, Coupling]:
-    """Return the coordinates that a constraint couples to others."""
+    """Return the coordinates that a constraint makes dependent on others."""
     index = {name: i for i, name in enumerate(parser.coordinates)}
     found = {}
     for element in model.iterfind("ConstraintSet/objects/CoordinateCouplerConstraint"):

@@ -1,11 +1,11 @@
-"""Files of an archive that are no motion: their kinds, by their names and endings."""
+"""Classify files of an archive that are not motion, by their names and endings."""
 
 from __future__ import annotations
 
 import os
 
 NO_MOTION = "tables or data in which no reader finds motion"
-"""The kind of files whose ending some reader has, and whose content none takes for its format."""
+"""The kind of files with an ending of some reader but content that no reader recognises."""
 
 _SYSTEM, _OTHER = "hidden files and files of the system", "files of other kinds"
 
@@ -29,12 +29,12 @@ _SYSTEM_NAMES = ("thumbs.db", "desktop.ini")
 
 
 def is_of_system(name: str) -> bool:
-    """Return whether a file is none of the user's, whatever its ending: macOS writes ._x.bvh beside x.bvh."""
+    """Return whether a file was made by the operating system, not the user: macOS writes ._x.bvh beside x.bvh."""
     return name.startswith(("._", "~$")) or name.lower() in _SYSTEM_NAMES
 
 
 def kind_of(name: str) -> str:
-    """Return the kind of a file that is no motion file, by its name; "files of other kinds" where it is not known."""
+    """Return the kind of a file that is not motion, by its name; "files of other kinds" if it is unknown."""
     ending = os.path.splitext(name)[1].lower()
     if is_of_system(name) or name.startswith("."):
         return _SYSTEM

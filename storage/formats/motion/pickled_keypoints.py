@@ -1,4 +1,4 @@
-"""The reader of the 3D keypoints of AIST++: pickles of the 17 joints of COCO at 60 Hz."""
+"""Read the 3D keypoints of AIST++: pickles of the 17 joints of COCO at 60 Hz."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from kinedex.storage.formats.motion.position_tables import whole_points
 from kinedex.storage.formats.motion.reader import MotionFile, ReadSettings, file_size
 
 KEYS = ("keypoints3d_optim", "keypoints3d")
-"""The keys of the positions; those that were smoothed count first."""
+"""The keys of the positions; smoothed ones take precedence."""
 
 _HEAD = 4096
 
-_POINTS = 17  # of COCO
+_POINTS = 17  # COCO's number of joints
 
 
 class PickledKeypointsReader(PointsReader):
@@ -39,11 +39,11 @@ class PickledKeypointsReader(PointsReader):
             return False
 
     def size(self, file: MotionFile) -> tuple[int, int, int]:
-        """Return the memory of the file's numbers; its frames are counted only when it is read."""
+        """Estimate the memory of the file's numbers; its frames are counted only on reading."""
         return 0, _POINTS, 20 * file_size(file.path)
 
     def points(self, file: MotionFile, settings: ReadSettings) -> Points:
-        """Read the positions (T, 17, 3); their unit is that of the body's size."""
+        """Read the positions (T, 17, 3); their unit is inferred from the body's size."""
         path = file.path
         arrays = load_pickle(path)
         key = next((key for key in KEYS if isinstance(arrays.get(key), np.ndarray)), None)

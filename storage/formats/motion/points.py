@@ -1,6 +1,6 @@
-"""Points over time, such as joint positions and markers, and the body that they make.
+"""Convert points over time, such as joint positions and markers, to a body.
 
-Short gaps are closed along straight lines; frames in longer gaps are invalid.
+Short gaps are filled by linear interpolation; frames in longer gaps are invalid.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, Body, 
 F64 = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-_AT_ONCE = 16_384  # frames: some 10 MB of joints
+_AT_ONCE = 16_384  # frames at once: some 10 MB of joints
 _SPINE = ("chest", "neck", "belly", "head")  # the first known one gives the root's up direction
 
 
@@ -37,15 +37,15 @@ class Points:
     names : tuple of str
         Names of the points; empty if the file names none.
     positions : float64 array (N, 3, T)
-        Places of the points; NaN where a point was not seen.
+        Positions of the points; NaN where a point is missing.
     rate_hz : float, optional
         Frames per second, if the file states them.
     clock_hz : float, optional
-        Frames per second by the file's own times, if it has some.
+        Frames per second by the file's time stamps, if it has any.
     unit_m : float, optional
-        Metres of the unit, if the file states it.
+        Metres per unit, if the file states it.
     warnings : list of str
-        Reservations about the file.
+        Warnings about the file.
     """
 
     path: str
@@ -57,13 +57,13 @@ class Points:
     warnings: list[str] = field(default_factory=list)
 
     def places(self, names: Sequence[str] = ()) -> dict[str, int]:
-        """Return name → index of the points that are seen in any frame; `names` serve a file that has none."""
+        """Return name → index of the points present in any frame; `names` is used for a file without names."""
         seen = np.count_nonzero(np.isfinite(self.positions), axis=(1, 2)) > 0
         return {name: i for i, name in enumerate(self.names or names) if seen[i]}
 
 
 def points_bytes(frames: int, points: int, joints: int) -> int:
-    """Return the memory of points, of the body that is made of them, and of what lies between them."""
+    """Estimate the memory in bytes of points, of the body made of them, and of intermediate arrays."""
     masks, gaps = 4 * 3 * points * frames, 100 * frames
     return 24 * points * frames + masks + gaps + body_bytes(frames, joints) + min(frames, _AT_ONCE) * 96 * joints
 
@@ -76,7 +76,7 @@ def body_of_points(
     settings: ReadSettings,
     warnings: list[str],
 ) -> Body:
-    """Make a body of points; points have no turns, so the root's orientation follows from hips and spine.
+    """Convert points to a body; the root's orientation follows from hips and spine, since points have none.
 
     Parameters
     ----------
@@ -91,12 +91,12 @@ def body_of_points(
     settings : ReadSettings
         Settings of the user.
     warnings : list of str
-        Reservations about the file; more are appended.
+        Warnings about the file, to which more are appended.
 
     Raises
     ------
     SourceError
-        No rate is known, no frame is whole, or a joint is absurdly far away.
+        No rate is known, no frame is complete, or a joint is implausibly far away.
     """
     path = Path(points.path)
     rate_hz = _rate(points, settings, warnings)
@@ -135,7 +135,7 @@ def body_of_points(
 
 
 def _rate(points: Points, settings: ReadSettings, warnings: list[str]) -> float:
-    """Return the rate that counts; warn if the file contradicts itself or the user."""
+    """Return the rate to use; append a warning if the file contradicts itself or the user."""
     if points.rate_hz is not None:
         rate_hz = settings.rate_of(points.rate_hz, warnings)
     elif (set_hz := settings.override_rate_hz or settings.rate_hz) is not None:
@@ -150,7 +150,7 @@ def _rate(points: Points, settings: ReadSettings, warnings: list[str]) -> float:
 
 
 def _fill(positions: F64, used: list[int], longest: int) -> tuple[list[Gap], list[Gap]]:
-    """Close short gaps of the used points in place; return the gaps closed and those left, with places in `used`."""
+    """Fill short gaps of the used points in place; return filled and remaining gaps, with indices into `used`."""
     closed: list[Gap] = []
     left: list[Gap] = []
     for place, index in enumerate(used):
@@ -174,7 +174,7 @@ def _placed(points: F64, fit: Fit, joints: tuple[str, ...]) -> F64:
 def _invalid(
     path: Path, fit: Fit, valid: Mask, left: list[Gap], longest: int, names: list[str], lost: list[str]
 ) -> str:
-    """Describe the invalid frames, their number and the missing points; raise a SourceError if all frames are."""
+    """Describe the invalid frames, their number and the missing points; raise SourceError if all frames are invalid."""
     blamed = [gap for gap in left if not valid[gap.start : gap.stop].all()]
     unplaced = ~valid
     for gap in blamed:
@@ -200,7 +200,7 @@ def _invalid(
 
 
 def _gaps_in_words(gaps: list[Gap], names: list[str], most: int = 6) -> str:
-    """List points with the frames of their gaps, most frames first, and the number of further points."""
+    """List points with the frames of their gaps, those with most frames first, and the number of further points."""
     frames: dict[str, list[int]] = {}
     for gap in gaps:
         frames.setdefault(names[gap.point], []).append(gap.frames)
@@ -221,7 +221,7 @@ def root_orientation(positions: F64, joints: tuple[str, ...], valid: Mask, warni
     valid : bool array (T,)
         The frames in which the known joints are finite.
     warnings : list of str
-        A sentence is appended where the orientation cannot be estimated.
+        A sentence is appended if the orientation cannot be estimated.
 
     Returns
     -------

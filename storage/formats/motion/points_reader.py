@@ -1,4 +1,4 @@
-"""Readers of points: the steps from the points of a file to a body, which the readers of many formats share."""
+"""Read the points of a file as a body, in steps that the readers of many formats share."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from kinedex.storage.formats.motion.points import Points, body_of_points, points
 from kinedex.storage.formats.motion.reader import Body, Extent, MotionFile, Reader, ReadSettings
 
 LEAST_LANDMARKS = 8
-"""A subject with fewer known labels is no person, either."""
+"""The least number of known labels of a subject that counts as a person."""
 
 SURE_UP = 0.75
-"""The confidence above which a body is turned upright, or what a file states is doubted."""
+"""The confidence from which a body is rotated upright, or the file's up axis is doubted."""
 
 LEAST_POINTS = 10
-"""A subject of fewer points is a thing that was recorded beside the person: a box, a racket, a wand."""
+"""The least number of points of a person; a subject with fewer is an object, such as a box or a racket."""
 
 
 class FittedPoints(NamedTuple):
-    """The points of a file with the mapping that fits them, and reservations about both."""
+    """The points of a file with the mapping that fits them, and warnings about both."""
 
     points: Points
     fit: Fit
@@ -41,7 +41,7 @@ class FittedPoints(NamedTuple):
 
 
 class PointsReader(Reader):
-    """A reader of files that hold points by name; subclasses define `points`, `size` and perhaps `persons`.
+    """A reader of files that hold points by name; subclasses define `points`, `size` and optionally `persons`.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class PointsReader(Reader):
 
     @abstractmethod
     def points(self, file: MotionFile, settings: ReadSettings) -> Points:
-        """Return the points of a file, or of the person that is asked for.
+        """Return the points of a file, or of the chosen person.
 
         Raises
         ------
@@ -64,7 +64,7 @@ class PointsReader(Reader):
 
     @abstractmethod
     def size(self, file: MotionFile) -> tuple[int, int, int]:
-        """Return frames and points of a file, and the bytes that reading takes besides those of the points.
+        """Return frames and points of a file, and the bytes of memory for reading besides those of the points.
 
         Raises
         ------
@@ -73,11 +73,11 @@ class PointsReader(Reader):
         """
 
     def relevant_settings(self, settings: ReadSettings) -> object:
-        """Return the rates and the longest gap."""
+        """Return the rates and the longest gap, the settings that affect the result."""
         return settings.rate_hz, settings.override_rate_hz, settings.fill_gap_frames
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Return the frames, and the memory of all points and of the body that is made of them."""
+        """Return the frames, and estimate the memory: all points, and the body made of them."""
         frames, points, more = self.size(file)
         return Extent(frames, points_bytes(frames, points, joints) + more, settings.override_rate_hz)
 
@@ -87,7 +87,7 @@ class PointsReader(Reader):
         Raises
         ------
         SourceError
-            The file is damaged, the body is not recognised, no frame is whole, or no rate is known.
+            The file is damaged, the body is not recognised, no frame is complete, or no rate is known.
         """
         points, fit, warnings = self.fitted(file, mappings, settings)
         return body_of_points(points, points.names, fit, joints, settings, warnings)
@@ -110,14 +110,14 @@ class PointsReader(Reader):
 
 
 def evidence_of(points: Points, up: str | None = None) -> Evidence:
-    """Return the evidence of points that are seen in any frame: their places in some frames, evenly spread.
+    """Return the evidence for recognising a body: positions in some frames of the points present in any frame.
 
     Parameters
     ----------
     points : Points
         The points of a file.
     up : str, optional
-        The axis that the file calls vertical.
+        The axis that the file states as vertical.
     """
     seen = points.places()
     frames = points.positions.shape[2]
@@ -126,19 +126,19 @@ def evidence_of(points: Points, up: str | None = None) -> Evidence:
 
 
 def upright(fit: Fit, evidence: Evidence, warnings: list[str]) -> Fit:
-    """Return the fit turned upright where nothing states what is up; warn where the body contradicts the file.
+    """Return the fit rotated upright if no up axis is stated; warn if the body contradicts the stated axis.
 
     Parameters
     ----------
     fit : Fit
         The mapping over the points.
     evidence : Evidence
-        The points in some frames, and the axis that the file calls vertical.
+        The points in some frames, and the axis that the file states as vertical.
     warnings : list of str
         A sentence is appended if the body stands along another axis than the file states.
     """
     if fit.mapping.unit_m is not None and evidence.up is None:
-        return fit  # the mapping of one archive knows its axes
+        return fit  # the mapping of a single archive states its axes
     judged = up_axis(joint_places(fit, evidence.places, None)[0])
     index = int(np.argmax(np.abs(fit.mapping.axes[1])))
     taken = ("-" if fit.mapping.axes[1, index] < 0 else "") + "xyz"[index]
@@ -169,12 +169,12 @@ AnyPoints = TypeVar("AnyPoints", bound=Points)
 
 
 def points_of_person(points: AnyPoints, person: str) -> AnyPoints:
-    """Return the points of one subject of a file; all of them if no person is asked for.
+    """Return the points of one subject of a file, or all if no person is chosen.
 
     Raises
     ------
     SourceError
-        There is no such subject, or there are several and none is asked for.
+        There is no such subject, or there are several and none is chosen.
     """
     of = subjects(points.names)
     if not person:
@@ -192,7 +192,7 @@ def points_of_person(points: AnyPoints, person: str) -> AnyPoints:
 
 
 def subjects(labels: Sequence[str]) -> dict[str, list[int]]:
-    """Return the subjects of labels such as `Ann:LFHD`, each with the places of its labels; "" without a prefix."""
+    """Return subject → indices of its labels, such as `Ann:LFHD`; labels without a prefix have the subject ""."""
     found: dict[str, list[int]] = {}
     for i, label in enumerate(labels):
         found.setdefault(label.rpartition(":")[0], []).append(i)
@@ -200,7 +200,7 @@ def subjects(labels: Sequence[str]) -> dict[str, list[int]]:
 
 
 def persons_of(labels: Sequence[str]) -> tuple[str, ...]:
-    """Return the subjects that have so many points that they may be persons, if there are several; else nothing."""
+    """Return the subjects with enough points for a person if there are several; else nothing."""
     found = [name for name, places in subjects(labels).items() if name and len(places) >= LEAST_POINTS]
     return tuple(found) if len(found) > 1 else ()
 
@@ -208,7 +208,7 @@ def persons_of(labels: Sequence[str]) -> tuple[str, ...]:
 def labels_of_person(
     path: Path, labels: Sequence[str], person: str, warnings: list[str]
 ) -> tuple[list[int], tuple[str, ...]]:
-    """Choose the labels of one person: those of the subject asked for, else of the only one that may be a person.
+    """Return the labels of one person: of the chosen subject, or else of the only possible person.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ def labels_of_person(
     labels : sequence of str
         All labels of a file.
     person : str
-        The subject asked for; empty for a file of one person.
+        The chosen subject; empty for a file of one person.
     warnings : list of str
         Sentences are appended on subjects and labels that are not used.
 
@@ -231,7 +231,7 @@ def labels_of_person(
     Raises
     ------
     SourceError
-        There are several persons, and none of them is asked for.
+        There are several persons, and none is chosen.
     """
     of = subjects(labels)
     bodies = bodies_of(labels)
