@@ -1,4 +1,4 @@
-"""Statements that Ctrl-C, a time limit and their withdrawal end, also where DuckDB does not stop."""
+"""Run statements that Ctrl-C, a time limit or a cancellation can end, even where DuckDB does not stop."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from kinedex.ops.withdrawal import WithdrawnError, check_withdrawn
 T = TypeVar("T")
 
 GRACE = 1.2
-"""Seconds that a statement has to stop before it is abandoned: DuckDB interrupts no call of a single function."""
+"""Seconds that a statement has to stop before it is abandoned: DuckDB cannot interrupt a call of one function."""
 
 _abandoned: dict[duckdb.DuckDBPyConnection, threading.Event] = {}
 _THREAD = "kinedex-sql"
@@ -27,28 +27,28 @@ class TimeLimitError(KinedexError):
 
 
 def run_bounded(connection: duckdb.DuckDBPyConnection, work: Callable[[], T], timeout: float | None = None) -> T:
-    """Run statements on a connection so that Ctrl-C, a time limit and their withdrawal end them.
+    """Run statements on a connection so that Ctrl-C, a time limit or a cancellation ends them.
 
-    DuckDB alone would notice Ctrl-C only at the end. It stops a statement between two batches of rows: one call of a
-    function over long texts or lists goes on. After `GRACE` seconds, or at a second Ctrl-C, such a statement is
-    abandoned: it goes on in a thread of its own until its function returns, and `is_abandoned` is True for its
-    connection, which must be neither used again nor closed.
+    DuckDB by itself would notice Ctrl-C only at the end. It stops a statement between two batches of rows, but not
+    within one call of a function over long texts or lists. After `GRACE` seconds, or at a second Ctrl-C, such a
+    statement is abandoned: it continues in a thread of its own until its function returns, and `is_abandoned` is True
+    for its connection, which must be neither used again nor closed.
 
     Parameters
     ----------
     connection : duckdb.DuckDBPyConnection
-        The connection that the statements are run on.
+        The connection on which the statements run.
     work : callable
         Function that runs them.
     timeout : float, optional
-        Seconds that they may take; as long as they need without it.
+        Time limit in seconds; None for no limit.
 
     Raises
     ------
     TimeLimitError
         They did not end in time.
     WithdrawnError
-        Nobody waits for the result any more.
+        The caller has cancelled the work.
     KeyboardInterrupt
         Ctrl-C ended them.
     """
@@ -58,7 +58,7 @@ def run_bounded(connection: duckdb.DuckDBPyConnection, work: Callable[[], T], ti
         return work()
     run = _Run(work)
     try:
-        # Ctrl-C may come while the thread starts
+        # Ctrl-C may arrive while the thread starts
         run.thread.start()
         if run.wait(timeout):
             return run.result()
@@ -80,7 +80,7 @@ def run_bounded(connection: duckdb.DuckDBPyConnection, work: Callable[[], T], ti
 
 
 class _Run(Generic[T]):
-    """Work in a thread of its own; the program may end while it runs."""
+    """Work in a thread of its own; the process can exit while it runs."""
 
     def __init__(self, work: Callable[[], T]) -> None:
         self.done = threading.Event()
@@ -98,7 +98,7 @@ class _Run(Generic[T]):
             self.done.set()
 
     def wait(self, seconds: float | None) -> bool:
-        """Wait for the end; return False where it does not come in time."""
+        """Wait for the end of the work; return False on a timeout."""
         end = None if seconds is None else time.monotonic() + seconds
         # Windows delivers Ctrl-C only between two waits
         while not self.done.wait(0.5 if end is None else max(0.0, min(0.5, end - time.monotonic()))):
@@ -108,7 +108,7 @@ class _Run(Generic[T]):
         return True
 
     def stop(self, connection: duckdb.DuckDBPyConnection) -> None:
-        """Interrupt the work again and again, since an interrupt before its first step has no effect."""
+        """Interrupt the work repeatedly, since an interrupt before its first step has no effect."""
         end = time.monotonic() + GRACE
         while not self.done.is_set() and time.monotonic() < end:
             connection.interrupt()
@@ -122,7 +122,7 @@ class _Run(Generic[T]):
 
 
 def is_abandoned(connection: duckdb.DuckDBPyConnection) -> bool:
-    """Return whether a connection was left to a statement that did not stop."""
+    """Return whether a connection was abandoned to a statement that did not stop."""
     return connection in _abandoned
 
 
@@ -132,5 +132,5 @@ def abandoned_statements() -> int:
 
 
 def is_running() -> bool:
-    """Return whether the thread of a statement is alive, if only to free what the statement held."""
+    """Return whether the thread of any statement is alive, even if it only frees memory."""
     return any(thread.name == _THREAD for thread in threading.enumerate())

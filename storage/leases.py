@@ -1,9 +1,9 @@
-"""Leases: a reader locks the manifest of its version, and what a locked version names is not removed.
+"""Lease versions to readers: a reader locks the manifest of its version, and files that it names are not removed.
 
 A reader opens the file read-only and holds a shared lock on it, so that nothing is written, and the lease ends with the
 process, however it ends. A process that was forked from a reader shares its lease until both have closed the store or
-ended. Windows needs no lock: it removes no file that somebody has open. Where a file system has no locks, or does not
-pass them on to other machines, a lease protects nothing there.
+ended. Windows needs no lock: it does not remove open files. On a file system without locks, or with locks that other
+machines do not see, a lease gives no protection.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ if sys.platform != "win32":
     import fcntl
 
 _SECONDS = 10.0
-"""A version may be locked so long by a process that is about to remove it."""
+"""The longest time in seconds that a process about to remove a version keeps it locked."""
 
 _POLL_SECONDS = 0.005
 
 
 class Lease:
-    """A lease of one version, until `release`, the end of the object or that of the process.
+    """A lease of one version until `release`, the end of the object or the end of the process.
 
     Parameters
     ----------
     descriptor : int
-        The open manifest, which the lease closes in the end.
+        File descriptor of the open manifest, which the lease closes at its end.
     """
 
     def __init__(self, descriptor: int) -> None:
-        # the lock goes with the last copy of the descriptor: to unlock it would end the lease of a forked process too
+        # the lock ends with the last copy of the descriptor: unlocking would end the lease of a forked process too
         self.release = weakref.finalize(self, os.close, descriptor)
 
 
 def take_lease(store: Path, version: int) -> Lease | None:
-    """Lease a version of a store; return None if it is not there.
+    """Take a lease of a version of a store; return None if the version does not exist.
 
     Raises
     ------
@@ -70,19 +70,19 @@ def take_lease(store: Path, version: int) -> Lease | None:
 
 
 def _share(descriptor: int) -> bool:
-    """Take a shared lock where there are locks; return False if a process is about to remove the file."""
+    """Take a shared lock if the file system has locks; return False if a process is about to remove the file."""
     if sys.platform != "win32":
         try:
             fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
             return False
         except OSError:
-            pass  # no locks here
+            pass  # no locks on this file system
     return True
 
 
 def _is_open(descriptor: int, path: Path) -> bool:
-    """Return whether a path still is the file that was opened."""
+    """Return whether a path still refers to the file that was opened."""
     try:
         return os.path.samestat(os.fstat(descriptor), os.stat(path))
     except FileNotFoundError:
@@ -91,7 +91,7 @@ def _is_open(descriptor: int, path: Path) -> bool:
 
 @contextmanager
 def without_readers(store: Path, version: int) -> Iterator[bool]:
-    """Keep readers from opening a version meanwhile; yield False if one has it open."""
+    """Keep readers from opening a version in the `with` block; yield False if a reader has it open."""
     path = manifest_path(store, version)
     if sys.platform == "win32":
         try:
@@ -101,7 +101,7 @@ def without_readers(store: Path, version: int) -> Iterator[bool]:
         else:
             yield True
         return
-    from filelock import lock_descriptor  # a reader takes no exclusive lock
+    from filelock import lock_descriptor  # imported here, since readers take no exclusive lock
 
     descriptor = _open_to_lock(path)
     if descriptor is None:
@@ -111,15 +111,15 @@ def without_readers(store: Path, version: int) -> Iterator[bool]:
         try:
             free = lock_descriptor(descriptor, blocking=False)
         except OSError:
-            free = True  # no locks here
+            free = True  # no locks on this file system
         yield free
     finally:
         os.close(descriptor)
 
 
 def _open_to_lock(path: Path) -> int | None:
-    """Open a manifest for an exclusive lock; return None if it is not there."""
-    for mode in (os.O_RDWR, os.O_RDONLY):  # NFS locks no file exclusively that is open for reading alone
+    """Open a manifest for an exclusive lock; return None if it does not exist."""
+    for mode in (os.O_RDWR, os.O_RDONLY):  # NFS refuses an exclusive lock on a file that is open only for reading
         try:
             return os.open(path, mode)
         except FileNotFoundError:
@@ -138,14 +138,14 @@ class OpenVersion:
     version : int
         Number of the version.
     processes : int, optional
-        Number of processes that have it open; None where the system does not tell.
+        Number of processes that have it open; None if the system does not report it.
     """
 
     version: int
     processes: int | None
 
     def __str__(self) -> str:
-        """Return a clause for people."""
+        """Return a clause for messages."""
         if self.processes is None:
             return f"version {self.version} is open in a process"
         return f"version {self.version} is open in {self.processes} process{'' if self.processes == 1 else 'es'}"
@@ -162,7 +162,7 @@ def open_versions(store: Path, among: list[int] | None = None) -> list[OpenVersi
 
 
 def _processes(path: Path) -> int | None:
-    """Count the processes that hold a shared lock on a file; only Linux tells."""
+    """Count the processes that hold a shared lock on a file; only Linux reports them."""
     try:
         number = str(path.stat().st_ino)
         with open("/proc/locks", encoding="ascii") as locks:

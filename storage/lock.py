@@ -1,4 +1,4 @@
-"""The lock that keeps two writers of one store apart and names its holder."""
+"""Lock a store so that it has one writer at a time, and name the holder of the lock."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ from kinedex.storage.disk import write_errors
 _POLL_SECONDS = 0.1
 
 _NAMED_SECONDS = 0.5
-"""The holder of a lock has written its name so long after it has got the lock, unless the disk is full."""
+"""Seconds within which the holder of a lock writes its name after getting it, unless the disk is full."""
 
 REPORT_SECONDS = 30.0
-"""A process that waits reports so often for whom."""
+"""Seconds between reports of a waiting process that name the holder."""
 
 
 @dataclass(frozen=True)
 class Wait:
-    """The time that a writer waits while another one is at work.
+    """The time that a writer waits while another one is active.
 
     Attributes
     ----------
     seconds : float
         The longest time to wait; 0 fails at once.
     report : callable, optional
-        Shows a line of text: for whom the writer waits, at once and then every `REPORT_SECONDS`.
+        Shows a line of text that names the process waited for, at once and then every `REPORT_SECONDS`.
     option : str, optional
-        The option or argument that makes the user's command wait longer, for the message of one that did not.
+        The option or argument that makes the user's command wait longer, for the error message.
     """
 
     seconds: float = 0.0
@@ -52,15 +52,15 @@ NO_WAIT = Wait()
 
 
 class Lock:
-    """An exclusive lock on a file, held until `release` or the end of the process, however it ends.
+    """An exclusive lock on a file, held until `release` or the end of the process, even if it is killed.
 
-    The operating system drops the lock with the process, so the lock file of a killed one is no obstacle. The file
-    holds a JSON object with process, host, time and command of the last holder.
+    The operating system releases the lock with the process, so the lock file of a killed process is no obstacle. The
+    file holds a JSON object with process, host, time and command of the last holder.
 
     Parameters
     ----------
     path : Path
-        The lock's file; it is made where it is missing, and never removed.
+        The lock's file; it is created if it is missing, and never removed.
     purpose : str
         The work that must wait while another process holds the lock, for the message.
     wait : Wait, optional
@@ -86,7 +86,7 @@ class Lock:
         _held.add(self)
 
     def _wait(self, purpose: str, wait: Wait) -> None:
-        """Try again until the lock is free or the time is over."""
+        """Retry until the lock is free or the time is over."""
         began = time.monotonic()
         reports = 0
         while not self._try_lock():
@@ -111,7 +111,7 @@ class Lock:
             raise StoreError(f"{self.path}: this file system does not lock files ({fault.strerror})") from None
 
     def _write_holder(self) -> None:
-        """Write who holds the lock; on a full disk it holds without a name, so that `kinedex gc` can make room."""
+        """Write the holder into the lock file; on a full disk leave it out, so that `kinedex gc` can free space."""
         holder = {
             "pid": os.getpid(),
             "host": socket.gethostname(),
@@ -123,16 +123,16 @@ class Lock:
             self._file.write(json.dumps(holder).encode())
 
     def _holder(self) -> str:
-        """Describe the process that holds the lock; one that has just got it is about to write its name."""
+        """Describe the process that holds the lock, waiting briefly for one that has not written its name yet."""
         deadline = time.monotonic() + _NAMED_SECONDS
         while (name := self._read_holder()) is None and time.monotonic() < deadline:
             time.sleep(_POLL_SECONDS / 10)
         return name or "another process"
 
     def _read_holder(self) -> str | None:
-        """Return the process that the file names; None where it names none, or one that has ended."""
+        """Return the process that the file names; None if it names none, or one that has ended."""
         try:
-            # Windows lets nobody else read the locked byte, which is the first one: the brace of the JSON object
+            # Windows does not let others read the locked byte, which is the first one: the brace of the JSON object
             self._file.seek(1)
             found = json.loads(b"{" + (self._file.read(4096) or b""))
             if found["host"] == socket.gethostname() and not _runs(int(found["pid"])):
@@ -142,7 +142,7 @@ class Lock:
             return None
 
     def release(self) -> None:
-        """Let the next writer in; a second call does nothing."""
+        """Release the lock; a second call does nothing."""
         if not self._file.closed:
             _held.discard(self)
             unlock_descriptor(self._file.fileno())
@@ -159,9 +159,9 @@ class Lock:
 
 
 def _runs(pid: int) -> bool:
-    """Return whether a process of this host runs; True where the system does not tell."""
+    """Return whether a process of this host runs; True if the system does not report it."""
     if os.name == "nt":
-        return True  # a signal would end it
+        return True  # Windows: a signal would end the process
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
@@ -175,10 +175,10 @@ _held: weakref.WeakSet[Lock] = weakref.WeakSet()
 
 
 def _close_in_child() -> None:
-    """Close the copies of a forked child, which would keep the lock of a killed parent; the parent's stays locked."""
+    """Close a forked child's copies, which would keep the lock of a killed parent; the parent's lock remains."""
     for lock in list(_held):
         lock._file.close()
 
 
-if hasattr(os, "register_at_fork"):  # systems without fork need nothing of this
+if hasattr(os, "register_at_fork"):  # systems without fork do not need this
     os.register_at_fork(after_in_child=_close_in_child)

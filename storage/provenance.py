@@ -1,4 +1,4 @@
-"""Provenance: the command and the version of kinedex that a file of a store was made by."""
+"""Record the provenance of a store's files: the command and the version of kinedex that made them."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 LONGEST = 1000
-"""Most characters of a command that are recorded."""
+"""The largest number of characters of a recorded command."""
 
 
 def running_command() -> str:
     """Return the command line of this process as it would be typed, such as "kinedex ingest STORE DIR".
 
-    Where its log goes is left out: it changes nothing that is made, and the explorer adds it to the commands it runs.
+    The option --log-file is left out: it does not affect results, and the explorer adds it to its commands.
     """
     program, *arguments = sys.argv or [""]
     if "--log-file" in arguments:
@@ -23,7 +23,7 @@ def running_command() -> str:
         del arguments[place : place + 2]
     path = Path(program)
     name = path.parent.name if path.name == "__main__.py" else path.name
-    # a program that was given to Python as a text has no name
+    # a program passed to Python as text has no name
     program_words = [name] if name and not name.startswith("-") else ["python", *filter(None, [name])]
     text = shlex.join([*program_words, *arguments])
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…"
@@ -31,7 +31,7 @@ def running_command() -> str:
 
 @cache
 def kinedex_version() -> str:
-    """Return the version of the installed kinedex; "unknown" for a checkout that is not installed."""
+    """Return the version of the installed kinedex; "unknown" for a source tree that is not installed."""
     try:
         return version("kinedex")
     except PackageNotFoundError:

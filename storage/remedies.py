@@ -1,4 +1,4 @@
-"""Remedies of the errors and findings of a store: commands that can be run as they are."""
+"""State remedies for errors and findings of a store, as commands that can be run unchanged."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from kinedex.ops.errors import Remedy
 
 
 def repair(store: str | Path) -> Remedy:
-    """Return the remedy of damage: `kinedex repair`, which makes again what can be made again."""
+    """Return the remedy for damage: `kinedex repair`, which restores what can be restored."""
     return _repair(store, "repairs it")
 
 
 def build_index(store: str | Path) -> Remedy:
-    """Return the remedy of an index that is missing, stale or damaged, which `kinedex repair` builds again."""
+    """Return the remedy for a missing, outdated or damaged index, which `kinedex repair` rebuilds."""
     return _repair(store, "builds it again")
 
 
@@ -24,12 +24,12 @@ def _repair(store: str | Path, effect: str) -> Remedy:
 
 
 def upgrade(store: str | Path) -> Remedy:
-    """Return the remedy of an older format: `kinedex upgrade`, which converts the store."""
+    """Return the remedy for a store of an older format: `kinedex upgrade`, which converts it."""
     command = ("kinedex", "upgrade", str(store))
     return Remedy(f"`{shlex.join(command)}` converts it and keeps takes, results and index", command)
 
 
 def upgrade_with_damage(store: str | Path) -> Remedy:
-    """Return the remedy of damage in a store of an older format, which `kinedex repair` cannot write."""
+    """Return the remedy for damage in a store of an older format, which `kinedex repair` cannot write."""
     command = ("kinedex", "upgrade", str(store), "--keep-damaged")
     return Remedy(f"`{shlex.join(command)}` converts the store, and `kinedex repair` then repairs it", command)

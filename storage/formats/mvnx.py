@@ -1,8 +1,8 @@
-"""MVNX files of Xsens MVN: segments and sensors of one or several subjects, frame by frame.
+"""Parse MVNX files of Xsens MVN: segments and sensors of one or several subjects, frame by frame.
 
-Two readers use this parser: that of motion (places and turns of segments) and that of sensor data. A file is parsed as
-a stream, because an hour of recording takes a gigabyte of XML. Entities are refused, and nothing outside of the file is
-read.
+Two readers use this parser: that of motion (positions and orientations of segments) and that of sensor data. A file is
+parsed as a stream, because an hour of recording takes a gigabyte of XML. Entities are refused, and nothing outside of
+the file is read.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from kinedex.ops.errors import SourceError
 F64 = npt.NDArray[np.float64]
 
 AT_ONCE = 1 << 20
-"""Bytes that are parsed at once."""
+"""The number of bytes that are parsed at once."""
 
 LONGEST_TEXT = 1 << 20
-"""Letters of one element; a frame of 23 segments has some two thousand in its longest."""
+"""The largest number of characters of an element; a frame of 23 segments has some two thousand in its longest."""
 
 MOST_PARTS = 1_000
-"""Segments, points, sensors or joints of a subject; MVN has 23 segments and some hundred points."""
+"""The largest number of segments, points, sensors or joints of a subject; MVN has 23 segments, some hundred points."""
 
 DEEPEST = 30
-"""Levels of elements; MVNX files have seven."""
+"""The largest depth of nested elements; MVNX files have seven levels."""
 
 FRAME_NUMBERS = {"orientation": 4, "position": 3, "velocity": 3, "acceleration": 3, "angularVelocity": 3}
-"""Fields with as many numbers for every segment."""
+"""Field → the number of its values for every segment."""
 
 SENSOR_NUMBERS = {"sensorOrientation": 4, "sensorFreeAcceleration": 3, "sensorMagneticField": 3}
-"""Fields with as many numbers for every sensor."""
+"""Field → the number of its values for every sensor."""
 
 JOINT_NUMBERS = {"jointAngle": 3, "jointAngleXZY": 3}
-"""Fields with as many numbers for every joint, in degrees."""
+"""Field → the number of its values, in degrees, for every joint."""
 
 _LONGEST_TAG = 256
 _NORMAL = "normal"
@@ -65,7 +65,7 @@ class Subject:
     sensors, joints : list of str
         Labels of the sensors and of the joints, in the order of the numbers of a frame.
     frames : int
-        Frames of type "normal".
+        The number of frames of type "normal".
     indices : array of int
         The number that each of these frames has in the file, from 0; consecutive where the file gives none.
     fields : dict of str to array
@@ -84,21 +84,21 @@ class Subject:
     fields: dict[str, array[float]] = field(default_factory=dict)
 
     def width(self, name: str) -> int:
-        """Return how many numbers a frame has in a field."""
+        """Return the number of values of a field in a frame."""
         for table, parts in ((FRAME_NUMBERS, self.segments), (SENSOR_NUMBERS, self.sensors)):
             if name in table:
                 return table[name] * len(parts)
         return JOINT_NUMBERS[name] * len(self.joints)
 
     def numbers(self, name: str) -> F64:
-        """Return a field as an array (T, parts, numbers of a part); with 0 frames if no frame has it."""
+        """Return a field as an array (T, parts, values per part); T is 0 if no frame has it."""
         per_part = (FRAME_NUMBERS | SENSOR_NUMBERS | JOINT_NUMBERS)[name]
         frames = self.frames if self.fields[name] else 0
         return np.array(self.fields[name], np.float64).reshape(frames, self.width(name) // per_part, per_part)
 
 
 def count_elements(path: Path, name: str) -> int:
-    """Return the number of elements of a name in an XML file by a search of its text, without parsing it.
+    """Count the elements of a name in an XML file by searching its text, without parsing it.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def count_elements(path: Path, name: str) -> int:
         with path.open("rb") as file:
             while block := file.read(4 * AT_ONCE):
                 text = tail + block
-                cut = text.rfind(b"<")  # a tag that the end of the block cuts is counted with the next block
+                cut = text.rfind(b"<")  # a tag split by the end of the block is counted with the next block
                 tail = text[cut:] if 0 <= len(text) - cut < _LONGEST_TAG and cut >= 0 else b""
                 count += len(tag.findall(text, 0, len(text) - len(tail)))
     except OSError as fault:
@@ -122,7 +122,7 @@ def count_elements(path: Path, name: str) -> int:
 def read_mvnx(path: Path, wanted: Collection[str] = (), subject: str | None = None) -> tuple[Subject, ...]:
     """Read the subjects of an MVNX file, with the wanted fields of the normal frames.
 
-    Frames of type identity, tpose and tpose-isb are poses of calibration and are skipped.
+    Frames of type identity, tpose and tpose-isb are calibration poses and are skipped.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def read_mvnx(path: Path, wanted: Collection[str] = (), subject: str | None = No
     Raises
     ------
     SourceError
-        The file is damaged or no MVNX; the error names the line.
+        The file is damaged or not MVNX; the error names the line.
     """
     document = _Document(path, tuple(wanted), subject)
     try:
@@ -162,7 +162,7 @@ def read_mvnx(path: Path, wanted: Collection[str] = (), subject: str | None = No
 
 
 def subject_names(subjects: Collection[Subject]) -> tuple[str, ...]:
-    """Return a name of its own for every subject: its label, with a number where labels are equal or missing."""
+    """Return a unique name for every subject: its label, with a number if labels are equal or missing."""
     names: list[str] = []
     for number, subject in enumerate(subjects, 1):
         label = subject.label.strip()
@@ -172,7 +172,7 @@ def subject_names(subjects: Collection[Subject]) -> tuple[str, ...]:
 
 @dataclass(eq=False)
 class _Document:
-    """The content of an MVNX file while it is read; the parser calls the methods."""
+    """The content of an MVNX file while it is parsed; the XML parser calls the methods."""
 
     path: Path
     wanted: tuple[str, ...]
@@ -195,17 +195,17 @@ class _Document:
         self.parser.EntityDeclHandler = self._entity
 
     def feed(self, block: bytes, last: bool = False) -> None:
-        """Parse a block; a SourceError names the line of the first fault."""
+        """Parse a block; raise a SourceError that names the line of the first fault."""
         try:
             self.parser.Parse(block, last)
         except expat.ExpatError as fault:
             what = expat.ErrorString(fault.code)
             raise SourceError(self.path, f"is no XML: {what}; is it cut off?", line=fault.lineno) from None
-        except (ValueError, LookupError) as fault:  # an encoding that Python does not know
+        except (ValueError, LookupError) as fault:  # an unknown encoding
             raise SourceError(self.path, f"cannot be decoded: {fault}") from None
 
     def finished(self) -> tuple[Subject, ...]:
-        """Return the subjects, once their frames are found to be whole."""
+        """Return the subjects after a check that their frames are complete."""
         if not self.subjects:
             raise SourceError(self.path, "has no <subject>, the element of a person in MVNX files")
         return tuple(self.subjects)
@@ -322,7 +322,7 @@ class _Document:
             numbers = [float(word) for word in words]
         except ValueError as fault:
             raise self._error(f"<{name}> must be numbers: {str(fault)[:100]}") from None
-        # a comparison with NaN is false
+        # comparisons with NaN are false
         if not all(abs(number) < 1e12 for number in numbers):
             raise self._error(f"<{name}> has numbers that are none, infinite, or beyond 1e12")
         return numbers

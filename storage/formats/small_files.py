@@ -1,4 +1,4 @@
-"""Files that fit into memory: labels and tables that people write; larger ones are refused before they are read."""
+"""Read files that fit into memory, such as labels and tables of users, and refuse larger ones before reading."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from kinedex.ops.errors import SourceError
 
 MOST_BYTES = 64_000_000
-"""Most bytes of such a file."""
+"""The largest size of such a file in bytes."""
 
 
 def read_bytes(path: str | Path, kind: str, way_out: str) -> bytes:
@@ -21,7 +21,7 @@ def read_bytes(path: str | Path, kind: str, way_out: str) -> bytes:
     kind : str
         The kind of file, in the plural, for messages.
     way_out : str
-        The way out where it is too large, for messages.
+        The remedy if it is too large, for messages.
 
     Raises
     ------

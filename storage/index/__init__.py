@@ -1,6 +1,6 @@
-"""The index: word runs, feature runs and vocabulary of a store's takes, in one DuckDB file per published generation.
+"""Build and read the index: word runs, feature runs and vocabulary of takes, one DuckDB file per generation.
 
-The rows lie in shards, each made from the words of some frames parts. A new generation is a copy of the one before in
-which only the shards change whose parts have changed. Beside the DuckDB file every shard has a file with the bit slices
-of its words, which keyframe search maps into memory.
+A generation is a published state of the index. Its rows are in shards, each made from the words of some frames parts. A
+new generation is a copy of the one before in which only the shards whose parts have changed are replaced. Every shard
+also has a file with the bit slices of its words, which keyframe search maps into memory.
 """

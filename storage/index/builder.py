@@ -1,4 +1,4 @@
-"""Build of the index: a copy of the generation before in which the changed shards are replaced, published by rename."""
+"""Build the index: copy the generation before, replace the shards that changed, and publish the copy by a rename."""
 
 from __future__ import annotations
 
@@ -51,24 +51,24 @@ from kinedex.storage.snapshot.part_records import Part
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 MOST_WASTE = 2.0
-"""The index file is written anew once it has grown to more than this many times the size of a new one."""
+"""The ratio to the size of a new index file above which the file is written anew."""
 
 SPARE_BYTES = 4_000_000
-"""Bytes that a small file may waste without being written anew."""
+"""The number of bytes that a small file may waste without being written anew."""
 
 _AHEAD = 4
-"""Most shards that are made while one is being stored, on any number of cores: each takes some 100 MB."""
+"""The largest number of shards made in advance of the one being stored; each takes some 100 MB."""
 
 
 class Counter(Protocol):
-    """Whatever shows how much is done."""
+    """A progress counter."""
 
     def advance(self, n: int = 1) -> object:
-        """Count n more."""
+        """Advance the counter by n."""
 
 
 Progress = Callable[[str, int], AbstractContextManager[Counter]]
-"""Function of a description and a number of steps that shows them within a `with` statement."""
+"""Takes a description and a number of steps, and returns a context manager that shows the progress."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -84,9 +84,9 @@ def build_index(
 ) -> Path:
     """Build and publish the index of a store's live takes, unless it exists already.
 
-    The newest `KEPT` generations stay, and those of versions that readers have open.
+    The newest `KEPT` generations are kept, and those of versions that readers have open.
 
-    Shards of the generation before whose takes are the same are copied, not made again.
+    Shards of the generation before with unchanged takes are copied, not made again.
 
     Parameters
     ----------
@@ -95,13 +95,13 @@ def build_index(
     threads : int, optional
         Number of threads that make shards, and that store them; one for every core by default.
     memory_mb : int, optional
-        Most memory that DuckDB uses, in MB; DuckDB decides without it.
+        Largest memory of DuckDB in MB; by default DuckDB decides.
     shard_frames : int, optional
-        Number of frames from which a shard is full.
+        Number of frames at which a shard is full.
     wait : Wait, optional
         The time to wait for another build to finish.
     progress : callable, optional
-        Shows how many of the frames that are indexed anew are stored.
+        Shows the progress of storing newly indexed frames.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def build_index(
     ------
     StoreError
         Another process builds an index of this store, a part cannot be read, or there is no space for the index; the
-        generation before stays.
+        generation before is kept.
     """
     folder = store.path / "index"
     with write_errors(folder):
@@ -140,7 +140,7 @@ def build_index(
 def _remove_old(store: Snapshot, built: Path) -> None:
     """Remove the generations that the one just built replaces, and old ones whose version no reader has open."""
     for number, old in enumerate(generations(store.path)):
-        # of the same version: damaged, of another version of the index, or with other macros
+        # of the same version: damaged, or made with another index version or other macros
         if old != built and is_of(old, store.manifest.version):
             _remove_generation(store, old, replaced=True)
         elif number >= KEPT and not _is_read(store, old):
@@ -148,7 +148,7 @@ def _remove_old(store: Snapshot, built: Path) -> None:
 
 
 def _is_read(store: Snapshot, generation: Path) -> bool:
-    """Return whether a reader has a version open that a generation indexes."""
+    """Return whether a reader has a version open that belongs to a generation."""
     record = read_generation(generation)
     return record is not None and any(
         content_digest_of(store.path, one.version, store.manifest) == record.content
@@ -157,14 +157,14 @@ def _is_read(store: Snapshot, generation: Path) -> bool:
 
 
 def _remove_generation(store: Snapshot, generation: Path, *, replaced: bool = False) -> None:
-    """Remove a generation: under another name first, where no reader looks for it."""
+    """Remove a generation, after renaming it so that no reader finds it."""
     removed = generation.with_name(f"{BUILDING}{uuid.uuid4().hex}")
     try:
         os.rename(generation, removed)
     except PermissionError:
         return  # Windows: a reader has it open; a later build removes it
     if not replaced and _is_read(store, removed):
-        os.rename(removed, generation)  # a reader has opened its version meanwhile
+        os.rename(removed, generation)  # a reader has opened its version in the meantime
         return
     shutil.rmtree(removed, ignore_errors=True)
 
@@ -180,20 +180,20 @@ def _stands(store: Snapshot, generation: Path) -> bool:
 
 @dataclass(frozen=True)
 class _Start:
-    """A start of a build: the copy of an earlier generation with its shards, or an empty file.
+    """The starting point of a build: a copy of an earlier generation with its shards, or an empty file.
 
     Attributes
     ----------
     generation : Path, optional
         Folder of the generation that was copied.
     shards : tuple of Shard
-        Shards that can be kept.
+        Shards that can be reused.
     lost : tuple of Shard
         Shards whose bit slices are damaged.
     surface : str
         `surface` of the generation.
     whole_bytes_per_frame : float, optional
-        Bytes per frame when its file was last written whole.
+        Bytes per frame when its file was last written completely.
     """
 
     generation: Path | None = None
@@ -287,7 +287,7 @@ def _write_record(
 
 
 def _copied(store: Snapshot, file: Path) -> _Start:
-    """Copy the newest generation that can serve as a start; an empty start where none can."""
+    """Copy the newest generation that can be a starting point; return an empty start if there is none."""
     for generation in generations(store.path):
         record = read_generation(generation)
         if record is not None and _can_start(store, record):
@@ -302,7 +302,7 @@ def _copied(store: Snapshot, file: Path) -> _Start:
                     record.surface,
                     record.whole_bytes_per_frame,
                 )
-            # damaged: a copy of it would get a checksum that fits
+            # damaged: its copy would get a checksum that matches
             file.unlink(missing_ok=True)
     return _Start()
 
@@ -318,7 +318,7 @@ def _can_start(store: Snapshot, record: Generation) -> bool:
 
 
 def _copy(source: Path, target: Path) -> str:
-    """Copy a file and return its checksum; an empty text where there is no file."""
+    """Copy a file and return its checksum; empty if there is no file."""
     digest = xxhash.xxh3_128()
     try:
         with open(source, "rb") as content, open(target, "wb") as copy:
@@ -331,7 +331,7 @@ def _copy(source: Path, target: Path) -> str:
 
 
 def _delete(connection: duck.Connection, store: Snapshot, work: ShardPlan, start: _Start) -> None:
-    """Delete the rows that are not in the next generation any more."""
+    """Delete the rows that are not in the next generation."""
     before = {shard.number: shard.take_ids for shard in (*start.shards, *start.lost)}
     removed = (*work.removed, *(shard.number for shard in start.lost))
     after = {shard.number: shard.take_ids for shard in work.kept}
@@ -344,7 +344,7 @@ def _delete(connection: duck.Connection, store: Snapshot, work: ShardPlan, start
 
 
 def _link(kept: Iterable[Shard], before: Path | None, folder: Path) -> None:
-    """Take over the bit slices of shards that stay: both generations share a file where the file system has links."""
+    """Link the bit slices of reused shards into the new folder; copy them if the file system has no links."""
     for shard in kept:
         assert before is not None
         name = slices_name(shard.number)
@@ -363,7 +363,7 @@ def _insert(
     threads: int | None,
     bar: Counter | None,
 ) -> tuple[Shard, ...]:
-    """Make the new shards, several at a time, and store them in their order; bit slices go into files beside."""
+    """Make the new shards, several at a time, and store them in order; write bit slices to files beside the index."""
     features = len(store.feature_set.features)
 
     def make(item: tuple[int, tuple[Part, ...]]) -> tuple[Shard, tables.ShardRows]:
@@ -391,7 +391,7 @@ def _insert(
 
 
 def _ahead(function: Callable[[Item], Result], items: Iterable[Item], workers: int) -> Iterator[Result]:
-    """Apply a function in threads and yield the results in the items' order, at most one item a thread in advance."""
+    """Apply a function in threads and yield results in order, with at most one item per thread in advance."""
     if workers <= 1:
         yield from map(function, items)
         return

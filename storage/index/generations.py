@@ -1,4 +1,4 @@
-"""Published generations of the index: their files and records, and the one that fits a version of the store."""
+"""Find and read published generations of the index, and choose the one that fits a version of the store."""
 
 from __future__ import annotations
 
@@ -19,24 +19,25 @@ from kinedex.storage.snapshot.manifest_files import content_digest_of, json_chec
 from kinedex.storage.snapshot.schemas import FORMAT_VERSION
 
 INDEX_VERSION = 6
-"""Version of the index's tables and of its other files; an index of another version is built again."""
+"""Version of the index's tables and other files; an index of another version is rebuilt."""
 
 KEPT = 8
-"""Generations that a build keeps, its own among them, besides those of versions that readers have open. Each is a copy
-of the file, so that there must be a bound; `kinedex gc` removes those that no remaining version needs."""
+"""The number of generations that a build keeps, including its own, besides those of versions that readers have open.
+Each is a copy of the file, so their number is limited; `kinedex gc` removes those that no remaining version needs.
+"""
 
 BUILDING, GENERATION = ".building-", "gen-"
-"""Prefixes of the folders of unfinished and of published indexes."""
+"""Prefixes of the folders of unfinished and of published generations."""
 
 _NAME = re.compile(rf"{GENERATION}(\d+)(?:-(\d+))?")
 
 FILE, RECORD = "index.duckdb", "generation.json"
-"""The files of a generation: the index and its record; bit slices lie beside them (`slices_name`)."""
+"""The files of a generation: the index and its record; the files of bit slices are beside them (`slices_name`)."""
 
 
 @dataclass(frozen=True)
 class ShardPart:
-    """The takes of one frames part that a shard holds.
+    """The takes of one frames part that are in a shard.
 
     Attributes
     ----------
@@ -59,11 +60,11 @@ class Shard:
     number : int
         Value of the column `shard` in `stored_vocabulary`.
     parts : tuple of ShardPart
-        The parts that the shard was made from, with the takes that it still holds.
+        The parts from which the shard was made, with the takes that it still has.
     frames : int
         Frames of its takes.
     built_frames : int
-        Frames when the shard was made; rows of takes that it has lost since were deleted.
+        Frames when the shard was made; rows of takes removed since have been deleted.
     slices_bytes : int
         Size of the file of its bit slices (`storage.index.slice_files`), which is never rewritten.
     slices_xxh3 : str
@@ -112,15 +113,15 @@ class Generation:
     xxh3 : str
         XXH3 of the DuckDB file.
     whole_bytes_per_frame : float
-        Bytes per frame when the file was last written whole.
+        Bytes per frame when the file was last written completely.
     built : str
         Time of the build, ISO 8601 in UTC.
     built_frames : int
-        Frames that were indexed anew for this generation.
+        Frames that were newly indexed for this generation.
     build_seconds : float
         Duration of the build.
     takes : str
-        `Manifest.takes_digest` of the version, whose rows its table `takes` has.
+        `Manifest.takes_digest` of the version whose rows are in its table `takes`.
     """
 
     index_version: int
@@ -152,7 +153,7 @@ class Generation:
 
     @classmethod
     def from_json(cls, text: str) -> Generation:
-        """Read the text of `generation.json`; a ValueError, TypeError or KeyError reports a damaged one."""
+        """Parse the text of `generation.json`; raise ValueError, TypeError or KeyError if it is damaged."""
         values = json.loads(text)
         if values.pop("checksum") != json_checksum(values):
             raise ValueError("its content does not fit its checksum")
@@ -169,11 +170,11 @@ def _shard(values: dict[str, object]) -> Shard:
 
 
 def readable_version(store: Path, newest: Manifest) -> tuple[int, Path | None]:
-    """Return the newest version of a store that has its index, and the index; the newest version where none has.
+    """Return the newest version of a store that has an index, and that index; else the newest version and None.
 
-    Where a newer index is damaged, or of another version of kinedex, this is the newest version, without an index. Few
-    manifests are read, however many versions there are: takes only change from one version to a later one, and the
-    versions with the takes of an index follow one another.
+    If a newer index is damaged, or of another version of kinedex, the newest version is returned, without an index. Few
+    manifests are read, however many versions there are, because the versions with the takes of an index are
+    consecutive.
 
     Parameters
     ----------
@@ -193,15 +194,15 @@ def readable_version(store: Path, newest: Manifest) -> tuple[int, Path | None]:
             if version is not None:
                 return version, folder
         elif folder.is_dir():
-            # it may be that of the newest version: damage must be reported, not answered by an older version
+            # it may belong to the newest version: report damage, do not answer with an older version
             break
     return newest.version, None
 
 
 def _last_version(store: Path, record: Generation, newest: Manifest, known: dict[int, str]) -> int | None:
-    """Return the last version with the takes of an index; None if there is none.
+    """Return the last version whose takes are those of an index; None if there is none.
 
-    `known` has the digests of versions that were read before, and gets those that are read here.
+    `known` caches the digests of versions; those read here are added.
     """
     later = [version for version in versions(store) if version >= record.manifest_version]
 
@@ -215,10 +216,10 @@ def _last_version(store: Path, record: Generation, newest: Manifest, known: dict
 
 
 def current_generation(store: Path, manifest: Manifest) -> Path | None:
-    """Return the newest generation that indexes exactly the live takes of a version; None where there is none."""
+    """Return the newest generation that indexes exactly the live takes of a version; None if there is none."""
     content = manifest.content_digest()
     found = None
-    # a listed generation may be replaced before it is read; no name is ever given twice
+    # a listed generation may be replaced before it is read; names are never reused
     while found != (found := generations(store)):
         for generation in found:
             record = read_generation(generation)
@@ -228,7 +229,7 @@ def current_generation(store: Path, manifest: Manifest) -> Path | None:
 
 
 def _sound(generation: Path, record: Generation | None) -> bool:
-    """Return whether a generation is of this version and has files of the right size."""
+    """Return whether a generation has the current index version and files of the recorded sizes."""
     return (
         record is not None
         and record.index_version == INDEX_VERSION
@@ -237,7 +238,7 @@ def _sound(generation: Path, record: Generation | None) -> bool:
 
 
 def wrong_sizes(generation: Path, record: Generation) -> Iterator[tuple[str, str]]:
-    """Yield the name and the fault of each file of a generation that is missing or has another size than recorded."""
+    """Yield name and fault of each file of a generation that is missing or has another size than recorded."""
     for name, (wanted, _) in index_files(record).items():
         size = _size(generation / name)
         if size != wanted:
@@ -257,13 +258,13 @@ def slices_name(number: int) -> str:
 
 
 def index_files(record: Generation) -> dict[str, tuple[int, str]]:
-    """Return the files of a generation that readers open: name → size in bytes and XXH3."""
+    """Return the files of a generation that readers open: name → (size in bytes, XXH3)."""
     slices = {slices_name(shard.number): (shard.slices_bytes, shard.slices_xxh3) for shard in record.shards}
     return {FILE: (record.bytes, record.xxh3), **slices}
 
 
 def read_generation(generation: Path) -> Generation | None:
-    """Return the record of a generation; None where it cannot be read."""
+    """Return the record of a generation; None if it cannot be read."""
     try:
         return Generation.from_json((generation / RECORD).read_text(encoding="utf-8"))
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
@@ -271,7 +272,7 @@ def read_generation(generation: Path) -> Generation | None:
 
 
 def is_whole(generation: Path) -> bool:
-    """Return whether the files have the checksums with which they were published."""
+    """Return whether the files still have the checksums with which they were published."""
     record = read_generation(generation)
     return record is not None and all(
         file_digest(generation / name) == xxh3 for name, (_, xxh3) in index_files(record).items()
@@ -279,7 +280,7 @@ def is_whole(generation: Path) -> bool:
 
 
 def file_digest(file: Path) -> str:
-    """Return the XXH3 of a file; an empty text where it cannot be read."""
+    """Return the XXH3 of a file; empty if it cannot be read."""
     try:
         return xxh3_of(file)[0]
     except OSError:
@@ -322,17 +323,17 @@ def generations(store: Path) -> list[Path]:
 
 
 def new_generation(store: Path, version: int) -> Path:
-    """Return a folder for the next generation of a version, with a new name: `gen-000012`, then `gen-000012-2`."""
+    """Return a new folder name for the next generation of a version: `gen-000012`, then `gen-000012-2`."""
     number = max((_age(folder.name)[1] for folder in generations(store) if is_of(folder, version)), default=0)
     return store / "index" / (f"{GENERATION}{version:06d}" + (f"-{number + 1}" if number else ""))
 
 
 def is_of(generation: Path, version: int) -> bool:
-    """Return whether a generation bears the name of this version."""
+    """Return whether a generation's name is one of this version."""
     return _age(generation.name)[0] == version
 
 
 def _age(name: str) -> tuple[int, int, str]:
-    """Return version and number of a generation's name, the key by which generations are sorted."""
+    """Return the sort key of a generation's name: version, number, name."""
     match = _NAME.fullmatch(name)
     return (int(match[1]), int(match[2] or 1), name) if match else (0, 0, name)

@@ -1,4 +1,4 @@
-"""The small tables of the index that explain the others: the features, and the list of views and macros."""
+"""Make the small tables of the index that describe the others: the features, and the list of views and macros."""
 
 from __future__ import annotations
 

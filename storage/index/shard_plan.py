@@ -1,10 +1,10 @@
-"""The plan of an index build: the shards that stay, that lose takes, and that are made anew.
+"""Plan an index build: the shards that are kept, that lose takes, and that are made anew.
 
-Frames parts are put together into shards of `SHARD_FRAMES` frames. Takes that are added later form a shard of their
-own, and small shards are merged by tiers, as small parts are (`storage.store.compaction`): a tier with `FANOUT` shards
-or more becomes one shard of a higher tier, so that each frame is indexed a few times at most, and few shards are small.
-Takes that are dropped are deleted from their shard until half of it is gone; then it is made anew. So the cost of a
-build follows the change, not the size of the archive.
+Frames parts are combined into shards of `SHARD_FRAMES` frames. Takes that are added later form a new shard, and small
+shards are merged by tiers (size classes), like small parts (`storage.store.compaction`): a tier with `FANOUT` shards or
+more becomes one shard of a higher tier, so that each frame is indexed a few times at most, and few shards are small.
+Dropped takes are deleted from their shard until half of it is gone; then it is made anew. So the cost of a build is
+proportional to the change, not to the size of the archive.
 """
 
 from __future__ import annotations
@@ -17,14 +17,15 @@ from kinedex.storage.index.generations import Shard, ShardPart
 from kinedex.storage.snapshot.part_records import Part, ranges
 
 SHARD_FRAMES = 1_048_576
-"""A shard of this many frames (9.7 hours at 30 Hz) is full. Making one takes some 100 MB of memory; the runs of one
-word lie in as many places as there are shards, and 400 hours have some forty."""
+"""The number of frames of a full shard, 9.7 hours at 30 Hz. Making one takes some 100 MB of memory.
+The runs of a word are spread over all shards, of which 400 hours have some forty.
+"""
 
 FANOUT = 8
-"""Number of shards of one tier that are merged; also the ratio of the tiers' sizes."""
+"""The number of shards of one tier that are merged, and the ratio of the tiers' sizes."""
 
 SMALLEST = 4096
-"""All shards below this many frames are of the lowest tier."""
+"""The number of frames below which all shards are of the lowest tier."""
 
 
 @dataclass(frozen=True)
@@ -34,13 +35,13 @@ class ShardPlan:
     Attributes
     ----------
     kept : tuple of Shard
-        Shards whose rows stay, as they are afterwards.
+        Shards that are kept, in their state after the build.
     dropped : dict of int to tuple of int
         Number of a kept shard → the ids of the takes that it loses.
     removed : tuple of int
-        Numbers of the shards whose rows all go.
+        Numbers of the shards that are removed.
     fresh : tuple of tuple of Part
-        The parts that each new shard is made from.
+        The parts from which each new shard is made.
     """
 
     kept: tuple[Shard, ...]
@@ -57,16 +58,16 @@ class _Group:
 
 
 def plan_shards(parts: Iterable[Part], before: Sequence[Shard], shard_frames: int = SHARD_FRAMES) -> ShardPlan:
-    """Decide which shards stay, lose takes, go, or are made.
+    """Decide which shards are kept, lose takes, are removed, or are made.
 
     Parameters
     ----------
     parts : iterable of Part
         Frames parts of the version to index.
     before : sequence of Shard
-        Shards of the generation before; empty to make everything anew.
+        Shards of the generation before; empty for a complete build.
     shard_frames : int, optional
-        Number of frames from which a shard is full and not merged any more.
+        Number of frames at which a shard is full and no longer merged.
     """
     loose = {part.sha256: part for part in parts if part.live}
     groups: list[_Group] = []
@@ -92,17 +93,17 @@ def plan_shards(parts: Iterable[Part], before: Sequence[Shard], shard_frames: in
 
 
 def shard_parts(parts: Iterable[Part]) -> tuple[ShardPart, ...]:
-    """Return the record of the parts that a shard is made from."""
+    """Return the records of the parts from which a shard is made."""
     return tuple(ShardPart(part.sha256, _ranges(part)) for part in parts)
 
 
 def ids(part: ShardPart) -> Iterable[int]:
-    """Return the ids of the takes that a shard holds of a part."""
+    """Return the ids of the takes of a part that are in a shard."""
     return chain.from_iterable(range(first, stop) for first, stop in part.takes)
 
 
 def _stays(shard: Shard, live: dict[str, Part]) -> tuple[Part, ...]:
-    """Return the parts of a shard that still exist; a part in which dropped takes are live again is another part."""
+    """Return the parts of a shard that still exist; a part with dropped takes that are live again counts as new."""
     found = []
     for member in shard.parts:
         part = live.get(member.sha256)
@@ -132,7 +133,7 @@ def _ranges(part: Part) -> tuple[tuple[int, int], ...]:
 
 
 def _packed(parts: Iterable[Part], shard_frames: int) -> list[_Group]:
-    """Put parts together, in order of their takes, until a shard is full; no part is divided."""
+    """Combine parts, in order of their takes, until a shard is full; no part is divided."""
     groups: list[_Group] = []
     waiting: list[Part] = []
     frames = 0
@@ -146,7 +147,7 @@ def _packed(parts: Iterable[Part], shard_frames: int) -> list[_Group]:
 
 
 def _merged(groups: list[_Group], shard_frames: int) -> list[_Group]:
-    """Merge the full tiers, the lowest first, until no tier is full."""
+    """Merge full tiers, the lowest first, until no tier is full."""
     while True:
         tiers: dict[int, list[_Group]] = {}
         for group in groups:

@@ -1,11 +1,11 @@
-"""Slice files: the bit slices of one shard each, written once and mapped by every process that searches.
+"""Write and map slice files: the bit slices of one shard each, written once and mapped by every search process.
 
 All processes of a machine share the mapped pages. A mapped file stays readable after it has been removed (Windows
 refuses to remove it).
 
-The file is little-endian. Its head has 64 bytes: the eight letters of `MAGIC`, then as uint64 `LAYOUT` and the numbers
-of features f, takes T and blocks B, then zeros. After it come take_ids, int64 (T,), ascending, and the arrays of
-`ops.search.bit_slices.BitSlices` in the order of `_shapes`, each from the next multiple of 64 bytes on.
+The file is little-endian. Its header has 64 bytes: the eight characters of `MAGIC`, then as uint64 `LAYOUT` and the
+numbers of features f, takes T and blocks B, then zeros. After it come take_ids, int64 (T,), ascending, and the arrays
+of `ops.search.bit_slices.BitSlices` in the order of `_shapes`, each at the next multiple of 64 bytes.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from kinedex.storage.snapshot.checked_files import CheckedFiles
 MAGIC = b"KDXSLICE"
 
 LAYOUT = 1
-"""Version of the file's layout and arrays; a change of it needs a new `storage.index.generations.INDEX_VERSION`."""
+"""Version of the file's layout and arrays; a change requires a new `storage.index.generations.INDEX_VERSION`."""
 
 _ALIGNED = 64
 _HEAD = 64
@@ -39,14 +39,14 @@ _HEAD = 64
 
 @dataclass(frozen=True)
 class ShardSlices:
-    """The slices of a shard as its file holds them.
+    """The bit slices of a shard, as its file stores them.
 
     Attributes
     ----------
     take_ids : int64 array (T,)
         Id of each take, ascending.
     live : bool array (T,)
-        True for the takes that count; the others have been dropped or replaced since the shard was made.
+        True for live takes; the others have been dropped or replaced since the shard was made.
     slices : BitSlices
         The slices of all takes.
     """
@@ -97,7 +97,7 @@ def write_slices(file: Path, take_ids: I64, slices: BitSlices) -> tuple[int, str
 
 
 def open_slices(files: CheckedFiles, generation: Path, record: Generation) -> tuple[ShardSlices, ...]:
-    """Map the slices of all shards of a published generation, read-only, once their checksums are found to be right.
+    """Map the slices of all shards of a published generation, read-only, after a check of their checksums.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def open_slices(files: CheckedFiles, generation: Path, record: Generation) -> tu
 
 
 def _open(files: CheckedFiles, file: Path, shard: Shard) -> ShardSlices:
-    # search uses the numbers of the file as indices; only the checksum keeps it inside the file
+    # search uses the file's numbers as indices; only the checksum keeps them in range
     if not files.is_sound(file, shard.slices_xxh3):
         raise StoreError(
             f"{file}: the index is damaged: its content does not fit its checksum", remedy=build_index(files.store)
@@ -137,7 +137,7 @@ def _open(files: CheckedFiles, file: Path, shard: Shard) -> ShardSlices:
 
 
 def _live(take_ids: I64, shard: Shard) -> npt.NDArray[np.bool_]:
-    """Return a mask of the takes that are still in a shard, by the ranges of ids of its parts."""
+    """Return a mask of the takes that are still in a shard, from the id ranges of its parts."""
     ranges = sorted(pair for part in shard.parts for pair in part.takes)
     starts, stops = np.array(ranges, np.int64).reshape(-1, 2).T
     place = np.searchsorted(starts, take_ids, side="right") - 1
@@ -146,7 +146,7 @@ def _live(take_ids: I64, shard: Shard) -> npt.NDArray[np.bool_]:
 
 
 def _shapes(features: int, takes: int, blocks: int) -> Iterator[tuple[str, str, int]]:
-    """Yield name, dtype and length of every array, in their order in the file."""
+    """Yield name, dtype and length of every array, in the order of the file."""
     yield "take_ids", "<i8", takes
     yield "frames", "<i8", takes
     yield "first", "<i8", takes + 1

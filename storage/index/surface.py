@@ -1,4 +1,4 @@
-"""The views and macros of an index as SQL text, and their hash: they change while the rows of an index stay valid."""
+"""Make the views and macros of an index as SQL text, and a hash of them: they may change while rows stay valid."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from kinedex.storage import duck
 
 
 def surface(feature_set: FeatureSet, rate_hz: float) -> str:
-    """Return a hash of the views, macros and help of an index; a change of it leaves the rows valid."""
+    """Return a hash of the views, macros and help of an index; when it changes, the rows stay valid."""
     text = "\n".join([*index_statements(feature_set, rate_hz), *map(repr, help_rows(index_only=True))])
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def index_statements(feature_set: FeatureSet, rate_hz: float) -> list[str]:
-    """Return the statements that make the views and macros over the tables of an index."""
-    # every column stands with its table: a bare name could be taken for an argument of a macro
+    """Return the SQL statements that create the views and macros over the tables of an index."""
+    # every column is qualified by its table: a bare name could be taken for an argument of a macro
     run = "s.take_id::BIGINT AS take_id, s.start, s.start + s.frames AS stop"
     lists = [
         f"SELECT {duck.quote(name)} AS feature_set, s.word, {run} FROM {lists_table(name)} AS s"

@@ -1,10 +1,10 @@
-"""The content of an index file: the tables that hold the rows of shards, and the views and macros over them.
+"""Make the content of an index file: the tables with the rows of shards, and the views and macros over them.
 
 `stored_word_runs_<set>`, `stored_feature_runs`, `stored_valid_runs` and `stored_vocabulary` hold the rows of all
 shards, one after the other, each sorted. The take of a run determines its shard, since every take is in one shard; the
-vocabulary has a column for the shard. A run is stored with its length, which takes a third of the room of its end, and
-with its take's id in 32 bits. A take that lacks features of a set has no words of it: it is in neither lists nor
-vocabulary of the set, and its valid frames are in `stored_valid_runs` alone. The views `word_runs`, `feature_runs` and
+vocabulary has a column for the shard. A run is stored with its length, which takes a third of the space of its end, and
+with its take's id in 32 bits. A take with unknown features of a set has no words of the set: it is in neither its lists
+nor its vocabulary, and its valid frames are only in `stored_valid_runs`. The views `word_runs`, `feature_runs` and
 `vocabulary` show the tables as `catalog.sql.views` describes.
 """
 
@@ -31,7 +31,7 @@ from kinedex.storage.index.surface import index_statements, lists_table
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 BATCH = 122_880
-"""Rows of a DuckDB row group; several threads compress batches of this size."""
+"""The number of rows of a DuckDB row group; several threads compress batches of this size."""
 
 
 class ShardRows(NamedTuple):
@@ -40,7 +40,7 @@ class ShardRows(NamedTuple):
     Attributes
     ----------
     take_ids : int64 array (T,)
-        Ids of the takes; the runs name a take by its position here.
+        Ids of the takes; runs refer to a take by its index here.
     lists : dict of str to InvertedLists
         Feature set → its inverted lists.
     features : FeatureRuns
@@ -59,7 +59,7 @@ class ShardRows(NamedTuple):
 
 
 def make_shard(words: TakeWords, feature_set: FeatureSet) -> ShardRows:
-    """Make the rows of a shard from the words of its takes; any thread may call it.
+    """Make the rows of a shard from the words of its takes; the function is thread-safe.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def make_shard(words: TakeWords, feature_set: FeatureSet) -> ShardRows:
 
 
 def _words_of_set(words: TakeWords, home: WordSet) -> U64:
-    """Return the words without those of takes that lack a feature of a set."""
+    """Return the words, without those of takes that have unknown features of a set."""
     if words.known is None:
         return words.words
     mask = np.uint64(home.mask)
@@ -93,12 +93,12 @@ def _words_of_set(words: TakeWords, home: WordSet) -> U64:
 
 
 def create(connection: duck.Connection, feature_set: FeatureSet) -> None:
-    """Make the tables that hold the rows of shards."""
-    # DuckDB would choose the same after trying all compressions, which takes a third of the time of storing
+    """Create the tables for the rows of shards."""
+    # DuckDB would choose the same after trying all compressions, which takes a third of the storing time
     packed, repeated = "USING COMPRESSION bitpacking", "USING COMPRESSION rle"
     run = f"take_id INTEGER {packed}, start INTEGER {packed}, frames INTEGER {packed}"
     for name, home in feature_set.sets.items():
-        # few features make few words, so that each has many runs in a shard
+        # few features give few distinct words, each with many runs in a shard
         column = "UBIGINT" if home.count > MOST_COUNTED else f"UBIGINT {repeated}"
         connection.execute(f"CREATE TABLE {lists_table(name)} (word {column}, {run})")
     connection.execute(f"CREATE TABLE stored_feature_runs (feature UTINYINT {repeated}, {run})")
@@ -148,7 +148,7 @@ def delete(
     feature_set : FeatureSet
         The feature set of the words.
     removed : mapping of int to iterable of int
-        Number of a shard that goes → the ids of its takes.
+        Number of a removed shard → the ids of its takes.
     dropped : mapping of int to pair of iterables of int
         Number of a shard → the ids of the takes that it loses, and the ids of the takes that it keeps.
     """
@@ -171,14 +171,14 @@ def delete(
 
 @contextmanager
 def _takes(connection: duck.Connection, name: str, take_ids: Iterable[int]) -> Iterator[None]:
-    """Provide ids of takes as a table of this name."""
+    """Provide take ids as a temporary table with this name."""
     connection.register(name, pa.table({"take_id": np.fromiter(take_ids, np.int32)}))
     yield
     connection.unregister(name)
 
 
 def describe(connection: duck.Connection, store: Snapshot, *, anew: bool) -> None:
-    """Make the tables takes and vocabulary, and with `anew` also features, help, views and macros.
+    """Create the tables takes and vocabulary, and if `anew` also features, help, views and macros.
 
     The latter must not exist yet; `clear` removes them.
     """
@@ -210,7 +210,7 @@ def valid_frames(connection: duck.Connection) -> int:
 
 
 def valid_frames_of(connection: duck.Connection, home: WordSet) -> int:
-    """Return the number of frames with a word of the takes that know all features of a set."""
+    """Return the number of frames with a word, in takes for which all features of a set are known."""
     query = f"""SELECT coalesce(sum(r.frames), 0)::BIGINT FROM stored_valid_runs AS r
         JOIN takes AS t ON t.take_id = r.take_id
         WHERE t.known IS NULL OR (t.known & {home.mask}::UBIGINT) = {home.mask}::UBIGINT"""
@@ -218,7 +218,7 @@ def valid_frames_of(connection: duck.Connection, home: WordSet) -> int:
 
 
 def clear(connection: duck.Connection) -> None:
-    """Drop the views, macros and tables of an earlier generation beside its shards."""
+    """Drop the views, macros and tables of an earlier generation, except those of its shards."""
     for source, kind, where in (
         ("duckdb_views()", "view_name, 'VIEW'", ""),
         ("duckdb_functions()", "function_name, IF(function_type = 'table_macro', 'MACRO TABLE', 'MACRO')", ""),

@@ -1,4 +1,4 @@
-"""Verification of a published index: its content against its record and against the store that it indexes."""
+"""Verify a published index: compare its content with its record and with the store that it indexes."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def index_problems(
     """Yield file and problem for every fault in the content of an index whose files have the recorded checksums.
 
     In a sound index every live take is in one shard; the tables have the recorded number of rows; in every shard the
-    lists of a feature set have the runs and the frames that its vocabulary counts; the words of every set fill all
-    frames that have one, of the takes that know the set; and the bit slices are those of the takes' words.
+    lists of a feature set have the runs and the frames that its vocabulary counts; the runs of every set's words cover
+    all frames with a word, in takes for which the set is known; and the bit slices agree with the takes' words.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def index_problems(
     record : Generation
         The record of the index.
     words : bool, optional
-        Compare the bit slices with the words of the store, whose parts must be sound then.
+        True to compare the bit slices with the words of the store, whose parts must then be undamaged.
     """
     for problem in _tables(store, generation, record):
         yield FILE, problem
@@ -70,7 +70,7 @@ def _slices(store: Snapshot, shard: Shard, found: ShardSlices, against_words: bo
 
 
 def _tables(store: Snapshot, generation: Path, record: Generation) -> Iterator[str]:
-    # compared by takes, not by parts: compaction moves takes to other parts, and the index stays valid
+    # compared by takes, not parts: compaction moves takes to other parts, and the index stays valid
     held = sorted(take for shard in record.shards for take in shard.take_ids)
     if held != list(store.manifest.live_takes):
         yield "its shards do not hold every live take once"

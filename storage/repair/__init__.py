@@ -1,1 +1,1 @@
-"""Repair of a store: what is damaged is made again or kept aside; the pipelines read sources and run stages for it."""
+"""Repair a store: restore damaged files or move them to quarantine; pipelines re-read sources and re-run stages."""

@@ -1,22 +1,22 @@
-"""A flipped bit of a small file: found by trying each, and proven by the checksum."""
+"""Restore a small file with one flipped bit by trying each bit against the checksum."""
 
 from __future__ import annotations
 
 import hashlib
 
 LARGEST = 24_000
-"""A file of more bytes is not tried: the time grows with the square of the size, to some seconds here."""
+"""The largest file in bytes that is tried: the time grows with the square of the size, to some seconds here."""
 
 
 def without_flip(content: bytes, sha256: str) -> bytes | None:
-    """Return the content that a file had before one of its bits was flipped; None if that is not what happened.
+    """Return the content of a file before one of its bits was flipped; None if no single flip explains the damage.
 
     Parameters
     ----------
     content : bytes
         The damaged content, at most `LARGEST` bytes.
     sha256 : str
-        The checksum of the content before, in hexadecimal.
+        The checksum of the original content, in hexadecimal.
     """
     if len(content) > LARGEST:
         return None

@@ -1,4 +1,4 @@
-"""Labels of damaged parts: primary data, whose rows older versions may hold in other parts."""
+"""Restore labels of damaged parts from older versions that have their rows in other parts."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from kinedex.storage.snapshot.snapshot import Snapshot
 
 @dataclass(frozen=True)
 class RestoredLabels:
-    """The manifest of a store without damaged parts of labels.
+    """A manifest without damaged parts of labels, and what was restored.
 
     Attributes
     ----------
     manifest : Manifest
-        The version to publish, or the present one if the damaged part has its content back.
+        The version to publish, or the current one if the damaged part itself was restored.
     restored : int
-        Number of rows that older versions hold in sound parts.
+        Number of rows found in undamaged parts of older versions.
     lost : int
-        Number of rows that no sound part holds.
+        Number of rows found in no undamaged part.
     journals : tuple of Journal
-        The files of the journal whose sound rows the version has.
+        The journal files whose undamaged rows are in the version.
     """
 
     manifest: Manifest
@@ -40,14 +40,14 @@ class RestoredLabels:
 
 
 def restored_labels(store: Snapshot, bad: list[LabelPart]) -> RestoredLabels:
-    """Write the rows of damaged parts that sound parts of older versions hold as a new part, with those of the journal.
+    """Collect the rows of damaged parts from undamaged parts of older versions and the journal, as a new part.
 
     Parameters
     ----------
     store : Snapshot
         The store.
     bad : list of LabelPart
-        Its damaged parts of labels.
+        The damaged parts of labels.
     """
     sound = [part for part in store.manifest.labels if part not in bad]
     known = _ids(store, sound)

@@ -1,4 +1,4 @@
-"""Damaged manifests: an older one is kept aside; in the place of the newest the version before counts."""
+"""Handle damaged manifests: quarantine them; if the newest is damaged, the version before becomes current."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ class BadManifest:
     problem : str
         The damage.
     lost : tuple of str
-        Paths of the parts that no other version names, which are lost with it.
+        Paths of the parts that no other version names, which are lost with the manifest.
     changes : str
-        The changes of the version and the command that made it, as far as the damaged manifest can be read.
+        The changes of the version and the command that made it, as far as they can be read.
     """
 
     version: int
@@ -56,7 +56,7 @@ def bad_manifests(store: Path) -> list[BadManifest]:
     Raises
     ------
     StoreError
-        There is no store; a manifest has a format that is not read; or no version is sound.
+        There is no store; a manifest has an unsupported format; or all versions are damaged.
     """
     found, sound = {}, []
     for version in versions(store):
@@ -77,9 +77,9 @@ def bad_manifests(store: Path) -> list[BadManifest]:
 
 
 def _changes(path: Path) -> str:
-    """Return what a damaged manifest states of its changes; empty if that cannot be read."""
+    """Return the changes that a damaged manifest records; empty if they cannot be read."""
     try:
-        # the lines of a manifest are JSON each, so that most of them outlive a damage
+        # each line of a manifest is JSON, so that most lines survive damage
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         return ""
@@ -116,7 +116,7 @@ def set_aside(quarantine: Quarantine, bad: list[BadManifest]) -> None:
 
 
 def _unnamed(store: Path, sound: list[int]) -> tuple[str, ...]:
-    """Return the parts on disk that no sound version names."""
+    """Return the parts on disk that no undamaged version names."""
     named = set().union(*(named_files(store, version) for version in sound))
     found = (
         f"{folder}/{name}"

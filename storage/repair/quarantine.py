@@ -1,4 +1,4 @@
-"""The quarantine of a store: damaged files that cannot be made again, and a list of what they held."""
+"""Keep damaged files that cannot be restored in a quarantine, with a list of what they contained."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from kinedex.storage.disk import TEMPORARY, sync_folder, write_errors
 
 FOLDER = "quarantine"
 JOURNAL = "journal"
-"""The folder whose files change in their place."""
+"""The folder whose files are modified in place."""
 
 LIST = "quarantine.json"
-"""The list of a quarantine, in its folder."""
+"""The name of the list file in a quarantine's folder."""
 
 
 @dataclass(frozen=True)
 class KeptFile:
-    """A file that a quarantine keeps.
+    """A file in a quarantine.
 
     Attributes
     ----------
@@ -30,11 +30,11 @@ class KeptFile:
     why : str
         The damage.
     held : str
-        Description of what it held.
+        Description of its content.
     sha256 : str
-        The checksum that it should have; empty where none is recorded.
+        The expected checksum; empty if none is recorded.
     stage : str
-        The stage that made it, "<pipeline>/<stage>", of results.
+        For results, the stage that made them, "<pipeline>/<stage>".
     """
 
     file: str
@@ -46,12 +46,12 @@ class KeptFile:
 
 @dataclass(frozen=True)
 class LostTake:
-    """A take that the store lost, by its row.
+    """A take that the store lost, as far as its row is known.
 
     Attributes
     ----------
     name : str
-        Its name; empty where not even its row could be read.
+        Its name; empty if its row could not be read.
     take_id : int
         Its id.
     source : str
@@ -68,7 +68,7 @@ class LostTake:
 
 @dataclass
 class PendingRun:
-    """A pipeline that is to run again, because results of its stages were removed.
+    """A pipeline that must run again, because results of its stages were removed.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class PendingRun:
 
 @dataclass
 class Quarantine:
-    """The quarantine that one repair makes, in `quarantine/<time>/`; the folder is made with its first entry.
+    """The quarantine of one repair, in `quarantine/<time>/`; the folder is created with the first entry.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ class Quarantine:
     takes : list of LostTake
         The takes that were lost.
     runs : list of PendingRun
-        The pipelines that are to run again.
+        The pipelines that must run again.
     """
 
     store: Path
@@ -120,7 +120,7 @@ class Quarantine:
 
     @classmethod
     def new(cls, store: Path) -> Quarantine:
-        """Return a quarantine with a new name; nothing is written yet."""
+        """Return a quarantine with a new name, without writing anything."""
         name = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
         number = 2
         while (store / FOLDER / name).exists():
@@ -129,7 +129,7 @@ class Quarantine:
         return cls(store, name)
 
     def keep(self, entry: KeptFile) -> None:
-        """List a file and keep its content, if it is there; the file itself stays where it is."""
+        """Add a file to the list and copy its content if it exists; the original file is not removed."""
         self.files.append(entry)
         source, target = self.store / entry.file, self.folder / entry.file
         with write_errors(target):
@@ -140,7 +140,7 @@ class Quarantine:
         self.write()
 
     def finish(self, run: PendingRun) -> None:
-        """Record that a pipeline has run again: what its stages made before is not needed any more."""
+        """Record that a pipeline has run again, and remove the kept files of its stages."""
         run.done = True
         self.write()
         made = [entry for entry in self.files if entry.stage in run.stages]
@@ -152,7 +152,7 @@ class Quarantine:
             shutil.rmtree(self.folder)
 
     def write_file(self, name: str, text: str) -> str:
-        """Write a file of the quarantine's own and return its path relative to the store."""
+        """Write an additional file into the quarantine, and return its path relative to the store."""
         path = self.folder / name
         with write_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -170,7 +170,7 @@ class Quarantine:
 
 
 def quarantines(store: Path) -> list[Quarantine]:
-    """Return the quarantines of a store, oldest first; one whose list cannot be read has no entries."""
+    """Return the quarantines of a store, oldest first; one with an unreadable list has no entries."""
     folder = store / FOLDER
     names = sorted(os.listdir(folder)) if folder.is_dir() else []
     return [_read(store, name) for name in names if (folder / name).is_dir()]
@@ -201,7 +201,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def _preserve(source: Path, target: Path) -> None:
-    """Keep the content of a file under another path; by a copy if it can change, or if there are no hard links."""
+    """Preserve a file's content under another path, by a hard link, or by a copy if it can change or links fail."""
     target.unlink(missing_ok=True)
     if source.parent.name == JOURNAL:
         shutil.copy2(source, target)

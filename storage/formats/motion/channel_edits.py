@@ -96,9 +96,7 @@ class MirrorPlane:
     image: tuple[int, ...]
 
     def flips(self, kind: int) -> bool:
-        """Return whether a channel is negated: a rotation about an axis in the plane, or a translation along the
-        normal.
-        """
+        """Return whether a channel is negated: rotations about in-plane axes, and translations along the normal."""
         return (kind % 3 != self.axis) == (kind <= k.ROTATE_Z) and kind != k.STRETCH
 
 

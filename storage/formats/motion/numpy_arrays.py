@@ -86,9 +86,7 @@ def array_names(path: Path) -> list[str]:
     try:
         with zipfile.ZipFile(path) as packed:
             return [name.removesuffix(".npy") for name in packed.namelist()]
-    except (
-        Exception
-    ):  # zipfile raises many classes of errors for damaged data; the file's reader reports the fault
+    except Exception:  # zipfile raises many classes of errors for damaged data; the file's reader reports the fault
         return []
 
 

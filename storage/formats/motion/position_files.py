@@ -1,4 +1,4 @@
-"""Parsers of joint positions: TRC, CSV, NPZ and NPY, as marker-less systems and kinedex itself write them."""
+"""Parse joint positions from TRC, CSV, NPZ and NPY, as marker-less systems and kinedex itself write them."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ F64 = npt.NDArray[np.float64]
 ARRAYS = ("positions", "joints", "keypoints", "keypoints_3d")
 NAMES = ("names", "joint_names", "keypoint_names")
 RATES = ("rate_hz", "fps", "mocap_framerate", "mocap_frame_rate")
-"""The keys of an NPZ file: the positions (frames, joints, 3), the joints' names, and frames per second."""
+"""Keys of an NPZ file: of the positions (frames, joints, 3), the joints' names, and the frames per second."""
 
 _READ = (*ARRAYS, *NAMES, *RATES)
-_AT_ONCE = 16_384  # frames that are converted at a time
+_AT_ONCE = 16_384  # frames converted at once
 _TIMES = ("time", "times", "time (s)", "time(s)", "time_s", "time (seconds)")
-_SHOWN = 12  # columns that a warning names
+_SHOWN = 12  # most columns named in a warning
 _UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 _AXIS = re.compile(r"(.*?\S)(?:\s*+[_.:]\s*+|\s++)([xyzXYZ])")
-_LEAST_POINTS = 5  # points of a table whose columns are `LKNE.x` or `LKNE X`; three such columns are those of a sensor
+_LEAST_POINTS = 5  # points in columns such as `LKNE.x` or `LKNE X`; three such columns are a sensor's
 _LONGEST_HEAD = 1 << 20  # bytes of a TRC header
 _HEAD_LINES = 20
-_ROUNDED = 3e-4  # by so much a rate is off that follows from times of four digits; 59.94 Hz are not 60
+_ROUNDED = 3e-4  # relative error of a rate that follows from times of four digits; 59.94 Hz is not 60
 
 
 def parse_positions(path: Path) -> Points:
@@ -76,7 +76,7 @@ def is_positions_csv(path: Path) -> bool:
 
 
 def positions_extent(path: Path) -> tuple[int, int, int]:
-    """Return the frames and points of a file, and the memory that reading takes besides those of the points.
+    """Return the frames and points of a file, and the bytes of memory for reading besides those of the points.
 
     Raises
     ------
@@ -101,8 +101,8 @@ def positions_extent(path: Path) -> tuple[int, int, int]:
 def parse_csv(path: Path) -> Points:
     """Read a CSV file: a header with `<joint>_x`, `<joint>_y`, `<joint>_z` for every joint, then one row a frame.
 
-    The columns may stand in any order. `frame` (whole numbers, one more in every row) and `time` (seconds) are
-    optional; other columns are not used, and a warning names them. An empty cell or `nan` is a gap.
+    The columns may be in any order. `frame` (integers, one more in every row) and `time` (seconds) are optional; other
+    columns are ignored with a warning. An empty cell or `nan` is a gap.
     """
     table = Table(path, ",", 1)
     header = [cell.strip() for cell in cells_of(table.head[0], ",")]
@@ -202,8 +202,8 @@ def trc_head(path: Path) -> TrcHead:
 def parse_trc(path: Path) -> Points:
     """Read a TRC file (OpenSim, Pose2Sim and others): a header with rate, unit and labels, then one row a frame.
 
-    An empty cell or `nan` is a gap; a point at 0, 0, 0 is one that stands there. Markers without a label are dropped,
-    and those that share one.
+    An empty cell or `nan` is a gap; a point at 0, 0, 0 is a valid position. Markers without a label, or with the same
+    label as another, are dropped.
     """
     head = trc_head(path)
     table = Table(path, head.separator, head.first)
@@ -225,7 +225,7 @@ def parse_trc(path: Path) -> Points:
 
 
 def _wrong_counts(head: TrcHead, frames: int, markers: int) -> list[str]:
-    """Return warnings on counts of the header that are not those of the file."""
+    """Return warnings about counts in the header that differ from the file's content."""
     found = []
     for key, what, there in (("numframes", "frames", frames), ("nummarkers", "markers", markers)):
         claimed = _number(head.values.get(key, ""))
@@ -235,7 +235,7 @@ def _wrong_counts(head: TrcHead, frames: int, markers: int) -> list[str]:
 
 
 def _trc_rate(head: TrcHead, clock_hz: float | None, warnings: list[str]) -> float | None:
-    """Return the stated rate if it is one, else that of the times."""
+    """Return the stated rate if it is valid, else the rate of the times."""
     stated = _number(head.values.get("datarate", ""))
     if stated is not None and SLOWEST_HZ <= stated <= FASTEST_HZ:
         return stated
@@ -247,7 +247,7 @@ def _trc_rate(head: TrcHead, clock_hz: float | None, warnings: list[str]) -> flo
 
 
 def _trc_unit(head: TrcHead, warnings: list[str]) -> float | None:
-    """Return the metres of the stated unit; None where it states none that is known."""
+    """Return the metres per stated unit; None if it is missing or unknown."""
     unit = head.values.get("units", "").lower()
     if unit not in _UNITS_M:
         warnings.append(f"its header has no unit of {', '.join(_UNITS_M)}" + (f", but {unit!r}" if unit else ""))
@@ -255,7 +255,7 @@ def _trc_unit(head: TrcHead, warnings: list[str]) -> float | None:
 
 
 def _unique(names: Sequence[str], warnings: list[str]) -> tuple[str, ...]:
-    """Return the names with those numbered that several markers have, so that none is mistaken."""
+    """Return the names with equal ones numbered, so that none is taken for another."""
     counts, counted = Counter(names), Counter[str]()
     twice = [name for name, count in counts.items() if count > 1]
     if twice:
@@ -332,7 +332,7 @@ def _array_names(path: Path, arrays: dict[str, Any], joints: int) -> tuple[str, 
 
 
 def _is_text(name: str) -> bool:
-    """Return whether a name can be encoded; NumPy takes any four bytes for a letter."""
+    """Return whether a name can be encoded; NumPy accepts any four bytes as a character."""
     try:
         return name.encode().decode() == name
     except UnicodeError:
@@ -347,7 +347,7 @@ def _text(data: bytes) -> str:
 
 
 def _check_frames(path: Path, numbers: F64, where: Lines) -> None:
-    """Refuse frame numbers that do not ascend by one: after a jump, all motion would come too early."""
+    """Raise an error for frame numbers that do not ascend by one: after a jump, all motion would be too early."""
     wrong = np.flatnonzero(~(np.diff(numbers) == 1.0))
     if len(wrong) or not np.isfinite(numbers[0]):
         at = int(wrong[0]) + 1 if len(wrong) else 0
@@ -359,7 +359,7 @@ def _check_frames(path: Path, numbers: F64, where: Lines) -> None:
 
 
 def _clock(path: Path, times: F64, where: Lines) -> float | None:
-    """Return the frames per second of a column of times, whole where rounding allows it; None for a single frame."""
+    """Return the frames per second of a column of times, an integer if rounding allows it; None for a single frame."""
     wrong = np.flatnonzero(~(np.diff(times) > 0.0))
     if len(wrong):
         raise SourceError(

@@ -1,4 +1,4 @@
-"""Tables of numbers in text, the body of CSV and TRC files: a line a frame, read in blocks of lines."""
+"""Read tables of numbers in text, the body of CSV and TRC files, in blocks of lines, one line a frame."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from kinedex.storage.formats.motion.text_blocks import BLOCK, LONGEST
 F64 = npt.NDArray[np.float64]
 Lines = npt.NDArray[np.int64]
 
-_NUMBERS = 250_000  # numbers of rows that are held apart from the result
+_NUMBERS = 250_000  # numbers of rows that are kept before they are copied into the result
 
 
 class Table:
@@ -59,12 +59,12 @@ class Table:
 
     @property
     def columns(self) -> int:
-        """The most columns that the header can name."""
+        """The largest number of columns that the header can name."""
         return max((line.count(self.separator) + 1 for line in self.head), default=0)
 
     @property
     def bytes(self) -> int:
-        """The memory of rows that are held apart from the result, as text and as numbers."""
+        """The memory, in bytes, of rows that are not yet in the result, as text and as numbers."""
         rows = min(self.rows, max(1, _NUMBERS // max(1, self.columns)))
         return rows * (40 * self.columns + 200) + 200 * self.columns + 12 * min(self._size, BLOCK)
 
@@ -75,7 +75,7 @@ class Table:
             self.rows += self.lines > self.first and bool(line.strip())
 
     def _lines(self) -> Iterator[str]:
-        """Yield all lines, whatever ends them, without their ends."""
+        """Yield all lines without their line ends, of whatever kind."""
         decoder, carry, empty = codecs.getincrementaldecoder(self._encoding)(), "", True
         try:
             with self.path.open("rb") as file:
@@ -119,7 +119,8 @@ class Table:
         Raises
         ------
         SourceError
-            A row has another number of cells, a cell is no number, there are no rows, or the file is changed meanwhile.
+            A row has another number of cells, a cell is not a number, there are no rows, or the file changes during
+            reading.
         """
         if not self.rows:
             raise SourceError(self.path, "no frames: the file ends after its header", line=self.lines)
@@ -175,7 +176,7 @@ class Table:
 
 
 def cells_of(line: str, separator: str) -> list[str]:
-    """Split a line into cells; quotes count only if they are those of a well-formed table."""
+    """Split a line into cells; quotes count only if the line is well-formed CSV."""
     if '"' not in line:
         return line.split(separator)
     try:
@@ -185,12 +186,12 @@ def cells_of(line: str, separator: str) -> list[str]:
 
 
 def parse_number(path: Path, cell: str, column: str, line: int) -> float:
-    """Parse a cell, NaN if it is empty; a SourceError names the column of one that is no number."""
+    """Parse a cell, NaN if it is empty; raise a SourceError that names the column if it is not a number."""
     text = cell.strip()
-    if text.lstrip("+-").startswith("1.#"):  # as Microsoft's C writes numbers that are none
+    if text.lstrip("+-").startswith("1.#"):  # NaN as Microsoft's C library writes it
         return float("nan")
     try:
-        if "_" in text:  # Python's own notation, no one else's
+        if "_" in text:  # underscores in numbers are only Python's notation
             raise ValueError
         return float(text or "nan")
     except ValueError:

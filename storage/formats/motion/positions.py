@@ -1,4 +1,4 @@
-"""The reader of joint positions: TRC, CSV, NPZ and NPY files."""
+"""Read files of joint positions: TRC, CSV, NPZ and NPY."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from kinedex.storage.formats.motion.reader import Body, Extent, MotionFile, Read
 
 
 class PositionsReader(Reader):
-    """Reads files of joint positions; a .csv is one if its header names joints."""
+    """Reads files of joint positions; a .csv file counts as one if its header names joints."""
 
     format: ClassVar[Format] = "positions"
     endings: ClassVar[tuple[str, ...]] = (".trc", ".csv", ".npz", ".npy")
 
     def sniff(self, path: Path) -> bool:
-        """Return whether a .csv has the header of joint positions; other endings need no look."""
+        """Return whether a .csv has the header of joint positions; for other endings return True."""
         return path.suffix.lower() != ".csv" or is_positions_csv(path)
 
     def relevant_settings(self, settings: ReadSettings) -> object:
-        """Return the rates and the longest gap."""
+        """Return the rates and the longest gap, the settings that affect the result."""
         return settings.rate_hz, settings.override_rate_hz, settings.fill_gap_frames
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Count the rows of a table, or read the header of an array; the memory is that of all points."""
+        """Count the rows of a table, or read the header of an array, and estimate the memory: all points."""
         frames, points, more = positions_extent(file.path)
         need = points_bytes(frames, points, joints) + more
         return Extent(frames, need, settings.override_rate_hz or settings.rate_hz)
@@ -49,7 +49,7 @@ class PositionsReader(Reader):
         Raises
         ------
         SourceError
-            The file is damaged, no mapping fits, no frame is whole, or no rate is known.
+            The file is damaged, no mapping fits, no frame is complete, or no rate is known.
         """
         points, fit, warnings = self.fitted(file, mappings, settings)
         return body_of_points(points, points.names, fit, joints, settings, warnings)
@@ -76,12 +76,12 @@ class PositionsReader(Reader):
         return FittedPoints(points, fit, warnings)
 
     def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
-        """Return the subjects of the labels of a TRC file that have the landmarks of a body, if they are several."""
+        """Return the subjects of the labels of a TRC file that have the landmarks of a body, if there are several."""
         return tuple(bodies_of(trc_head(file.path).labels)) if file.path.suffix.lower() == ".trc" else ()
 
 
 def _names_in_order(points: Points, mappings: Mappings) -> tuple[str, tuple[str, ...]]:
-    """Return names for points without any, and whose they are: of orders of as many points the surest body counts."""
+    """Return names for unnamed points, and their origin: of the orders with this number, the most body-like one."""
     count = len(points.positions)
     orders = {f"mapping '{each.name}'": each.order for each in mappings.of("positions") if len(each.order) == count}
     if "positions" not in mappings.forced:
@@ -93,7 +93,7 @@ def _names_in_order(points: Points, mappings: Mappings) -> tuple[str, tuple[str,
 
 
 def _likeness(points: Points, order: tuple[str, ...], joints: tuple[str, ...]) -> float:
-    """Return how surely points in an order are a body, from 0 to 1."""
+    """Return the confidence, from 0 to 1, that points in an order form a body."""
     try:
         return recognise_points(points.path, evidence_of(replace(points, names=order)), joints).confidence
     except SourceError:

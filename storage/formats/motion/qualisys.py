@@ -1,4 +1,4 @@
-"""The reader of TSV files of Qualisys Track Manager: markers under a header of keys, such as NO_OF_FRAMES."""
+"""Read TSV files of Qualisys Track Manager: markers under a header of keys, such as NO_OF_FRAMES."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _UNIT_M = 0.001
 
 @dataclass(frozen=True)
 class _Layout:
-    """The keys of a file, the last line before the rows, the columns, and the number of those before the markers."""
+    """The keys of a file, the last line before the rows, the columns, and the number of columns before the markers."""
 
     stated: dict[str, list[str]]
     line: int
@@ -51,13 +51,13 @@ class QualisysReader(PointsReader):
         return tuple(bodies_of(_layout(file.path).labels))
 
     def size(self, file: MotionFile) -> tuple[int, int, int]:
-        """Count the rows; the columns are those of the markers."""
+        """Count the rows and markers of a file."""
         layout = _layout(file.path)
         table = _table(file.path, layout)
         return table.rows, len(layout.labels), table.bytes + 24 * table.rows
 
     def points(self, file: MotionFile, settings: ReadSettings) -> Points:
-        """Read the markers; one at exactly 0, 0, 0 was not seen."""
+        """Read the markers; one at exactly 0, 0, 0 counts as missing."""
         path, layout = file.path, _layout(file.path)
         warnings: list[str] = []
         rate_hz = _number(path, layout, "FREQUENCY")
@@ -83,7 +83,7 @@ def _table(path: Path, layout: _Layout) -> Section:
 
 
 def _layout(path: Path) -> _Layout:
-    """Read the keys, each with its values on its line, and find out what the columns are."""
+    """Read the keys, each with its values on its line, and determine the columns."""
     lines = first_lines(path, _HEADER_LINES)
     rows = [[cell.strip() for cell in line.split("\t")] for line in lines]
     if rows[0][0] != _FIRST_KEY:
@@ -125,7 +125,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _number(path: Path, layout: _Layout, key: str) -> float:
-    """Return the number of a key."""
+    """Return the number that a key states."""
     line = list(layout.stated).index(key) + 1 if key in layout.stated else 1
     if not layout.stated.get(key):
         raise SourceError(path, f"the header has no {key}", line=line)

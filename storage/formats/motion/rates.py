@@ -1,4 +1,4 @@
-"""Impossible rates: the likely one, from the motion itself, for readers of files with a false header."""
+"""Replace impossible rates of files with a wrong header by likely ones, estimated from the motion."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from kinedex.storage.formats.motion.reader import ReadSettings
 F64 = npt.NDArray[np.float64]
 
 SLOWEST_LIKELY_HZ, FASTEST_LIKELY_HZ = 5.0, 1000.0
-"""A stated rate beyond these is compared with the motion."""
+"""The range of plausible rates; a stated rate outside it is compared with the motion."""
 
-_FAR = 4.0  # so many times off the likely rate a doubtful one is not believed
+_FAR = 4.0  # ratio to the likely rate from which a doubtful rate is replaced
 _SWUNG = ("lwrist", "rwrist", "lankle", "rankle")
 
 
@@ -30,24 +30,24 @@ def corrected_rate(
     warnings: list[str],
     statement: str = "",
 ) -> float:
-    """Return the rate of a file, the likely one in place of an impossible one, such as the 1 Hz of `Frame Time: 1.0`.
+    """Return the rate of a file, or the likely one if it is impossible, such as the 1 Hz of `Frame Time: 1.0`.
 
     Parameters
     ----------
     path : str or Path
         The file that an error names.
     stated_hz : float
-        The rate that the file states; NaN, infinite, 0 or negative where its statement makes no sense.
+        The rate that the file states; NaN, infinite, 0 or negative if its statement is not valid.
     positions : float64 array (J, 3, T)
         The named joints, in any unit.
     joints : tuple of str
         The names of the J joints.
     settings : ReadSettings
-        A rate that the user gives counts, whatever the file states.
+        Settings of the user; a rate in them takes precedence over the file's.
     warnings : list of str
         A sentence is appended if another rate than the stated one is used.
     statement : str, optional
-        The statement as the file has it, for messages: "Frame Time 1.0"; by default its rate.
+        The statement in the file's words, for messages: "Frame Time 1.0"; by default its rate.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def corrected_rate(
     Raises
     ------
     SourceError
-        The stated rate is no positive number, and the motion shows none either.
+        The stated rate is not a positive number, and none can be estimated from the motion.
     """
     if settings.override_rate_hz is not None:
         known = math.isfinite(stated_hz) and stated_hz > 0

@@ -1,12 +1,12 @@
-"""The contract of readers of motion files: what a reader is asked for, and the body that it returns.
+"""Define the interface of readers of motion files, their settings, and the body that they return.
 
-A distribution adds a reader for files of its own by an entry point of the group `kinedex.readers`::
+A distribution adds a reader for its own files by an entry point of the group `kinedex.readers`::
 
     [project.entry-points."kinedex.readers"]
     joints = "my_package.joints:JointsReader"
 
-The entry point names a subclass of `Reader`, which is made without arguments. `storage.formats.motion.reader_table`
-holds the built-in readers in the same form.
+The entry point names a subclass of `Reader`, which is instantiated without arguments.
+`storage.formats.motion.reader_table` holds the built-in readers in the same form.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ ACCLAIM_HZ = 120.0
 """The rate of Acclaim files, which never state one; Vicon wrote them at 120 Hz."""
 
 FASTEST_HZ, SLOWEST_HZ = 10_000.0, 1.0
-"""Rates beyond these are no motion capture, and would ask for absurd numbers of frames."""
+"""The range of accepted rates; others are not of motion capture, and would need huge numbers of frames."""
 
 MOST_POINTS = 10_000
-"""A file that claims more joints or markers than this is no body."""
+"""The largest number of joints or markers of a body."""
 
 SHORT_GAP_S = 0.1
-"""Gaps up to this long are closed by default: nobody turns round in a tenth of a second."""
+"""The longest gap that is closed by default: nobody turns round in a tenth of a second."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Body:
     Attributes
     ----------
     positions : float64 array (J, 3, T)
-        Metres, Y up; NaN for an unknown joint.
+        Joint positions in metres, Y up; NaN for an unknown joint.
     orientation : float64 array (4, T)
         The root's unit quaternion w, x, y, z; NaN where the root is unknown.
     rate_hz : float
@@ -54,12 +54,12 @@ class Body:
     unknown : tuple of str
         The joints that the skeleton does not have.
     warnings : tuple of str
-        Reservations about the file.
+        Warnings about the file.
     valid : bool array (T,), optional
         The frames in which all joints but the unknown ones are known; None if all are. The other frames are invalid:
-        they get no word, and their positions are NaN where they are not known.
+        they get no word, and unknown positions in them are NaN.
     estimated : tuple of str
-        The joints that the file does not hold and that are estimated.
+        The joints that are estimated because the file lacks them.
     confidence : float
         From 0 to 1, how surely the body was recognised; 1 for a mapping that the names fit exactly.
     evidence : tuple of str
@@ -86,19 +86,19 @@ class Body:
 
 @dataclass(frozen=True)
 class ReadSettings:
-    """Settings of the user for files that lack a statement, or make a wrong one.
+    """Settings of the user for files with missing or wrong statements.
 
     Attributes
     ----------
     rate_hz : float, optional
         Frames per second of files that do not state it; 120 for Acclaim files by default.
     override_rate_hz : float, optional
-        Frames per second of every file, whatever it states.
+        Frames per second of every file, which replaces the file's statement.
     fill_gap_frames : int, optional
-        Longest gap of a point that is closed along a straight line, a tenth of a second by default; frames in a longer
-        one are invalid.
+        Longest gap of a point that is filled by linear interpolation, a tenth of a second by default; frames in a
+        longer gap are invalid.
     body_model : str, optional
-        File of the joints that AMASS files turn, see `storage.formats.motion.amass`.
+        Body model with the rest joints for AMASS files, see `storage.formats.motion.amass`.
     """
 
     rate_hz: float | None = None
@@ -116,7 +116,7 @@ class ReadSettings:
         return round(SHORT_GAP_S * rate_hz) if self.fill_gap_frames is None else self.fill_gap_frames
 
     def rate_of(self, stated_hz: float, warnings: list[str]) -> float:
-        """Return the rate of a file that states one; a warning is added if another one replaces it."""
+        """Return the rate to use for a file with a stated rate; append a warning if the user's replaces it."""
         rate_hz = self.override_rate_hz or stated_hz
         if abs(rate_hz - stated_hz) > 1e-3 * stated_hz:
             warnings.append(f"the file states {stated_hz:.6g} Hz; it is read at {rate_hz:.6g} Hz, which was given")
@@ -124,7 +124,7 @@ class ReadSettings:
 
 
 DEFAULT_SETTINGS = ReadSettings()
-"""The settings without any statement of the user."""
+"""The settings without any user input."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ class MotionFile:
     path : Path
         The file.
     skeleton : Path, optional
-        Its skeleton file, for formats that keep the skeleton apart (Acclaim's ASF).
+        Its skeleton file, for formats with a separate skeleton file (Acclaim's ASF).
     data : bytes, optional
         Its content, if it has been read already; only for readers with `reads_whole`.
     person : str
@@ -151,14 +151,14 @@ class MotionFile:
 
 @dataclass(frozen=True)
 class Extent:
-    """The extent of a motion file, found without reading its frames.
+    """The number of frames and the memory of a motion file, found without reading its frames.
 
     Attributes
     ----------
     frames : int
         Frames at the source rate; 0 if only the size of the file is known.
     bytes : int
-        The most memory that `read` takes, the body that it returns included.
+        The largest memory that `read` takes, including the body that it returns.
     rate_hz : float, optional
         Frames per second, where the file or the settings state them.
     """
@@ -179,13 +179,13 @@ class Reader(ABC):
     Attributes
     ----------
     format : str
-        Format of the skeleton mappings that the reader looks its joints up in.
+        Format of the skeleton mappings in which the reader looks up its joints.
     endings : tuple of str
         Endings of its files in lower case, with the dot.
     title : str
         The format in words, for `kinedex inspect`; by default its ending.
     reads_whole : bool
-        True if the reader reads the whole file at once, so that it can take the bytes from its caller.
+        True if the reader reads the whole file at once, so that its caller can pass the bytes.
     distribution : str
         The distribution of a plugin and its version, set by the table of readers; empty for a built-in reader.
     """
@@ -197,20 +197,20 @@ class Reader(ABC):
     distribution: str = ""
 
     def sniff(self, path: Path) -> bool:
-        """Return whether a file with one of the endings is of this format; by default every one is.
+        """Return whether a file with one of the endings is of this format; by default return True.
 
         An unreadable file counts as one of the format, so that `read` reports the fault.
         """
         return True
 
     def relevant_settings(self, settings: ReadSettings) -> object:
-        """Return the settings that can change a body, as JSON values: a take is read again when they change."""
+        """Return the settings that can change a body, as JSON values: a take is read again if they change."""
         return astuple(settings)
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Return frames and memory of a file, by which `max_memory` refuses it before it is read.
+        """Return the frames and the memory of a file, by which `max_memory` refuses it before it is read.
 
-        A reader that does not define it takes at most ten times the size of its files.
+        By default the memory is ten times the size of the file.
 
         Raises
         ------
@@ -222,7 +222,7 @@ class Reader(ABC):
     def persons(self, file: MotionFile, mappings: Mappings) -> tuple[str, ...]:
         """Return the names of the persons in a file, each of whom becomes a take; empty for a file of one person.
 
-        A reader that does not define it reads files of one person.
+        By default files have one person.
 
         Raises
         ------
@@ -254,7 +254,7 @@ class Reader(ABC):
 
 
 def file_size(path: Path) -> int:
-    """Return the bytes of a file; a SourceError reports that it cannot be read."""
+    """Return the size of a file in bytes; raise SourceError if it cannot be read."""
     try:
         return path.stat().st_size
     except OSError as fault:

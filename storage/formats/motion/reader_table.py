@@ -1,4 +1,4 @@
-"""The table of readers of motion files: the built-in ones and those of plugins, found by the endings of files."""
+"""Find the reader of a motion file by its ending, among built-in readers and those of plugins."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ READERS: Plugins[type[Reader]] = Plugins(
         "fbx": "kinedex.storage.formats.motion.fbx:FbxReader",
     },
 )
-"""Name → reader. Of readers that share an ending a plugin is asked first, then the built-in ones in this order."""
+"""Name → reader. For a shared ending, readers of plugins are tried first, then built-in ones in this order."""
 
 
 def readers_by_ending() -> dict[str, tuple[Reader, ...]]:
-    """Return the readers of every ending, in the order in which they are asked; the last one needs not be asked."""
+    """Return ending → readers in the order in which they are tried; the last one accepts without checking."""
     return dict(_readers_by_ending(tuple(READERS)))
 
 
@@ -55,12 +55,12 @@ def _readers_by_ending(names: tuple[str, ...]) -> dict[str, tuple[Reader, ...]]:
 
 
 def motion_endings() -> tuple[str, ...]:
-    """Return the endings of all motion files that are read, with the dot."""
+    """Return the endings of all supported motion files, with the dot."""
     return tuple(readers_by_ending())
 
 
 def reader_of(path: str | Path) -> Reader:
-    """Return the reader of a motion file by its ending and, where several readers share that, by its content.
+    """Return the reader of a motion file by its ending and, if several readers share it, by its content.
 
     Raises
     ------
@@ -75,9 +75,9 @@ def reader_of(path: str | Path) -> Reader:
 
 
 def is_motion_file(path: str | Path) -> bool:
-    """Return whether a reader takes a file for one of its format."""
+    """Return whether a reader recognises a file as one of its format."""
     readers = _readers_by_ending(tuple(READERS)).get(os.path.splitext(path)[1].lower(), ())
-    # the last reader of an ending is the most general one, which mostly takes every file
+    # the last reader of an ending is the most general one, which mostly accepts every file
     if readers and type(readers[-1]).sniff is Reader.sniff:
         return True
     return any(reader.sniff(Path(path)) for reader in reversed(readers))
@@ -116,7 +116,7 @@ def read_body(
     SourceError
         The file cannot be read; the error names the file and the place of the first fault.
     """
-    with np.errstate(over="ignore"):  # numbers beyond all measure are refused with a message; numpy would warn as well
+    with np.errstate(over="ignore"):  # huge numbers are refused with a message; numpy would warn as well
         return reader_of(path).read(MotionFile(path, skeleton, data, person), mappings, joints, settings)
 
 

@@ -1,4 +1,4 @@
-"""The figures of a scene with their clips: the nodes of each, their names, and the one that is read."""
+"""Choose a figure and clip of a scene: the nodes of each figure, their names, and the one to read."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ class Group:
     nodes : tuple of int
         Indices in the scene, parents first; the first is the top of the figure.
     parents : tuple of int
-        Index in `nodes` of the nearest node above each; −1 for the first.
+        Index in `nodes` of the nearest ancestor of each; −1 for the first.
     """
 
     nodes: tuple[int, ...]
     parents: tuple[int, ...]
 
     def chain(self, above: Sequence[int]) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
-        """Return the nodes with all that they hang from, their parents, and the places of the figure's own in them.
+        """Return the nodes with all their ancestors, their parents, and the indices of the figure's nodes.
 
         Parameters
         ----------
@@ -45,7 +45,7 @@ class Group:
 
 
 def parents_first(above: Sequence[int]) -> list[int]:
-    """Return the nodes of a scene, every node after the one that it hangs from; nodes in circles are left out."""
+    """Return the nodes of a scene, each after its parent; nodes in cycles are left out."""
     below: list[list[int]] = [[] for _ in above]
     for node, parent in enumerate(above):
         if parent >= 0:
@@ -60,16 +60,16 @@ def parents_first(above: Sequence[int]) -> list[int]:
 
 
 def groups_of(above: Sequence[int], bones: set[int], shown: set[int]) -> list[Group]:
-    """Return the figures of a scene: every bone that hangs from no other, with the nodes below it.
+    """Return the figures of a scene: every bone without a bone above it, with its descendants.
 
     Parameters
     ----------
     above : sequence of int
         The parent of every node of the scene; −1 for roots.
     bones : set of int
-        The nodes that are surely bones.
+        The nodes that are certainly bones.
     shown : set of int
-        The nodes that a figure may have: bones, and ends of bones, but no meshes or cameras.
+        The nodes that may belong to a figure: bones, and ends of bones, but no meshes or cameras.
     """
     nearest: dict[int, int] = {}  # the nearest node of a figure at or above each node
     top: dict[int, int] = {}
@@ -93,7 +93,7 @@ def groups_of(above: Sequence[int], bones: set[int], shown: set[int]) -> list[Gr
 
 
 class NamedClip(Protocol):
-    """A clip of a figure, with the names of both."""
+    """A clip of a figure, with the names of clip and figure."""
 
     @property
     def figure(self) -> str:
@@ -105,7 +105,7 @@ class NamedClip(Protocol):
 
 
 def clip_names(clips: Sequence[NamedClip]) -> tuple[str, ...]:
-    """Return a name for each clip of each figure: of the figure, of the clip, or of both, as far as they differ."""
+    """Return a name for each clip of each figure: the figure's, the clip's, or both, as needed to tell them apart."""
     figures = len({clip.figure for clip in clips}) > 1
     several = len({clip.clip for clip in clips}) > 1
     found = []
@@ -116,7 +116,7 @@ def clip_names(clips: Sequence[NamedClip]) -> tuple[str, ...]:
 
 
 def unique_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names, later ones of equal names with a number: `Hips`, `Hips (2)`."""
+    """Return the names, with numbers added to repeated ones: `Hips`, `Hips (2)`."""
     taken: set[str] = set()
     found = []
     count: dict[str, int] = {}
@@ -131,7 +131,7 @@ def unique_names(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def chosen_person(path: Path, person: str, persons: Sequence[str]) -> int:
-    """Return the index of the person to read; a SourceError lists those of the file where it is not clear which."""
+    """Return the index of the person to read; raise a SourceError that lists the persons if the choice is not clear."""
     if not persons or (len(persons) == 1 and not person):
         return 0
     if person in persons:

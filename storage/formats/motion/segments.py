@@ -1,4 +1,4 @@
-"""The segments of a body at the rate of its source: the turns of nodes, or the markers, that belong to limbs."""
+"""Read the limbs of a body at the source rate: rotations of their nodes, or positions of their markers."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _FRAMES_AT_ONCE = 4096
 
 @dataclass(frozen=True, eq=False)
 class Segments:
-    """A body and what its source knows of the turns of its limbs.
+    """A body, with the rotations or markers of its limbs as far as its source has them.
 
     Attributes
     ----------
@@ -41,9 +41,9 @@ class Segments:
     turns : dict of str to float64 array (T, 4)
         Limb → unit quaternions w x y z, from a frame fixed in the limb to the world (Y up).
     markers : dict of str to float64 array (T, M, 3)
-        Limb → places of its markers in metres, Y up; NaN where one was not seen.
+        Limb → positions of its markers in metres, Y up; NaN where one is missing.
     ends : dict of str to tuple of str
-        Limb → the joints of its long axis, where the mapping names others than the limb's own.
+        Limb → the joints of its long axis, if the mapping names others than the limb's own.
     """
 
     body: Body
@@ -55,9 +55,9 @@ class Segments:
 def read_segments(
     file: MotionFile, mappings: Mappings, joints: tuple[str, ...], settings: ReadSettings, limbs: Iterable[str]
 ) -> Segments:
-    """Read a motion file as a body, with the turns or the markers of limbs.
+    """Read a motion file as a body, with the rotations or the markers of limbs.
 
-    Readers of plugins, and files of joint positions alone, give the body without either.
+    For readers of plugins and files of joint positions, both are empty.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def read_segments(
     settings : ReadSettings
         Settings of the user.
     limbs : iterable of str
-        The limbs that are wanted.
+        The limbs whose rotations or markers are returned.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def read_segments(
     wanted = set(limbs)
     if isinstance(reader, (C3dReader, PositionsReader, PointsReader)):
         fitted = reader.fitted(file, mappings, settings)
-        # the unit of the body is in words: metres, and perhaps a remark
+        # the body's unit is a text: metres, and perhaps a remark
         scale = float(body.unit.split()[0])
         markers = {
             limb: np.ascontiguousarray(
@@ -168,7 +168,7 @@ def _of_figure(
 def _node_turns(
     motion: Motion, chain: tuple[kinematics.Node, ...], nodes: Mapping[str, int], wanted: set[str]
 ) -> dict[str, F64]:
-    """Return the rotations (9, T) of the nodes of limbs, row by row, in the file's axes."""
+    """Return the rotations (9, T) of the nodes of limbs in the file's axes, matrices row by row."""
     turned = {limb: np.empty((9, motion.frames)) for limb in nodes if limb in wanted}
     at = 0
     for channels in motion.blocks():
@@ -180,6 +180,6 @@ def _node_turns(
 
 
 def _in_world(turned: Mapping[str, F64], fit: Fit) -> dict[str, F64]:
-    """Return rotations (9, T) in the file's axes as quaternions (T, 4) in the world's, Y up."""
+    """Convert rotations (9, T) in the file's axes to quaternions (T, 4) in the world's, Y up."""
     axes = fit.mapping.axes
     return {limb: np.ascontiguousarray(kinematics.quaternions(rows, axes, axes.T).T) for limb, rows in turned.items()}

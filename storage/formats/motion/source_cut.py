@@ -1,4 +1,4 @@
-"""An interval of a source file, as the writers that cut a source's own channels take it."""
+"""Describe an interval of a source file and its changes, the input of writers that cut original channels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from kinedex.catalog.skeletons.mappings import Mappings
 
 @dataclass(frozen=True)
 class SourceCut:
-    """An interval of a motion file in its own frames, and the changes that are asked for.
+    """An interval of a motion file in source frames, and the changes to apply to it.
 
     Attributes
     ----------
@@ -23,20 +23,20 @@ class SourceCut:
     start, stop : int
         The interval [start, stop) in frames of the source.
     source_rate_hz : float
-        Frames per second of the source, as kinedex read it: those of the file, or those that the user stated.
+        Frames per second of the source, as kinedex read it: the file's, or the user's.
     mirror : bool
-        Exchange left and right.
+        True to exchange left and right.
     rate_hz : float or None
-        Frames per second of the cut; those of the source for None.
+        Frames per second of the cut; None for those of the source.
     in_place : bool
-        Put the root above the origin and turn it to +Z in the first frame of `inner`.
+        True to put the root above the origin, facing +Z, in the first frame of `inner`.
     inner : tuple of int, optional
-        The interval that is meant, in frames of the source, where the cut includes its surroundings.
+        The actual interval, in source frames, if the cut includes a margin around it.
     checksum : str, optional
-        SHA-256 of the source when it was ingested; a source of another content is an error. Not checked without it.
+        SHA-256 of the source when it was ingested; a source with another checksum is an error. None for no check.
     mappings : Mappings, optional
-        The skeleton mappings that tell the source's left from its right, for `mirror` and `in_place`; the shipped ones
-        by default.
+        The skeleton mappings that identify the source's left and right, for `mirror` and `in_place`; by default the
+        shipped ones.
     """
 
     source: Path

@@ -1,4 +1,4 @@
-"""Sources: the motion files of an archive, their skeleton files, and the groups that their paths name."""
+"""List the sources of an archive: its motion files, their skeleton files, and the groups named by their paths."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ UNREAD = {
     ".ma": "export it from Maya as FBX",
     ".mb": "export it from Maya as FBX",
 }
-"""Endings of motion files that kinedex does not read, and the way out."""
+"""Ending of motion files that kinedex cannot read → how to convert them."""
 
 
 SIDECARS = (".yaml", ".yml")
-"""Endings of files that describe the motion file of the same name beside them."""
+"""Endings of files that describe a motion file of the same name in the same folder."""
 
 _MOST_ENDINGS = 6
 
 
 def readable(text: str) -> str:
-    r"""Return a text in which the bytes of a file name that are not UTF-8 (Python's surrogates) stand as \xNN."""
+    r"""Return a text in which bytes of a file name that are not UTF-8 (surrogates in Python) are shown as \xNN."""
     return text.encode("utf-8", sys.getfilesystemencodeerrors()).decode("utf-8", "backslashreplace")
 
 
@@ -51,7 +51,7 @@ class SourceFile:
     root : str
         The source root.
     path : str
-        Path relative to the root, with /, as text that can be written anywhere: bytes that are not UTF-8 stand as \xNN.
+        Path relative to the root, with /, as valid Unicode: bytes that are not UTF-8 are shown as \xNN.
     size : int
         Size in bytes.
     mtime_ns : int
@@ -73,7 +73,7 @@ class SourceFile:
 
     @property
     def stem(self) -> str:
-        """The file's name without folder and ending: the take's name."""
+        """The file's name without folder and ending, which is the take's name."""
         return os.path.splitext(os.path.basename(self.path))[0]
 
     @property
@@ -84,7 +84,7 @@ class SourceFile:
 
 @dataclass(frozen=True)
 class Refused:
-    """A file or folder of an archive that is not read: its path relative to the source root, and the reason."""
+    """A file or folder of an archive that cannot be read: its path relative to the source root, and the reason."""
 
     path: str
     fault: SourceError
@@ -92,7 +92,7 @@ class Refused:
 
 @dataclass(frozen=True)
 class PassedOver:
-    """A file of an archive that is no motion file: its path relative to the source root, and its kind in the plural."""
+    """A file of an archive that is not motion: its path relative to the source root, and its kind in the plural."""
 
     path: str
     kind: str
@@ -120,7 +120,7 @@ class Scan:
     passed_over : tuple of PassedOver
         All other files.
     sidecars : tuple of SourceFile
-        YAML files with the name of a motion file beside them, which describe its takes.
+        YAML files with the name of a motion file in the same folder, which describe its takes.
     """
 
     motions: tuple[SourceFile, ...]
@@ -132,12 +132,12 @@ class Scan:
 
     @property
     def count(self) -> int:
-        """The number of files; a folder that cannot be read counts as one."""
+        """The number of files; a folder that cannot be read counts as one file."""
         files = (self.motions, self.skeletons, self.unread, self.refused, self.passed_over, self.sidecars)
         return sum(map(len, files))
 
     def hidden(self, path: str) -> bool:
-        """Return whether a path lies where the scan had no access, so that nothing is known of it."""
+        """Return whether a path is in a folder that the scan could not read, so that its content is unknown."""
         return any(path == refused.path or path.startswith(f"{refused.path}/") for refused in self.refused)
 
     @cached_property
@@ -150,7 +150,7 @@ class Scan:
 
     @cached_property
     def digest(self) -> str:
-        """A hash of every file's path, size and time: equal means that nothing has changed."""
+        """A hash of every file's path, size and time; equal hashes mean that nothing has changed."""
         hasher = hashlib.sha256()
         for file in (*self.motions, *self.skeletons, *self.sidecars):
             hasher.update(f"{file.path}\0{file.size}\0{file.mtime_ns}\n".encode())
@@ -159,7 +159,7 @@ class Scan:
         return hasher.hexdigest()[:16]
 
     def unread_lines(self) -> list[str]:
-        """Return a line for every format that is not read: the number of files, and the way out."""
+        """Return a line for every format that cannot be read: the number of files, and how to convert them."""
         counts = Counter(f".{file.format}" for file in self.unread)
         return [
             f"{count} {'file' if count == 1 else 'files'} of a format not read ({ending}): {UNREAD[ending]}"
@@ -167,7 +167,7 @@ class Scan:
         ]
 
     def passed_over_lines(self) -> list[str]:
-        """Return a line for every kind of file that is passed over: the number of files, and their endings."""
+        """Return a line for every kind of file that is not motion: the number of files, and their endings."""
         kinds: dict[str, Counter[str]] = {}
         for file in self.passed_over:
             kinds.setdefault(file.kind, Counter())[file.ending or "without an ending"] += 1
@@ -182,9 +182,9 @@ class Scan:
 def scan(root: str | Path) -> Scan:
     """List the files below a source root: motion files, skeleton files (.asf), sidecars, and all others.
 
-    Links to folders are not followed, so that loops of links do no harm; a linked folder inside the root is found at
-    its own place. Links to files are followed inside the root. Links that lead out of it or nowhere, and files without
-    access, are refused by name: nothing outside the root is read. Every other file is listed with its kind.
+    Links to folders are not followed, which avoids loops; a linked folder inside the root is found at its own path.
+    Links to files are followed inside the root. Broken links, links out of the root, and files without access are
+    listed as refused: nothing outside the root is read. Every other file is listed with its kind.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def scan(root: str | Path) -> Scan:
     Raises
     ------
     StoreError
-        The root is no folder, or its own path is not UTF-8.
+        The root is not a folder, or its own path is not UTF-8.
     """
     root = Path(os.path.realpath(Path(root).expanduser()))
     if readable(str(root)) != str(root):
@@ -232,7 +232,7 @@ def scan(root: str | Path) -> Scan:
 
 
 def _entries(root: Path, refused: list[Refused]) -> Iterator[tuple[str, str]]:
-    """Yield folder and name of every entry below the root that is no folder; refuse folders without access."""
+    """Yield folder and name of every entry below the root that is not a folder; collect unreadable folders."""
 
     def refuse(path: str, message: str) -> None:
         shown = readable(Path(path).relative_to(root).as_posix())
@@ -264,7 +264,7 @@ def _source_file(root: Path, path: str, relative: str, shown: str) -> SourceFile
                 )
             found = os.stat(path)
     except OSError as fault:
-        # gone since the folder was listed, a link to nowhere, or links in a circle
+        # removed since the folder was listed, a broken link, or a cycle of links
         raise SourceError(readable(path), f"cannot be read: {fault.strerror}") from None
     if not stat.S_ISREG(found.st_mode):
         raise SourceError(readable(path), "is no file (but a pipe, a device or a socket, or a link to a folder)")
@@ -272,7 +272,7 @@ def _source_file(root: Path, path: str, relative: str, shown: str) -> SourceFile
 
 
 def checksum(path: Path) -> str:
-    """Return the SHA-256 of a file, in hexadecimal; a SourceError reports that it cannot be read."""
+    """Return the SHA-256 of a file, in hexadecimal; raise SourceError if it cannot be read."""
     try:
         with path.open("rb", buffering=0) as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
@@ -303,7 +303,7 @@ def skeleton_of(motion: SourceFile, skeletons: Iterable[SourceFile]) -> SourceFi
 
 @dataclass
 class _Folder:
-    """The skeleton files of one folder, and the same by their stems in small letters."""
+    """The skeleton files of one folder, also by their stems in lower case."""
 
     files: list[SourceFile] = field(default_factory=list)
     of_stem: dict[str, list[SourceFile]] = field(default_factory=dict)
@@ -319,7 +319,7 @@ def _by_folder(skeletons: Iterable[SourceFile]) -> dict[str, _Folder]:
 
 
 def _nearest(motion: SourceFile, folders: Mapping[str, _Folder]) -> SourceFile:
-    """Find a skeleton as `skeleton_of` does; one of the motion's own name is found without a look at the others."""
+    """Find a skeleton by the rule of `skeleton_of`, first by the motion's own stem."""
     stem = motion.stem.casefold()
     at = os.path.dirname(motion.path)
     seen: list[str] = []
@@ -348,7 +348,7 @@ _NO_SKELETONS = _Folder()
 
 
 def _alike(stem: str, folder: _Folder) -> list[SourceFile]:
-    """Return the skeletons of a folder whose stems share the longest beginning with another."""
+    """Return the skeletons of a folder whose stems share the longest prefix with a stem."""
     shared = {other: _shared_prefix(stem, other) for other in folder.of_stem}
     longest = max(shared.values(), default=0)
     return [s for other, length in shared.items() if length == longest > 0 for s in folder.of_stem[other]]

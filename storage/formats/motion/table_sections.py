@@ -1,4 +1,4 @@
-"""Sections of tables: files with several tables one after the other, or with a header of any length before one."""
+"""Read tables from files with several sections, or with a header of any length before the table."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.position_tables import F64, Lines, Table, cells_of
 
 HEADER_BYTES = 4 << 20
-"""Bytes in which the header of a table ends, so that a file of another kind costs no more than these."""
+"""The largest size of a table's header in bytes, which bounds the cost of files of another kind."""
 
 
 class Section(Table):
-    """The lines of a text file that are one table.
+    """The lines of a text file that form one table.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class Section(Table):
         super().__init__(path, separator, header)
 
     def _lines(self) -> Iterator[str]:
-        """Yield the lines up to the section's last one, the lines before it as empty ones."""
+        """Yield the lines up to the section's last one; lines before the section are yielded as empty."""
         for number, line in enumerate(islice(super()._lines(), self._stop), 1):
             empty = number > self.first and not line.strip(f"{self.separator} ")
             if number < self._start or empty:
@@ -64,7 +64,7 @@ class Section(Table):
 
 
 def first_lines(path: Path, count: int, most: int = HEADER_BYTES) -> list[str]:
-    """Return the first lines of a text file, at most `count` of them, that end in its first bytes.
+    """Return the first lines of a text file, at most `count`, that end within its first `most` bytes.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def first_lines(path: Path, count: int, most: int = HEADER_BYTES) -> list[str]:
 
 
 def text_of(data: bytes) -> str:
-    """Return bytes as text, of UTF-8 or else of Latin-1; a letter that is cut off at the end counts as none."""
+    """Decode bytes as UTF-8 or else as Latin-1; a character truncated at the end is dropped."""
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as fault:
@@ -92,7 +92,7 @@ def text_of(data: bytes) -> str:
 
 
 def beginning(path: Path, size: int = 4096) -> str:
-    """Return the first bytes of a file as text, by which a reader recognises it; empty if it cannot be read."""
+    """Return the first bytes of a file as text, for recognition of its format; empty if it cannot be read."""
     try:
         with path.open("rb") as file:
             return text_of(file.read(size))
@@ -101,7 +101,7 @@ def beginning(path: Path, size: int = 4096) -> str:
 
 
 def refuse_jumps(path: Path, numbers: F64, where: Lines) -> None:
-    """Raise a SourceError at the first frame number that is not the one after the last.
+    """Raise SourceError at the first frame number that is not one more than the one before.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The writers of joint positions as tables: CSV and Parquet."""
+"""Write joint positions as tables: CSV and Parquet."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def write_csv(path: Path, motion: JointMotion) -> None:
     path : Path
         The file to write.
     motion : JointMotion
-        The motion; places that are not known are written as nan.
+        The motion; unknown positions are written as nan.
     """
     frames = len(motion.places)
     columns = {
@@ -36,7 +36,7 @@ def write_csv(path: Path, motion: JointMotion) -> None:
 def write_parquet(path: Path, motion: JointMotion) -> None:
     """Write a Parquet file with the columns of the view `frames`: a STRUCT(x, y, z) for every joint, and the word.
 
-    The rate stands in the metadata of the file as `kinedex.rate_hz`. The word of an invalid frame is null.
+    The rate is in the file's metadata as `kinedex.rate_hz`. The word of an invalid frame is null.
 
     Parameters
     ----------

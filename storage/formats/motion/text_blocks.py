@@ -1,4 +1,4 @@
-"""Blocks of a text file: a long file is parsed piece by piece, and is never in memory as a whole."""
+"""Read a text file in blocks, so that a long file is never in memory as a whole."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.reader import source_bytes
 
 BLOCK = 1 << 20
-"""Bytes that are read at once, and stay in the processor's cache meanwhile; a shorter file is one block."""
+"""The size of a block in bytes, which fits into the processor's cache; a shorter file is one block."""
 
 LONGEST = 64 << 20
-"""Bytes of a header, of a frame or of a line; a file with a longer one is refused."""
+"""The largest size of a header, frame or line in bytes; a file with a longer one is refused."""
 
 _LINE_END = re.compile(rb"\r\n?|\n")
 _FRAME = re.compile(rb"[\r\n][ \t]*(?=[0-9])")
@@ -30,7 +30,7 @@ _FRAME = re.compile(rb"[\r\n][ \t]*(?=[0-9])")
 
 @dataclass(frozen=True)
 class Block:
-    """Consecutive bytes of a file; they hold until the next block is asked for.
+    """Consecutive bytes of a file, valid until the next block is requested.
 
     Attributes
     ----------
@@ -39,9 +39,9 @@ class Block:
     view : memoryview
         The bytes.
     start : int
-        The place of the first one in the file.
+        The offset of the first byte in the file.
     last : bool
-        True if nothing follows.
+        True for the last block of the file.
     """
 
     path: Path
@@ -51,15 +51,15 @@ class Block:
 
     @cached_property
     def data(self) -> bytes:
-        """The bytes to keep."""
+        """A copy of the bytes that outlives the block."""
         whole = self.view.obj
         return whole if isinstance(whole, bytes) and len(whole) == len(self.view) else bytes(self.view)
 
     @property
     def line(self) -> int:
-        r"""The number of the first line, from 1; "\n", "\r\n" and "\r" end one.
+        r"""The number of the first line, from 1; "\n", "\r\n" and "\r" are line ends.
 
-        Only messages need it, so that the file before the block is read once more for it.
+        It is computed by reading the file up to the block again, since only error messages need it.
         """
         line, left, carry = 1, self.start, b""
         if left:
@@ -67,7 +67,7 @@ class Block:
                 while left and (more := file.read(min(left, BLOCK))):
                     left -= len(more)
                     found = carry + more
-                    # the end of a line may lie across two pieces
+                    # a line end may be split between two pieces
                     carry = b"\r" if left and found.endswith(b"\r") else b""
                     line += len(_LINE_END.findall(found, 0, len(found) - len(carry)))
         return line
@@ -83,14 +83,15 @@ def blocks(path: Path, data: bytes | None, cut: Callable[[bytearray, int], int],
     data : bytes, optional
         Its bytes, if they have been read already; they are one block, as a file of up to `BLOCK` bytes is.
     cut : callable
-        Returns the place at which a block can end among the first bytes, so many, of a buffer; 0 where there is none.
+        Returns the offset at which a block can end within the first bytes of a buffer, given their number; 0 if there
+        is none.
     least : int, optional
-        Bytes that the first block has at least, where the file has so many.
+        Least size of the first block in bytes, if the file is long enough.
 
     Raises
     ------
     SourceError
-        The file cannot be read, is empty, or has no place to end a block in `LONGEST` bytes.
+        The file cannot be read, is empty, or has no possible end of a block within `LONGEST` bytes.
     """
     try:
         with path.open("rb", buffering=0) if data is None else nullcontext() as file:
@@ -104,7 +105,7 @@ def blocks(path: Path, data: bytes | None, cut: Callable[[bytearray, int], int],
 
 
 def _long(path: Path, file: FileIO, cut: Callable[[bytearray, int], int], least: int) -> Iterator[Block]:
-    """Yield the blocks of a long file, all in one buffer: fresh memory would cost as much as the numbers in it."""
+    """Yield the blocks of a long file in one reused buffer: new memory would cost as much time as parsing."""
     buffer, held, start, empty = bytearray(BLOCK + BLOCK // 4), 0, 0, True
     while True:
         if len(buffer) < held + BLOCK:
@@ -130,7 +131,7 @@ def _long(path: Path, file: FileIO, cut: Callable[[bytearray, int], int], least:
 
 
 def _fill(file: FileIO, room: memoryview) -> int:
-    """Read as many bytes as there is room for, or as the file has, and return their number."""
+    """Fill a buffer from a file, up to the end of the file, and return the number of bytes read."""
     held = 0
     while held < len(room) and (more := file.readinto(room[held:])):
         held += more
@@ -138,16 +139,16 @@ def _fill(file: FileIO, room: memoryview) -> int:
 
 
 class RowMemory:
-    """Memory for the rows of numbers of a text: one array for all of them, or one that every block fills anew.
+    """Memory for the parsed rows of a text: one array for all rows, or one that is reused for every block.
 
     Parameters
     ----------
     columns : int
         The numbers of a row.
     rows : int, optional
-        The rows of the whole text, to keep all of them.
+        The number of rows of the whole text, to keep all of them.
     size : int, optional
-        The bytes of that text.
+        The size of that text in bytes.
     """
 
     def __init__(self, columns: int, rows: int | None = None, size: int = 0) -> None:
@@ -156,11 +157,11 @@ class RowMemory:
         self.filled = 0
 
     def _most(self, size: int) -> int:
-        """Return a bound of the rows in some bytes, since a number and its end take two."""
+        """Return an upper bound of the rows in `size` bytes, since each number takes at least two."""
         return size // max(2 * self._columns, 1) + 1
 
     def free(self, size: int) -> npt.NDArray[np.float64]:
-        """Return an array for the rows of the next block of so many bytes."""
+        """Return an array for the rows of the next block of `size` bytes."""
         if self._keeps:
             return self._rows[self.filled :]
         least = self._most(size)
@@ -170,7 +171,7 @@ class RowMemory:
 
     @property
     def whole(self) -> npt.NDArray[np.float64]:
-        """The rows of the whole text, once all of them are there."""
+        """The rows of the whole text, after all have been parsed."""
         return self._rows
 
 
@@ -184,9 +185,9 @@ class RowFile(ABC):
     frames : int
         The number of its rows.
     size : int
-        Its bytes.
+        Its size in bytes.
     columns : int
-        The numbers of a row.
+        The number of values in a row.
     """
 
     path: Path
@@ -196,11 +197,11 @@ class RowFile(ABC):
     @property
     @abstractmethod
     def columns(self) -> int:
-        """The numbers of a row."""
+        """The number of values in a row."""
 
     @abstractmethod
     def parsed(self, memory: RowMemory) -> Iterator[npt.NDArray[np.float64]]:
-        """Yield the rows of one block after the other, which are put into memory.
+        """Parse block by block into memory, and yield the rows of each block.
 
         Raises
         ------
@@ -209,7 +210,7 @@ class RowFile(ABC):
         """
 
     def blocks(self) -> Iterator[npt.NDArray[np.float64]]:
-        """Yield the channels (T, C) of consecutive frames, in radians and a unit of length; they hold until the next.
+        """Yield the channels (T, C) of consecutive frames, in radians and a unit of length, valid until the next ones.
 
         Raises
         ------
@@ -229,18 +230,18 @@ class RowFile(ABC):
 
 
 def changed(path: Path) -> SourceError:
-    """Return the error of a file that is another one than when its frames were counted."""
+    """Return the error for a file that has changed since its frames were counted."""
     return SourceError(path, "was changed while it was read; run again when it is whole")
 
 
 def after_last_line(data: bytearray, stop: int) -> int:
-    """Return the place after the last line that ends in the first `stop` bytes; 0 where none does."""
+    """Return the offset after the last line that ends within the first `stop` bytes; 0 if none does."""
     end = data.rfind(b"\n", 0, stop) + 1
     return end or data.rfind(b"\r", 0, max(stop - 1, 0)) + 1
 
 
 def before_last_frame(data: bytearray, stop: int) -> int:
-    """Return the place of the last line in `stop` bytes that begins with a digit, as frames of AMC files do, or 0."""
+    """Return the offset of the last line within `stop` bytes that begins with a digit, as AMC frames do; 0 if none."""
     window = 1 << 12
     while True:
         found = list(_FRAME.finditer(data, max(0, stop - window), stop))

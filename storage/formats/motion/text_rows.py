@@ -1,4 +1,4 @@
-"""Rows of numbers in a motion file as text: their places, so that any of them are read without the others."""
+"""Find the byte offsets of rows of numbers in a text motion file, so that any of them can be read alone."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class TextRows:
     path : Path
         The file.
     start : int
-        The byte behind which they begin.
+        The byte after which they begin.
     numbered : bool
-        True for frames that begin with a line with their number, as in AMC files; False for a row a line.
+        True for frames that begin with a line for their number, as in AMC files; False for one row per line.
     cut : callable
-        The places at which a block of the file can end, see `text_blocks.blocks`.
+        Returns the offset at which a block of the file can end, see `text_blocks.blocks`.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class TextRows:
     head : bytes
         The text before the first frame.
     newline : bytes
-        The end of a line, as the file writes it first.
+        The first line end in the file.
     """
 
     def __init__(self, path: Path, start: int, numbered: bool, cut: Callable[[bytearray, int], int]) -> None:
@@ -62,7 +62,7 @@ class TextRows:
         return len(self.starts) - 1
 
     def read(self, start: int, stop: int) -> list[bytes]:
-        """Return frames with the ends of their lines, each with the blank lines and comments that follow it.
+        """Return the text of frames [start, stop) with line ends, blank lines and comments after each.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""The writer of TRC files: named joints as markers, for OpenSim, Pose2Sim and others."""
+"""Write TRC files: named joints as markers, for OpenSim, Pose2Sim and others."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from kinedex.storage.formats.motion.marker_names import MARKER_NAMES, seen_marke
 _KEYS = (
     "DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units", "OrigDataRate", "OrigDataStartFrame", "OrigNumFrames",
 )  # fmt: skip
-_AT_ONCE = 4096  # frames that are written at a time
+_AT_ONCE = 4096  # frames written at once
 
 
 def write_trc(path: Path, motion: JointMotion) -> None:
     """Write the joints of a motion as the markers of a TRC file, in metres with Y up.
 
-    Numbers have as many digits as bring the same single-precision numbers back. A joint that is not seen in a frame has
-    blank cells there, and one that is never seen has no columns. Rows end with a tab, as in the files of OpenSim, whose
-    reader takes the last cell for missing otherwise where it is blank.
+    Numbers have enough digits to restore the same single-precision values. A joint that is missing in a frame has blank
+    cells there, and one that is always missing has no columns. Rows end with a tab, as in the files of OpenSim, whose
+    reader would otherwise report a blank last cell as missing.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def write_trc(path: Path, motion: JointMotion) -> None:
     Raises
     ------
     KinedexError
-        No joint is seen in any frame.
+        All joints are missing in all frames.
     """
     joints, places = seen_markers(motion)
     rate = f"{motion.rate_hz:.10g}"
@@ -54,12 +54,12 @@ def write_trc(path: Path, motion: JointMotion) -> None:
 
 
 def _one_line(name: str) -> str:
-    """Return a name without the characters that end a cell or a line."""
+    """Return a name without tabs and line ends."""
     return "".join(letter if letter.isprintable() else "_" for letter in name)
 
 
 def _cells(block: np.ndarray[tuple[int, ...], np.dtype[np.float32]]) -> list[list[str]]:
-    """Return the texts of numbers, the shortest that bring them back; blank for NaN."""
+    """Return the shortest texts that restore the numbers; blank for NaN."""
     texts: list[list[str]] = block.astype("U").tolist()
     return [["" if cell == "nan" else cell for cell in row] for row in texts]
 

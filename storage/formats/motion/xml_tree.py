@@ -1,4 +1,4 @@
-"""Trees of XML files, read without trust: no document type, no entity, and no more elements than a model has."""
+"""Parse XML files safely: no document type, no entities, and limited numbers of elements."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from kinedex.storage.formats.motion.reader import file_size
 from kinedex.storage.formats.motion.text_blocks import BLOCK, LONGEST
 
 MOST_ELEMENTS, DEEPEST = 500_000, 100
-"""A file with more elements, or elements inside each other, is no model of a body."""
+"""The largest number of elements, and the largest depth of nested elements."""
 
 
 LONGEST_TEXT = 1 << 20
-"""Characters in one element."""
+"""The largest number of characters in an element."""
 
 
 class _Tree:
-    """The handlers of the parser, which build the tree; elements of some names are passed over with all in them."""
+    """The handlers of the parser, which build the tree; elements with given names are skipped with their content."""
 
     def __init__(self, path: Path, parser: expat.XMLParserType, skipped: Collection[str]) -> None:
         self._path, self._parser, self._skipped = path, parser, frozenset(skipped)
@@ -72,7 +72,7 @@ def parse_xml(path: Path, skipped: Collection[str] = ()) -> Element:
     path : Path
         The file.
     skipped : collection of str, optional
-        Names of elements that are passed over, with all that is in them.
+        Names of elements that are skipped with their content.
 
     Returns
     -------
@@ -82,7 +82,7 @@ def parse_xml(path: Path, skipped: Collection[str] = ()) -> Element:
     Raises
     ------
     SourceError
-        The file cannot be read, is no XML, has a document type declaration, or is beyond a limit.
+        The file cannot be read, is not XML, has a document type declaration, or is beyond a limit.
     """
     if file_size(path) > LONGEST:
         raise SourceError(path, f"has more than {LONGEST >> 20} MB, which no model of a body has")
