@@ -1,8 +1,8 @@
-"""Takes of a damaged part of frames whose rows are provably right.
+"""Find the takes of a damaged part of frames whose rows are provably undamaged.
 
-A row group is right if the checksums of its pages fit, and if its rows, written again, give the bytes that it has: the
-headers of pages, which have no checksum, are then those that its own writer made of these rows. Parts that another
-version of the Parquet library wrote do not pass, nor do those without page checksums.
+A row group is undamaged if the checksums of its pages match, and if writing its rows again gives the same bytes: this
+proves the page headers, which have no checksum. Parts from another version of the Parquet library do not pass, nor do
+those without page checksums.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from kinedex.storage.snapshot.schemas import schema_problem
 def sound_takes(
     file: Path, schema: pa.Schema, take_ids: Collection[int], frames: Mapping[int, int]
 ) -> dict[int, pa.Table]:
-    """Return the rows of takes of a damaged part of frames, as far as they are proven to be right.
+    """Return the rows of takes of a damaged part of frames, as far as they are proven to be undamaged.
 
     Parameters
     ----------
     file : Path
         The part.
     schema : pyarrow.Schema
-        The schema that it must have.
+        The required schema.
     take_ids : collection of int
-        The takes that are wanted.
+        The takes to look for.
     frames : mapping of int to int
         Id of a take → its number of frames.
 
@@ -62,7 +62,7 @@ def sound_takes(
 
 
 def _sound_group(file: Path, part: pq.ParquetFile, number: int, schema: pa.Schema) -> pa.Table | None:
-    """Return the rows of a row group; None unless they are right."""
+    """Return the rows of a row group; None unless they are undamaged."""
     try:
         rows = part.read_row_group(number).cast(schema)
     except (OSError, pa.ArrowException):

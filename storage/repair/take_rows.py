@@ -1,4 +1,4 @@
-"""Rows of takes whose part is damaged: from the index of the same takes, or from an older version of the store."""
+"""Restore rows of takes from damaged parts, from the index of the same takes or an older version of the store."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from kinedex.storage.snapshot.snapshot import Snapshot
 
 @dataclass(frozen=True)
 class RestoredRows:
-    """The rows of takes of damaged parts.
+    """The rows of takes that were restored from damaged parts.
 
     Attributes
     ----------
     rows : pyarrow.Table
-        The rows that were found elsewhere, in order of take_id.
+        The restored rows, in order of take_id.
     lost : tuple of int
-        Ids of the other takes.
+        Ids of the takes that could not be restored.
     """
 
     rows: pa.Table
@@ -40,8 +40,8 @@ class RestoredRows:
 def restored_rows(store: Snapshot, bad: Iterable[Part]) -> RestoredRows:
     """Find the rows of the live takes of damaged takes parts.
 
-    They are read from the index of exactly these takes, whose checksum must fit, then from the parts of older versions
-    with the same takes.
+    They are read from the index of exactly these takes, whose checksum must match, then from the parts of older
+    versions with the same takes.
 
     Parameters
     ----------
@@ -62,9 +62,9 @@ def restored_rows(store: Snapshot, bad: Iterable[Part]) -> RestoredRows:
 
 
 def with_rows(store: Snapshot, bad: list[Part], restored: RestoredRows) -> Manifest:
-    """Write the restored rows as a new part and return a manifest that names it; the lost takes are dropped from it.
+    """Write the restored rows as a new part, and return a manifest that names it without the lost takes.
 
-    A single damaged part whose rows are all there gets its content back under its name; the manifest stays then.
+    A single damaged part with all rows restored is written again under its name; then the manifest is unchanged.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def with_rows(store: Snapshot, bad: list[Part], restored: RestoredRows) -> Manif
 
 
 def _without(store: Snapshot, part: Part, lost: set[int]) -> Part:
-    """Return a part of frames in which lost takes count as dropped."""
+    """Return a part of frames with the lost takes marked as dropped."""
     gone = lost.intersection(part.live)
     if not gone or gone == set(part.live):
         return replace(part, dropped=part.take_ids) if gone else part
@@ -99,7 +99,7 @@ def _without(store: Snapshot, part: Part, lost: set[int]) -> Part:
     with suppress(StoreError), read_errors(store.path / part.path):
         ids = pq.read_table(store.checked.part(part), columns=["take_id"]).column("take_id")
         rows = pc.sum(pc.is_in(ids, pa.array(gone, pa.int64()))).as_py()
-    # of a damaged part it is not known, but its other takes are read again
+    # unknown for a damaged part, whose other takes are read again anyway
     return replace(part, dropped=tuple(sorted({*part.dropped, *gone})), dropped_rows=part.dropped_rows + rows)
 
 

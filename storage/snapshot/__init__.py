@@ -1,1 +1,1 @@
-"""One version of a store as files: its manifest, the Parquet parts that the manifest names, and their schemas."""
+"""Read one version of a store as files: its manifest, the Parquet parts that it names, and their schemas."""

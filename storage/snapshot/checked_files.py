@@ -1,4 +1,4 @@
-"""Checks of the files of an open store: the checksum of each is computed once, before anything is read from it."""
+"""Check the files of an open store: the checksum of each is computed once, before anything is read from it."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from kinedex.storage.snapshot.part_records import AnyPart
 from kinedex.storage.snapshot.parts import part_file, read_errors
 
 _THREADS = min(4, os.cpu_count() or 1)
-"""Number of files that are checked at a time: four cores read memory as fast as more."""
+"""The number of files checked at once: four cores read memory as fast as more."""
 
 
 class _Identity(NamedTuple):
-    """Values that change with every new content of a file, except by a fault of the disk."""
+    """Values that change with every new content of a file, unless the disk is faulty."""
 
     device: int
     inode: int
@@ -35,10 +35,10 @@ def _identity(status: os.stat_result) -> _Identity:
 
 
 class CheckedFiles:
-    """The files of one open store whose checksums were found to be right; any thread may use it.
+    """The files of one open store that were found to match their checksums; the class is thread-safe.
 
-    A file is checked when it is first asked for, and again once its inode, size or time has changed. A process that
-    receives the object from another one keeps what the sender knew, and what it has found itself since.
+    A file is checked when it is first requested, and again if its inode, size or time has changed. A process that
+    receives the object from another one keeps the sender's results and adds its own.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class CheckedFiles:
         self._busy: dict[str, Lock] = {}
 
     def part(self, part: AnyPart) -> Path:
-        """Return the file of a part whose content fits its checksum.
+        """Return the file of a part after checking it against its checksum.
 
         Raises
         ------
@@ -71,7 +71,7 @@ class CheckedFiles:
         return file
 
     def parts(self, parts: Iterable[AnyPart]) -> list[Path]:
-        """Return the files of parts as `part` does; several are checked at a time."""
+        """Return the files of parts as `part` does, checking several at once."""
         asked = list(parts)
         if len(asked) < 2 or all(str(self.store / part.path) in self._known for part in asked):
             return [self.part(part) for part in asked]
@@ -84,14 +84,14 @@ class CheckedFiles:
     def is_sound(
         self, file: Path, recorded: str, compute: Callable[[Path], tuple[str, os.stat_result]] = xxh3_of
     ) -> bool:
-        """Return whether a file has a checksum; it is not computed again for a file that had it before.
+        """Return whether a file has a given checksum; the result is cached while the file is unchanged.
 
         Parameters
         ----------
         file : Path
             A file of the store.
         recorded : str
-            The checksum that it must have.
+            The expected checksum.
         compute : callable, optional
             Returns the checksum of a file, and its status when it was opened.
 
@@ -103,7 +103,7 @@ class CheckedFiles:
         name = str(file)
         if self._known.get(name) == _identity(os.stat(file)):
             return True
-        # of several threads that need a file, one computes and the others wait
+        # if several threads need a file, one computes and the others wait
         with self._busy.setdefault(name, Lock()):
             if self._known.get(name) == _identity(os.stat(file)):
                 return True
@@ -117,7 +117,7 @@ class CheckedFiles:
 
 
 _copies: dict[str, CheckedFiles] = {}
-"""The object that this process received last: the tasks of one run share what it has found."""
+"""The object that this process received last, so that the tasks of one run share its results."""
 
 
 def _received(origin: str, store: Path, known: dict[str, _Identity]) -> CheckedFiles:

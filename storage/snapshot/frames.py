@@ -1,4 +1,4 @@
-"""Reading of frames parts: the words of many takes at once, and the rows of takes and of intervals of them."""
+"""Read frames parts: the words of many takes at once, and the rows of takes and of intervals in them."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ def read_words(files: CheckedFiles, manifest: Manifest, take_ids: Sequence[int] 
     read = [_part_words(files, part, here) for part in manifest.frames if (here := _here(part, asked)) is not None]
     ids = np.concatenate([np.empty(0, np.int64), *(takes for takes, _, _ in read)])
     lengths = np.concatenate([np.empty(0, np.int64), *(counts for _, counts, _ in read)])
-    # a copy even of a single part: what Arrow holds cannot be written to, and kernels would be compiled for it anew
+    # copy even a single part: Arrow's memory is read-only, for which kernels would be compiled again
     words = np.concatenate([np.empty(0, np.uint64), *(found for *_, found in read)])
     offsets = np.concatenate([[0], np.cumsum(lengths)])
     if np.any(np.diff(ids) < 0):
-        # the takes of several parts interleave
+        # takes of several parts interleave
         order = np.argsort(ids)
         ids, lengths, starts = ids[order], lengths[order], offsets[:-1][order]
         offsets = np.concatenate([[0], np.cumsum(lengths)])
@@ -62,7 +62,7 @@ def read_words(files: CheckedFiles, manifest: Manifest, take_ids: Sequence[int] 
 
 
 def _here(part: Part, asked: I64) -> I64 | None:
-    """Return the wanted takes that are live in a part; None if there are none."""
+    """Return the requested takes that are live in a part; None if there are none."""
     live = np.array(part.live, np.int64)
     places = np.searchsorted(asked, live)
     live, places = live[places < len(asked)], places[places < len(asked)]
@@ -71,7 +71,7 @@ def _here(part: Part, asked: I64) -> I64 | None:
 
 
 def _part_words(files: CheckedFiles, part: Part, takes: I64) -> tuple[I64, I64, npt.NDArray[np.uint64]]:
-    """Return the wanted takes of one part, their lengths, and their words; no copy of a whole part."""
+    """Return ids, numbers of frames, and words of the requested takes in one part, without copying a whole part."""
     table = _read(files, part, ["take_id", "word"], int(takes[0]), int(takes[-1]))
     ids = table.column("take_id").to_numpy()
     words = words_of(table)
@@ -83,9 +83,9 @@ def _part_words(files: CheckedFiles, part: Part, takes: I64) -> tuple[I64, I64, 
 
 
 def words_of(frames: pa.Table) -> npt.NDArray[np.uint64]:
-    """Return the words of rows of a frames part, uint64; `NO_WORD` where a frame is invalid."""
+    """Return the words of rows of a frames part, uint64; `NO_WORD` for invalid frames."""
     column = frames.column("word")
-    if column.null_count:  # what fills them takes long to import
+    if column.null_count:  # the module that fills nulls takes long to import
         column = column.fill_null(NO_WORD.item())
     words: npt.NDArray[np.uint64] = column.to_numpy()
     return words
@@ -94,7 +94,7 @@ def words_of(frames: pa.Table) -> npt.NDArray[np.uint64]:
 def read_frames(
     files: CheckedFiles, manifest: Manifest, take_id: int, start: int, stop: int, columns: Sequence[str] | None = None
 ) -> pa.Table:
-    """Read the rows of frames [start, stop) of one live take: take_id and the columns that are asked for, or all."""
+    """Read the rows of frames [start, stop) of one live take: take_id and the given columns, or all columns."""
     part = next(part for part in manifest.frames if take_id in part.live)
     path = files.part(part)
     with read_errors(path):
@@ -108,7 +108,7 @@ def read_frames(
 def read_intervals(
     files: CheckedFiles, manifest: Manifest, intervals: Sequence[tuple[int, int, int]], columns: Sequence[str]
 ) -> Iterator[tuple[int, pa.Table]]:
-    """Yield the places of intervals in a sequence, and their rows; every row group is read once.
+    """Yield index and rows of each interval of a sequence; every row group is read once.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def read_intervals(
 def _of_part(
     path: Path, intervals: Sequence[tuple[int, int, int]], wanted: Sequence[int], columns: Sequence[str]
 ) -> Iterator[tuple[int, pa.Table]]:
-    """Yield the rows of some intervals whose takes lie in a part."""
+    """Yield index and rows of those intervals whose takes are in a part."""
     footer = footer_of(path)
     places_of: dict[int, list[int]] = {}
     for place in wanted:
@@ -156,7 +156,7 @@ def _of_part(
 
 
 def _placed(columns: Sequence[str] | None) -> list[str] | None:
-    """Return the columns to read if some are wanted: with those that tell which rows belong to which take."""
+    """Return the given columns with those that identify take and frame; None for all columns."""
     return None if columns is None else list(dict.fromkeys(["take_id", "frame", *columns]))
 
 
@@ -165,7 +165,7 @@ def _wanted(table: pa.Table, columns: Sequence[str] | None) -> pa.Table:
 
 
 def _rows(table: pa.Table, take_id: int, start: int, stop: int) -> tuple[int, int]:
-    """Return the rows of a table that hold the frames [start, stop) of a take."""
+    """Return the range of rows of a table that contains the frames [start, stop) of a take."""
     ids = table.column("take_id").to_numpy()
     first, last = np.searchsorted(ids, take_id, "left"), np.searchsorted(ids, take_id, "right")
     frames = table.column("frame").slice(first, last - first).to_numpy()
@@ -175,9 +175,9 @@ def _rows(table: pa.Table, take_id: int, start: int, stop: int) -> tuple[int, in
 def read_takes(
     files: CheckedFiles, manifest: Manifest, take_ids: Iterable[int], columns: Sequence[str] | None = None
 ) -> Iterator[tuple[int, pa.Table]]:
-    """Yield the rows of live takes with their ids, in the order of the parts; every row group is read once.
+    """Yield ids and rows of live takes, in the order of the parts; every row group is read once.
 
-    The rows have take_id and the columns that are asked for, or all.
+    The rows have take_id and the given columns, or all columns.
     """
     asked = set(take_ids)
     for part in manifest.frames:
@@ -203,7 +203,7 @@ def read_takes(
 
 
 def _read(files: CheckedFiles, part: Part, columns: list[str] | None, lowest: int, highest: int) -> pa.Table:
-    """Read the row groups that can hold takes from lowest to highest; the parts are sorted by take."""
+    """Read the row groups that can contain takes with ids from lowest to highest; parts are sorted by take."""
     path = files.part(part)
     with read_errors(path):
         footer = footer_of(path)

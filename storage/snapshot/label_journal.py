@@ -1,9 +1,9 @@
-"""The journal of labels: decisions that are on disk before a writer of the store publishes them.
+"""Keep the journal of labels: decisions that are on disk before a writer of the store publishes them.
 
-`labels/journal/` holds a few files of lines; a line holds the rows of one decision and their checksum. Who appends a
-line locks the file for that moment; where another process has locked it, the next file serves, so that nobody waits.
-A commit publishes the rows of all lines and then empties the files, unless one has grown meanwhile. Files are never
-removed, so that no line can go into a removed one.
+`labels/journal/` holds a few files of lines; a line has the rows of one decision and their checksum. A process locks a
+file while it appends a line; if another process has locked it, the next file is used, so that nobody waits. A commit
+publishes the rows of all lines and then empties the files, except one that has grown in the meantime. Files are never
+removed, so that no line can be written to a removed file.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ FOLDER = "labels/journal"
 _ENDING = ".jsonl"
 
 _HEADER = b"\n"
-"""The first byte of a file, which is the one that Windows lets nobody read while the file is locked."""
+"""The first byte of a file, which others cannot read on Windows while the file is locked."""
 
 _ROWS = 5_000
-"""Rows of a line at most, so that no line takes much memory to check."""
+"""The largest number of rows in a line, which bounds the memory for checking it."""
 
 _PREFIX, _BETWEEN = b'{"xxh3":"', b'","rows":'
 _SUM = 32
@@ -44,19 +44,19 @@ _NOT_THERE_SECONDS = 0.005
 
 @dataclass(frozen=True)
 class Journal:
-    """A file of the journal as it was read.
+    """A file of the journal, as read.
 
     Attributes
     ----------
     path : Path
         The file.
     size : int
-        Its bytes.
+        Its size in bytes.
     rows : list of dict
-        The rows of its sound lines, by column.
+        The rows of its undamaged lines, each a mapping from column to value.
     damaged : tuple of int
-        Numbers of the lines whose content does not fit its checksum. A last line without its end is none of them: the
-        process ended while it wrote it, and no one was told that the decision is stored.
+        Numbers of the lines whose content does not match its checksum. An incomplete last line is not counted: the
+        process ended while writing it, before it reported the decision as stored.
     """
 
     path: Path
@@ -66,7 +66,7 @@ class Journal:
 
 
 def append_rows(store: Path, rows: pa.Table) -> None:
-    """Append the rows of a decision to the journal of a store; they are on disk when this returns.
+    """Append the rows of a decision to the journal of a store; they are on disk when the function returns.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def append_rows(store: Path, rows: pa.Table) -> None:
     Raises
     ------
     StoreError
-        The disk is full or refuses; the journal is as it was before.
+        The disk is full or cannot be written; the journal is unchanged.
     """
     if not rows.num_rows:
         return
@@ -99,19 +99,19 @@ def append_rows(store: Path, rows: pa.Table) -> None:
 
 
 def read_journals(store: Path) -> list[Journal]:
-    """Read the journal of a store: the rows of all sound lines, and the numbers of damaged ones."""
+    """Read the journal of a store: the rows of all undamaged lines, and the numbers of damaged ones."""
     return [_read(path) for path in _files(store)]
 
 
 def journal_rows(journals: Iterable[Journal], known: Iterable[str] = ()) -> pa.Table:
-    """Return the rows of journals by the time of their decisions, each once.
+    """Return the rows of journals without duplicates, sorted by the time of their decisions.
 
     Parameters
     ----------
     journals : iterable of Journal
         The files.
     known : iterable of str
-        Ids of rows to exclude, which the store's parts have already.
+        Ids of rows to exclude because the store's parts have them.
     """
     seen = set(known)
     rows: list[dict[str, Any]] = []
@@ -132,7 +132,7 @@ def require_sound(journals: Iterable[Journal], store: Path) -> None:
 
 
 def empty(journal: Journal) -> None:
-    """Empty a file whose rows have been published, unless it has grown since it was read, or somebody writes it."""
+    """Empty a file after its rows were published, unless it has grown since it was read, or is being written."""
     if journal.size <= len(_HEADER):
         return
     with _locked(journal.path) as descriptor:
@@ -148,8 +148,8 @@ def _files(store: Path) -> list[Path]:
 
 @contextmanager
 def _locked(path: Path) -> Iterator[int | None]:
-    """Open and lock a file, which is made where it is missing; None where another process has locked it."""
-    from filelock import lock_descriptor, unlock_descriptor  # a reader locks nothing
+    """Open and lock a file, which is created if missing; yield None if another process has locked it."""
+    from filelock import lock_descriptor, unlock_descriptor  # imported here, since readers do not lock
 
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
     try:
@@ -167,11 +167,11 @@ def _locked(path: Path) -> Iterator[int | None]:
 
 
 def _append(descriptor: int, lines: bytes) -> None:
-    """Write lines behind the last whole line and flush them; where that fails, the file is as it was."""
+    """Write lines after the last complete line and flush them; on failure restore the file."""
     content = _content(descriptor)
     end = content.rfind(b"\n") + 1
     rest = content[end:]
-    if rest and _rows_of(rest) is not None:  # only its end is missing
+    if rest and _rows_of(rest) is not None:  # complete but for its line end
         lines, end = b"\n" + lines, len(content)
     lines = lines if content else _HEADER + lines
     try:
@@ -211,7 +211,7 @@ def _read(path: Path) -> Journal:
 
 
 def _bytes_of(path: Path) -> bytes:
-    """Return the content of a file with its header, which is not read."""
+    """Return the content of a file with a constant header byte in place of the stored one, which is not read."""
     deadline = time.monotonic() + 5.0
     while True:
         try:
@@ -219,7 +219,7 @@ def _bytes_of(path: Path) -> bytes:
                 file.seek(len(_HEADER))
                 found = file.read()
             return _HEADER + found if found or path.stat().st_size else b""
-        except PermissionError as fault:  # Windows, where somebody writes the file
+        except PermissionError as fault:  # on Windows, while another process writes the file
             if os.name != "nt" or time.monotonic() > deadline:
                 raise StoreError(f"{path}: cannot be read: {fault.strerror}") from fault
             time.sleep(_NOT_THERE_SECONDS)
@@ -233,7 +233,7 @@ def _line(rows: list[dict[str, Any]]) -> bytes:
 
 
 def _rows_of(line: bytes) -> list[dict[str, Any]] | None:
-    """Return the rows of a line; None if its content does not fit its checksum."""
+    """Return the rows of a line; None if its content does not match its checksum."""
     first = len(_PREFIX) + _SUM + len(_BETWEEN)
     text = line[first:-1]
     if line != _PREFIX + xxhash.xxh3_128_hexdigest(text).encode() + _BETWEEN + text + b"}":

@@ -1,4 +1,4 @@
-"""Labels with the columns of the view `label_history`."""
+"""Return labels with the columns of the view `label_history`."""
 
 from __future__ import annotations
 

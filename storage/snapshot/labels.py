@@ -1,4 +1,4 @@
-"""Labels: statements of people about takes. They are primary data: rows are added and replaced, never changed."""
+"""Complete, check and filter labels: statements of people about takes, whose rows are added but never changed."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from kinedex.storage.snapshot.schemas import LABEL_ORIGINS, LABEL_VERDICTS, labe
 
 
 def current_labels(rows: pa.Table) -> pa.Table:
-    """Return the labels that count: the rows that no other row replaces, without those that only withdraw another."""
+    """Return the current labels: rows that no other row replaces, without those that only withdraw another."""
     if not rows.num_rows:
         return rows
-    import pyarrow.compute as pc  # makes hundreds of functions, which no other question needs
+    import pyarrow.compute as pc  # imported here: it creates hundreds of functions that no other code needs
 
     replaced = pc.is_in(rows.column("id"), rows.column("replaces"))
     withdrawn = pc.equal(rows.column("verdict"), "withdrawn")
@@ -28,7 +28,7 @@ def current_labels(rows: pa.Table) -> pa.Table:
 def is_of_limbs(row: Mapping[str, Any]) -> bool:
     """Return whether a label is about errors of limbs, not about a motion.
 
-    It is of the class `error`. A negative one states that the limb is right, or, without a limb, that all limbs are.
+    Its class is `error`. A negative one states that the limb is correct, or, without a limb, that all limbs are.
     """
     return row["class"] == ERROR and (row["limb"] is not None or row["verdict"] == "negative")
 
@@ -39,17 +39,17 @@ def new_labels(labels: pa.Table, known: pa.Table, checksums: dict[str, str]) -> 
     Parameters
     ----------
     labels : pyarrow.Table
-        Columns of `labels_schema`; those that are missing are null. A row without `id` gets a new one, one without
-        `created` the present time, one without `verdict` is "positive", one without `checksum` gets that of its take.
+        Columns of `labels_schema`; missing ones count as null. A null `id` becomes a new id, `created` the current
+        time, `verdict` "positive", and `checksum` that of the take.
     known : pyarrow.Table
-        All rows that the store has. A row with the id of one of them is skipped, so that rows can be put twice.
+        All rows that the store has. A row with the id of one of them is skipped, so that adding rows twice is harmless.
     checksums : dict of str to str
-        Name of a take → the checksum of its source file. Labels of takes that the store lacks are kept, too.
+        Name of a take → the checksum of its source file. Labels of takes that are not in the store are kept, too.
 
     Raises
     ------
     ParameterError
-        A value is out of its domain; the message names the row's take and class.
+        A value is not allowed; the message names the row's take and class.
     """
     unknown = [name for name in labels.column_names if name not in labels_schema().names]
     if unknown:

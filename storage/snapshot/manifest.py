@@ -1,4 +1,4 @@
-"""The manifest of a version of a store: every part that it names, and the records of its sources and pipelines."""
+"""Define the manifest of a version of a store: its parts, and the records of its sources and pipelines."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from kinedex.storage.snapshot.schemas import TakeColumn, takes_schema
 
 @dataclass(frozen=True)
 class Source:
-    """The settings with which a source folder was ingested last.
+    """The settings with which a source folder was last ingested.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class Source:
     settings : dict
         The parameters of the stage, as JSON values; paths are absolute.
     recorded : str
-        Time of that, ISO 8601 in UTC.
+        Time of the ingest, ISO 8601 in UTC.
     """
 
     stage: str
@@ -37,7 +37,7 @@ class Source:
 
 @dataclass(frozen=True)
 class PipelineRecord:
-    """All that it takes to run a pipeline again.
+    """Everything needed to run a pipeline again.
 
     Attributes
     ----------
@@ -46,9 +46,9 @@ class PipelineRecord:
     path : str
         The path of that file.
     settings : dict
-        The settings that the run was given in place of those of the file, as JSON values.
+        The settings of the run that replaced those of the file, as JSON values.
     sources : tuple of str
-        The folders that its stages read motion files from, absolute.
+        The absolute paths of the folders from which its stages read motion files.
     command : str
         The command line of the process that ran it.
     kinedex : str
@@ -78,9 +78,9 @@ class StageRecord:
     stage : str
         The stage, "<pipeline>/<stage>".
     fingerprint : str
-        Hash of all that its results follow from.
+        Hash of everything on which its results depend.
     run : str
-        Id of this run of the stage, which its results have as `run`.
+        Id of this run of the stage, which is the `run` of its results.
     finished : str
         Time of its end, ISO 8601 in UTC.
     seconds : float
@@ -88,8 +88,8 @@ class StageRecord:
     summary : dict
         Facts about its results, as JSON values.
     pipeline_run : str
-        Id of the pipeline run that it ran in (`PipelineRecord.run`); empty if an older kinedex recorded it, as are
-        `command` and `kinedex`.
+        Id of the pipeline run that included it (`PipelineRecord.run`); empty, like `command` and `kinedex`, in records
+        of an older kinedex.
     command : str
         The command line of the process that ran it.
     kinedex : str
@@ -124,10 +124,10 @@ class Manifest:
     rate_hz : float
         Analysis frames per second.
     next_take_id : int
-        The id that the next new take gets.
+        The id of the next new take.
     content : str
-        Hash of the takes of this version: every change of takes (not of layout, nor of results) makes a new one out of
-        the one before and of the change.
+        Hash of the takes of this version: every change of takes (not of layout or results) hashes the previous value
+        and the change.
     frames : tuple of Part
         The parts with frames.
     takes : tuple of Part
@@ -137,7 +137,7 @@ class Manifest:
     stages : dict of str to StageRecord
         "<pipeline>/<stage>" → its record.
     kinedex : str
-        Version of the kinedex that made this version; empty in a store of format 3, as are `command` and `changes`.
+        Version of the kinedex that made this version; empty, like `command` and `changes`, in a store of format 3.
     command : str
         Command line of the process that made it.
     changes : dict of str to object
@@ -145,19 +145,19 @@ class Manifest:
     columns : dict of str to TakeColumn
         The declared columns of takes, by name.
     labels : tuple of LabelPart
-        The parts with labels; every later version names all of their rows.
+        The parts with labels, whose rows are in every later version, too.
     sources : dict of str to Source
-        Source folder, absolute → the settings with which it was ingested last.
+        Absolute path of a source folder → the settings with which it was last ingested.
     pipelines : dict of str to PipelineRecord
         Name of a pipeline that has results → its last run.
     mappings : dict of str to str
-        Name → YAML text of skeleton mappings and vocabularies of the user's own, which every ingest adds to the others.
+        Name → YAML text of the user's skeleton mappings and vocabularies, which every ingest adds to the built-in ones.
     recent_pipelines : tuple of str
-        The pipelines that make results and were run to their end, the last one first.
+        The pipelines with results that were run to their end, the latest first.
     chosen_pipeline : str
-        The pipeline that was made the current one by `kinedex use`; empty: the last one that was run.
+        The pipeline chosen as current by `kinedex use`; empty for the last one that was run.
     removed_files : dict of str to tuple of str
-        Source folder, absolute → paths in it whose takes a person removed; an ingest passes them over.
+        Absolute path of a source folder → paths in it whose takes a user removed; an ingest skips them.
     """
 
     format_version: int
@@ -190,34 +190,34 @@ class Manifest:
 
     @property
     def takes_schema(self) -> pa.Schema:
-        """The columns of takes, the declared ones among them."""
+        """The columns of takes, including declared ones."""
         return takes_schema(self.columns)
 
     @property
     def live_takes(self) -> tuple[int, ...]:
-        """The ids of the takes that count, ascending."""
+        """The ids of the live takes, ascending."""
         return tuple(sorted(take for part in self.frames for take in part.live))
 
     def content_digest(self) -> str:
         """Return a hash of everything that the index depends on: feature set, rate, takes and their frames.
 
-        Neither results count, nor the layout of takes in parts: compaction keeps an index valid.
+        It depends neither on results nor on the layout of takes in parts, so that compaction keeps an index valid.
         """
         text = json.dumps([self.feature_set.digest, self.rate_hz, self.content], separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 
     def takes_digest(self) -> str:
-        """Return a hash of the rows of takes, the columns that `content_digest` leaves aside among them."""
+        """Return a hash of the rows of takes, including the columns on which `content_digest` does not depend."""
         parts = [[part.sha256, ranges(part.dropped)] for part in self.takes]
         text = json.dumps([self.takes_schema.to_string(show_schema_metadata=False), parts], separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 
 
 def changed_content(content: str, changes: list[Any]) -> str:
-    """Return the `Manifest.content` that follows another one after changes of takes, given as JSON values."""
+    """Return the new `Manifest.content` after changes of takes, given as JSON values."""
     return hashlib.sha256(json.dumps([content, changes], separators=(",", ":")).encode()).hexdigest()
 
 
 def now() -> str:
-    """Return the present time as manifests write it: ISO 8601, UTC, to the second."""
+    """Return the current time in the format of manifests: ISO 8601, UTC, to the second."""
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

@@ -1,4 +1,4 @@
-"""The files of manifests: one JSON file for each version of a store; the truth, read with care and published whole."""
+"""Read and publish manifests, one JSON file for each version of a store, which define what the version contains."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FOLDER = "manifest"
 
 _NAME = re.compile(r"^(\d{6,})\.json$")
 
-_FEATURE_SETS: dict[str, FeatureSet] = {}  # by their digests: versions share one, whose `encoded` is made once
+_FEATURE_SETS: dict[str, FeatureSet] = {}  # by digest: versions share an object, so that its `encoded` is computed once
 
 
 def manifest_path(store: Path, version: int) -> Path:
@@ -34,7 +34,7 @@ def manifest_path(store: Path, version: int) -> Path:
 
 
 def versions(store: Path) -> list[int]:
-    """Return the versions that a store holds, ascending; empty if there is no store."""
+    """Return the numbers of a store's versions, ascending; empty if there is no store."""
     folder = store / FOLDER
     if not folder.is_dir():
         return []
@@ -52,7 +52,7 @@ def read_newest(store: Path) -> Manifest:
     Raises
     ------
     StoreError
-        There is no store, its manifest is damaged, or it has a format that is not read.
+        There is no store, its manifest is damaged, or it has an unsupported format.
     """
     found = versions(store)
     if not found:
@@ -74,7 +74,7 @@ def read_version(store: Path, version: int) -> Manifest:
     Raises
     ------
     StoreError
-        The manifest is missing or damaged, or has a format that is not read.
+        The manifest is missing or damaged, or has an unsupported format.
     """
     path = manifest_path(store, version)
     content = _content(path)
@@ -89,7 +89,7 @@ def read_version(store: Path, version: int) -> Manifest:
 
 
 def _validated(path: Path, content: dict[str, Any]) -> Manifest:
-    """Return the manifest, or raise an error that names the value at fault; pydantic takes long to import."""
+    """Validate a manifest, or raise an error that names the wrong value; import pydantic, which is slow, only here."""
     from pydantic import TypeAdapter, ValidationError
 
     try:
@@ -100,7 +100,7 @@ def _validated(path: Path, content: dict[str, Any]) -> Manifest:
 
 
 def require_current_format(store: Path, manifest: Manifest) -> None:
-    """Raise a StoreError if a version of a store has an older format, which is only read."""
+    """Raise a StoreError if a version of a store has an older format, which is read-only."""
     if manifest.format_version != FORMAT_VERSION:
         raise StoreError(
             f"{store}: the store has format {manifest.format_version}, which is only read; this kinedex writes format "
@@ -110,7 +110,7 @@ def require_current_format(store: Path, manifest: Manifest) -> None:
 
 
 def named_files(store: Path, version: int) -> set[str]:
-    """Return the paths of the parts that a version names, read faster than by `read_version`; errors as there."""
+    """Return the paths of the parts that a version names, faster than `read_version`, which raises the same errors."""
     path = manifest_path(store, version)
     content = _content(path)
     try:
@@ -121,9 +121,9 @@ def named_files(store: Path, version: int) -> set[str]:
 
 
 def content_digest_of(store: Path, version: int, newest: Manifest) -> str:
-    """Return `Manifest.content_digest` of a version, read faster than by `read_version`; empty where it is damaged.
+    """Return `Manifest.content_digest` of a version, faster than by `read_version`; empty if it is damaged.
 
-    `newest` is a later version of the store: feature set and rate are the same in all of them.
+    `newest` is a later version of the store; all versions have the same feature set and rate.
     """
     try:
         return replace(newest, content=_content(manifest_path(store, version))["content"]).content_digest()
@@ -132,7 +132,7 @@ def content_digest_of(store: Path, version: int, newest: Manifest) -> str:
 
 
 def _content(path: Path) -> dict[str, Any]:
-    """Return the content of a manifest file, once its format version and its checksum are found to be right."""
+    """Return the content of a manifest file after a check of its format version and checksum."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as fault:
@@ -172,13 +172,13 @@ def _damaged(path: Path, problem: str) -> DamagedManifest:
 
 
 def json_checksum(content: dict[str, Any]) -> str:
-    """Return the SHA-256 of a JSON object, whatever its blanks and the order of its keys."""
+    """Return the SHA-256 of a JSON object, independent of whitespace and the order of keys."""
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def publish(store: Path, manifest: Manifest) -> Path:
-    """Make a version visible: write it aside, flush it to disk, then give it its name in one step.
+    """Publish a version atomically: write it to a temporary file, flush it to disk, then give it its name.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def publish(store: Path, manifest: Manifest) -> Path:
     Raises
     ------
     StoreError
-        The version exists already, which means that another writer was at work; it has an older format; or the disk is
+        The version exists already, which means that another writer was active; it has an older format; or the disk is
         full.
     """
     require_current_format(store, manifest)
@@ -219,7 +219,7 @@ def publish(store: Path, manifest: Manifest) -> Path:
 
 
 def _text(manifest: Manifest) -> str:
-    """Return the manifest as JSON that people can read: a line for each part, each record, and everything else."""
+    """Return the manifest as readable JSON: one line for each part, for each record, and for everything else."""
     content: dict[str, Any] = {f.name: getattr(manifest, f.name) for f in fields(manifest)}
     content["feature_set"] = manifest.feature_set.encoded
     content["frames"] = [part.encoded for part in manifest.frames]
@@ -242,7 +242,7 @@ def _text(manifest: Manifest) -> str:
 
 
 def _link(temporary: Path, path: Path) -> None:
-    """Give a finished file its name unless the name is taken; file systems without hard links rely on the lock."""
+    """Name a finished file unless the name is taken; without hard links only the lock prevents a race."""
     try:
         os.link(temporary, path)
     except OSError as fault:

@@ -1,4 +1,4 @@
-"""The records of a store's Parquet files in its manifest: parts of frames and takes, of results, of labels."""
+"""Record a store's Parquet files in its manifest: parts of frames and takes, of results, and of labels."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from itertools import chain
 from typing import Annotated, Any
 
 MOST_TAKES = 100_000_000
-"""More takes than a part may name: a wrong manifest must not fill the memory."""
+"""The largest number of takes in a part, so that a wrong manifest cannot fill the memory."""
 
 
 def ranges(take_ids: Iterable[int]) -> list[list[int]]:
-    """Return ascending ids as half-open ranges, [[first, last + 1], …], as manifests write them."""
+    """Return ascending ids as half-open ranges, [[first, last + 1], …], the form of manifests."""
     found: list[list[int]] = []
     for take in take_ids:
         if found and found[-1][1] == take:
@@ -34,13 +34,13 @@ def _from_ranges(value: object) -> tuple[int, ...]:
 
 
 class _Ranges:
-    """The form of take ids in a manifest: ranges."""
+    """The pydantic type of take ids that a manifest stores as ranges."""
 
     read = staticmethod(_from_ranges)
 
     @staticmethod
     def __get_pydantic_core_schema__(source: Any, handler: Any) -> Any:
-        """Return the validator of pydantic, which a manifest at fault needs alone."""
+        """Return the pydantic validator, which is only needed for a faulty manifest."""
         from pydantic_core import core_schema
 
         return core_schema.no_info_before_validator_function(_from_ranges, handler(source))
@@ -64,11 +64,11 @@ class Part:
     sha256 : str
         Checksum of the file.
     take_ids : tuple of int
-        Ids of the takes that were written into it, ascending.
+        Ids of the takes written into it, ascending.
     dropped : tuple of int
-        Tombstones: ids of takes that were replaced or removed since.
+        Tombstones: ids of takes in it that were replaced or removed later.
     dropped_rows : int
-        Number of their rows, which stay until compaction.
+        Number of rows of dropped takes, which stay until compaction.
     xxh3 : str
         XXH3 checksum of the file, 128 bits in hexadecimal digits; empty in a store of format 3.
     """
@@ -84,7 +84,7 @@ class Part:
 
     @cached_property
     def live(self) -> tuple[int, ...]:
-        """The takes of this part that count, ascending."""
+        """The ids of the takes of this part that are not dropped, ascending."""
         if not self.dropped:
             return self.take_ids
         gone = set(self.dropped)
@@ -92,12 +92,12 @@ class Part:
 
     @property
     def live_rows(self) -> int:
-        """The rows of the takes that count."""
+        """The number of rows of live takes."""
         return self.rows - self.dropped_rows
 
     @cached_property
     def encoded(self) -> dict[str, Any]:
-        """The part as its manifests write it; kept, since every later version writes it again."""
+        """The part as JSON values for a manifest; cached, since every later version writes them again."""
         values = {name: getattr(self, name) for name in ("path", "rows", "bytes", "sha256", "xxh3", "dropped_rows")}
         return values | {"take_ids": ranges(self.take_ids), "dropped": ranges(self.dropped)}
 
@@ -123,7 +123,7 @@ class ResultPart:
     xxh3 : str
         XXH3 checksum of the file, 128 bits in hexadecimal digits; empty in a store of format 3.
     columns : int
-        Number of its columns, which are the first ones of the schema of its kind; 0 (not known) in a store of format 3.
+        Number of its columns, the first ones of the schema of its kind; 0 (unknown) in a store of format 3.
     """
 
     path: str
@@ -137,25 +137,25 @@ class ResultPart:
 
     @property
     def live_rows(self) -> int:
-        """All of its rows count."""
+        """The number of rows, all of which are live."""
         return self.rows
 
     @property
     def dropped_rows(self) -> int:
-        """It has no tombstones."""
+        """Always 0, since results have no tombstones."""
         return 0
 
 
 @dataclass(frozen=True)
 class LabelPart:
-    """A Parquet file of labels: statements of people, which no run makes again.
+    """A Parquet file of labels: statements of people, which cannot be recomputed.
 
     Attributes
     ----------
     path : str
         Path relative to the store, with /.
     rows : int
-        Number of its rows, all of which count for good.
+        Number of its rows, all of which are kept forever.
     bytes : int
         Size of the file.
     sha256 : str

@@ -1,4 +1,4 @@
-"""Parquet parts: written under a temporary name, flushed to disk, then named after their own content."""
+"""Write Parquet parts: under a temporary name, flushed to disk, then named after their own content."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from kinedex.storage.snapshot.part_records import Part
 from kinedex.storage.snapshot.schemas import frames_schema
 
 ROW_GROUP = 16_384
-"""Rows of a row group of frames: about 3.4 MB on disk, so that some seconds of a take are read without much else."""
+"""The rows of a row group of frames: about 3.4 MB on disk, so that reading some seconds of a take reads little else."""
 
 FULL_BYTES = 32_000_000
-"""A results part of this size is full: what follows goes into another one."""
+"""The size in bytes of a full results part; further rows go into another part."""
 
 
 @dataclass(frozen=True)
 class _Packed:
-    """Frames of one take, from `first` on, on their way into a part: float32 (3 J + 4, T) as the columns, and words."""
+    """Frames of one take, from `first` on, to be written: float32 (3 J + 4, T) in column order, and words (T,)."""
 
     take_id: int
     first: int
@@ -42,7 +42,7 @@ class _Packed:
 
 
 def _table(takes: Sequence[_Packed], schema: pa.Schema) -> pa.Table:
-    """Lay takes out as rows of a frames part, each column in one piece: one piece per take would cost the most."""
+    """Convert takes to rows of a frames part with one chunk per column, since a chunk per take would cost the most."""
     lengths = [len(take.words) for take in takes]
     numbers = np.concatenate([take.numbers for take in takes], axis=1)
     words = np.concatenate([take.words for take in takes])
@@ -84,9 +84,9 @@ def joint_positions(frames: pa.Table, joints: Iterable[str]) -> npt.NDArray[np.f
 
 
 class FramesWriter:
-    """A writer of one frames part, take by take; any process may have one: the part counts once it is committed.
+    """A writer of one frames part, take by take; any process may have one, and committing the part makes it visible.
 
-    Takes come in ascending order of take_id. `close` returns the description that the coordinator hands to
+    Takes must be added in ascending order of take_id. `close` returns the record that the coordinator passes to
     `StoreWriter.add_takes`. An exception in its `with` block removes the unfinished file.
 
     Parameters
@@ -130,7 +130,7 @@ class FramesWriter:
         orientation : float array (4, T)
             The root's unit quaternion w, x, y, z.
         words : uint64 array (T,)
-            One word a frame; `NO_WORD`, in an invalid frame, is stored as null.
+            One word a frame; `NO_WORD` for an invalid frame, stored as null.
         """
         joints = len(self.schema) - 4
         if positions.shape != (joints, 3, len(words)):
@@ -138,7 +138,7 @@ class FramesWriter:
         if orientation.shape != (4, len(words)):
             raise ParameterError("orientation", f"of shape (4, {len(words)})", orientation.shape)
         self._follow(take_id)
-        for first in range(0, max(len(words), 1), ROW_GROUP):  # of a long take a second copy would be too much
+        for first in range(0, max(len(words), 1), ROW_GROUP):  # for a long take a second copy would be too large
             part = slice(first, first + ROW_GROUP)
             own = np.array(words[part], np.uint64)
             numbers = np.empty((3 * joints + 4, len(own)), np.float32)
@@ -150,11 +150,11 @@ class FramesWriter:
                 self._lay_out()
 
     def add_table(self, take_id: int, table: pa.Table) -> None:
-        """Add a whole take that is laid out already, its frames in order."""
+        """Add a whole take as a table with its frames in order."""
         self.add_pieces([take_id], [table])
 
     def add_pieces(self, take_ids: Sequence[int], pieces: Iterable[pa.Table]) -> None:
-        """Add whole takes that are laid out already: all their rows, in order, in pieces of any length."""
+        """Add whole takes as tables with all their rows in order, in pieces of any length."""
         self._lay_out()
         for take_id in take_ids:
             self._follow(take_id)
@@ -167,7 +167,7 @@ class FramesWriter:
         self._take_ids.append(take_id)
 
     def _lay_out(self) -> None:
-        """Turn the takes that came as arrays into a piece."""
+        """Convert the takes added as arrays to a table."""
         if self._packed:
             packed, self._packed, self._packed_rows = self._packed, [], 0
             self._add_piece(_table(packed, self.schema))
@@ -180,7 +180,7 @@ class FramesWriter:
             self._write(last=False)
 
     def close(self) -> Part:
-        """Finish the part, give it its name, and return its description."""
+        """Finish the part, give it its name, and return its record."""
         self._lay_out()
         self._write(last=True)
         assert self._writer is not None
@@ -193,7 +193,7 @@ class FramesWriter:
         with write_errors(self._folder):
             if self._writer is None:
                 self._writer = frames_writer(self._temporary, self.schema)
-            # what stays is at least one whole group, so that the last group of a part is not a small one
+            # at least one whole group is left, so that the last group of a part is not small
             while table.num_rows >= 2 * ROW_GROUP:
                 self._write_group(table.slice(0, ROW_GROUP))
                 table = table.slice(ROW_GROUP)
@@ -204,7 +204,7 @@ class FramesWriter:
 
     def _write_group(self, rows: pa.Table) -> None:
         assert self._writer is not None
-        # columns in one piece are written in half the time of columns in a piece for every take, copying included
+        # columns of one chunk are written in half the time of one chunk per take, including the copy
         self._writer.write_table(rows.combine_chunks(), row_group_size=max(1, rows.num_rows))
 
     def __enter__(self) -> FramesWriter:
@@ -214,7 +214,7 @@ class FramesWriter:
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._writer is not None and self._writer.is_open:
-            # on a full disk not even the end of a file that is thrown away can be written
+            # on a full disk, even closing a file to be discarded fails
             with suppress(OSError):
                 self._writer.close()
         self._temporary.unlink(missing_ok=True)
@@ -226,7 +226,7 @@ def frames_writer(sink: Path | BinaryIO, schema: pa.Schema) -> pq.ParquetWriter:
         f"{field.name}.{child.name}" for field in schema if pa.types.is_struct(field.type) for child in field.type
     ]
     return pq.ParquetWriter(
-        # a relative path that begins with ~ would be looked for in the home folder
+        # a relative path that begins with ~ would be taken for the home folder
         sink.absolute() if isinstance(sink, Path) else sink,
         schema,
         compression="zstd",
@@ -240,7 +240,7 @@ def frames_writer(sink: Path | BinaryIO, schema: pa.Schema) -> pq.ParquetWriter:
 
 
 def write_part(store: Path, folder: str, table: pa.Table, take_ids: Iterable[int] = ()) -> Part:
-    """Write a small table (takes, results) as one part of `folder`, relative to the store."""
+    """Write a small table (takes, results) as one part in `folder`, a path relative to the store."""
     temporary = store / folder / f"{TEMPORARY}{uuid.uuid4().hex}.parquet"
     try:
         with write_errors(store / folder):
@@ -252,10 +252,10 @@ def write_part(store: Path, folder: str, table: pa.Table, take_ids: Iterable[int
 
 
 def write_pieces(store: Path, folder: str, pieces: Iterable[pa.Table]) -> list[Part]:
-    """Write tables of one schema, one after the other as they come, as parts of `folder`; none if no row comes.
+    """Write tables of one schema, in order, as parts in `folder`; return no part if there are no rows.
 
-    A part that has grown to `FULL_BYTES` is closed. Only one piece is in memory at a time; each is a row group of its
-    own (or several, if it is very long).
+    A part is closed when it reaches `FULL_BYTES`. Only one piece is in memory at a time; each becomes a separate row
+    group (or several, if it is very long).
     """
     parts = []
     growing: _Growing | None = None
@@ -278,7 +278,7 @@ def write_pieces(store: Path, folder: str, pieces: Iterable[pa.Table]) -> list[P
 
 
 class _Growing:
-    """A part that is being written piece by piece, under a temporary name."""
+    """A part that is written piece by piece under a temporary name."""
 
     def __init__(self, store: Path, folder: str) -> None:
         self._store, self._folder = store, folder
@@ -287,7 +287,7 @@ class _Growing:
         self._rows = 0
 
     def add(self, piece: pa.Table) -> int:
-        """Write one more piece and return the size of the file in bytes."""
+        """Write another piece, and return the size of the file in bytes."""
         with write_errors(self._store / self._folder):
             if self._writer is None:
                 self._temporary.parent.mkdir(parents=True, exist_ok=True)
@@ -311,14 +311,14 @@ class _Growing:
     def discard(self) -> None:
         """Remove the unfinished file."""
         if self._writer is not None and self._writer.is_open:
-            # on a full disk not even the end of a file that is thrown away can be written
+            # on a full disk, even closing a file to be discarded fails
             with suppress(OSError):
                 self._writer.close()
         self._temporary.unlink(missing_ok=True)
 
 
 def publish_part(store: Path, temporary: Path, folder: str, rows: int, take_ids: Iterable[int]) -> Part:
-    """Flush a finished file to disk and name it after its content; the same content gets the same name."""
+    """Flush a finished file to disk and name it after its content; equal content has equal names."""
     with write_errors(store / folder):
         sums = sync_file(temporary)
         path = temporary.with_name(f"part-{sums.sha256[:24]}.parquet")
@@ -329,7 +329,7 @@ def publish_part(store: Path, temporary: Path, folder: str, rows: int, take_ids:
 
 @contextmanager
 def read_errors(file: Path) -> Iterator[None]:
-    """Turn a fault of reading a part into a StoreError that names it."""
+    """Turn errors on reading a part into a StoreError that names it."""
     try:
         yield
     except (OSError, pa.ArrowException) as fault:
@@ -338,7 +338,7 @@ def read_errors(file: Path) -> Iterator[None]:
 
 
 def _rename(temporary: Path, path: Path) -> None:
-    """Give a part its name; where Windows lets nobody replace an open file, the part there has the same content."""
+    """Rename a part; if Windows refuses to replace an open file, keep that one, which has the same content."""
     try:
         os.replace(temporary, path)
     except PermissionError:
@@ -348,7 +348,7 @@ def _rename(temporary: Path, path: Path) -> None:
 
 
 def part_file(store: Path, path: str) -> Path:
-    """Return the file of a part; a StoreError reports that it is missing."""
+    """Return the file of a part; raise StoreError if it is missing."""
     file = store / path
     if not file.is_file():
         raise StoreError(f"{file}: the manifest names this part, but the file is missing", remedy=repair(store))
@@ -356,5 +356,5 @@ def part_file(store: Path, path: str) -> Path:
 
 
 def store_of(file: Path) -> Path:
-    """Return the store that a part lies in: frames, takes and labels have a folder each, results one for each kind."""
+    """Return the store of a part's file, by the depth of its folder: two levels for results, else one."""
     return file.parents[1] if file.parent.name in ("frames", "takes", "labels") else file.parents[2]

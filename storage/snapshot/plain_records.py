@@ -1,6 +1,6 @@
-"""Records made of JSON values by the types of their fields, without pydantic, which takes long to import.
+"""Make records from JSON values by the types of their fields, without pydantic, which is slow to import.
 
-What does not fit is an error without details: pydantic, which makes the same records, then names the value at fault.
+A value of another type raises an error without details; pydantic, which makes the same records, then names the value.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ Reader = Callable[[Any], Any]
 
 
 def record_of(kind: type[Record], value: object) -> Record:
-    """Return the record that a JSON object stands for; keys that are no fields are passed over.
+    """Return the record that a JSON object describes; unknown keys are ignored.
 
     Parameters
     ----------
     kind : type
-        A dataclass whose fields have types of JSON, or are dataclasses, tuples or dictionaries of such.
+        A dataclass whose fields are JSON values, or dataclasses, tuples or dictionaries of them.
     value : object
         The JSON object.
 
     Raises
     ------
     ValueError
-        The object is no such record.
+        The object does not describe such a record.
     """
     of: Any = kind
     record: Record = _reader(of)(value)
@@ -38,7 +38,7 @@ def record_of(kind: type[Record], value: object) -> Record:
 
 @cache
 def _reader(kind: Any) -> Reader:
-    """Return the function that makes a value of a type, or raises a ValueError."""
+    """Return the function that converts a JSON value to a type, or raises a ValueError."""
     if is_dataclass(kind) and isinstance(kind, type):
         return _dataclass_reader(kind)
     origin, of = get_origin(kind), get_args(kind)

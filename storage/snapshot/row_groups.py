@@ -1,4 +1,4 @@
-"""Rows of results by the value of a column: only the row groups that contain it are read."""
+"""Read rows of results by the value of a column, from only the row groups that contain it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class RowGroups:
     kind : str
         The kind of results.
     stage : str
-        The stage that has made them, "<pipeline>/<stage>".
+        The stage that made them, "<pipeline>/<stage>".
     column : str
         The column, such as take_id or recording.
     """
@@ -44,7 +44,7 @@ class RowGroups:
 
     @property
     def values(self) -> list[Hashable]:
-        """The values of the column, in the order in which they lie in the store."""
+        """The values of the column, in their order in the store."""
         return list(self._places)
 
     def __contains__(self, value: Hashable) -> bool:
@@ -52,7 +52,7 @@ class RowGroups:
 
     @property
     def parts(self) -> list[tuple[ResultPart, list[Hashable]]]:
-        """The parts with the values of the column in each, in the order in which they lie there."""
+        """The parts with the values of the column in each, in their order in the store."""
         found: list[tuple[ResultPart, list[Hashable]]] = [(part, []) for part in self._parts]
         for value, places in self._places.items():
             for number in dict.fromkeys(number for number, _ in places):
@@ -60,16 +60,16 @@ class RowGroups:
         return found
 
     def rows(self, value: Hashable, column: str = "", among: Collection[str] = ()) -> pa.Table:
-        """Return the rows with a value of the column, in their order; an empty table where there are none.
+        """Return the rows with a value of the column, in their order; an empty table if there are none.
 
         Parameters
         ----------
         value : hashable
             The value.
         column : str, optional
-            A second column, of text; row groups that hold none of `among` in it are not read.
+            A second column, of text; row groups without any of `among` in it are not read.
         among : collection of str, optional
-            The values of the second column that are wanted.
+            The values of the second column to look for.
         """
         schema = result_schema(self._kind)
         found = [schema.empty_table()]
@@ -84,12 +84,12 @@ class RowGroups:
         return pa.concat_tables(found)
 
     def _may_hold(self, place: tuple[int, int], column: str, among: Collection[str]) -> bool:
-        """Return whether a row group may hold one of some values of a column, by its least and its greatest one."""
+        """Return whether a row group may contain one of some values of a column, by its least and greatest value."""
         low, high = self._ranges(place[0], column)[place[1]]
         return low is None or high is None or any(low <= value <= high for value in among)
 
     def _ranges(self, part: int, column: str) -> list[tuple[str | None, str | None]]:
-        """Return the least and the greatest value of a column in each row group of a part; None where not known."""
+        """Return the least and the greatest value of a column in each row group of a part; None if unknown."""
         if (part, column) not in self._known_ranges:
             file = self._store.checked.part(self._parts[part])
             with read_errors(file), pq.ParquetFile(file) as opened:
@@ -104,7 +104,7 @@ class RowGroups:
         return self._known_ranges[part, column]
 
     def _group(self, place: tuple[int, int], schema: pa.Schema) -> pa.Table:
-        """Return a row group; the last one is remembered, since neighbours follow each other."""
+        """Return a row group; the last one is cached, since successive reads are often in the same group."""
         if self._last is None or self._last[0] != place:
             file = self._store.checked.part(self._parts[place[0]])
             with read_errors(file), pq.ParquetFile(file) as opened:

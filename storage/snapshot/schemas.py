@@ -1,4 +1,4 @@
-"""The Arrow schemas of a store: takes, frames, and every kind of result. They are the contract of its Parquet files."""
+"""Define the Arrow schemas of a store, which all its Parquet files follow: takes, frames, every kind of result."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from kinedex.catalog.sql.result_views import RESULT_VIEWS
 from kinedex.ops.errors import KinedexError, StoreError, did_you_mean
 
 FORMAT_VERSION = 4
-"""Version of the store's layout. A store of a version that is not in `READ_VERSIONS` is refused, never guessed at."""
+"""Version of the store's layout; a store of a version that is not in `READ_VERSIONS` is refused."""
 
 READ_VERSIONS = (3, 4)
-"""Versions of the layout that are read; a store of an older one than `FORMAT_VERSION` is not written."""
+"""Versions of the layout that can be read; a store older than `FORMAT_VERSION` cannot be written."""
 
 _METADATA = "kinedex."
 _FORMAT_KEY = f"{_METADATA}format_version".encode()
@@ -55,15 +55,16 @@ _TAKES = _fields(
     ("warnings", pa.list_(pa.string())),
     ("known", pa.uint64()),
 )
-"""One row per take. `invalid_frames` of its frames have no word. `groups` is a JSON object with the further named
-groups of the source pattern, each of which is a declared column, too (`TakeColumn`). `known` is a mask of the features
-that the body has joints for, with the bits of the word; null stands for all."""
+"""The columns of takes, one row per take. `invalid_frames` is the number of frames without a word. `groups` is a JSON
+object with the named groups of the source pattern, each of which is also a declared column (`TakeColumn`). `known` is
+a mask of the features that the body has joints for, with the bits of the word; null means all.
+"""
 
 TRACK_FORMAT, DEPTH_FORMAT = "track", "depth"
 """The `format` of takes that were tracked or stabilised, and of those that were reconstructed from depth images."""
 
 RECORDED_FORMATS = (TRACK_FORMAT, DEPTH_FORMAT)
-"""The formats of takes of recordings: no motion file holds them, and an ingest passes them over."""
+"""The formats of takes made from recordings: they have no motion file, and an ingest skips them."""
 
 COLUMN_TYPES = {
     "VARCHAR": pa.string(),
@@ -72,24 +73,24 @@ COLUMN_TYPES = {
     "BOOLEAN": pa.bool_(),
     "VARCHAR[]": pa.list_(pa.string()),
 }
-"""The types of declared columns of takes, as SQL names them."""
+"""SQL name of a type → Arrow type, for declared columns of takes."""
 
 
 @dataclass(frozen=True)
 class TakeColumn:
-    """A declared column of takes: one that this store has beside those that every store has.
+    """A declared column of takes, which this store has in addition to the columns of every store.
 
     Attributes
     ----------
     type : str
         One of `COLUMN_TYPES`.
     origin : str
-        Source of its values: "pattern" (a named group of `patterns`), "metadata" (a table of the user's), "quality"
-        (a figure that is measured at ingest) or "file" (what the file itself states).
+        Source of its values: "pattern" (a named group of `patterns`), "metadata" (a table of the user), "quality" (a
+        number measured at ingest) or "file" (a statement of the motion file).
     unit : str
         Unit of its values; empty if they have none.
     meaning : str
-        Its description, for lists of columns.
+        A description of the column for users.
     """
 
     type: str
@@ -99,7 +100,7 @@ class TakeColumn:
 
 
 GROUP_COLUMN = TakeColumn("VARCHAR", "pattern", meaning="a named group of `patterns`")
-"""The declaration of the column of a named group."""
+"""The declaration of a column that holds a named group."""
 
 _LABELS = _fields(
     ("id", pa.string()),
@@ -118,14 +119,16 @@ _LABELS = _fields(
     ("confidence", pa.float64()),
     ("note", pa.string()),
 )
-"""One row per statement of a person about the frames [start, stop) of a take. Rows are never changed: a row replaces an
-earlier one by its id. `checksum` is that of the take's source file when the statement was made."""
+"""The columns of labels, one row per statement of a person about the frames [start, stop) of a take. Rows are never
+changed;
+a row replaces an earlier one by its id. `checksum` is the take's source checksum when the statement was made.
+"""
 
 LABEL_VERDICTS = ("positive", "negative", "withdrawn")
-"""The statements of a label: the frames show the class; they do not; the row that it replaces counts no more."""
+"""The verdicts of a label: the frames show the class; they do not; the replaced row is withdrawn."""
 
 LABEL_ORIGINS = ("imported", "accepted", "corrected", "drawn")
-"""Origins of a label: a file, an annotation that a person accepted or rejected, one that was corrected, a person."""
+"""The origins of a label: a file; an annotation that a person accepted, rejected or corrected; a person."""
 
 _SQL_TYPES = {
     **COLUMN_TYPES,
@@ -137,7 +140,7 @@ _SQL_TYPES = {
 
 
 def arrow_type(name: str) -> pa.DataType:
-    """Return the Arrow type of a column of a view by the name of its DuckDB type."""
+    """Return the Arrow type of a view's column from its DuckDB type."""
     if name.endswith("[]"):
         return pa.list_(arrow_type(name.removesuffix("[]")))
     if name.startswith("STRUCT("):
@@ -146,18 +149,19 @@ def arrow_type(name: str) -> pa.DataType:
     return _SQL_TYPES[name]
 
 
-# A new column of a part of results comes at the end (`ResultPart.columns`).
+# A new column must be added to a result at the end (`ResultPart.columns`).
 _RESULTS = {view.name: _fields(*((one.name, arrow_type(one.type)) for one in view.stored)) for view in RESULT_VIEWS}
 
 _REQUIRED = {
     "takes": tuple(name for name in _TAKES.names if name != "known"),
     "labels": tuple(_LABELS.names),
 }
-"""The columns that every part has; of frames all, of results `run`. A column that is added to a schema is not listed:
-older parts lack it, and its values in their rows are null."""
+"""The columns that every part has; for frames all, for results `run`. A column that is added to a schema later is not
+listed: older parts lack it, and its values in their rows are null.
+"""
 
 RESULT_KINDS = tuple(_RESULTS)
-"""The kinds of result; each is a folder of `results/` and a view of that name."""
+"""The kinds of results; each has a folder in `results/` and a view of that name."""
 
 PART_FOLDERS = ("frames", "takes", "labels", *(f"results/{kind}" for kind in RESULT_KINDS))
 """The folders of parts, relative to the store."""
@@ -169,7 +173,7 @@ def takes_schema(columns: Mapping[str, TakeColumn] | None = None) -> pa.Schema:
     Parameters
     ----------
     columns : mapping of str to TakeColumn, optional
-        The declared columns of the store (`Manifest.columns`), which follow the others.
+        The declared columns of the store (`Manifest.columns`), which come after the others.
     """
     declared = {name: column for name, column in (columns or {}).items() if name.lower() not in _TAKES.names}
     fields = [*_TAKES, *(pa.field(name, COLUMN_TYPES[column.type]) for name, column in declared.items())]
@@ -182,12 +186,12 @@ def labels_schema() -> pa.Schema:
 
 
 def column_problem(name: str, column: TakeColumn, declared: Mapping[str, TakeColumn]) -> str | None:
-    """Return the reason for which a column of takes cannot be declared; None if it can.
+    """Return the reason why a column of takes cannot be declared; None if it can.
 
     Parameters
     ----------
     name : str
-        The name of the column; SQL does not distinguish capital letters.
+        The name of the column; SQL ignores case.
     column : TakeColumn
         Its declaration.
     declared : mapping of str to TakeColumn
@@ -208,14 +212,14 @@ def column_problem(name: str, column: TakeColumn, declared: Mapping[str, TakeCol
 
 
 LONGEST_COLUMN_NAME = 100
-"""Most characters of the name of a declared column of takes."""
+"""The largest number of characters in the name of a declared column."""
 
 
 def frames_schema(feature_set: FeatureSet, rate_hz: float) -> pa.Schema:
     """Return the schema of a frames part: take and frame, joints in metres, the root's orientation, the word.
 
-    The word of an invalid frame (one that lacks a joint that the take has otherwise) is null. The metadata name the
-    feature of each bit of the word, so that a part explains itself to any reader.
+    The word of an invalid frame (one that lacks a joint that the take has otherwise) is null. The schema's metadata
+    name the feature of each bit of the word, so that a part is self-describing.
     """
     point = pa.struct([("x", pa.float32()), ("y", pa.float32()), ("z", pa.float32())])
     quaternion = pa.struct([(axis, pa.float32()) for axis in "wxyz"])
@@ -243,7 +247,7 @@ def frames_schema(feature_set: FeatureSet, rate_hz: float) -> pa.Schema:
 
 
 def result_schema(kind: str) -> pa.Schema:
-    """Return the schema of one kind of result; a KinedexError about an unknown kind names the nearest one."""
+    """Return the schema of a kind of result; raise a KinedexError with the nearest name if it is unknown."""
     if kind not in _RESULTS:
         raise KinedexError(f"no kind of result is named '{kind}'{did_you_mean(kind, RESULT_KINDS)}")
     metadata = {_METADATA + "kind": kind, _METADATA + "format_version": str(FORMAT_VERSION)}
@@ -251,43 +255,43 @@ def result_schema(kind: str) -> pa.Schema:
 
 
 def with_columns(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """Return the table with exactly the columns of the schema; those that it lacks are null.
+    """Return the table with exactly the columns of the schema; missing ones are filled with nulls.
 
-    It reads parts that were written before a column existed. Columns that the schema lacks are dropped.
+    It serves to read parts that were written before a column existed. Columns not in the schema are dropped.
     """
     there = dict(zip(table.column_names, table.columns, strict=True))
     return pa.table([_column(there.get(field.name), field, table.num_rows) for field in schema], schema=schema)
 
 
 def _column(column: pa.ChunkedArray | None, field: pa.Field, rows: int) -> pa.ChunkedArray:
-    """Return a column with the type of the field, nulls for none; to convert it loads `pyarrow.compute`."""
+    """Return a column with the field's type, nulls if it is None; conversion needs the slow `pyarrow.compute`."""
     if column is None:
         return pa.chunked_array([pa.nulls(rows, field.type)])
     return column if column.type == field.type else column.cast(field.type)
 
 
 def sorted_by(table: pa.Table, name: str) -> pa.Table:
-    """Return the rows sorted by a column without nulls; to sort loads `pyarrow.compute`, so sorted ones stay."""
+    """Return the rows sorted by a column without nulls; sorted rows are returned unchanged, without slow imports."""
     values = table.column(name).to_pylist()
     return table if all(map(le, values, values[1:])) else table.sort_by(name)
 
 
 def conform(table: pa.Table, schema: pa.Schema, what: str) -> pa.Table:
-    """Return the table with exactly the columns of the schema, in order and type.
+    """Convert a table to exactly the columns of the schema, in order and type.
 
     Parameters
     ----------
     table : pyarrow.Table
         The table to convert.
     schema : pyarrow.Schema
-        The columns that it must have.
+        The required columns.
     what : str
         The name of the table in messages.
 
     Raises
     ------
     StoreError
-        A column is missing, unknown, or does not convert; the message names it.
+        A column is missing, unknown, or cannot be converted; the message names it.
     """
     names, there = schema.names, table.column_names
     missing = [name for name in names if name not in there]
@@ -310,9 +314,9 @@ def conform(table: pa.Table, schema: pa.Schema, what: str) -> pa.Table:
 
 
 def schema_problem(found: pa.Schema, expected: pa.Schema) -> str | None:
-    """Return the first difference of a part's schema from the one that the store expects; None if there is none.
+    """Return the first difference between a part's schema and the expected one; None if there is none.
 
-    Columns that were added later may be missing (`_REQUIRED`): a part keeps those of the kinedex that wrote it.
+    Columns that were added later may be missing (`_REQUIRED`), since a part keeps the columns it was written with.
     """
     kind = (expected.metadata or {}).get(f"{_METADATA}kind".encode(), b"").decode()
     required = expected.names if kind == "frames" else _REQUIRED.get(kind, ("run",))
@@ -327,7 +331,7 @@ def schema_problem(found: pa.Schema, expected: pa.Schema) -> str | None:
         return f"columns are {', '.join(found.names)}, expected {', '.join(expected.names)}"
     has = found.metadata or {}
     for key, value in (expected.metadata or {}).items():
-        # a part keeps the version that it was written in: an upgrade of the store does not rewrite it
+        # a part keeps the format version it was written in: upgrading the store does not rewrite it
         fits = _READ_METADATA if key == _FORMAT_KEY else {value}
         if has.get(key) not in fits:
             got = has.get(key, b"nothing").decode("utf-8", "replace")

@@ -1,9 +1,8 @@
-"""The results that a store shows under the plain names of views: those of one pipeline, and its latest runs.
+"""Choose the results that a store shows under the plain names of views: those of one pipeline's latest run.
 
-Every kind of results that pipelines make is shown of one pipeline alone, so that no query adds up two. It is the
-current pipeline, or, where that has no stage that makes the kind, the pipeline that ran last of those that have one.
-Results about source files are shown for each folder as it was ingested last, whichever pipeline did it; hits that a
-person saved are all shown. `all_` before the name of a view shows the rows of every pipeline.
+Each kind of results is shown for one pipeline only, so that no query adds up two of them: the current pipeline or, if
+it has no stage that makes the kind, the latest one that has. Results about source files are shown from the last ingest
+of each folder, by any pipeline; saved hits are all shown. Views with the prefix `all_` show the rows of every pipeline.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ PIPELINE_KINDS = tuple(view.name for view in RESULT_VIEWS if view.name not in (*
 """The kinds of results that belong to a pipeline."""
 
 READER_OF_SENSORS = "read_imu"
-"""The kind of stage whose recordings are no source of takes, and whose rejected files are shown beside theirs."""
+"""The kind of stage whose recordings are not a source of takes, and whose rejected files are shown beside theirs."""
 
 _STAGES_OF = {view.name: frozenset(view.stages) for view in RESULT_VIEWS}
 _STAGE_KINDS = frozenset(stage for kind in PIPELINE_KINDS for stage in _STAGES_OF[kind])
@@ -34,12 +33,12 @@ _RUN_COLUMNS = [(column.name, column.type) for view in VIEWS if view.name == "pi
 
 
 def makes_results(stage_kinds: Iterable[str]) -> bool:
-    """Return whether a pipeline with stages of these kinds makes results, and so can be the current one."""
+    """Return whether a pipeline with stages of these kinds makes results, so that it can be the current one."""
     return not _STAGE_KINDS.isdisjoint(stage_kinds)
 
 
 def pipelines_by_use(manifest: Manifest) -> tuple[str, ...]:
-    """Return the pipelines that have made results: the current one first, then the others, the last one run first."""
+    """Return the pipelines with results: the current one first, then the others, the latest first."""
     finished: dict[str, str] = {}
     for key, record in manifest.stages.items():
         if record.summary.get("uses") in _STAGE_KINDS:
@@ -54,7 +53,7 @@ def pipelines_by_use(manifest: Manifest) -> tuple[str, ...]:
 
 
 def current_pipeline(manifest: Manifest) -> str | None:
-    """Return the pipeline whose results the views show; None where no pipeline has made any."""
+    """Return the pipeline whose results the views show; None if no pipeline has results."""
     return next(iter(pipelines_by_use(manifest)), None)
 
 
@@ -66,12 +65,12 @@ def pipelines_with(manifest: Manifest, kind: str) -> tuple[str, ...]:
 
 
 def shown_pipeline(manifest: Manifest, kind: str) -> str | None:
-    """Return the pipeline whose rows of a kind of `PIPELINE_KINDS` are shown; None where no pipeline makes it."""
+    """Return the pipeline whose rows of a kind of `PIPELINE_KINDS` are shown; None if no pipeline makes the kind."""
     return next(iter(pipelines_with(manifest, kind)), None)
 
 
 def shown_parts(manifest: Manifest, kind: str) -> tuple[ResultPart, ...]:
-    """Return the parts of a kind of results that its view shows under its plain name."""
+    """Return the parts of a kind of results that the view with its plain name shows."""
     parts = manifest.results.get(kind, ())
     if kind in SAVED_KINDS:
         return parts
@@ -94,7 +93,7 @@ def pipeline_of(stage: str) -> str:
 
 
 def origin_of(manifest: Manifest, kind: str, part: ResultPart) -> dict[str, str | None]:
-    """Return the values of the columns pipeline, stage and pipeline_run of the rows of a part."""
+    """Return the values of the columns pipeline, stage and pipeline_run for the rows of a part."""
     if kind in SAVED_KINDS:
         return {"pipeline": None, "stage": None, "pipeline_run": None}
     pipeline, _, stage = part.stage.partition("/")
@@ -104,7 +103,7 @@ def origin_of(manifest: Manifest, kind: str, part: ResultPart) -> dict[str, str 
 
 
 def pipeline_run_of(manifest: Manifest, record: StageRecord) -> str:
-    """Return the run of the pipeline in which a stage ran last; older stores know the last run of the pipeline only."""
+    """Return the pipeline run that includes a stage's last run; older stores know only the pipeline's last run."""
     known = manifest.pipelines.get(pipeline_of(record.stage))
     return record.pipeline_run or (record.run if known is None else known.run)
 
@@ -149,7 +148,7 @@ def result_pipelines(manifest: Manifest) -> pa.Table:
 
 
 def _moment(text: str) -> datetime | None:
-    """Return the time of a record; None where it holds none, which must not keep the others from being shown."""
+    """Return the time of a record; None if it is not valid, so that the other records can still be shown."""
     with suppress(ValueError):
         found = datetime.fromisoformat(text)
         return found if found.tzinfo else found.replace(tzinfo=UTC)

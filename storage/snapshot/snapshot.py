@@ -1,4 +1,4 @@
-"""A snapshot: one version of a store, its tables and words read from the parts that its manifest names."""
+"""Read a snapshot: one version of a store, with its tables and words, from the parts that its manifest names."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from kinedex.storage.snapshot.schemas import labels_schema, result_schema, sorte
 from kinedex.storage.snapshot.shown_results import all_parts, origin_of, pipeline_of, shown_parts
 
 _FEW_ROWS = 20_000
-"""A part of no more rows is read by one thread: to hand its columns to others takes longer than to read them."""
+"""The largest number of rows of a part that is read by one thread, which is then faster than several."""
 
 
 class Snapshot:
@@ -39,7 +39,7 @@ class Snapshot:
     manifest : Manifest
         The version to read.
     checked : CheckedFiles, optional
-        The files that are known to be sound; without it each file is checked before it is first read.
+        The files that have been checked already; by default each file is checked before it is first read.
     """
 
     def __init__(self, path: Path, manifest: Manifest, checked: CheckedFiles | None = None) -> None:
@@ -63,7 +63,7 @@ class Snapshot:
         return self._read_takes(self.manifest.takes_schema)
 
     def take_columns(self, *names: str) -> pa.Table:
-        """Return some columns of `take_rows`; the others are not read for it."""
+        """Return some columns of `take_rows`, without reading the others."""
         if "take_rows" in vars(self):
             return self.take_rows.select(names)
         whole = self.manifest.takes_schema
@@ -72,7 +72,7 @@ class Snapshot:
         return self._read_takes(schema, schema.names).select(names)
 
     def _read_takes(self, schema: pa.Schema, names: Sequence[str] | None = None) -> pa.Table:
-        """Return the rows of all live takes, sorted by name: the columns of a schema, of which only these are read."""
+        """Return the rows of all live takes, sorted by name, with the given columns of a schema or all."""
         tables = []
         for part in self.manifest.takes:
             table = _read_part(self.checked.part(part), schema, names)
@@ -85,7 +85,7 @@ class Snapshot:
 
     @cached_property
     def take_ids(self) -> dict[str, int]:
-        """Name of a take → its id, sorted by name."""
+        """Name of a take → its id; sorted by name."""
         return self._pairs("name", "take_id")
 
     @cached_property
@@ -113,7 +113,7 @@ class Snapshot:
 
     @cached_property
     def _keys(self) -> pa.Table:
-        """The columns that nearly every question needs."""
+        """The columns that nearly every method needs."""
         return self.take_columns("take_id", "name", "frames", "checksum")
 
     def take_id(self, name: str) -> int:
@@ -131,7 +131,7 @@ class Snapshot:
     def words(self, take_ids: Sequence[int] | None = None) -> TakeWords:
         """Return the words of takes, in order of take_id, each take once.
 
-        All words lie in one numpy array; `TakeWords.take` gives the words of one take without a copy.
+        All words are in one numpy array; `TakeWords.take` returns the words of one take without a copy.
 
         Parameters
         ----------
@@ -146,7 +146,7 @@ class Snapshot:
         return self.with_known(read_words(self.checked, self.manifest, take_ids))
 
     def with_known(self, words: TakeWords) -> TakeWords:
-        """Return words with the masks of known features, where a take lacks some."""
+        """Return words with the masks of known features, if any take has unknown ones."""
         if not self.known:
             return words
         masks = np.array([self.known.get(take, ALL_KNOWN) for take in words.take_ids.tolist()], np.uint64)
@@ -157,7 +157,7 @@ class Snapshot:
     ) -> pa.Table:
         """Return the frames [start, stop) of a take, one row per analysis frame.
 
-        Every column is one chunk, so that `frames("a").column("rwrist").chunk(0).field("y").to_numpy()` is no copy.
+        Every column is one chunk, so that `frames("a").column("rwrist").chunk(0).field("y").to_numpy()` makes no copy.
 
         Parameters
         ----------
@@ -185,7 +185,7 @@ class Snapshot:
         return read_frames(self.checked, self.manifest, take_id, start, end, columns)
 
     def frames_of(self, takes: Iterable[str], columns: Sequence[str] | None = None) -> Iterator[tuple[str, pa.Table]]:
-        """Yield the names and the frames of many takes, in the order in which they lie in the store.
+        """Yield names and frames of many takes, in their order in the store.
 
         Parameters
         ----------
@@ -204,7 +204,7 @@ class Snapshot:
             yield names[take_id], table
 
     def labels(self, *, history: bool = False) -> pa.Table:
-        """Return the labels of the store, in the order in which they were put.
+        """Return the labels of the store, in the order in which they were added.
 
         Parameters
         ----------
@@ -219,9 +219,9 @@ class Snapshot:
     def result(
         self, kind: str, run: str | None = None, pipeline: str | None = None, stage: str | None = None
     ) -> pa.Table:
-        """Return the rows of one kind of result as its parts have them; an empty table where there are none.
+        """Return the rows of one kind of result as stored in its parts; an empty table if there are none.
 
-        Without `run`, `pipeline` and `stage` they are those that the view of this name shows.
+        Without `run`, `pipeline` and `stage`, the rows are those of the view with this name.
 
         Parameters
         ----------
@@ -246,14 +246,14 @@ class Snapshot:
         return pa.concat_tables(tables) if tables else schema.empty_table()
 
     def result_view(self, kind: str, pipeline: str | None = None, *, every: bool = False) -> pa.Table:
-        """Return the rows of one kind of result with the columns of its view, those of the origin among them.
+        """Return the rows of one kind of result with the columns of its view, including those of the origin.
 
         Parameters
         ----------
         kind : str
             One of `storage.snapshot.schemas.RESULT_KINDS`.
         pipeline : str, optional
-            The pipeline whose rows are returned; those that the view shows unless given.
+            The pipeline whose rows are returned; by default the rows that the view shows.
         every : bool, optional
             Return the rows of all pipelines.
         """
@@ -269,7 +269,7 @@ class Snapshot:
     def result_pieces(
         self, kind: str, parts: Iterable[ResultPart], columns: Sequence[str] | None = None
     ) -> Iterator[pa.Table]:
-        """Yield the rows of parts of one kind of result, one row group after the other, with some columns or all."""
+        """Yield the rows of parts of one kind of result by row groups, with the given columns or all."""
         whole = result_schema(kind)
         schema = whole if columns is None else pa.schema([whole.field(name) for name in columns], whole.metadata)
         for part in parts:
@@ -280,7 +280,7 @@ class Snapshot:
 
 
 def _with_origin(rows: pa.Table, origin: Mapping[str, str | None]) -> pa.Table:
-    """Return rows of results with the columns of their origin, in place of stored ones of these names."""
+    """Return rows of results with the columns of their origin, which replace stored columns of these names."""
     rows = rows.drop_columns([name for name in origin if name in rows.column_names])
     for name, value in origin.items():
         rows = rows.append_column(name, pa.repeat(pa.scalar(value, pa.string()), rows.num_rows))
@@ -288,15 +288,15 @@ def _with_origin(rows: pa.Table, origin: Mapping[str, str | None]) -> pa.Table:
 
 
 def _read_part(file: Path, schema: pa.Schema, columns: Sequence[str] | None = None) -> pa.Table:
-    """Read a part, or some of its columns; those that an older kinedex did not write are null."""
-    # not pq.read_table, which loads pyarrow.dataset: that takes longer than reading a small part
+    """Read a part, or some of its columns; columns that an older kinedex did not write are null."""
+    # not pq.read_table, which imports pyarrow.dataset: that takes longer than reading a small part
     with read_errors(file), pq.ParquetFile(file) as opened:
         rows = opened.read(columns, use_threads=opened.metadata.num_rows > _FEW_ROWS)
     return with_columns(rows, schema)
 
 
 def _known_rows(file: Path) -> list[tuple[int, int]]:
-    """Return the ids and the masks of the takes of a part that lack joints; nothing is read where none does."""
+    """Return the ids and masks of the takes of a part that lack joints; skip reading if no take lacks any."""
     with read_errors(file), pq.ParquetFile(file) as opened:
         place = opened.schema_arrow.get_field_index("known")
         groups = [opened.metadata.row_group(number) for number in range(opened.num_row_groups)] if place >= 0 else []

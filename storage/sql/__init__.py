@@ -1,1 +1,1 @@
-"""SQL over a store: how DuckDB is set up, and the connection on which every view and macro stands."""
+"""Run SQL over a store: set up DuckDB, and define every view and macro on a connection."""

@@ -1,8 +1,8 @@
-"""The functions that SQL over a store may call; every other one is refused.
+"""List the functions that SQL over a store may call; all others are refused.
 
-The list is closed on purpose: a function that a later DuckDB adds is unknown, and unknown functions are refused until
-somebody has looked at them. None of those listed reads a file, writes one, reads the environment, changes the
-connection, or runs SQL that it is given as a text.
+The list is closed on purpose: a function that a later DuckDB adds is refused until it has been reviewed. None of those
+listed reads or writes a file, reads the environment, changes the connection, or runs SQL from a text. `FILE_FUNCTIONS`
+are the exception.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ OPERATORS = frozenset(
         "! != !__postfix !~~ !~~* % & && * ** + - -> ->> / // < <-> << <= <=> <@ = > >= >> @ @> ^ ^@ | || ~ ~~ ~~* ~~~"
     ).split()
 ) | {"IS DISTINCT FROM", "IS NOT DISTINCT FROM"}
-"""Operators, which the parser turns into functions of these names."""
+"""Operators, which the parser converts to functions of these names."""
 
 FUNCTIONS = frozenset(
     """
@@ -93,7 +93,7 @@ TABLE_FUNCTIONS = frozenset(
     unnest
     """.split()
 )
-"""Functions that give tables without reading any file."""
+"""Functions that return tables without reading any file."""
 
 FILE_FUNCTIONS = frozenset(
     """
@@ -102,4 +102,4 @@ FILE_FUNCTIONS = frozenset(
     read_ndjson_objects read_parquet read_text sniff_csv
     """.split()
 )
-"""Functions that read files; allowed where the user has opened folders."""
+"""Functions that read files; allowed if the user has opened folders."""

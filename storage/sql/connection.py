@@ -1,4 +1,4 @@
-"""Connections to a store: DuckDB with its index attached, and with the views and macros that statements need."""
+"""Open connections to a store: DuckDB with its index attached, and with the views and macros that statements need."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ NAMES = (*(view.name for view in VIEWS), *ALL_VIEWS, *(macro.name for macro in M
 """The names of all views and macros."""
 
 _left_open: list[Connections] = []
-"""Connections in which an abandoned statement runs."""
+"""Connections in which an abandoned statement still runs."""
 
 _MACROS = frozenset(macro.name for macro in MACROS)
 
@@ -48,25 +48,25 @@ INDEXED = frozenset(
 
 
 def connect(store: Snapshot, threads: int | None = None, memory_mb: int | None = None) -> duck.Connection:
-    """Open a connection with all views and macros of a store, once all of its parts are found to be sound.
+    """Open a connection with all views and macros of a store, after a check of all of its parts.
 
-    The index is attached read-only. Frames and results are read from the parts of this version, wherever the store is.
-    Where the index is missing or stale, a query over the views `INDEXED` or the macros over them fails with the
-    command that builds it, and all other queries work.
+    The index is attached read-only. Frames and results are read from the parts of this version. If the index is missing
+    or outdated, a query over the views `INDEXED` or the macros over them fails with a message that states the command
+    to build it; all other queries work.
 
     Parameters
     ----------
     store : Snapshot
         The version of the store to query.
     threads : int, optional
-        Most threads that DuckDB uses; DuckDB decides without it.
+        Largest number of threads; by default DuckDB decides.
     memory_mb : int, optional
-        Most memory that DuckDB uses, in MB; DuckDB decides without it.
+        Largest memory in MB; by default DuckDB decides.
 
     Raises
     ------
     StoreError
-        The index or a part cannot be read; the message names the file and the way out.
+        The index or a part cannot be read; the message names the file and the remedy.
     """
     store.checked.parts(store.manifest.parts)
     connection = duck.connect(threads, memory_mb)
@@ -82,10 +82,10 @@ def connect(store: Snapshot, threads: int | None = None, memory_mb: int | None =
 
 
 class Connections:
-    """The connections of one open store for `run_query`: one for each thread at work, all to one DuckDB.
+    """The connections of one open store for `run_query`: one for each active thread, all to the same DuckDB database.
 
-    The settings of all of them are locked. The index is attached once: it stays readable for as long as they are open,
-    also after it has been removed.
+    Their settings are locked. The index is attached once, and stays readable while they are open, even after it has
+    been removed.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ class Connections:
         return self._index is not None
 
     def take(self) -> Definitions:
-        """Lend a connection that nobody else uses until it is given back; not to be called after `close`."""
+        """Lend a connection for exclusive use until it is given back; must not be called after `close`."""
         with self._lock:
             lent = self._idle.pop() if self._idle else self._another()
             self._taken += 1
@@ -134,9 +134,9 @@ class Connections:
             raise
 
     def give_back(self, lent: Definitions) -> bool:
-        """Take a connection back; return False where none of them must be used again."""
+        """Take a connection back; return False if none of the connections may be used again."""
         if is_abandoned(lent.connection):
-            # they stay open, since closing the first one closes all, and that would wait for the statement
+            # left open, since closing the first one closes all, which would wait for the statement
             _left_open.append(self)
             return False
         with self._lock:
@@ -153,12 +153,12 @@ class Connections:
 
     def _close(self) -> None:
         if self._closed and not self._taken:
-            # this closes the cursors of the first one, too, even while a query runs in one
+            # closing the first connection closes its cursors, even while a query runs in one
             self._first.close()
 
 
 class Definitions:
-    """The views and macros of one connection, each of which is made when a statement first needs it.
+    """The views and macros of one connection, each created when a statement first needs it.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ class Definitions:
     index : Generation or None
         The record of the attached index.
     complete : bool, optional
-        Make the macros over a missing index, too.
+        Create the macros over a missing index, too.
     """
 
     def __init__(
@@ -184,7 +184,7 @@ class Definitions:
                 connection.register("takes", store.take_rows)
 
     def make(self, names: Iterable[str]) -> None:
-        """Make those of some views and macros that are not there yet; `names` has all that they read themselves."""
+        """Create those of the given views and macros that do not exist yet; `names` must include their dependencies."""
         wanted = set(names) - self._made
         with self._errors():
             self._make_stored(wanted)
@@ -197,14 +197,14 @@ class Definitions:
         self._made |= wanted
 
     def _make_stored(self, wanted: set[str]) -> None:
-        """Make views over the files of the store, its labels and its record."""
+        """Create views over the files of the store, its labels and its records."""
         connection, store = self.connection, self._store
         if "features" in wanted and self._index is None:
             _view(connection, "features", duck.literal_rows(features_table(store.feature_set)))
         if "help" in wanted:
             _view(connection, "help", duck.literal_rows(help_table()))
         if "frames" in wanted:
-            # DuckDB reads the columns of a part of each view, but no rows
+            # DuckDB reads the columns of one part per view, but no rows
             frames = [(part_file(store.path, part.path), part.dropped) for part in store.manifest.frames]
             _view(connection, "frames", duck.parquet_rows(frames_schema(store.feature_set, store.rate_hz), frames))
         for kind in (*RESULT_KINDS, *sorted(ALL_VIEWS)):
@@ -216,7 +216,7 @@ class Definitions:
             _define_labels(connection, store)
 
     def _is_made_here(self, macro: Macro) -> bool:
-        """Return whether a macro is not that of the index; an index file of an older kinedex may hold older ones."""
+        """Return whether a macro is defined here rather than in the index, whose macros may be outdated."""
         index, store = self._index, self._store
         own = index is not None and index.surface == surface(store.feature_set, store.rate_hz)
         if own and macro.needs == "index":
@@ -225,11 +225,11 @@ class Definitions:
 
     @contextmanager
     def _errors(self) -> Iterator[None]:
-        """Report a file that is damaged where views cannot be made."""
+        """Report a damaged file if views cannot be created."""
         try:
             yield
         except (duck.Error, UnicodeDecodeError) as fault:
-            # a damaged name of a column may be no UTF-8, and then no message either
+            # a damaged column name may not be UTF-8, which would hide the message
             self._store.checked.parts(self._store.manifest.parts)
             reason = duck.first_line(fault) if isinstance(fault, duck.Error) else str(fault)
             if (outside := explained(reason)) != reason:
@@ -238,7 +238,7 @@ class Definitions:
 
 
 def _define_labels(connection: duck.Connection, store: Snapshot) -> None:
-    """Make the table of labels; where they are damaged, a query over them fails with the reason."""
+    """Create the table of labels; if they are damaged, define it so that a query over it fails with the reason."""
     try:
         connection.register("label_history", shown_labels(store))
     except StoreError as fault:
@@ -247,7 +247,7 @@ def _define_labels(connection: duck.Connection, store: Snapshot) -> None:
 
 
 def _define_failing(connection: duck.Connection, store: Snapshot) -> None:
-    """Define views in place of those of a missing index; a query over them fails with the reason."""
+    """Define views in place of those of a missing index, so that a query over them fails with the reason."""
     for view in VIEWS:
         if view.name in INDEXED:
             _define_view_that_fails(connection, view, str(missing_index(store.path, store.manifest)))
@@ -255,14 +255,14 @@ def _define_failing(connection: duck.Connection, store: Snapshot) -> None:
 
 def _define_view_that_fails(connection: duck.Connection, view: View, reason: str) -> None:
     failing = f"error({duck.quote(reason)})"
-    # the columns fail, too: DuckDB would skip a view whose condition on NULL columns can never hold
+    # the columns must fail as well: DuckDB would skip a view whose condition on NULL columns can never hold
     typed = ((column.type, duck.identifier(column.name)) for column in view.columns)
     columns = ", ".join(f"{failing}::{kind} AS {name}" for kind, name in typed)
     _view(connection, view.name, f"SELECT {columns} WHERE {failing} IS NULL")
 
 
 def _attach_index(connection: duck.Connection, store: Snapshot) -> Generation | None:
-    """Attach the index of these takes read-only and return its record; None where there is none."""
+    """Attach the index of these takes read-only and return its record; None if there is no index."""
     while (generation := current_generation(store.path, store.manifest)) is not None:
         file, record = (generation / FILE).absolute(), read_generation(generation)
         try:
@@ -270,7 +270,7 @@ def _attach_index(connection: duck.Connection, store: Snapshot) -> Generation | 
             connection.execute("USE idx")
         except duck.Error as fault:
             if not file.is_file():
-                # a build has published a newer generation, or somebody removes the index
+                # a build has published a newer generation, or somebody has removed the index
                 continue
             reason = f"{file}: the index cannot be read: {duck.first_line(fault)}"
             raise StoreError(reason, remedy=build_index(store.path)) from None
@@ -291,7 +291,7 @@ def run_query(
     timeout: float | None = None,
     max_rows: int | None = None,
 ) -> Answer:
-    """Run one reading query on a connection of `Connections`.
+    """Run one read-only query on a connection of `Connections`.
 
     Parameters
     ----------
@@ -327,7 +327,7 @@ def run_query(
 
 
 def _report_damaged_index(store: Snapshot, reason: str) -> None:
-    """Raise a StoreError that names the file of the index if it is damaged; DuckDB checks every block that it reads."""
+    """Raise a StoreError that names the index file if it is damaged; DuckDB checks every block that it reads."""
     generation = current_generation(store.path, store.manifest)
     record = None if generation is None else read_generation(generation)
     if generation is not None and record is not None and file_digest(generation / FILE) != record.xxh3:
@@ -337,7 +337,7 @@ def _report_damaged_index(store: Snapshot, reason: str) -> None:
 
 
 def _explain_unknown(store: Snapshot, fault: UnknownName) -> KinedexError:
-    """Explain an unknown name: it needs the missing index, or it is the name of nothing; then list all names."""
+    """Return the error for an unknown name: it needs the missing index, or it does not exist; list all names."""
     name = fault.name.lower()
     if name in INDEXED or any(macro.name == name and _reads_index(macro) for macro in MACROS):
         return missing_index(store.path, store.manifest)

@@ -1,4 +1,4 @@
-"""The queries of users: they may only read, they stop at Ctrl-C and after a time, and their rows can be limited."""
+"""Run users' queries: read-only, stopped by Ctrl-C and a time limit, and with an optional limit of rows."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from kinedex.storage.interruption import run_bounded
 from kinedex.storage.sql.read_only import UnknownName, checked
 
 COUNTED = 1_000_000
-"""Number of rows after which the rows beyond a limit are not counted any more."""
+"""The number of rows after which rows beyond a limit are no longer counted."""
 
 _BATCH = 20_000
 _MISSING = re.compile(r"(?:Table|Function|Macro) with name \"?(\w+)\"? does not exist")
@@ -25,7 +25,7 @@ _DAMAGE = re.compile(r"(IO|Serialization|INTERNAL|FATAL) Error: |Corrupt databas
 
 
 class Unreadable(KinedexError):
-    """A query met a file that is missing or damaged."""
+    """A query failed because a file is missing or damaged."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class Answer:
     Attributes
     ----------
     table : pyarrow.Table
-        The rows, at most as many as the query was limited to.
+        The rows, up to the limit of the query.
     rows : int
-        How many rows the query has; where `counted` is False, at least how many.
+        The number of rows of the query, or a lower bound of it if `counted` is False.
     counted : bool
         False if the query has more than `rows` rows.
     """
@@ -56,7 +56,7 @@ def read_query(
     files: bool = False,
     max_rows: int | None = None,
 ) -> Answer:
-    """Run one reading query and return its result.
+    """Run one read-only query and return its result.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def read_query(
     files : bool, optional
         If True, it may read files (with `read_csv`, for example) where the connection's settings allow it.
     max_rows : int, optional
-        Most rows to return; the others are counted, up to `COUNTED`, and not held in memory.
+        Largest number of rows to return; the others are counted, up to `COUNTED`, and not kept in memory.
 
     Raises
     ------
@@ -99,9 +99,9 @@ def read_query(
 
 
 def explained(text: str) -> str:
-    """Return a message of DuckDB, or one with the way out where a query meets a file outside of the store."""
+    """Return DuckDB's message, or one that states the remedy if a query reads a file outside the store."""
     if found := _ELSEWHERE.search(text):
-        # a file that a link leads to counts by its own place
+        # access to a linked file is decided by the path of its target
         return (
             f"{os.path.realpath(found[1])}: SQL reads the store and folders that were opened for it, and this file is "
             "in neither; open its folder with `--allow-files DIR`, or `files=[…]` of `open_store`"
@@ -120,11 +120,11 @@ def _first_rows(relation: duckdb.DuckDBPyRelation, max_rows: int) -> Answer:
             rows += batch.num_rows
             if rows > max(max_rows, COUNTED):
                 return Answer(pa.Table.from_batches(batches, reader.schema), rows, counted=False)
-    except OSError as fault:  # Arrow's reader raises DuckDB's errors in this class
+    except OSError as fault:  # Arrow's reader raises DuckDB's errors as OSError
         text = message(duckdb.Error(str(fault)))
         raise (Unreadable(text) if _DAMAGE.match(str(fault)) else KinedexError(explained(text))) from None
     finally:
-        # a connection with an open result runs no other statement
+        # a connection with an open result cannot run another statement
         reader.close()
     return Answer(pa.Table.from_batches(batches, reader.schema), rows)
 
@@ -146,7 +146,7 @@ def bounded_query(
     connection, text, parameters, macros, files, max_rows
         As for `read_query`.
     timeout : float, optional
-        Seconds that the query may take; as long as it needs without it.
+        Time limit in seconds; None for no limit.
 
     Raises
     ------
@@ -166,7 +166,7 @@ def bounded_query(
 
 
 def _tokens(text: str) -> list[tuple[int, str]]:
-    """Return the tokens of a statement without its comments, each with the byte where it begins."""
+    """Return the tokens of a statement without its comments, each with its byte offset."""
     raw = text.encode()
     found = [(start, kind) for start, kind in duckdb.tokenize(text)]
     stops = [start for start, _ in found[1:]] + [len(raw)] * bool(found)
@@ -178,9 +178,10 @@ def _tokens(text: str) -> list[tuple[int, str]]:
 
 
 def split_statements(text: str) -> tuple[list[str], str]:
-    """Split typed text into whole statements, each ended by a semicolon, and the rest.
+    """Split typed text into complete statements, each ended by a semicolon, and the rest.
 
-    A semicolon in a text, a quoted name, or a comment ends no statement. A rest of finished comments counts as empty.
+    A semicolon in a string, a quoted name, or a comment does not end a statement. A rest of only complete comments
+    counts as empty.
     """
     raw = text.encode()
     whole, begin = [], 0

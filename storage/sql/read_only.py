@@ -1,9 +1,10 @@
-"""The check that a SQL statement only reads: its parsed tree may hold known kinds of nodes and known functions.
+"""Check that a SQL statement only reads: its parse tree may contain only known kinds of nodes and known functions.
 
-DuckDB serialises the tree of a query as JSON. All of it is walked: every node must be of a kind that reads, and every
-function must be in `allowed_functions`. Words and blanks of the text decide nothing, because DuckDB's grammar has more
-ways to write a statement than a list of words can follow. Statements without such a tree (EXPLAIN, PRAGMA, and a PIVOT
-that first looks up its columns) are allowed in a narrow form, from which the statement that runs is written anew.
+DuckDB serialises the tree of a query as JSON. The whole tree is traversed: every node must be of a kind that reads, and
+every function must be in `allowed_functions`. The text itself is not searched for keywords, because DuckDB's grammar
+has more ways to write a statement than a list of keywords can cover. Statements without such a tree (EXPLAIN, PRAGMA,
+and a PIVOT that first looks up its columns) are allowed in a restricted form, from whose parts the statement to run is
+composed.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from kinedex.storage.sql.allowed_functions import FILE_FUNCTIONS, FUNCTIONS, OPE
 _NODES = frozenset(
     (
         "SELECT_NODE SET_OPERATION_NODE RECURSIVE_CTE_NODE CTE_NODE "  # queries
-        "BASE_TABLE SUBQUERY JOIN TABLE_FUNCTION EXPRESSION_LIST EMPTY PIVOT SHOW_REF "  # what a query reads from
+        "BASE_TABLE SUBQUERY JOIN TABLE_FUNCTION EXPRESSION_LIST EMPTY PIVOT SHOW_REF "  # the sources of a query
         "ORDER_MODIFIER LIMIT_MODIFIER LIMIT_PERCENT_MODIFIER DISTINCT_MODIFIER "
         "ORDER_DEFAULT ASCENDING DESCENDING ORDER_ASCENDING ORDER_DESCENDING"
     ).split()
@@ -62,12 +63,12 @@ _PIVOT = (
 
 
 def _match(pattern: str, text: str) -> re.Match[str] | None:
-    """Match a whole statement; patterns are compiled when they are first needed, since most statements need none."""
+    """Match a whole statement; patterns are compiled on first use, since most statements need none."""
     return re.fullmatch(pattern, text, re.IGNORECASE | re.DOTALL | re.ASCII)
 
 
 class UnknownName(KinedexError):
-    """A query asks for a table or a function that does not exist."""
+    """A query uses a table or a function that does not exist."""
 
     def __init__(self, name: str, text: str) -> None:
         super().__init__(text)
@@ -77,23 +78,23 @@ class UnknownName(KinedexError):
 def checked(
     connection: duckdb.DuckDBPyConnection, text: str, macros: Iterable[str] = (), *, files: bool = False
 ) -> str:
-    """Return the statement to run for a text that only reads.
+    """Return the statement to run, or raise an error unless the text only reads.
 
     Parameters
     ----------
     connection : duckdb.DuckDBPyConnection
-        The connection whose parser is asked; nothing of the text is run on it.
+        The connection whose parser is used; the text is not executed.
     text : str
         One statement.
     macros : iterable of str
         Names of macros that may be called besides DuckDB's functions.
     files : bool
-        If True, functions that read files may be called; the connection's settings say which files.
+        If True, functions that read files may be called; the connection's settings limit which files.
 
     Returns
     -------
     str
-        The text itself, or for EXPLAIN and PRAGMA the same statement written from its parts.
+        The text itself, or for EXPLAIN and PRAGMA the same statement composed from its parts.
 
     Raises
     ------
@@ -107,7 +108,7 @@ def checked(
         kinds = [statement.type.name for statement in found]
     except duckdb.Error as fault:
         raise KinedexError(re.sub(r"^\w+ Error: ", "", str(fault).strip())) from None
-    except ValueError:  # a kind of statement that the client has no name for
+    except ValueError:  # a kind of statement without a name in the Python client
         raise _refused("a statement of another kind") from None
     if len(kinds) != 1:
         raise KinedexError(f"expected one SQL statement, got {len(kinds)}")
@@ -167,11 +168,11 @@ def names_in(connection: duckdb.DuckDBPyConnection, text: str) -> Names:
 
 
 _last_tree: tuple[str, Any] = ("", None)
-"""The text whose tree was asked for last, and its tree: the check and the search for names need the same."""
+"""The last parsed text and its tree, since the check and the search for names need the same tree."""
 
 
 def _tree(connection: duckdb.DuckDBPyConnection, text: str) -> Any:
-    """Return the parsed tree of a text, which nobody may change."""
+    """Return the parse tree of a text, which must not be modified."""
     global _last_tree
     last_text, tree = _last_tree
     if tree is None or last_text != text:
@@ -239,7 +240,7 @@ def _check_function(connection: duckdb.DuckDBPyConnection, name: str, allowed: f
 
 
 def _refuse_blanks(text: str) -> None:
-    """Refuse blanks and invisible characters other than ASCII's outside of literals, quoted names and comments."""
+    """Raise an error for non-ASCII whitespace and invisible characters outside literals, quoted names and comments."""
     bare = _QUOTED.sub(lambda quoted: " " * len(quoted[0]), text)
     for place, character in enumerate(bare):
         if not character.isascii() and (not character.isprintable() or character.isspace()):

@@ -1,6 +1,6 @@
-"""The parts that a query reads: those behind the views and macros that its parsed tree names, checked before it runs.
+"""Check the parts that a query reads before it runs: those behind the views and macros in its parse tree.
 
-DuckDB does not check the content of Parquet files. The parts of other views stay unread and unchecked.
+DuckDB does not verify the checksums of Parquet files. The parts of other views are neither read nor checked.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ _BODIES = {view.name: view.body for view in VIEWS if view.body} | {
 _VIEWS = frozenset((*(view.name for view in VIEWS), *ALL_VIEWS))
 
 _LISTS = re.compile(r"\b(SHOW|DESCRIBE|SUMMARIZE|PRAGMA)\b", re.IGNORECASE)
-"""Words of statements that may list the views; where they stand in a literal, only time is lost."""
+"""Keywords of statements that may list the views; matching one inside a literal only costs time."""
 
 _read_by: dict[str, frozenset[str]] = {}
-"""Views and macros → the names in their bodies, as far as they were needed before."""
+"""View or macro → the names in its body, for those needed so far."""
 
 
 def check_parts(store: Snapshot, connection: duck.Connection, text: str) -> frozenset[str]:
-    """Check the parts that a statement reads, unless they were checked before, and return what it reads.
+    """Check the parts that a statement reads, unless they were checked before, and return the names that it reads.
 
     Parameters
     ----------
     store : Snapshot
         The store of the connection.
     connection : Connection
-        The connection whose parser is asked; nothing of the text is run on it.
+        The connection whose parser is used; the text is not executed.
     text : str
-        A statement that `storage.sql.read_only.checked` allows; another one is ignored here.
+        A statement that `storage.sql.read_only.checked` allows; any other is ignored here.
 
     Returns
     -------
     frozenset of str
-        Names of the views and macros; of one that may list views or show the columns of any, all of them.
+        Names of the views and macros; all of them for a statement that may list views or show any view's columns.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def check_parts(store: Snapshot, connection: duck.Connection, text: str) -> froz
 
 
 def parts_of(store: Snapshot, view: str) -> tuple[Part | ResultPart, ...]:
-    """Return the parts that a view reads by itself; none for views of the index and for derived views."""
+    """Return the parts that a view reads directly; none for views of the index and for derived views."""
     manifest = store.manifest
     if view in RESULT_KINDS or view in ALL_VIEWS:
         return result_parts(store, view)
@@ -76,7 +76,7 @@ def parts_of(store: Snapshot, view: str) -> tuple[Part | ResultPart, ...]:
 
 
 def _reached(connection: duck.Connection, names: Iterable[str]) -> Iterator[str]:
-    """Yield names and, of views and macros among them, the names that their bodies read."""
+    """Yield names and, for views and macros among them, the names that their bodies read."""
     waiting, seen = list(names), set()
     while waiting:
         name = waiting.pop()
@@ -98,7 +98,7 @@ def _reads_catalogue(names: Names) -> bool:
 
 
 def _described_by(parts: Iterable[Part | ResultPart]) -> Iterator[Part | ResultPart]:
-    """Yield the parts from which DuckDB takes the columns of a view: the first one of each of its scans."""
+    """Yield the parts from which DuckDB takes the columns of a view: the first of each of its scans."""
     scans = {
         (bool(part.dropped_rows), getattr(part, "columns", 0), getattr(part, "stage", "")): part
         for part in reversed(list(parts))

@@ -1,4 +1,4 @@
-"""The SELECTs behind the views of results: the parts that each shows, with the origin of their rows."""
+"""Make the SELECTs behind the views of results: the parts that each shows, with the origin of their rows."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from kinedex.storage.snapshot.shown_results import origin_of, shown_parts
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 ALL_VIEWS = {f"{ALL}{kind}": kind for kind in RESULT_KINDS}
-"""Names of the views that show the rows of every pipeline, with their kinds of results."""
+"""View that shows the rows of every pipeline → its kind of results."""
 
 
 def result_parts(store: Snapshot, view: str) -> tuple[ResultPart, ...]:
-    """Return the parts that a view of results reads: those of one pipeline, of all with `all_` before its name."""
+    """Return the parts that a view of results reads: those of one pipeline, or of all for the prefix `all_`."""
     if view in ALL_VIEWS:
         return store.manifest.results.get(ALL_VIEWS[view], ())
     return shown_parts(store.manifest, view)
@@ -34,7 +34,7 @@ def result_select(store: Snapshot, view: str) -> str:
 
 
 def _scans(store: Snapshot, kind: str, parts: Iterable[ResultPart]) -> list[duck.ResultScan]:
-    """Return one scan for the parts of each origin and width."""
+    """Return one scan for the parts of each combination of origin and number of columns."""
     found: dict[tuple[object, ...], duck.ResultScan] = {}
     for part in parts:
         file = part_file(store.path, part.path)

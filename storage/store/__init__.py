@@ -1,1 +1,1 @@
-"""The store: a directory of Parquet parts and a manifest for each version that names them."""
+"""Change and check a store: a directory of Parquet parts, and a manifest for each version that names them."""

@@ -1,15 +1,15 @@
-"""Compaction: small parts become large ones and tombstones go, at a cost that follows what was added, not the archive.
+"""Merge small parts into large ones and remove tombstones, at a cost proportional to what was added.
 
-Every ingest leaves parts of the size of its batches. What to merge is decided by tiers: a part whose live rows number
-at least `FANOUT` ** k, but fewer than `FANOUT` ** (k + 1), is of tier k, and a tier is merged once it holds `FANOUT`
-parts or more. Such a merge has at least `FANOUT` ** (k + 1) rows, so it lies in a higher tier: each time that a row is
-written again, it climbs. A part of `target_bytes` is full and left alone; for the frames of a 100 MB part, some 500,000
-rows, that is at most log8(500,000) < 7 tiers, however many ingests there were. N rows that come in bit by bit thus cost
-O(N log N) row writes in all, and adding 10 files to 10,000 takes mostly merges nothing. The lower tiers stay below
-`FANOUT` parts each, so a store has some 50 small parts at most. (Log-structured merge trees do the same: O'Neil et al.,
-"The log-structured merge-tree", 1996; the rule by sizes is known as size-tiered compaction.)
+Every ingest writes parts of the size of its batches. Tiers decide which of them are merged: a part whose live rows
+number at least `FANOUT` ** k, but fewer than `FANOUT` ** (k + 1), is of tier k, and a tier is merged once it holds
+`FANOUT` parts or more. The merged part has at least `FANOUT` ** (k + 1) rows, so it is of a higher tier: each time a
+row is rewritten, it rises a tier. A part of `target_bytes` is full and not merged again; for the frames of a 100 MB
+part, some 500,000 rows, that is at most log8(500,000) < 7 tiers, for any number of ingests. Adding N rows in small
+steps thus costs O(N log N) row writes in all, and adding 10 files to 10,000 takes usually merges nothing. The lower
+tiers stay below `FANOUT` parts each, so a store has some 50 small parts at most. (Log-structured merge trees do the
+same: O'Neil et al., "The log-structured merge-tree", 1996; the rule by sizes is known as size-tiered compaction.)
 
-A part more than half of whose rows are tombstones is written again for itself: it costs fewer row writes than rows were
+A part with more than half of its rows under tombstones is rewritten alone, which costs fewer row writes than rows were
 replaced or dropped since it was made.
 """
 
@@ -37,22 +37,22 @@ from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.writer import StoreWriter
 
 TARGET_BYTES = 100_000_000
-"""A frames part of this size is full: it is not merged any more."""
+"""The size in bytes of a full frames part, which is not merged again."""
 
 FANOUT = 8
-"""The number of parts of one tier that are merged; also the ratio of the tiers' sizes."""
+"""The number of parts of one tier that are merged, and the ratio of the tiers' sizes."""
 
 LEAST_ROWS = 131_072
-"""A merge is divided among workers into parts of so many rows at least: about 27 MB on disk."""
+"""The least number of rows of the parts into which a merge is divided among workers: about 27 MB on disk."""
 
 KEPT_ROWS = 262_144
-"""Most rows of the old parts that a merge holds in memory: some 90 MB. A single row group or take may be larger."""
+"""The largest number of old rows that a merge keeps in memory, some 90 MB; one row group or take may be larger."""
 
 AnyPart = TypeVar("AnyPart", Part, ResultPart)
 
 
 class Map(Protocol):
-    """A function that spreads merges over cores, as the `map` of an executor does: results in the items' order."""
+    """A function that distributes merges over cores like the `map` of an executor, with results in order."""
 
     def __call__(self, function: Callable[[Merge], Part], items: Iterable[Merge], /) -> Iterator[Part]:
         """Apply the function to every item."""
@@ -61,7 +61,7 @@ class Map(Protocol):
 
 @dataclass(frozen=True)
 class Merge:
-    """The task to write one new frames part.
+    """A task: to write one new frames part.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Merge:
     rate_hz : float
         Analysis frames per second.
     parts : tuple of Part
-        The old parts that hold the takes.
+        The old parts that contain the takes.
     take_ids : tuple of int
         Ids of the takes of the new part, ascending.
     """
@@ -86,7 +86,7 @@ class Merge:
 
 @dataclass(frozen=True)
 class Compaction:
-    """The effect of a compaction: the numbers of merged and of new parts, and the errors of damaged ones."""
+    """The result of a compaction: the numbers of merged and of new parts, and the errors of damaged ones."""
 
     frames_before: int
     frames_after: int
@@ -103,23 +103,23 @@ class Compaction:
 def compact(
     writer: StoreWriter, *, target_bytes: int = TARGET_BYTES, spread: Map = map, workers: int = 1
 ) -> Compaction:
-    """Merge small parts of a store and rewrite parts that are mostly tombstones, and commit the swap as one version.
+    """Merge small parts of a store, rewrite parts that are mostly tombstones, and commit the result as one version.
 
-    A damaged part of frames is left as it is: it must not get a fresh checksum, and the others need not wait for it.
+    A damaged part of frames is left unchanged, so that it does not get a new checksum; the others are merged.
 
-    The takes, their ids and the index stay valid. The old files stay too, for readers of older versions, until
+    The takes, their ids and the index stay valid. The old files are kept for readers of older versions until
     `storage.store.garbage_collection.collect`. If the process is killed before the commit, the store is unchanged.
 
     Parameters
     ----------
     writer : StoreWriter
-        It holds the store's lock; its changes must be committed.
+        The writer, which holds the store's lock and must have no uncommitted changes.
     target_bytes : int, optional
-        Size from which a frames part is full.
+        Size at which a frames part is full.
     spread : Map, optional
-        It runs the merges; each needs at most about half a gigabyte, whatever the store's size.
+        Runs the merges; each needs at most about half a gigabyte of memory, whatever the store's size.
     workers : int, optional
-        Number of merges that it runs at a time; a large merge is divided among them.
+        Number of merges that `spread` runs at once; a large merge is divided into so many.
 
     Raises
     ------
@@ -147,7 +147,7 @@ def compact(
 
 
 def _sound_groups(store: Snapshot, target_bytes: int) -> tuple[list[list[Part]], tuple[StoreError, ...]]:
-    """Return the groups of sound parts of frames to merge, and the errors of the damaged parts that were met."""
+    """Return the groups of undamaged parts of frames to merge, and the errors of damaged parts among them."""
     left = list(store.manifest.frames)
     damaged: list[StoreError] = []
     while True:
@@ -164,14 +164,14 @@ def _sound_groups(store: Snapshot, target_bytes: int) -> tuple[list[list[Part]],
 
 
 def worthwhile(parts: Iterable[AnyPart], full_bytes: float = float("inf")) -> list[list[AnyPart]]:
-    """Return groups of parts to merge: `FANOUT` and more of one tier, and single parts that are mostly tombstones.
+    """Return groups of parts to merge: `FANOUT` or more of one tier, and single parts that are mostly tombstones.
 
     Parameters
     ----------
     parts : iterable of Part or ResultPart
         All parts of one kind.
     full_bytes : float, optional
-        Size of the live rows, estimated by their number, from which a part is left alone.
+        Size of the live rows, estimated by their number, at which a part is not merged.
     """
     tiers: dict[int, list[AnyPart]] = {}
     alone = []
@@ -191,19 +191,19 @@ def worthwhile(parts: Iterable[AnyPart], full_bytes: float = float("inf")) -> li
 
 
 def divided(count: int, workers: int, *, fits: int, worth: int) -> int:
-    """Return the number of new parts of a merge, such that no worker waits for another.
+    """Return the number of new parts of a merge, chosen so that no worker is idle.
 
     Parameters
     ----------
     count : int
-        Number of parts that the merge would make of the full size.
+        Number of full-size parts that the merge would make.
     workers : int
-        Number of merges that run at a time.
+        Number of merges that run at once.
     fits : int
-        Number of full parts that there are rows for.
+        Number of full parts for which there are enough rows.
     worth : int
-        Number of parts that climb a tier and have `LEAST_ROWS`. Of parts that are not full, a merge makes half of
-        `FANOUT` at most, or they would soon have to be merged again.
+        Number of parts of a higher tier with at least `LEAST_ROWS`. A merge makes at most half of `FANOUT` parts that
+        are not full, since more would soon be merged again.
     """
     if count < workers:
         return max(count, min(workers, worth, FANOUT // 2))
@@ -212,10 +212,10 @@ def divided(count: int, workers: int, *, fits: int, worth: int) -> int:
 
 
 def merge(task: Merge) -> Part:
-    """Write one new frames part; it runs in any process, and a second call with the same task does no harm.
+    """Write one new frames part; the function can run in any process, and calling it again is harmless.
 
-    The old parts are read a row group at a time. A part whose content does not fit its checksum is refused: it must not
-    get a fresh checksum.
+    The old parts are read a row group at a time. A part whose content does not match its checksum is refused, so that
+    it does not get a new one.
     """
     homes = {take: place for place, part in enumerate(task.parts) for take in part.live}
     files = CheckedFiles(task.store).parts(task.parts)
@@ -224,7 +224,7 @@ def merge(task: Merge) -> Part:
     with FramesWriter(task.store, task.feature_set, task.rate_hz) as writer:
         for place, takes in groupby(task.take_ids, key=homes.__getitem__):
             ids = list(takes)
-            # takes that follow each other in an old part are copied together
+            # takes that are adjacent in an old part are copied together
             for start, stop, members in _joined(ids, row_ranges[place]):
                 writer.add_pieces(members, groups.rows(place, start, stop))
         return writer.close()
@@ -242,14 +242,14 @@ def _live_share(part: Part | ResultPart) -> float:
 
 
 def _merges(store: Snapshot, group: list[Part], target_bytes: int, workers: int) -> list[Merge]:
-    """Lay the live takes of a group out in new parts, each of the target's size or above where there is enough."""
+    """Distribute the live takes of a group over new parts, each of the target size if there are enough rows."""
     takes = sorted(take for part in group for take in part.live)
     if not takes:
         return []
     frames = store.take_frames
     live_bytes = sum(part.bytes * _live_share(part) for part in group)
     rows = sum(frames[take] for take in takes)
-    # a tenth more than the target, since merged parts compress a little better
+    # a tenth more than the target, since merged parts compress slightly better
     count = max(1, int(live_bytes / (1.1 * target_bytes)))
     if len(group) > 1:
         climbs = FANOUT ** (_tier(group[0].live_rows) + 1)
@@ -276,7 +276,7 @@ def _row_ranges(file: Path, part: Part) -> dict[int, tuple[int, int]]:
 
 
 def _joined(ids: list[int], row_ranges: Mapping[int, tuple[int, int]]) -> Iterator[tuple[int, int, list[int]]]:
-    """Yield ranges of rows that follow each other without a gap, with the takes that lie in them."""
+    """Yield ranges of adjacent rows, with the takes in each."""
     start, stop = row_ranges[ids[0]]
     members: list[int] = []
     for take in ids:
@@ -292,7 +292,7 @@ def _joined(ids: list[int], row_ranges: Mapping[int, tuple[int, int]]) -> Iterat
 
 
 class _RowGroups:
-    """A reader of ranges of rows from Parquet files that keeps the row groups read last."""
+    """A reader of row ranges from Parquet files that caches the last row groups."""
 
     def __init__(self, files: list[Path]) -> None:
         self._files = files
@@ -309,7 +309,7 @@ class _RowGroups:
             first = ends[group - 1] if group else 0
             end = min(stop, ends[group])
             table = self._group(file, group)
-            # a slice would keep the whole row group in memory for as long as it waits to be written
+            # a slice would keep the whole row group in memory until it is written
             whole = end - start == table.num_rows
             yield table if whole else table.take(np.arange(start - first, end - first))
             start = end
@@ -332,7 +332,7 @@ class _RowGroups:
 
 
 def _merge_takes(store: Snapshot, parts: list[Part]) -> Part:
-    """Write the live rows of takes parts as one part; a row is some hundred bytes, so they fit into memory."""
+    """Write the live rows of takes parts as one part in memory; a row is only some hundred bytes."""
     tables = []
     for part in parts:
         file = store.checked.part(part)

@@ -1,8 +1,8 @@
-"""The database file of a store: every view and macro for other DuckDB clients, over the files of one version.
+"""Write the database file of a store: all views and macros for other DuckDB clients, over the files of one version.
 
 `kinedex.duckdb` holds views, macros and small tables. Its views name the Parquet files of the version and the index one
 by one, by absolute paths, so that no file of another version is ever read with them. Commands that change the store
-write an existing file anew; the view `store_version` compares its version with the newest one of the store.
+rewrite an existing file; the view `store_version` compares its version with the newest one of the store.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from kinedex.storage.store.write_access import DATABASE
 
 
 def write_database(store: Store) -> Path:
-    """Write the database file of a version of a store, in place of an earlier one.
+    """Write the database file of a version of a store, replacing an earlier one.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def _write(connection: duck.Connection, store: Store, index: Path, path: Path) -
 
 
 def refresh_database(path: Path) -> None:
-    """Write the database file of a store anew where there is one; where that fails, the earlier one stays."""
+    """Rewrite the database file of a store if there is one; on failure, the earlier one is kept."""
     if (path / DATABASE).is_file():
         with suppress(KinedexError, OSError), open_store(path) as store:
             write_database(store)
@@ -110,7 +110,7 @@ def _fill(connection: duck.Connection, store: Store, index: Path) -> None:
 
 
 def _version(store: Store) -> str:
-    """Return the SELECT of the view `store_version`, which looks at the manifests of the store when it is read."""
+    """Return the SELECT of the view `store_version`, which reads the store's manifests when it is queried."""
     manifests = os.path.join(glob.escape(str((store.path / FOLDER).absolute())), "*.json")
     newest = f"SELECT max(regexp_extract(m.file, '(\\d+)\\.json$', 1)::BIGINT) FROM glob({duck.quote(manifests)}) AS m"
     return (

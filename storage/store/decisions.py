@@ -1,4 +1,4 @@
-"""Decisions of people about labels, which go into the journal of a store while others read or write it."""
+"""Record people's decisions about labels in the journal of a store, while others read or write the store."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from kinedex.storage.store.store import all_labels
 
 
 def record_labels(path: str | Path, labels: pa.Table) -> pa.Table:
-    """Add labels to a store by way of its journal, without the lock of a writer; they are on disk when this returns.
+    """Add labels to a store's journal without the writer's lock; they are on disk when the function returns.
 
     Readers show them at once, and the next commit of a writer publishes them.
 
@@ -24,7 +24,7 @@ def record_labels(path: str | Path, labels: pa.Table) -> pa.Table:
     path : str or Path
         The store's directory.
     labels : pyarrow.Table
-        Columns of `labels_schema`; those that are missing are completed (`storage.snapshot.labels.new_labels`). A row
+        Columns of `labels_schema`; missing values are completed (`storage.snapshot.labels.new_labels`). A row
         whose id the store has is skipped.
 
     Returns
@@ -35,9 +35,9 @@ def record_labels(path: str | Path, labels: pa.Table) -> pa.Table:
     Raises
     ------
     ParameterError
-        A value is out of its domain; nothing is stored.
+        A value is not allowed; nothing is stored.
     StoreError
-        There is no store, it has an older format, its labels are damaged, or the disk refuses.
+        There is no store, it has an older format, its labels are damaged, or the disk cannot be written.
     """
     root = Path(path)
     newest = read_newest(root)

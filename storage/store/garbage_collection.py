@@ -1,4 +1,4 @@
-"""Garbage collection: removal of old versions of a store, and of all files that no remaining version needs."""
+"""Remove old versions of a store, and all files that no remaining version needs (garbage collection)."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ from kinedex.storage.store.history import FILES
 from kinedex.storage.store.history import FOLDER as HISTORY
 
 KEPT_VERSIONS = 2
-"""Number of the newest versions that stay: the newest, and one to fall back to should its manifest be damaged."""
+"""The number of newest versions that are kept: the newest, and one in case its manifest is damaged."""
 
 
 _OTHER_FOLDERS = (".", HISTORY, FILES, "jobs", f"{QUARANTINE}/*")
-"""The folders whose files are written without the lock of the store, or by a repair; parts are in none of them."""
+"""The folders without parts, whose files are written without the store's lock, or by a repair."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Garbage:
     path : str
         Path relative to the store, with /.
     bytes : int
-        Space that it takes.
+        Disk space that it takes.
     kind : str
         "old version", "frames part", "takes part", "labels part", "results part", "index generation" or
         "unfinished file".
@@ -72,9 +72,9 @@ class Collection:
     Attributes
     ----------
     removed : list of Garbage
-        What was removed, or would be, versions first.
+        Files and folders that were removed, or would be, versions first.
     open_versions : list of OpenVersion
-        Versions that stay only because readers have them open.
+        Versions that are kept only because readers have them open.
     """
 
     removed: list[Garbage]
@@ -89,20 +89,20 @@ def collect(
     dry_run: bool = False,
     wait: Wait = NO_WAIT,
 ) -> Collection:
-    """Remove old versions of a store, and all files that no remaining version needs; files of others are not touched.
+    """Remove old versions of a store and the files that no remaining version needs; foreign files are not touched.
 
-    A version goes if it is not one of the newest `keep`, and older than the given age, and no reader has it open. The
-    newest version that has its index, which readers get, stays in any case. Versions go before their parts, so that
-    the store is sound when the process is killed at any moment.
+    A version is removed if it is not one of the newest `keep`, is older than the given age, and no reader has it open.
+    The newest version with an index, which readers open by default, is always kept. Versions are removed before their
+    parts, so that the store is valid if the process is killed at any moment.
 
     Parameters
     ----------
     store : str or Path
         The store's directory.
     keep : int, optional
-        Number of the newest versions that stay, at least 1.
+        Number of newest versions to keep, at least 1.
     older_than_seconds : float, optional
-        Age below which versions stay, by the time of their commit.
+        Age in seconds since the commit below which versions are kept.
     dry_run : bool, optional
         Remove nothing; only return what would be removed.
     wait : Wait, optional
@@ -111,13 +111,13 @@ def collect(
     Returns
     -------
     Collection
-        What was removed, and which versions readers have open.
+        The removed files, and the versions that readers have open.
 
     Raises
     ------
     StoreError
-        There is no store; a writer or an index build is at work; a remaining version is damaged, so that the parts
-        that it needs are not known. Nothing is removed then.
+        There is no store; a writer or an index build is active; a remaining version is damaged, so that the parts that
+        it needs are unknown. Then nothing is removed.
     """
     root = Path(store)
     if keep < 1:
@@ -136,7 +136,7 @@ def collect(
         unneeded = _unneeded(root, manifests)
         if not dry_run:
             late = [version for version in manifests if not _remove_version(root, version)]
-            if late:  # readers have opened these meanwhile
+            if late:  # readers have opened these in the meantime
                 opened = open_versions(root, sorted([*busy, *late]))
                 manifests = {version: garbage for version, garbage in manifests.items() if version not in late}
                 unneeded = _unneeded(root, manifests)
@@ -157,7 +157,7 @@ def summary(found: list[Garbage]) -> list[str]:
 
 
 def shown_bytes(count: int) -> str:
-    """Return a number of bytes as people read it, such as "12.3 MB"."""
+    """Format a number of bytes for users, such as "12.3 MB"."""
     size, unit = float(count), "bytes"
     for larger in ("kB", "MB", "GB", "TB"):
         if size < 1000:
@@ -167,7 +167,7 @@ def shown_bytes(count: int) -> str:
 
 
 def _old_versions(root: Path, keep: int, older_than_seconds: float) -> list[int]:
-    """Return the versions beyond the newest ones that are old enough to go, ascending."""
+    """Return the versions beyond the newest ones that are old enough to be removed, ascending."""
     found = versions(root)
     readable, _ = readable_version(root, read_version(root, found[-1]))
     old = [version for version in found[:-keep] if version != readable]
@@ -178,7 +178,7 @@ def _old_versions(root: Path, keep: int, older_than_seconds: float) -> list[int]
 
 
 def _committed(root: Path, version: int) -> float:
-    """Return the time of the commit of a version, in seconds; that of its file where the manifest is damaged."""
+    """Return the commit time of a version in seconds; the time of its file if the manifest is damaged."""
     try:
         return datetime.fromisoformat(read_version(root, version).created).timestamp()
     except (StoreError, ValueError):
@@ -191,7 +191,7 @@ def _manifest(root: Path, version: int) -> Garbage:
 
 
 def _remove_version(root: Path, version: int) -> bool:
-    """Remove a version, unless a reader has it open; return whether it is gone."""
+    """Remove a version unless a reader has it open; return whether it was removed."""
     with without_readers(root, version) as free:
         if free:
             _remove(manifest_path(root, version))
@@ -199,7 +199,7 @@ def _remove_version(root: Path, version: int) -> bool:
 
 
 def _unneeded(root: Path, gone: Container[int]) -> list[Garbage]:
-    """Return the files that no version needs besides those that go."""
+    """Return the files that no version needs except the versions to be removed."""
     stay = [version for version in versions(root) if version not in gone]
     return [*_parts(root, stay), *_unfinished(root), *_generations(root, stay)]
 
@@ -214,7 +214,7 @@ def _parts(root: Path, stay: list[int]) -> Iterator[Garbage]:
 
 
 def unfinished_files(root: Path) -> Iterator[str]:
-    """Yield the path, relative to the store, of each file that a killed run has begun, or that is being written."""
+    """Yield the paths, relative to the store, of temporary files of killed runs or of current writes."""
     patterns = [f"{folder}/{TEMPORARY}*" for folder in (FOLDER, *PART_FOLDERS, *_OTHER_FOLDERS)]
     for pattern in (*patterns, "results/reports/*/.*"):
         for path in sorted(root.glob(pattern)):
@@ -223,12 +223,12 @@ def unfinished_files(root: Path) -> Iterator[str]:
 
 def _unfinished(root: Path) -> Iterator[Garbage]:
     for path in unfinished_files(root):
-        with suppress(FileNotFoundError):  # finished meanwhile
+        with suppress(FileNotFoundError):  # the file has been finished in the meantime
             yield Garbage(path, (root / path).stat().st_size, "unfinished file")
 
 
 def _generations(root: Path, stay: list[int]) -> Iterator[Garbage]:
-    """Yield the index generations that fit no remaining version, and the leftovers of killed builds."""
+    """Yield the index generations that belong to no remaining version, and the leftovers of killed builds."""
     contents = {read_version(root, version).content_digest() for version in stay}
     for folder in sorted((root / "index").iterdir()):
         if folder.name.startswith(BUILDING):
@@ -240,7 +240,7 @@ def _generations(root: Path, stay: list[int]) -> Iterator[Garbage]:
 
 
 def _size(folder: Path) -> int:
-    # a file that several generations link to counts in shares
+    # a file shared by several generations through hard links counts in shares
     found = (file.stat() for file in folder.rglob("*") if file.is_file())
     return sum(file.st_size // file.st_nlink for file in found)
 

@@ -1,8 +1,8 @@
-"""The history of a store: a file for each pipeline run, which stays when the results of the run are gone.
+"""Keep the history of a store: a file for each pipeline run, which is kept when the run's results are gone.
 
-`history/<run>.json` holds one pipeline run and its checksum, `history/files/<sha256>` the content of a file of the
-user's own that its parameters name, such as a class file. Manifests do not grow with the number of runs, and garbage
-collection leaves both. A run of before there was a history is known from the manifests that still exist.
+`history/<run>.json` has one pipeline run and its checksum, `history/files/<sha256>` the content of a user's file that
+its parameters name, such as a class file. So manifests do not grow with the number of runs; garbage collection keeps
+both kinds of files. Runs from before the history existed are read from the remaining manifests.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ State = Literal["running", "finished", "failed", "interrupted"]
 StageState = Literal["ran", "up to date", "running", "failed", "not reached"]
 
 OWN_FIELDS = ("uses", "params", "given", "inputs", "fingerprint_parts", SUMS)
-"""The fields of a stage record's summary that the runner adds to those of the stage."""
+"""The fields that the runner adds to the summary of a stage record."""
 
 
 @dataclass(frozen=True)
@@ -49,21 +49,21 @@ class StageRun:
     uses : str
         The kind of stage.
     inputs : dict of str to str
-        Role → the stage that plays it.
+        Name of an input → the stage that provides it.
     given : dict of str to object
-        The parameters that it was given, as JSON values; paths are absolute.
+        The parameters set by the user, as JSON values; paths are absolute.
     params : dict of str to object
-        All of its parameters, defaults among them.
+        All of its parameters, including defaults.
     state : {"ran", "up to date", "running", "failed", "not reached"}
-        What became of it.
+        Its state.
     reason : str
-        The reason for which it ran; empty if it did not.
+        The reason why it ran; empty if it did not.
     run : str
-        Id of the run of the stage that made its results; of one that was up to date, that of the earlier run.
+        Id of the run of the stage that made its results, which is an earlier one if the stage was up to date.
     fingerprint : str
-        Hash of all that its results follow from.
+        Hash of everything on which its results depend.
     fingerprint_parts : dict of str to str
-        The hashes that the fingerprint is made of.
+        The hashes of which the fingerprint is composed.
     finished : str
         Time of its end, ISO 8601 in UTC.
     seconds : float
@@ -87,7 +87,7 @@ class StageRun:
     summary: dict[str, Any] = field(default_factory=dict)
 
     def recorded(self, record: StageRecord, state: StageState) -> StageRun:
-        """Return the stage with what its record in the store states."""
+        """Return the stage with the facts of its record in the store."""
         return replace(
             self,
             state=state,
@@ -102,14 +102,14 @@ class StageRun:
 
 @dataclass(frozen=True)
 class KeptText:
-    """A file of the user's own that the parameters of a run named.
+    """A user's file that the parameters of a run name, with its copy in the history.
 
     Attributes
     ----------
     path : str
         Its absolute path.
     sha256 : str
-        Checksum of its content, which is the name of the copy in `FILES`.
+        Checksum of its content, and name of the copy in `FILES`.
     """
 
     path: str
@@ -127,9 +127,9 @@ class PipelineRun:
     pipeline : str
         Name of the pipeline.
     state : {"running", "finished", "failed", "interrupted"}
-        What became of it; a run whose process was killed stays "running".
+        Its state; a run whose process was killed stays "running".
     begun, finished : str
-        Times of its begin and of the end of its last stage so far, ISO 8601 in UTC.
+        Times of its start and of the end of its last stage so far, ISO 8601 in UTC.
     seconds : float
         Duration of the stages that ran.
     kinedex : str
@@ -143,23 +143,23 @@ class PipelineRun:
     yaml : str
         Text of that file.
     settings : dict of str to object
-        The settings that were given in place of those of the file.
+        The settings that replaced those of the file.
     sources : tuple of str
-        The folders that its stages read motion files from, absolute.
+        The absolute paths of the folders from which its stages read motion files.
     other_sources : dict of str to dict
-        Source folder → settings of the ingest, of the sources that other runs had brought in before, oldest first.
+        Source folder → settings of its ingest, for sources ingested by earlier runs, oldest first.
     mappings : dict of str to str
-        Name → text of the skeleton mappings that the store held.
+        Name → text of the skeleton mappings in the store.
     files : tuple of KeptText
-        The files of the user's own that parameters named.
+        The user's files that parameters name.
     takes : int
         Number of the store's takes after the run.
     labels : int
-        Number of rows of labels that the store held.
+        Number of rows of labels in the store.
     version : int
         The newest version that the run made.
     problem : str
-        The reason for which it failed.
+        The reason why it failed.
     stages : tuple of StageRun
         Its stages, in their order.
     """
@@ -196,12 +196,12 @@ _ADAPTER: TypeAdapter[PipelineRun] = TypeAdapter(PipelineRun)
 
 
 def write_run(store: Path, run: PipelineRun) -> None:
-    """Write a pipeline run into the history, in place of what was written of it before.
+    """Write a pipeline run into the history, replacing an earlier state of it.
 
     Raises
     ------
     StoreError
-        The disk is full or refuses; the file is as it was before.
+        The disk is full or cannot be written; the file is unchanged.
     """
     content = asdict(run)
     text = json.dumps(content | {"checksum": json_checksum(json.loads(json.dumps(content)))}, indent=1)
@@ -209,7 +209,7 @@ def write_run(store: Path, run: PipelineRun) -> None:
 
 
 def keep_file(store: Path, path: Path) -> KeptText:
-    """Copy a file into the history, unless a file with this content is there.
+    """Copy a file into the history, unless the history has a file with this content.
 
     Raises
     ------
@@ -270,7 +270,7 @@ def list_runs(store: Path) -> list[PipelineRun]:
 
 
 def last_run(store: Path, pipeline: str) -> PipelineRun | None:
-    """Return the run of a pipeline that began last, which may be running; None where the history has none."""
+    """Return the latest run of a pipeline, which may be running; None if the history has none."""
     for name in reversed(_files(store)):
         try:
             run = _read(store, name)
@@ -331,7 +331,7 @@ def _flushed(path: Path, content: bytes) -> None:
 
 
 def _runs_of_manifests(store: Path) -> Iterator[PipelineRun]:
-    """Yield the last runs of pipelines that the existing versions name, those of newer versions first."""
+    """Yield the last runs of pipelines that the existing versions name, newer versions first."""
     seen: set[str] = set()
     for version in reversed(versions(store)):
         try:
@@ -345,7 +345,7 @@ def _runs_of_manifests(store: Path) -> Iterator[PipelineRun]:
 
 
 def _records_of_stages(manifest: Manifest) -> dict[str, PipelineRecord]:
-    """Return records of the pipelines that a version of format 3 names only by their stages."""
+    """Return records of the pipelines that a version of format 3 names only through their stages."""
     found: dict[str, PipelineRecord] = {}
     for key, stage in sorted(manifest.stages.items(), key=lambda item: item[1].finished):
         sources = {stage.summary.get("params", {}).get("source") or ""} - {""}
@@ -357,14 +357,14 @@ def _records_of_stages(manifest: Manifest) -> dict[str, PipelineRecord]:
 
 
 def _run_of_record(manifest: Manifest, name: str, record: PipelineRecord) -> PipelineRun:
-    """Return a run as its record in a manifest and the records of its stages describe it."""
+    """Return a run as described by its record in a manifest and the records of its stages."""
     stages = [one for key, one in manifest.stages.items() if key.partition("/")[0] == name and "uses" in one.summary]
     known = tuple(
         StageRun(
             one.stage.partition("/")[2],
             one.summary["uses"],
             dict(one.summary.get("inputs", {})),
-            # records of format 3 do not keep apart the parameters that were given
+            # records of format 3 do not store separately the parameters set by the user
             dict(one.summary.get("given", one.summary.get("params", {}))),
             dict(one.summary.get("params", {})),
         ).recorded(one, "ran")

@@ -1,4 +1,4 @@
-"""Checks of recordings of sensors: the rows of sensors and their samples against each other."""
+"""Check recordings of sensors: compare the rows of sensors with their samples."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ _UNIT = 1e-6
 
 
 def imu_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
-    """Yield the problems of recordings of sensors, each with the part that has it.
+    """Yield the part and the problem of each inconsistency in recordings of sensors.
 
     The samples of a sensor must be 0, 1, …, as many as its row in `imu_recordings` counts, at ascending times; their
-    orientations must be of length 1. A sensor with samples must have a row with a limb, and the other way round.
+    orientations must have length 1. A sensor with samples must have a row with a limb, and the other way round.
 
     Parameters
     ----------
     store : Snapshot
-        A version whose parts are sound as files.
+        A version whose part files are undamaged.
     """
     results = store.manifest.results
     kinds = ("imu_recordings", "imu_samples")
@@ -60,7 +60,7 @@ def _stage_problems(store: Snapshot, sensors: list[ResultPart], samples: list[Re
 def _piece_problem(
     piece: pa.Table, found: dict[tuple[str, str], int], last: dict[tuple[str, str], float]
 ) -> str | None:
-    """Return what is wrong with a piece of samples, and count its samples."""
+    """Return the problem of a piece of samples, None if there is none, and count its samples in `found`."""
     names, sensors = (piece.column(name).to_numpy(zero_copy_only=False) for name in ("recording", "sensor"))
     numbers, times = piece.column("sample").to_numpy(), piece.column("t").to_numpy()
     squares = [pc.struct_field(piece.column("orientation"), axis).to_numpy() ** 2 for axis in "wxyz"]

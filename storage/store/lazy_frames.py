@@ -1,4 +1,4 @@
-"""Tables of a store as lazy frames of polars, over exactly the files and the rows that count."""
+"""Scan tables of a store as lazy frames of polars, over exactly the live files and rows."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.store import data_frame
 
 SCANNED = ("takes", "frames", *RESULT_KINDS, *(f"{ALL}{kind}" for kind in RESULT_KINDS))
-"""The views that `scan` reads."""
+"""The views that `scan` can read."""
 
 
 def scan(store: Snapshot, view: str) -> pl.LazyFrame:
-    """Return the rows of a view as a lazy frame, which reads the columns and row groups that a query needs.
+    """Return the rows of a view as a lazy frame, which reads only the columns and row groups that a query needs.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def scan(store: Snapshot, view: str) -> pl.LazyFrame:
     Raises
     ------
     KinedexError
-        The view is another one; the message names the nearest.
+        The view cannot be scanned; the message suggests the nearest name.
     """
     if view not in SCANNED:
         raise KinedexError(f"no view '{view}' can be scanned{did_you_mean(view, SCANNED)}")
@@ -48,7 +48,7 @@ def scan(store: Snapshot, view: str) -> pl.LazyFrame:
         )
         for part in parts
     ]
-    # parts of an older kinedex lack columns
+    # parts of an older kinedex lack some columns
     return pl.concat([empty, *scans], how="diagonal").select(empty.collect_schema().names())
 
 
@@ -56,7 +56,7 @@ def _frames(store: Snapshot) -> pl.LazyFrame:
     parts = [(store.checked.part(part), part.dropped) for part in store.manifest.frames]
     whole = [file for file, dropped in parts if not dropped]
     scans = [_files(whole)] if whole else []
-    # rows of takes that were replaced or removed stay in their part until compaction
+    # rows of replaced or removed takes stay in their part until compaction
     scans += [_files([file]).filter(~pl.col("take_id").is_in(list(dropped))) for file, dropped in parts if dropped]
     if not scans:
         raise KinedexError(f"{store.path} holds no frames")
@@ -64,5 +64,5 @@ def _frames(store: Snapshot) -> pl.LazyFrame:
 
 
 def _files(files: Iterable[Path]) -> pl.LazyFrame:
-    """Return a scan of exactly these files: no path is read as a pattern or a partition's key."""
+    """Return a scan of exactly these files: no path is read as a glob or a partition key."""
     return pl.scan_parquet(list(files), glob=False, hive_partitioning=False)

@@ -1,4 +1,4 @@
-"""Checks of limbs, and of the clocks and mounts of sensors on them: rows that contradict themselves."""
+"""Check limbs, and the clocks and mounts of sensors on them: find rows that contradict each other."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from kinedex.storage.snapshot.part_records import ResultPart
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 _OFF_LENGTH = 1e-3
-"""Quaternions and directions differ from the length 1 by less."""
+"""The largest deviation of the length of quaternions and directions from 1."""
 
 
 def limb_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
-    """Yield the problems of the results of limbs, clocks and mounts, each with the part that has it.
+    """Yield the part and the problem of each inconsistency in results about limbs, clocks and mounts.
 
-    The frames of a limb must follow each other; a valid frame must have an orientation or a direction; rotations must
-    have the length 1. A clock and a mount must be there, or the reason for which they are not.
+    The frames of a limb must be consecutive; a valid frame must have an orientation or a direction; quaternions must
+    have length 1. A clock and a mount must exist, or the reason why they do not.
 
     Parameters
     ----------
     store : Snapshot
-        A version whose parts are sound as files.
+        A version whose part files are undamaged.
     """
     results = store.manifest.results
     for kind, check in (("sensor_sync", _clock_problem), ("sensor_calibration", _mount_problem)):
@@ -65,7 +65,7 @@ def _mount_problem(row: dict[str, Any]) -> str:
 
 
 def _limb_problems(store: Snapshot, parts: Sequence[ResultPart]) -> Iterator[tuple[str, str]]:
-    """Yield the first problem of the limbs of a stage."""
+    """Yield the first problem of the limbs of one stage."""
     counts: Counter[tuple[str, str]] = Counter()
     for part in parts:
         for piece in store.result_pieces("limb_orientations", [part]):
@@ -76,7 +76,7 @@ def _limb_problems(store: Snapshot, parts: Sequence[ResultPart]) -> Iterator[tup
 
 
 def _order_problem(piece: pa.Table, counts: Counter[tuple[str, str]]) -> str:
-    """Return the first frame that does not follow the one before of its limb, and count the frames of each."""
+    """Return the problem of the first frame that does not follow the limb's frame before; count each limb's frames."""
     takes, limbs = (piece.column(name).to_numpy(zero_copy_only=False) for name in ("take", "limb"))
     frames = piece.column("source_frame").to_numpy()
     breaks = np.flatnonzero((takes[1:] != takes[:-1]) | (limbs[1:] != limbs[:-1])) + 1
@@ -91,9 +91,9 @@ def _order_problem(piece: pa.Table, counts: Counter[tuple[str, str]]) -> str:
 
 
 def _turn_problem(piece: pa.Table) -> str:
-    """Return the first frame with a rotation that is none, or that is valid without any."""
+    """Return the problem of the first frame with an invalid rotation, or that is valid without a rotation."""
     squares = _squares(piece.column("orientation"), "wxyz")
-    wrong = np.flatnonzero(np.abs(squares - 1.0) > _OFF_LENGTH)  # NaN, which is unknown, is not above it
+    wrong = np.flatnonzero(np.abs(squares - 1.0) > _OFF_LENGTH)  # NaN, which stands for unknown, compares as False
     if len(wrong):
         return f"{_named(piece, int(wrong[0]))} has an orientation that is not of length 1"
     needed = np.where(pc.equal(piece.column("basis"), "none").to_numpy(), "direction", "orientation")
@@ -104,7 +104,7 @@ def _turn_problem(piece: pa.Table) -> str:
 
 
 def _squares(column: pa.ChunkedArray, axes: str) -> npt.NDArray[np.float64]:
-    """Return the squares of lengths of structures; NaN where they are null."""
+    """Return the squared lengths of STRUCT vectors; NaN for nulls."""
     parts = [pc.struct_field(column.combine_chunks(), axis).to_numpy(zero_copy_only=False) for axis in axes]
     return np.asarray(np.sum([np.square(part.astype(np.float64)) for part in parts], axis=0))
 

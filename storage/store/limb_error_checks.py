@@ -1,4 +1,4 @@
-"""Checks of limb errors: frames in order, errors in their ranges, runs within the frames, counts that agree."""
+"""Check limb errors: frames in order, errors in range, runs within the frames, counts that agree."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ _KINDS = ("distance", "jump")
 
 
 def limb_error_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
-    """Yield the problems of limb errors, their runs and metrics, each with the part that has it.
+    """Yield the part and the problem of each inconsistency in limb errors, their runs and metrics.
 
-    The frames of a limb must be 0, 1, …, angles lie between 0 and 180 degrees, and a frame that counts have one. Runs
-    must lie within the frames of their limb, and those of wrong frames peak above τ. Labels must end after their
-    start. No count of metrics may exceed the whole that it is of, and measures lie between 0 and 1.
+    The frames of a limb must be 0, 1, …; angles must be between 0 and 180 degrees, and present in each frame that is
+    judged. Runs must be within the frames of their limb, and the peak of runs of wrong frames must exceed the threshold
+    τ. Labels must end after their start. In metrics, no count may exceed its total, and measures must be between 0 and
+    1.
 
     Parameters
     ----------
     store : Snapshot
-        A version whose parts are sound as files.
+        A version whose part files are undamaged.
     """
     results = store.manifest.results
     frames: dict[tuple[str, int, str], int] = {}
@@ -52,7 +53,7 @@ def limb_error_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
 
 
 def _error_problem(stage: str, rows: pa.Table, frames: dict[tuple[str, int, str], int]) -> str:
-    """Return the problem of rows of errors; their frames are counted, since a limb may continue in the next rows."""
+    """Return the problem of rows of errors; count frames in `frames`, since a limb may continue in the next rows."""
     for name in _ANGLES:
         values = pc.drop_null(rows.column(name)).to_numpy()
         if not ((values >= 0.0) & (values <= 180.0 + 1e-6)).all():

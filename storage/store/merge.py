@@ -1,4 +1,4 @@
-"""The merge of two stores: takes and labels of one come into another, with ids of that one."""
+"""Merge two stores: add the takes and labels of one to the other, with new ids."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _NAMED = 5
 
 @dataclass(frozen=True)
 class Merged:
-    """The content that has come from the other store.
+    """The content that was added from the other store.
 
     Attributes
     ----------
@@ -31,9 +31,9 @@ class Merged:
     frames : int
         Number of their frames.
     labels : int
-        Number of rows of labels, those of the history among them.
+        Number of rows of labels, including replaced ones.
     kept_mappings : tuple of str
-        Names of skeleton mappings that both stores have with other texts; those of the first store stay.
+        Names of skeleton mappings that differ between the stores; the first store's are kept.
     """
 
     takes: int
@@ -47,30 +47,30 @@ def merge_store(
 ) -> Merged:
     """Add the takes and labels of another store, and commit them as one version.
 
-    Frames are copied as they are, with new ids of takes; no motion file is read. Results stay behind. Killed before the
-    commit, the store is unchanged, and what was copied is removed by the next writer.
+    Frames are copied unchanged, with new ids of takes; no motion file is read. Results are not copied. If the process
+    is killed before the commit, the store is unchanged, and the next writer removes the copies.
 
     Parameters
     ----------
     writer : StoreWriter
-        The writer of the store that the takes come into.
+        The writer of the store to which the takes are added.
     other : Store
-        The store whose takes are added, which stays as it is.
+        The store whose takes are added, which is not changed.
     prefix : str, optional
-        Text that the names of the other store's takes get in front.
+        Prefix for the names of the other store's takes.
     progress : callable, optional
-        Called with the number of takes whenever a part of frames has been copied.
+        Called with the number of takes of each part of frames that has been copied.
 
     Raises
     ------
     StoreError
-        The stores are one; feature sets, rates or declared columns differ; takes have equal names; or a part of the
-        other store is damaged. Nothing is changed.
+        Both stores are the same; feature sets, rates or declared columns differ; takes have equal names; or a part of
+        the other store is damaged. Nothing is changed.
     """
     _require_fitting(writer, other)
     renamed = {name: f"{prefix}{name}" for name in other.take_ids}
     _require_new_names(writer.store, renamed, other)
-    # ids in the order of the other store's ids, as its parts are sorted by them
+    # assign ids in the order of the other store's ids, by which its parts are sorted
     ids = {take: writer.assign_take_ids([renamed[name]])[renamed[name]] for name, take in _by_id(other)}
     parts = []
     for part in other.manifest.frames:
@@ -95,7 +95,7 @@ def _by_id(store: Store) -> list[tuple[str, int]]:
 
 
 def _require_fitting(writer: StoreWriter, other: Store) -> None:
-    """Raise a StoreError if the stores are one, or their words or columns cannot stand in one store."""
+    """Raise a StoreError if both stores are the same, or their words or columns are not compatible."""
     mine, theirs = writer.manifest, other.manifest
     if writer.path.resolve() == other.path.resolve():
         raise StoreError(f"{other.path} is the store itself; name another one")
@@ -130,7 +130,7 @@ def _require_new_names(store: Store, renamed: Mapping[str, str], other: Store) -
 
 
 def _copied(writer: StoreWriter, other: Store, part: Part, ids: Mapping[int, int]) -> Part:
-    """Copy the live rows of a part of frames under their new ids."""
+    """Copy the live rows of a part of frames with their new ids."""
     file = other.checked.part(part)
     manifest = writer.manifest
     live = np.array(part.live, np.int64)
@@ -160,7 +160,7 @@ def _put_labels(writer: StoreWriter, other: Store, prefix: str) -> int:
 
 
 def _put_sources(writer: StoreWriter, theirs: Manifest) -> tuple[str, ...]:
-    """Add settings of source folders and mappings that the store has not; return the mappings that differ."""
+    """Add source settings and mappings that the store lacks; return the names of mappings that differ."""
     mine = writer.manifest
     for root, source in theirs.sources.items():
         if root not in mine.sources:

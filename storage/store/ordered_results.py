@@ -1,9 +1,9 @@
-"""Results of takes in the order of the takes, where those of most takes are reused.
+"""Put results of takes into the order of the takes, reusing those of most takes.
 
-A run that reuses the rows of earlier takes must leave the store as a run over all takes would. So new rows go to their
-place in the order, and the parts of the store that they do not fall into stay as files. Beside new rows, a part that
-is not full is written again with them, so that there are never many small ones: a new take costs the writing of its own
-rows and of two parts of `storage.snapshot.parts.FULL_BYTES` at most.
+A run that reuses the rows of earlier takes must leave the store as a run over all takes would. So new rows are inserted
+at their position in the order, and parts whose range they do not enter are kept as files. A part next to new rows is
+rewritten with them unless it is full, so that there are never many small parts: a new take costs writing its own rows
+and at most two parts of `storage.snapshot.parts.FULL_BYTES`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from kinedex.storage.snapshot.row_groups import RowGroups
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 LEAST_ROWS = 50_000
-"""Rows of a row group at least: a reader of a part of a long take reads little else, and short takes share one."""
+"""The least number of rows in a row group: a long take has groups of its own, and short takes share one."""
 
 Pieces = Callable[[pa.Table], Iterable[pa.Table]]
 
@@ -36,7 +36,7 @@ def rows_in_order(
     run: str,
     pieces: Pieces = lambda rows: (rows,),
 ) -> Iterator[pa.Table | ResultPart]:
-    """Yield the results of takes in their order, as `StoreWriter.put_results` takes them.
+    """Yield the results of takes in the order of the takes, as input for `StoreWriter.put_results`.
 
     Parameters
     ----------
@@ -49,13 +49,13 @@ def rows_in_order(
     takes : sequence of int
         The ids of all takes, in their order.
     fresh : collection of int
-        Those whose rows are new; the earlier rows of the others are reused.
+        The ids of takes with new rows; the earlier rows of the others are reused.
     tables : iterable of pyarrow.Table
         The rows of each take of `fresh`, in the order of `takes`.
     run : str
-        Id of the run, for rows that are written again.
+        Id of the run, for rewritten rows.
     pieces : callable, optional
-        Divides the rows of one take at the places where a row group may end.
+        Divides the rows of one take where a row group may end.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def rows_in_order(
                 yield from places[take_id]
             elif earlier is not None:
                 yield from pieces(_of_run(earlier.rows(take_id), run))
-        next(given, None)  # a generator ends only when it is asked for more
+        next(given, None)  # a generator runs to its end only if it is asked for another item
 
     yield from _gathered(in_order())
 
@@ -91,7 +91,7 @@ def _of_run(rows: pa.Table, run: str) -> pa.Table:
 
 
 def _gathered(pieces: Iterable[pa.Table | ResultPart]) -> Iterator[pa.Table | ResultPart]:
-    """Yield pieces of rows joined to at least `LEAST_ROWS`, and each part once."""
+    """Yield tables joined to at least `LEAST_ROWS` rows, and each part once."""
     waiting: list[pa.Table] = []
     count = 0
     last: ResultPart | None = None
@@ -113,10 +113,10 @@ PartValues = tuple[ResultPart, Sequence[Hashable]]
 
 
 def _staying(parts: Sequence[PartValues], rank: Mapping[Hashable, int], new: Sequence[int]) -> list[PartValues]:
-    """Return the parts that stay, with their takes, given the ranks of takes with new rows, ascending.
+    """Return the parts to keep, with their takes, given the ascending ranks of takes with new rows.
 
-    A part stays if its takes are all reused and new rows neither fall into it nor, unless it is full, beside it. A take
-    whose rows lie in several parts is in parts that all stay or are all written again.
+    A part is kept if all its takes are reused, no new rows fall into its range and, unless it is full, none next to it.
+    If a take has rows in several parts, either all of these are kept or all are rewritten.
     """
     ranks = [[rank.get(value, -1) for value in values] for _, values in parts]
     flat = [one for own in ranks for one in own if one >= 0]
@@ -131,7 +131,7 @@ def _staying(parts: Sequence[PartValues], rank: Mapping[Hashable, int], new: Seq
     stays = [min(own) >= 0 and known.isdisjoint(own) and not is_new_between(own[0], own[-1]) for own in ranks]
 
     def is_written_again(at: int, side: int) -> bool:
-        """Return whether a part is written again because of what lies on its side, -1 or 1."""
+        """Return whether a part is rewritten because of what is next to it, before (side −1) or after it (side 1)."""
         other = at + side
         there = 0 <= other < len(parts)
         far = ends[other][side < 0] if there else (-1 if side < 0 else len(rank))
@@ -140,7 +140,7 @@ def _staying(parts: Sequence[PartValues], rank: Mapping[Hashable, int], new: Seq
             return far == near or parts[at][0].bytes < FULL_BYTES
         return parts[at][0].bytes < FULL_BYTES and is_new_between(min(far, near), max(far, near))
 
-    for side in (-1, 1):  # a change of one part changes those beside it, in one direction after the other
+    for side in (-1, 1):  # a change of one part affects those beside it, in either direction
         for at in range(len(parts))[::-side]:
             stays[at] = stays[at] and not (is_written_again(at, -1) or is_written_again(at, 1))
     return [one for one, same in zip(parts, stays, strict=True) if same]

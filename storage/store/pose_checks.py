@@ -1,4 +1,4 @@
-"""Checks of pose databases: poses and takes of one stage against each other."""
+"""Check pose databases: compare the poses and takes of each stage."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.storage.snapshot.part_records import ResultPart
 from kinedex.storage.snapshot.snapshot import Snapshot
 
-_UNIT = 1e-4  # directions are float32: their lengths may differ from 1 by this
+_UNIT = 1e-4  # directions are float32: the tolerance of their lengths
 
 
 def pose_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
-    """Yield the problems of the pose databases of a store, each with the part that has it.
+    """Yield the part and the problem of each inconsistency in the pose databases of a store.
 
-    The numbers of poses must be 0, 1, …; directions must be of length 1 or 0; the poses must be those that the rows of
-    their takes count, in the same order; and every frame with a pose that stands for it must name one of them, itself
-    where it is one.
+    The numbers of poses must be 0, 1, …; directions must have length 1 or 0; the number and order of poses must agree
+    with the rows of their takes; and every frame that a pose represents must name an existing pose, which is the frame
+    itself if it is a pose.
 
     Parameters
     ----------
     store : Snapshot
-        A version whose parts are sound as files.
+        A version whose part files are undamaged.
     """
     takes = store.manifest.results.get("pose_takes", ())
     poses = store.manifest.results.get("poses", ())
@@ -79,7 +79,7 @@ def _columns(store: Snapshot, parts: Sequence[ResultPart], column: str) -> Itera
 
 
 def _piece_problem(piece: pa.Table, first: int) -> str | None:
-    """Return the problem of poses whose first number is to be `first`; None if they are sound."""
+    """Return the problem of poses whose first number must be `first`; None if there is none."""
     if any(piece.column(name).null_count for name in ("pose", "take", "frame", "directions")):
         return "lacks values"
     if not np.array_equal(piece.column("pose").to_numpy(), np.arange(first, first + piece.num_rows)):

@@ -1,4 +1,4 @@
-"""Checks of takes made from depth: the rows of reconstructions, frames, votes and errors against each other."""
+"""Check takes made from depth: compare the rows of reconstructions, frames, votes and errors."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ I64 = npt.NDArray[np.int64]
 
 _KINDS = ("reconstructions", "reconstruction_frames", "depth_votes")
 _HYPOTHESES, _DIRECTIONS = (None, "local", "database"), ("forward", "backward")
-_COST_M = 1e-9  # two columns hold one cost
+_COST_M = 1e-9  # tolerance in metres between two columns that store the same cost
 
 
 class _Problem(Exception):
@@ -27,17 +27,18 @@ class _Problem(Exception):
 
 
 def reconstruction_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
-    """Yield the problems of the results of takes made from depth, each with the part that has it.
+    """Yield the part and the problem of each inconsistency in the results of takes made from depth.
 
     A take must have one row in `reconstructions`, and in `reconstruction_frames` a row for each of its frames; the
-    frame must name the hypothesis of least cost, and have joints where it has one. Each of these frames must have one
-    winner in `depth_votes`, with its hypothesis, direction, cost and origin. Errors must be shares and distances, of as
-    many frames as their take has. Archive takes may have been replaced since, so that their frames are not compared.
+    frame must name the hypothesis of least cost, and have joints if it has a hypothesis. Each of these frames must have
+    one winner in `depth_votes`, with its hypothesis, direction, cost and origin. Errors must be valid fractions and
+    distances, for as many frames as their take has. Frames of archive takes are not compared, since these takes may
+    have been replaced.
 
     Parameters
     ----------
     store : Snapshot
-        A version whose parts are sound as files.
+        A version whose part files are undamaged.
     """
     results = store.manifest.results
     for stage in sorted({part.stage for kind in _KINDS for part in results.get(kind, ())}):
@@ -56,7 +57,7 @@ def reconstruction_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Columns of a kind of results of a stage, in order of take and frame, with the part that each row is in."""
+    """Columns of one kind of results of a stage, sorted by take and frame, with the part of each row."""
 
     parts: Sequence[ResultPart]
     part: I64
@@ -66,24 +67,24 @@ class _Rows:
         return self.columns[name]
 
     def problem(self, row: int, text: str) -> _Problem:
-        """Return a problem of a row."""
+        """Return the problem of a row as an exception."""
         take = self.columns["take"][row]
         frame = f", frame {self.columns['source_frame'][row]}" if "source_frame" in self.columns else ""
         return _Problem(self.parts[int(self.part[row])].path, f"take {take}{frame} {text}")
 
     def where(self, chosen: npt.NDArray[np.bool_]) -> _Rows:
-        """Return the chosen rows."""
+        """Return the rows that a mask selects."""
         return _Rows(self.parts, self.part[chosen], {name: values[chosen] for name, values in self.columns.items()})
 
     def check(self, wrong: npt.NDArray[np.bool_], text: str) -> None:
-        """Raise a problem of the first row where something is wrong."""
+        """Raise a problem for the first row at which a mask is True."""
         rows = np.flatnonzero(wrong)
         if len(rows):
             raise self.problem(int(rows[0]), text)
 
 
 def _rows(store: Snapshot, kind: str, parts: Sequence[ResultPart], names: Sequence[str], order: Sequence[str]) -> _Rows:
-    """Read columns; texts become objects, and missing numbers NaN or −1."""
+    """Read columns; texts become object arrays, and missing numbers NaN or −1."""
     pieces, numbers = [], []
     for number, part in enumerate(parts):
         for piece in store.result_pieces(kind, [part]):
@@ -135,7 +136,7 @@ def _check_stage(store: Snapshot, parts: dict[str, list[ResultPart]]) -> None:
 
 
 def _check_takes(takes: _Rows, frames: _Rows) -> None:
-    """Check that takes have all of their frames, and that these agree with themselves."""
+    """Check that takes have all of their frames, and that the values of each frame are consistent."""
     ids, starts, counts = np.unique(frames["take_id"], return_index=True, return_counts=True)
     place = np.searchsorted(takes["take_id"], ids)
     known = (place < len(takes["take_id"])) & (
@@ -163,7 +164,7 @@ def _check_takes(takes: _Rows, frames: _Rows) -> None:
 
 
 def _check_votes(frames: _Rows, votes: _Rows) -> None:
-    """Check that each frame with a pose has one winner among its votes, which agrees with the frame."""
+    """Check that each frame with a pose has exactly one winning vote, which agrees with the frame."""
     won = votes.where(votes["winner"].astype(np.bool_))
     posed = frames.where(frames["joints"].astype(np.bool_))
     shared = min(len(won.part), len(posed.part))
@@ -188,7 +189,7 @@ def _check_votes(frames: _Rows, votes: _Rows) -> None:
 
 
 def _check_origins(rows: _Rows) -> None:
-    """Check that archive takes and their frames are named together."""
+    """Check that archive takes and their frames are either both given or both null."""
     rows.check(
         _given(rows["archive_take"]) != (rows["archive_frame"] >= 0),
         "names an archive take without a frame, or a frame without a take",
@@ -196,7 +197,7 @@ def _check_origins(rows: _Rows) -> None:
 
 
 def _given(values: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
-    """Return which texts are not NULL."""
+    """Return a mask of the texts that are not NULL."""
     return np.array([one is not None for one in values.tolist()], np.bool_)
 
 

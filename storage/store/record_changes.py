@@ -1,4 +1,4 @@
-"""Changes of a store's records: sources, removed files, mappings, and the pipelines and stages that were run."""
+"""Change a store's records: sources, removed files, mappings, and the pipelines and stages that were run."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from kinedex.storage.store.version_draft import VersionDraft
 
 
 class RecordChanges(VersionDraft):
-    """The changes of records in the draft of a version."""
+    """The methods of a version's draft that change records."""
 
     def record_source(self, root: str, stage: str, settings: Mapping[str, Any]) -> None:
-        """Record the settings with which a source folder is ingested, in place of its earlier ones.
+        """Record the settings with which a source folder is ingested, replacing its earlier ones.
 
         Parameters
         ----------
         root : str
-            The folder, absolute.
+            The absolute path of the folder.
         stage : str
             The stage, "<pipeline>/<stage>".
         settings : mapping of str to object
@@ -33,14 +33,14 @@ class RecordChanges(VersionDraft):
             self._manifest = replace(self._manifest, sources={**self._manifest.sources, root: source})
 
     def remove_files(self, root: str, paths: Iterable[str]) -> None:
-        """Record files of a source folder whose takes were removed, so that an ingest passes them over."""
+        """Record files of a source folder whose takes were removed, so that an ingest skips them."""
         standing = self._manifest.removed_files
         merged = tuple(sorted({*standing.get(root, ()), *paths}))
         if merged:
             self._manifest = replace(self._manifest, removed_files={**standing, root: merged})
 
     def readmit_files(self, files: Iterable[tuple[str, str]]) -> None:
-        """Remove files, given by source folder and path, from the record of those that an ingest passes over."""
+        """Remove files, given as (source folder, path), from the record of files that an ingest skips."""
         gone = set(files)
         left = {
             root: tuple(path for path in paths if (root, path) not in gone)
@@ -49,7 +49,7 @@ class RecordChanges(VersionDraft):
         self._manifest = replace(self._manifest, removed_files={root: paths for root, paths in left.items() if paths})
 
     def put_mapping(self, name: str, text: str | None) -> None:
-        """Keep a skeleton mapping or a vocabulary under a name, in place of an earlier one; None removes it."""
+        """Store a skeleton mapping or a vocabulary under a name, replacing an earlier one; None removes it."""
         others = {other: kept for other, kept in self._manifest.mappings.items() if other != name}
         mappings = others if text is None else {**others, name: text}
         if mappings != self._manifest.mappings:
@@ -57,16 +57,16 @@ class RecordChanges(VersionDraft):
             self._facts.name("mappings", name)
 
     def record_pipeline(self, name: str, record: PipelineRecord) -> None:
-        """Record what a pipeline was run with, in place of its earlier record."""
+        """Record the settings of a pipeline's run, replacing its earlier record."""
         self._manifest = replace(self._manifest, pipelines={**self._manifest.pipelines, name: record})
 
     def record_run(self, pipeline: str) -> None:
-        """Record that a pipeline that makes results was run to its end: it is the current one unless one was chosen."""
+        """Record that a pipeline with results was run to its end; it becomes current unless the user has chosen one."""
         recent = tuple(dict.fromkeys((pipeline, *self._manifest.recent_pipelines)))
         self._record_current(replace(self._manifest, recent_pipelines=recent))
 
     def choose_pipeline(self, name: str | None) -> None:
-        """Make a pipeline with results the current one; None makes it the one that is run last, now and later.
+        """Choose a pipeline with results as the current one; None selects the latest one from now on.
 
         Raises
         ------
@@ -80,16 +80,16 @@ class RecordChanges(VersionDraft):
         self._record_current(replace(self._manifest, chosen_pipeline=name or ""))
 
     def restore_pipeline(self, name: str, earlier: Manifest) -> None:
-        """Make the results that a pipeline had in an earlier version its current ones; others stay as they are.
+        """Restore the results that a pipeline had in an earlier version; other pipelines are unchanged.
 
-        Where it had none then, it has none any more.
+        If it had none in that version, its results are removed.
 
         Parameters
         ----------
         name : str
             The pipeline.
         earlier : Manifest
-            A version of this store whose files are there.
+            A version of this store whose files still exist.
 
         Raises
         ------
@@ -125,13 +125,13 @@ class RecordChanges(VersionDraft):
         self._manifest = manifest
 
     def forget_stage(self, stage: str) -> None:
-        """Remove a stage's record, so that it does not count as done while it runs again."""
+        """Remove a stage's record, so that it does not count as finished while it runs again."""
         left = {name: record for name, record in self._manifest.stages.items() if name != stage}
         if len(left) < len(self._manifest.stages):
             self._facts.name("stages_begun", stage)
         self._manifest = replace(self._manifest, stages=left)
 
     def record_stage(self, record: StageRecord) -> None:
-        """Record that a stage is done, in place of its earlier record."""
+        """Record that a stage has finished, replacing its earlier record."""
         self._manifest = replace(self._manifest, stages={**self._manifest.stages, record.stage: record})
         self._facts.name("stages_done", record.stage)

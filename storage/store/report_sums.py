@@ -1,4 +1,4 @@
-"""Checksums of reports: the record of a stage has the XXH3 of every file that the stage wrote beside its results."""
+"""Check reports: a stage's record has the XXH3 of every file that the stage wrote beside its results."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def file_sums(store: Path, files: Iterable[str]) -> dict[str, str]:
 
 
 def wrong_files(store: Path, records: Iterable[StageRecord]) -> Iterator[tuple[str, str]]:
-    """Yield path and problem of each file that stages of the newest version wrote and that is not as they wrote it."""
+    """Yield path and problem of each file of stages of the newest version that is missing or has changed."""
     for record in records:
         sums = record.summary.get(SUMS, {})
         for name in record.summary.get("files", ()):
@@ -35,7 +35,7 @@ def wrong_files(store: Path, records: Iterable[StageRecord]) -> Iterator[tuple[s
 
 
 def refuse_damaged_report(file: Path) -> None:
-    """Raise a StoreError if a file is a report of a store and not as its stage wrote it; other files pass."""
+    """Raise a StoreError if a file is a report of a store and was changed since its stage wrote it."""
     places = file.resolve().parents
     if len(places) < 4 or places[1].name != "reports" or not versions(places[3]):
         return

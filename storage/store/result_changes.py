@@ -1,4 +1,4 @@
-"""Changes of a store's results and labels: the rows that stages make, and those that people add."""
+"""Change a store's results and labels: the rows that stages compute, and those that people add."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from kinedex.storage.store.version_draft import VersionDraft
 
 
 class ResultChanges(VersionDraft):
-    """The changes of results and labels in the draft of a version."""
+    """The methods of a version's draft that change results and labels."""
 
     def put_results(
         self,
@@ -32,7 +32,7 @@ class ResultChanges(VersionDraft):
         stage: str,
         run: str,
     ) -> None:
-        """Set the results of one kind that a stage has, in place of its earlier ones.
+        """Set a stage's results of one kind, replacing its earlier ones.
 
         Parameters
         ----------
@@ -40,9 +40,9 @@ class ResultChanges(VersionDraft):
             One of `RESULT_KINDS`.
         tables : pyarrow.Table or iterable of pyarrow.Table or ResultPart
             Columns of `result_schema(kind)`; `run` may be missing. Without rows, the earlier results are only removed.
-            Several tables, such as a generator makes, are written one by one as they come, so that they need not fit
-            into memory. A part among them is one of the stage's earlier results that stays in this place, file and
-            rows as they are (`storage.store.reused_results`); such parts come in the order that they have.
+            Several tables, for example from a generator, are written one by one, so that they need not fit into memory.
+            A part among them is one of the stage's earlier parts, which is kept at this position unchanged
+            (`storage.store.reused_results`); such parts must be in their stored order.
         stage : str
             The stage, "<pipeline>/<stage>".
         run : str
@@ -51,7 +51,7 @@ class ResultChanges(VersionDraft):
         Raises
         ------
         StoreError
-            A table does not fit, a part is none of the stage's, or the disk is full; nothing is changed.
+            A table has other columns, a part does not belong to the stage, or the disk is full; nothing is changed.
         """
         result_schema(kind)
         before = self._manifest.results.get(kind, ())
@@ -77,7 +77,7 @@ class ResultChanges(VersionDraft):
             self._facts.name("results", kind)
 
     def _written(self, kind: str, tables: Iterable[pa.Table], stage: str, run: str) -> list[ResultPart]:
-        """Write tables as parts of results, and return the records of these parts."""
+        """Write tables as parts of results, and return the records of the parts."""
         parts = write_pieces(self.path, f"results/{kind}", (_result_rows(kind, table, run) for table in tables))
         width = len(result_schema(kind).names)
         return [
@@ -85,13 +85,13 @@ class ResultChanges(VersionDraft):
         ]
 
     def put_labels(self, labels: pa.Table) -> pa.Table:
-        """Add labels; they stay for good, and a row takes the place of the one that it replaces.
+        """Add labels, which are kept forever; a row may replace an earlier one.
 
         Parameters
         ----------
         labels : pyarrow.Table
-            Columns of `labels_schema`; those that are missing are completed (`storage.snapshot.labels.new_labels`).
-            A row whose id the store has is skipped, so that the same rows can be put twice.
+            Columns of `labels_schema`; missing values are completed (`storage.snapshot.labels.new_labels`).
+            A row whose id the store has is skipped, so that adding rows twice is harmless.
 
         Returns
         -------
@@ -101,7 +101,7 @@ class ResultChanges(VersionDraft):
         Raises
         ------
         ParameterError
-            A value is out of its domain; nothing is changed.
+            A value is not allowed; nothing is changed.
         """
         self._take_over()
         store = Snapshot(self.path, self._manifest, self._checked)
@@ -111,10 +111,10 @@ class ResultChanges(VersionDraft):
         return new
 
     def _take_over(self) -> list[Journal]:
-        """Add the rows of the journal of labels to the next version, and return the files that it then holds.
+        """Add the rows of the journal of labels to the next version, and return the journal files that it includes.
 
-        Rows that the store has already are skipped. Where labels cannot be read, the journal stays as it is: a commit
-        of other work does not fail for that, and `repair` mends it.
+        Rows that the store has already are skipped. If labels cannot be read, the journal is left unchanged, so that
+        commits of other changes do not fail; `repair` fixes it.
         """
         try:
             journals = read_journals(self.path)
@@ -126,12 +126,12 @@ class ResultChanges(VersionDraft):
         return journals
 
     def _add_labels(self, known: pa.Table, new: pa.Table) -> None:
-        """Write new rows of labels as a part, together with small parts of known rows."""
+        """Write new rows of labels as a part, merged with small parts of known rows."""
         if not new.num_rows:
             return
         stay = list(self._manifest.labels)
         count = new.num_rows
-        # parts double in size from the last to the first, so that there are few, and a row is seldom written again
+        # each part is at least twice the size of the next, so that there are few parts and a row is rarely rewritten
         while stay and stay[-1].rows < 2 * count:
             count += stay.pop().rows
         merged = pa.concat_tables([known.slice(sum(part.rows for part in stay)), new])
@@ -141,10 +141,10 @@ class ResultChanges(VersionDraft):
         self._facts.count("labels", new.num_rows)
 
     def _empty(self, journals: Sequence[Journal]) -> None:
-        """Empty the files of the journal whose rows the newest version has."""
+        """Empty the journal files whose rows are in the newest version."""
         for one in journals:
             if one.damaged:
-                continue  # `repair` keeps its content first
+                continue  # `repair` must save its content first
             with write_errors(one.path):
                 empty(one)
 

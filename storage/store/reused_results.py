@@ -1,9 +1,9 @@
-"""Reuse of results: the parts that stay as they are when a stage puts new ones beside them.
+"""Reuse parts of results: find those that can be kept when a stage adds new results.
 
 Results of takes, such as distance curves, grow with an archive. If a run reuses the results of an earlier one for most
-takes, the new version of the store names the old parts again. Only parts some of whose takes go or are computed anew
-are rewritten, and small ones, before there are many of them (by the tiers of `storage.store.compaction`). A part is
-full at `storage.snapshot.parts.FULL_BYTES`, so that a change of one take rewrites little.
+takes, the new version of the store names the old parts again. Only parts with takes that are removed or recomputed are
+rewritten, and small parts when there are many (by the tiers of `storage.store.compaction`). A part is full at
+`storage.snapshot.parts.FULL_BYTES`, so that a change of one take rewrites little.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from kinedex.storage.store.compaction import worthwhile
 
 @dataclass(frozen=True)
 class ReusedParts:
-    """The parts of a stage's results whose rows still hold, at least in part.
+    """The parts of a stage's results with rows that are still valid.
 
     Attributes
     ----------
     stay : tuple of ResultPart
-        Parts that `StoreWriter.put_results` is to keep.
+        Parts that `StoreWriter.put_results` should keep.
     again : tuple of ResultPart
-        Parts whose valid rows are to be put again with the new ones.
+        Parts whose valid rows must be written again with the new ones.
     """
 
     stay: tuple[ResultPart, ...]
@@ -40,7 +40,7 @@ class ReusedParts:
 def reused_parts(
     store: Snapshot, kind: str, stage: str, take_ids: Collection[int | str], column: str = "take_id"
 ) -> ReusedParts:
-    """Divide the parts of a stage's results into those that stay and those whose rows are put again.
+    """Divide the parts of a stage's results into those to keep and those with rows to write again.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def reused_parts(
     stage : str
         The stage, "<pipeline>/<stage>".
     take_ids : collection of int or str
-        The takes whose rows still hold, or other values of the column.
+        The takes (or other values of the column) whose rows are still valid.
     column : str, optional
         The column that names the take of a row.
 
@@ -69,7 +69,7 @@ def reused_parts(
     whole = [part for part, values in held.items() if values <= wanted]
     rewritten = {part for part, values in held.items() if not values <= wanted and values & wanted}
     rewritten |= {part for group in worthwhile(whole, FULL_BYTES) for part in group}
-    while True:  # rows of a take that lie in several parts keep their order only if all of them are rewritten
+    while True:  # rows of a take in several parts keep their order only if all of the parts are rewritten
         moved = set().union(*(held[part] & wanted for part in rewritten))
         more = {part for part in whole if part not in rewritten and held[part] & moved}
         if not more:
@@ -81,7 +81,7 @@ def reused_parts(
 
 
 def stored_fingerprints(store: Snapshot, kind: str, stage: str, column: str = "take_id") -> dict[int | str, str]:
-    """Return the fingerprint of each take in a stage's results; none where they cannot be read.
+    """Return take (or recording) → fingerprint in a stage's results; empty if they cannot be read.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def stored_fingerprints(store: Snapshot, kind: str, stage: str, column: str = "t
             names, prints = (pairs.column(name).to_pylist() for name in columns)
             found |= {name: one for name, one in zip(names, prints, strict=True) if one is not None}
     except StoreError:
-        return {}  # repair removes them, and the stage makes all of them again
+        return {}  # repair removes them, and the stage recomputes all of them
     return found
 
 

@@ -1,6 +1,6 @@
-"""A store as users open it: one version of an archive, its takes, words and results, index and SQL.
+"""Open a store: one version of an archive with its takes, words and results, index and SQL.
 
-DuckDB and polars are imported when they are first used: a keyframe search from a cold start needs neither.
+DuckDB and polars are imported on first use: a keyframe search in a new process needs neither.
 """
 
 from __future__ import annotations
@@ -35,28 +35,28 @@ if TYPE_CHECKING:
 
 
 AskedVersion = int | Literal["newest"]
-"""A version that a reader asks for: its number, or the newest one whether or not it has its index."""
+"""The version to open: its number, or "newest" for the newest one even without an index."""
 
 _TRIES = 100
-"""Versions may be removed while one of them is chosen; so often another one is chosen."""
+"""The largest number of attempts to open a version, since one may be removed after it was chosen."""
 
 
 def open_store(path: str | Path, files: Iterable[str | Path] = (), at: AskedVersion | None = None) -> Store:
-    """Open a version of a store for reading: the newest one that has its index, unless another is asked for.
+    """Open a version of a store for reading, by default the newest one that has an index.
 
-    The store that is returned keeps showing this version whatever writers do meanwhile; open it again for theirs.
-    Nothing that the version needs is removed before the store is closed, or no longer used.
+    The returned store always shows this version, whatever writers do; open it again to see their changes. No file that
+    the version needs is removed before the store is closed or garbage-collected.
 
     Parameters
     ----------
     path : str or Path
         The store's directory.
     files : iterable of str or Path, optional
-        Folders outside the store whose files SQL may read, with `read_csv` for example. SQL reads the store alone
-        without them.
+        Folders outside the store whose files SQL may read, with `read_csv` for example. By default SQL can read only
+        the store.
     at : int or "newest", optional
-        The number of the version, or "newest" for the newest one even where its index is still to be built. Without it
-        this is also the version of a store that has no index at all.
+        The number of the version, or "newest" for the newest one even if it has no index yet. The default also opens
+        the newest version if none has an index.
 
     Raises
     ------
@@ -78,13 +78,13 @@ def open_store(path: str | Path, files: Iterable[str | Path] = (), at: AskedVers
 
 
 def _leased(root: Path, version: int) -> tuple[Manifest, Lease] | None:
-    """Lease and read a version; return None if it has been removed meanwhile."""
+    """Lease and read a version; return None if it has just been removed."""
     lease = take_lease(root, version)
     return None if lease is None else (read_version(root, version), lease)
 
 
 def _with_index(root: Path, newest: Manifest, lease: Lease) -> tuple[Manifest, Lease] | None:
-    """Lease and read the newest version that has its index, the newest where none has; None where it was removed."""
+    """Lease and read the newest version with an index, or the newest if none has; return None if it was removed."""
     version, generation = readable_version(root, newest)
     if version == newest.version:
         return newest, lease
@@ -93,9 +93,9 @@ def _with_index(root: Path, newest: Manifest, lease: Lease) -> tuple[Manifest, L
 
 
 def _require_version(root: Path, found: list[int], at: AskedVersion | None) -> None:
-    """Raise a StoreError if there is no store, or not the version that was asked for."""
+    """Raise a StoreError if there is no store, or not the requested version."""
     if not found:
-        read_newest(root)  # reports that there is no store
+        read_newest(root)  # raises the error for a missing store
     elif isinstance(at, int) and at not in found:
         shown = str(found[0]) if len(found) == 1 else f"{len(found)} versions from {found[0]} to {found[-1]}"
         raise StoreError(f"{root}: it has no version {at} (or no longer); it has {shown}")
@@ -104,7 +104,7 @@ def _require_version(root: Path, found: list[int], at: AskedVersion | None) -> N
 class Store(Snapshot):
     """One version of a store, read-only, with its index and SQL.
 
-    Tables are Arrow tables (`frames`, `result`, `sql`), `takes` is a polars data frame; `sql(…, polars=True)` gives a
+    Tables are Arrow tables (`frames`, `result`, `sql`), `takes` is a polars data frame; `sql(…, polars=True)` returns a
     data frame, too.
 
     Parameters
@@ -116,18 +116,18 @@ class Store(Snapshot):
     files : tuple of Path, optional
         Folders outside the store whose files SQL may read.
     checked : CheckedFiles, optional
-        The files that are known to be sound; without it each file is checked before it is first read.
+        The files that have been checked already; by default each file is checked before it is first read.
     lease : Lease, optional
-        The lease of the version; taken here unless given.
+        The lease of the version; by default it is taken here.
     newest_version : int, optional
-        The newest version when this one was chosen; unless given, this one.
+        The newest version when this one was chosen; by default this one.
     pinned : bool, optional
-        Show the labels of this version; unless given, those that people have made until they are first asked for.
+        True to show the labels of this version; by default the labels are current when they are first read.
 
     Raises
     ------
     StoreError
-        The version is not there any more.
+        The version does not exist any more.
     """
 
     def __init__(
@@ -164,9 +164,9 @@ class Store(Snapshot):
     def labels(self, *, history: bool = False) -> pa.Table:
         """Return the labels of the store, in the order in which they were made.
 
-        They are those of the newest version and of the journal when they are first asked for, whichever version of the
-        takes is shown: what a person has stated does not vanish while an index is built. A version that was asked for
-        by its number shows its own labels.
+        They are those of the newest version and of the journal when they are first read, whichever version of the takes
+        is shown, so that a new label does not disappear while an index is built. A version opened by its number shows
+        its own labels.
 
         Parameters
         ----------
@@ -185,7 +185,7 @@ class Store(Snapshot):
         return self._labels if history else current_labels(self._labels)
 
     def forget_labels(self) -> None:
-        """Read the labels anew when they are next asked for, in SQL too."""
+        """Discard the cached labels, so that they are read again on the next use, in SQL too."""
         self._labels = None
         with self._lock:
             connections, self._connections = self._connections, None
@@ -208,7 +208,7 @@ class Store(Snapshot):
         return data_frame(self.takes_table(where))
 
     def takes_table(self, where: str | None = None) -> pa.Table:
-        """Return the takes as an Arrow table; parameters and errors as `takes`."""
+        """Return the takes as an Arrow table; parameters and errors are those of `takes`."""
         if where is None:
             return self.take_rows
         if not where.strip():
@@ -230,7 +230,7 @@ class Store(Snapshot):
         Raises
         ------
         StoreError
-            The index is missing or stale; the message names the command that builds it.
+            The index is missing or outdated; the message names the command that builds it.
         """
         generation = current_generation(self.path, self.manifest)
         if generation is None:
@@ -240,28 +240,29 @@ class Store(Snapshot):
     def connect(self, threads: int | None = None, memory_mb: int | None = None) -> duck.Connection:
         """Open a DuckDB connection with all views and macros (`catalog.sql.views`).
 
-        The index is attached read-only, and nothing done to the views or to tables made here reaches the store. It is
-        a whole DuckDB connection, though: COPY and ATTACH write wherever the user may. `sql` runs only what reads.
+        The index is attached read-only, and changes of views and tables on the connection do not affect the store. It
+        is a full DuckDB connection, though: COPY and ATTACH can write wherever the user may. `sql` runs only statements
+        that read.
 
-        The checksums of all parts of the store are checked here, at once, because nobody sees what the connection will
-        read; `sql` checks only the parts that a query reads.
+        The checksums of all parts of the store are checked here, because it is unknown what the connection will read;
+        `sql` checks only the parts that a query reads.
 
         Parameters
         ----------
         threads : int, optional
-            Most threads that DuckDB uses; DuckDB decides without it.
+            Largest number of threads; by default DuckDB decides.
         memory_mb : int, optional
-            Most memory that DuckDB uses, in MB; DuckDB decides without it.
+            Largest memory in MB; by default DuckDB decides.
 
         Raises
         ------
         StoreError
-            The index or a part cannot be read; the message names the file and the way out.
+            The index or a part cannot be read; the message names the file and the remedy.
         """
         from kinedex.storage.sql.connection import connect
 
         connection = connect(self, threads, memory_mb)
-        # it reads the parts for as long as it is there, whatever becomes of this object
+        # the connection reads the parts as long as it exists, even if this object does not
         weakref.finalize(connection, _release, self._take_lease()).atexit = False
         return connection
 
@@ -290,13 +291,13 @@ class Store(Snapshot):
         Parameters
         ----------
         query : str
-            A statement that only reads. It reads the store alone, and the folders that `open_store` was given.
+            A statement that only reads. It can read the store, and the folders passed to `open_store`.
         params : sequence or dict, optional
             Values for its `?` (a sequence) or its `$name` (a dict).
         polars : bool, optional
             Return a polars data frame instead of an Arrow table.
         timeout : float, optional
-            Seconds that the query may take; as long as it needs without it.
+            Time limit in seconds; None for no limit.
 
         Raises
         ------
@@ -314,14 +315,14 @@ class Store(Snapshot):
         timeout: float | None = None,
         max_rows: int | None = None,
     ) -> Answer:
-        """Run one SQL query as `sql` does, and return at most so many rows with the number of all.
+        """Run one SQL query as `sql` does, and return at most `max_rows` rows with the number of all rows.
 
         Parameters
         ----------
         query, params, timeout
             As for `sql`.
         max_rows : int, optional
-            Most rows to return, and to hold in memory; all without it.
+            Largest number of rows to return, and to keep in memory; by default all.
 
         Raises
         ------
@@ -335,14 +336,14 @@ class Store(Snapshot):
 
     @contextmanager
     def _connection(self) -> Iterator[Definitions]:
-        """Lend one of the connections of `sql`; nobody else uses it meanwhile."""
+        """Lend one of the connections of `sql` for exclusive use."""
         from kinedex.storage.sql.connection import Connections
 
         with self._lock:
             if not self._lease.release.alive:
                 self._lease = self._take_lease()
             known = self._connections
-            # the index may have been published after these were opened
+            # the index may have been published after these connections were opened
             if known is not None and not known.indexed and current_generation(self.path, self.manifest) is not None:
                 known.close()
                 known = None
@@ -360,7 +361,7 @@ class Store(Snapshot):
     def close(self) -> None:
         """Close the connections that `sql` has opened, and let `kinedex gc` remove the version.
 
-        The store can still be used for as long as the version is there.
+        The store can still be used as long as the version exists.
         """
         with self._lock:
             connections, self._connections = self._connections, None
@@ -377,12 +378,12 @@ class Store(Snapshot):
         self.close()
 
     def __reduce__(self) -> tuple[type[Store], tuple[Path, Manifest, tuple[Path, ...], CheckedFiles]]:
-        # a worker gets the same version, with a lease and connections of its own; no worker reads labels
+        # a worker gets the same version with its own lease and connections; no worker reads labels
         return Store, (self.path, self.manifest, self._files, self.checked)
 
 
 def all_labels(path: Path, manifest: Manifest, checked: CheckedFiles) -> pa.Table:
-    """Return all rows of labels of a store as it is now, those of the journal last.
+    """Return all current rows of labels of a store, those of the journal last.
 
     Parameters
     ----------
@@ -391,10 +392,10 @@ def all_labels(path: Path, manifest: Manifest, checked: CheckedFiles) -> pa.Tabl
     manifest : Manifest
         A version; labels of newer ones are read as well.
     checked : CheckedFiles
-        The files that are known to be sound.
+        The files that have been checked already.
     """
     for attempt in range(_TRIES):
-        # the journal comes first: what a commit takes out of it meanwhile is in the version that is read then
+        # read the journal first: rows that a commit takes from it are then in the version that is read afterwards
         journals = read_journals(path)
         newest = manifest if versions(path)[-1] == manifest.version else read_newest(path)
         try:

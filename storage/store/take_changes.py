@@ -1,4 +1,4 @@
-"""Changes of a store's takes: add, restate and drop them, exchange their parts, declare their columns."""
+"""Change a store's takes: add, update and drop them, replace their parts, declare their columns."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from kinedex.storage.store.version_draft import VersionDraft
 
 
 class TakeChanges(VersionDraft):
-    """The changes of takes in the draft of a version."""
+    """The methods of a version's draft that change takes."""
 
     def assign_take_ids(self, names: Iterable[str]) -> dict[str, int]:
-        """Give each take name its id: takes of the store keep theirs, new ones get the next ids in order of name."""
+        """Return an id for each take name: existing takes keep theirs, new ones get the next ids in order of name."""
         asked = sorted(set(names))
         for name in asked:
             if name not in self._ids:
@@ -36,15 +36,15 @@ class TakeChanges(VersionDraft):
         Parameters
         ----------
         takes : pyarrow.Table
-            One row per take, ids from `assign_take_ids`: the columns of `takes_schema` and declared ones
-            (`declare_columns`); of the latter, and of those that may be null in any store, some may be missing.
+            One row per take, with ids from `assign_take_ids`, and the columns of `takes_schema`, including declared
+            ones (`declare_columns`). Declared columns, and those that may be null in any store, can be missing.
         frames : pyarrow.Table, Part or sequence of Part
             The frames of exactly these takes: parts that workers have written, or a table sorted by take_id and frame.
 
         Raises
         ------
         StoreError
-            The frames are not those of the takes, or an id was not assigned to its take's name.
+            The frames do not belong to the takes, or an id was not assigned to its take's name.
         """
         takes = self._take_rows(takes)
         parts = self._frames_parts(takes, frames)
@@ -65,15 +65,15 @@ class TakeChanges(VersionDraft):
         self._changes.append(["added", sorted(part.sha256 for part in parts)])
 
     def restate_takes(self, takes: pa.Table, *, described: bool = False) -> None:
-        """Replace rows of takes whose frames stay; everything that was made of the frames remains valid.
+        """Replace rows of takes without changing their frames; everything computed from the frames remains valid.
 
         Parameters
         ----------
         takes : pyarrow.Table
             The new rows, with columns as for `add_takes`.
         described : bool
-            True where columns change that filters select takes by, such as the class, so that stages may read others.
-            By default they record where a take has come from (place and time), on which no stage depends.
+            True if columns change by which filters select takes, such as the class, so that stages may select other
+            takes. By default only the origin of a take (path and time) changes, on which no stage depends.
 
         Raises
         ------
@@ -92,7 +92,7 @@ class TakeChanges(VersionDraft):
         self._takes.update({take: takes.slice(row, 1) for row, take in enumerate(ids)})
 
     def drop_takes(self, take_ids: Iterable[int]) -> None:
-        """Remove takes; their rows stay in the parts until compaction, but no reader sees them after the commit.
+        """Remove takes; their rows remain in the parts until compaction, but readers do not see them after the commit.
 
         Parameters
         ----------
@@ -118,21 +118,21 @@ class TakeChanges(VersionDraft):
         self._live -= gone
 
     def swap_parts(self, kind: Literal["frames", "takes"], old: Sequence[Part], new: Sequence[Part]) -> None:
-        """Replace parts by others that hold the same live takes in another layout.
+        """Replace parts by others with the same live takes in another layout.
 
         Parameters
         ----------
         kind : str
             "frames" or "takes".
         old : sequence of Part
-            Parts of the version that was committed last.
+            Parts of the last committed version.
         new : sequence of Part
-            Parts that were written since.
+            Parts that were written after that commit.
 
         Raises
         ------
         StoreError
-            Takes were added or dropped since the last commit, or the new parts do not hold exactly the live takes and
+            Takes were added or dropped since the last commit, or the new parts do not have exactly the live takes and
             rows of the old ones; nothing is changed.
         """
         if self._changes:
@@ -157,17 +157,17 @@ class TakeChanges(VersionDraft):
         )
 
     def declare_columns(self, columns: Mapping[str, TakeColumn]) -> None:
-        """Declare columns of takes beside those of every store; rows that are there already have null in them.
+        """Declare additional columns of takes; they are null in existing rows.
 
         Parameters
         ----------
         columns : mapping of str to TakeColumn
-            Name → declaration; one that stands already is left as it is.
+            Name → declaration; existing declarations are kept.
 
         Raises
         ------
         StoreError
-            A name or type cannot be used, or the column is declared otherwise.
+            A name or type cannot be used, or the column has another declaration.
         """
         declared = dict(self._manifest.columns)
         for name, column in columns.items():
@@ -179,7 +179,7 @@ class TakeChanges(VersionDraft):
         self._manifest = replace(self._manifest, columns=declared)
 
     def widen_columns(self, types: Mapping[str, str]) -> None:
-        """Give declared columns wider types; the rows of all takes are written again with their values converted.
+        """Give declared columns wider types, and rewrite the rows of all takes with converted values.
 
         Parameters
         ----------
@@ -189,7 +189,7 @@ class TakeChanges(VersionDraft):
         Raises
         ------
         StoreError
-            Takes were changed since the last commit; commit them first.
+            There are uncommitted changes of takes; commit them first.
         """
         wider = {name: kind for name, kind in types.items() if self._manifest.columns[name].type != kind}
         if not wider:
@@ -206,7 +206,7 @@ class TakeChanges(VersionDraft):
         self.restate_takes(with_columns(_listed(rows, wider), self._manifest.takes_schema))
 
     def _take_rows(self, takes: pa.Table) -> pa.Table:
-        """Return rows of takes with all columns; those that may be missing are null."""
+        """Return rows of takes with all columns; missing optional ones are null."""
         schema = self._manifest.takes_schema
         optional = {"known", *self._manifest.columns} - set(takes.column_names)
         for name in (name for name in schema.names if name in optional):
@@ -260,7 +260,7 @@ class TakeChanges(VersionDraft):
 
 
 def _listed(rows: pa.Table, wider: Mapping[str, str]) -> pa.Table:
-    """Return rows of takes with lists of one text where a column of texts becomes one of lists."""
+    """Return rows of takes with each text wrapped in a list, in columns that become columns of lists."""
     for name in (name for name, kind in wider.items() if kind == "VARCHAR[]" and name in rows.column_names):
         lists = [None if text is None else [text] for text in rows.column(name).to_pylist()]
         rows = rows.set_column(rows.column_names.index(name), name, pa.array(lists, pa.list_(pa.string())))
@@ -268,7 +268,7 @@ def _listed(rows: pa.Table, wider: Mapping[str, str]) -> pa.Table:
 
 
 def _without(parts: Iterable[Part], take_ids: Iterable[int], rows: Mapping[int, int]) -> tuple[Part, ...]:
-    """Return the parts with more tombstones, except for parts without any live take.
+    """Return the parts with additional tombstones, without parts that have no live take left.
 
     `rows` maps each of the takes to the number of its rows.
     """

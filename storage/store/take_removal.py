@@ -1,4 +1,4 @@
-"""Removal of takes by a person: what would go, what stays, and which files an ingest passes over afterwards."""
+"""Remove takes for a user: plan which takes and files are affected, and which files an ingest skips afterwards."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from kinedex.storage.store.writer import StoreWriter
 
 @dataclass(frozen=True)
 class Removal:
-    """Takes that are to be removed.
+    """A plan for the removal of takes.
 
     Attributes
     ----------
     takes : pyarrow.Table
-        Their rows.
+        The rows of the takes to remove.
     files : tuple of (str, str)
-        Source folder and path of the files all of whose takes go; an ingest passes them over from then on.
+        Source folder and path of files that lose all their takes; an ingest skips them from then on.
     returning : tuple of str
-        Names of the takes that the next ingest brings back, because other takes of their file stay.
+        Names of takes that the next ingest adds again, because other takes of their file remain.
     tracks : tuple of str
-        Names of the takes that were made of recordings; no motion file holds them.
+        Names of takes made from recordings, which have no motion file.
     labels : int
-        Number of labels of these takes, which stay in the store.
+        Number of labels of these takes, which are kept in the store.
     """
 
     takes: pa.Table
@@ -41,7 +41,7 @@ class Removal:
 
 
 def planned_removal(store: Store, names: Sequence[str] = (), where: str | None = None) -> Removal:
-    """Return what the removal of takes would do; nothing is changed.
+    """Return what removing takes would do, without changing anything.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def planned_removal(store: Store, names: Sequence[str] = (), where: str | None =
     Raises
     ------
     KinedexError
-        Neither is given, a name is that of no take, or the filter selects none.
+        Neither names nor filter is given, a name is unknown, or the filter selects no takes.
     """
     if not names and where is None:
         raise KinedexError("name the takes to remove, or choose them with --where")
@@ -81,7 +81,7 @@ def planned_removal(store: Store, names: Sequence[str] = (), where: str | None =
 
 
 def remove_takes(writer: StoreWriter, removal: Removal) -> None:
-    """Remove takes and commit; their labels and their motion files stay, and an ingest passes their files over."""
+    """Remove takes and commit; their labels and motion files are kept, and an ingest skips these files."""
     writer.drop_takes(removal.takes.column("take_id").to_pylist())
     for root in dict.fromkeys(root for root, _ in removal.files):
         writer.remove_files(root, [path for other, path in removal.files if other == root])

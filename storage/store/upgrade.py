@@ -1,4 +1,4 @@
-"""Upgrade of a store to the present format: one new version with the same takes and results; the old one stays."""
+"""Upgrade a store to the current format: one new version with the same takes and results; the old one is kept."""
 
 from __future__ import annotations
 
@@ -38,33 +38,33 @@ from kinedex.storage.store.garbage_collection import shown_bytes
 from kinedex.storage.store.write_access import FOLDERS
 
 PROGRESS = f"{TEMPORARY}upgrade.jsonl"
-"""The file in the folder of manifests that keeps the checksums which a killed upgrade has computed."""
+"""The file in the folder of manifests with the checksums that a killed upgrade has computed."""
 
 _THREADS = min(4, os.cpu_count() or 1)
 
 
 @dataclass(frozen=True)
 class Upgrade:
-    """The work of an upgrade.
+    """The result or plan of an upgrade.
 
     Attributes
     ----------
     before : int
         Format of the store.
     version : int
-        Number of the new version; that of the newest one in a dry run, or if the store has the present format.
+        Number of the new version; of the newest one in a dry run, or if the store has the current format.
     parts : int
         Number of parts that are checked.
     bytes : int
         Size of these parts.
     takes_parts : int
-        Number of parts of takes that are written again; no frames and results are.
+        Number of parts of takes that are rewritten; frames and results are not.
     columns : tuple of str
-        Columns that takes get, from the named groups of source patterns.
+        New columns of takes, from the named groups of source patterns.
     damaged : tuple of str
-        Damaged or missing parts that stay as they are.
+        Damaged or missing parts that are left unchanged.
     index_built : bool
-        True if the index, which was of an older kinedex, was built again.
+        True if an index of an older kinedex was rebuilt.
     """
 
     before: int
@@ -85,26 +85,26 @@ def upgrade(
     wait: Wait = NO_WAIT,
     progress: Callable[[int], object] = lambda _: None,
 ) -> Upgrade:
-    """Convert a store to the present format.
+    """Convert a store to the current format.
 
     Every part is compared with its SHA-256 and gets its XXH3; parts of takes whose patterns have named groups are
-    written again with these as columns. Takes, their ids, results and records of stages stay valid, so that no stage
-    runs again because of it. All of it becomes visible in one step, as a new version. A killed upgrade goes on where it
-    was when it is run again. The index stays, too, unless the files of indexes have changed since: then it is built
-    again before the new version is published.
+    rewritten with these as columns. Takes, their ids, results and records of stages stay valid, so that no stage has to
+    run again. The result becomes visible in one step, as a new version. A killed upgrade continues where it stopped
+    when it is run again. The index is kept, unless its file format has changed: then it is rebuilt before the new
+    version is published.
 
     Parameters
     ----------
     store : str or Path
         The store's directory.
     keep_damaged : bool, optional
-        Convert the store although parts are damaged or missing; these stay in it for `kinedex repair`.
+        Convert the store even if parts are damaged or missing; these are left for `kinedex repair`.
     dry_run : bool, optional
-        Change nothing, and check no checksum.
+        Change nothing, and do not compute checksums.
     wait : Wait, optional
         Time to wait for another writer to finish.
     progress : callable, optional
-        Called with the bytes of each part that was checked.
+        Called with the size in bytes of each checked part.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def upgrade(
             )
         columns, again = _group_columns(root, manifest, damaged)
         made = _upgraded(root, manifest, sums, columns, again)
-        # before the version is there, so that no reader and no kill finds it without its index
+        # built before the version exists, so that no reader finds it without its index, even after a kill
         built = not damaged and bool(generations(root)) and current_generation(root, made) is None
         if built:
             build_index(Snapshot(root, made), wait=wait)
@@ -177,7 +177,7 @@ def _summary(
 
 
 def _checked_sums(root: Path, parts: Iterable[AnyPart], progress: Callable[[int], object]) -> dict[str, str]:
-    """Return the XXH3 of every part whose size and SHA-256 are right, by path; sums of a killed upgrade are reused."""
+    """Return path → XXH3 of every part with the right size and SHA-256; sums of a killed upgrade are reused."""
     known = _known_sums(root)
     found: dict[str, str] = {}
 
@@ -194,7 +194,7 @@ def _checked_sums(root: Path, parts: Iterable[AnyPart], progress: Callable[[int]
         return part, {"path": part.path, "mtime_ns": state.st_mtime_ns, **sums._asdict()}
 
     with write_errors(root / FOLDER), open(root / FOLDER / PROGRESS, "a", encoding="utf-8") as written:
-        # a line that a killed upgrade has begun ends here
+        # end a line that a killed upgrade left incomplete
         written.write("\n")
         with ThreadPoolExecutor(_THREADS) as pool:
             for part, record in pool.map(check, parts):
@@ -207,7 +207,7 @@ def _checked_sums(root: Path, parts: Iterable[AnyPart], progress: Callable[[int]
 
 
 def _known_sums(root: Path) -> dict[str, dict[str, Any]]:
-    """Return the records of a killed upgrade by path; a line that is not whole is ignored."""
+    """Return the records of a killed upgrade by path; incomplete lines are ignored."""
     known = {}
     try:
         lines = (root / FOLDER / PROGRESS).read_text(encoding="utf-8", errors="replace").splitlines()
@@ -224,7 +224,7 @@ def _known_sums(root: Path) -> dict[str, dict[str, Any]]:
 
 
 def _groups(root: Path, part: Part) -> Iterator[tuple[dict[str, Any], bool]]:
-    """Yield the named groups in each row of a part of takes, and True for a row that counts."""
+    """Yield the named groups of each row of a part of takes, and True if the row is live."""
     file = root / part.path
     with read_errors(file):
         table = pq.read_table(file, columns=["take_id", "groups"])
@@ -237,7 +237,7 @@ def _groups(root: Path, part: Part) -> Iterator[tuple[dict[str, Any], bool]]:
 def _group_columns(
     root: Path, manifest: Manifest, damaged: tuple[str, ...]
 ) -> tuple[dict[str, TakeColumn], tuple[Part, ...]]:
-    """Return the columns for named groups of takes, and the parts whose rows have such groups."""
+    """Return the columns for named groups of takes, and the parts with rows that have such groups."""
     columns: dict[str, TakeColumn] = {}
     again = []
     for part in manifest.takes:
@@ -255,7 +255,7 @@ def _group_columns(
 def _upgraded(
     root: Path, manifest: Manifest, sums: dict[str, str], columns: dict[str, TakeColumn], again: tuple[Part, ...]
 ) -> Manifest:
-    """Return the new version; the parts of takes that it needs are written."""
+    """Return the new version after writing the parts of takes that it needs."""
     new = {part.path: _with_groups(root, part, columns) for part in again}
     takes = tuple(new.get(part.path, replace(part, xxh3=sums.get(part.path, ""))) for part in manifest.takes)
     results = {
@@ -288,7 +288,7 @@ def _width(root: Path, path: str) -> int:
 
 
 def _with_groups(root: Path, part: Part, columns: dict[str, TakeColumn]) -> Part:
-    """Write the rows of a part that count once more, with the named groups as columns."""
+    """Rewrite the live rows of a part, with the named groups as columns."""
     schema = takes_schema(columns)
     rows = []
     with read_errors(root / part.path):
@@ -302,7 +302,7 @@ def _with_groups(root: Path, part: Part, columns: dict[str, TakeColumn]) -> Part
 def _sources(
     root: Path, takes: Iterable[Part], stages: dict[str, StageRecord], sums: dict[str, str]
 ) -> dict[str, Source]:
-    """Return the settings of sources, from the records of the stages that ingested them."""
+    """Return source → settings, from the records of the stages that ingested them."""
     roots: set[str] = set()
     for part in takes:
         if part.path in sums or part.xxh3:
@@ -319,7 +319,7 @@ def _sources(
 
 
 def _pipelines(stages: dict[str, StageRecord]) -> dict[str, PipelineRecord]:
-    """Return records of pipelines whose files are made of the records of their stages."""
+    """Return records of pipelines, with pipeline files composed from the records of their stages."""
     pipelines: dict[str, list[StageRecord]] = {}
     for key, record in stages.items():
         pipelines.setdefault(key.partition("/")[0], []).append(record)

@@ -1,4 +1,4 @@
-"""Verification of a store: files against the manifest, parts against each other, the index against the parts."""
+"""Verify a store: files against the manifest, parts against each other, the index against the parts."""
 
 from __future__ import annotations
 
@@ -71,14 +71,14 @@ class Finding:
     problem : str
         Description of the problem.
     remedy : Remedy
-        The way out.
+        The remedy.
     kind : str
-        "manifest", "frames", "takes", "labels", "results", "report", "index", "leftover" or "quarantine"; "content"
-        where takes and frames that are sound as files do not fit each other.
+        "manifest", "frames", "takes", "labels", "results", "report", "index", "leftover" or "quarantine"; "content" if
+        takes and frames contradict each other although their files are undamaged.
     fault : bool
         True if the store is damaged; False if a file is merely out of date or superfluous.
     takes : tuple of int
-        Ids of the takes whose frames or rows it hits.
+        Ids of the takes whose frames or rows are affected.
     """
 
     file: str
@@ -95,29 +95,29 @@ class Finding:
 def verify(store: Snapshot, checked: Callable[[], object] = lambda: None) -> list[Finding]:
     """Check everything that a version of a store records about its files.
 
-    These are every part's size, checksum, row count, schema, takes and order of rows; that the frames of every take
-    are 0, 1, …, as many as its row in takes records; that no take is live twice; that pose databases are whole, that
-    the results of takes made from depth agree with each other, and so do limb errors and their runs; older manifests;
-    the checksums of reports; leftover files; the history of runs; the index's checksums, counts and bit slices; and
-    what repairs have set aside.
+    It checks every part's size, checksum, row count, schema, takes and order of rows; that the frames of every take are
+    0, 1, …, as many as its row in takes records; that no take is live twice; that pose databases are complete, and that
+    the results of takes made from depth, and limb errors and their runs, are consistent; older manifests; the checksums
+    of reports; leftover files; the history of runs; the index's checksums, counts and bit slices; and quarantined
+    files.
 
     Parameters
     ----------
     store : Snapshot
         The version to check.
     checked : callable, optional
-        Function that is called after each part that was read.
+        Called after each part that was read.
 
     Returns
     -------
     list of Finding
-        The problems, empty for a sound store. `kinedex repair` is the remedy of all but notes on earlier repairs.
+        The problems; empty for an undamaged store. `kinedex repair` is the remedy for all but notes on earlier repairs.
     """
     return _Verification(store, checked).findings()
 
 
 def damaged_frames(store: Snapshot) -> list[Part]:
-    """Return the parts of frames that are missing or whose content does not fit its checksum."""
+    """Return the parts of frames that are missing or do not match their checksum."""
     found = []
     for part in store.manifest.frames:
         try:
@@ -128,14 +128,14 @@ def damaged_frames(store: Snapshot) -> list[Part]:
 
 
 class _Verification:
-    """One verification of a version of a store."""
+    """The state of one verification of a version of a store."""
 
     def __init__(self, store: Snapshot, checked: Callable[[], object]) -> None:
         self.store = store
         self.checked = checked
         self.manifest = store.manifest
         self.is_current = store.manifest.format_version == FORMAT_VERSION
-        # a store of an older format is not repaired
+        # `repair` refuses a store of an older format
         self.remedy = repair(store.path) if self.is_current else upgrade_with_damage(store.path)
         self.counted: dict[int, int] = {}  # take → frames in the parts
         self.dropped: dict[str, int] = {}  # part → rows of dropped takes
@@ -281,7 +281,7 @@ class _Verification:
 
     def _reports(self) -> Iterator[Finding]:
         if self.manifest.version == max(versions(self.store.path)):
-            # later runs have written over the reports of older versions
+            # later runs have overwritten the reports of older versions
             for name, problem in wrong_files(self.store.path, self.manifest.stages.values()):
                 yield self._found("report", name, problem, fault=problem != "is missing")
 
@@ -290,7 +290,7 @@ class _Verification:
         try:
             named = {JOURNAL}.union(*(named_files(path, version) for version in versions(path)))
         except KinedexError:
-            return  # reported above; the parts that a damaged manifest names are not known
+            return  # reported above; the parts that a damaged manifest names are unknown
         for folder in PART_FOLDERS:
             for name in sorted(os.listdir(path / folder)) if (path / folder).is_dir() else ():
                 if f"{folder}/{name}" not in named:
@@ -305,7 +305,7 @@ class _Verification:
             yield self._found("leftover", file, problem)
 
     def _index(self, *, sound: bool) -> Iterator[Finding]:
-        """Check the index; its content is compared with the words of the parts only where these are sound."""
+        """Check the index; compare its content with the words of the parts only if these are undamaged."""
         if not generations(self.store.path):
             return
         generation = current_generation(self.store.path, self.manifest)
@@ -326,7 +326,7 @@ class _Verification:
             yield self._found("index", folder, f"cannot be read: {str(fault).splitlines()[0]}")
 
     def _unusable_index(self) -> Iterator[Finding]:
-        """Report why the newest index does not serve this version."""
+        """Report why the newest index cannot be used for this version."""
         newest = generations(self.store.path)[0]
         folder = f"index/{newest.name}"
         record = read_generation(newest)
@@ -357,7 +357,7 @@ class _Verification:
 
 
 def _file_problem(file: Path, part: AnyPart, schema: pa.Schema) -> str | None:
-    """Return the fault of a part as a file; None where there is none."""
+    """Return the fault of a part as a file; None if there is none."""
     try:
         size = file.stat().st_size
         if size != part.bytes:

@@ -1,4 +1,4 @@
-"""The changes of each version of a store: small facts that its manifest keeps, and the list of all versions."""
+"""Record the changes of each version of a store as small facts in its manifest, and list all versions."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ COUNTS = (
     "labels",
     "parts_compacted",
 )
-"""The facts that are numbers; "takes_restated" are those whose row changed and whose frames did not."""
+"""The facts that are numbers; "takes_restated" counts takes whose row changed but whose frames did not."""
 
 NAMES = ("stages_begun", "stages_done", "results", "columns", "mappings", "current_pipeline")
 """The facts that are lists: stages whose record was removed or written, kinds of results, declared columns, skeleton
-mappings, the pipeline that has become the current one."""
+mappings, and the pipeline that became the current one.
+"""
 
 
 class Facts:
@@ -37,18 +38,18 @@ class Facts:
         self._names: dict[str, list[str]] = {}
 
     def count(self, fact: str, number: int) -> None:
-        """Add to a fact of `COUNTS`."""
+        """Add a number to a fact of `COUNTS`."""
         self._counts[fact] += number
 
     def name(self, fact: str, name: str) -> None:
-        """Add a name to a fact of `NAMES`, unless it is there."""
+        """Add a name to a fact of `NAMES`, unless the fact has it."""
         names = self._names.setdefault(fact, [])
         if name not in names:
             names.append(name)
 
     @property
     def encoded(self) -> dict[str, Any]:
-        """The facts as the manifest keeps them (`Manifest.changes`); only those that are not zero or empty."""
+        """The facts in the form of `Manifest.changes`, without those that are zero or empty."""
         counts = {fact: self._counts[fact] for fact in COUNTS if self._counts[fact]}
         return counts | {fact: self._names[fact] for fact in NAMES if self._names.get(fact)}
 
@@ -66,9 +67,9 @@ class Version:
     format : int
         Version of the store's layout.
     kinedex : str
-        Version of the kinedex that made it; empty if it is not known.
+        Version of the kinedex that made it; empty if unknown.
     command : str
-        The command that made it; empty if it is not known.
+        The command that made it; empty if unknown.
     changes : dict of str to object
         Its differences from the version before (`COUNTS`, `NAMES`).
     takes : int
@@ -76,7 +77,7 @@ class Version:
     index : bool
         True if there is an index of its takes.
     problem : str
-        The reason for which it cannot be read; empty for a sound one.
+        The reason why it cannot be read; empty if it can.
     """
 
     version: int
@@ -91,7 +92,7 @@ class Version:
 
 
 def list_versions(store: Path) -> list[Version]:
-    """Return all versions of a store, oldest first; of one that cannot be read only its number and the reason.
+    """Return all versions of a store, oldest first; an unreadable one has only its number and the reason.
 
     Raises
     ------
@@ -124,7 +125,7 @@ def list_versions(store: Path) -> list[Version]:
 
 
 def _indexed_contents(store: Path) -> set[str]:
-    """Return the `Manifest.content_digest` of the takes that there are indexes of."""
+    """Return the `Manifest.content_digest` values for which an index exists."""
     records = ((generation, read_generation(generation)) for generation in generations(store))
     return {
         record.content
@@ -134,7 +135,7 @@ def _indexed_contents(store: Path) -> set[str]:
 
 
 def versions_table(found: Iterable[Version]) -> pa.Table:
-    """Return versions as a table for people, the newest last."""
+    """Return versions as a table to show to users, the newest last."""
     rows = [
         {
             "version": one.version,

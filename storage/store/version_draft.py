@@ -1,4 +1,4 @@
-"""The draft of a store's next version: the state that changes of takes, results, labels and records share."""
+"""Hold the draft of a store's next version, the state shared by changes of takes, results, labels and records."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from kinedex.storage.store.version_changes import Facts
 
 
 class VersionDraft:
-    """The version that is committed next: the manifest of the last one with the changes that were made since."""
+    """The next version to commit: the last manifest with the changes made since."""
 
     def __init__(self, path: Path, manifest: Manifest) -> None:
         self.path = path
@@ -35,20 +35,20 @@ class VersionDraft:
 
     @property
     def manifest(self) -> Manifest:
-        """The version that was committed last."""
+        """The manifest of the last committed version."""
         return self._committed
 
     @property
     def takes_schema(self) -> pa.Schema:
-        """The columns of takes, with those that were declared since the last commit."""
+        """The columns of takes, including those declared since the last commit."""
         return self._manifest.takes_schema
 
     @property
     def columns(self) -> Mapping[str, TakeColumn]:
-        """The declared columns of takes, with those that were declared since the last commit."""
+        """The declared columns of takes, including those declared since the last commit."""
         return self._manifest.columns
 
     @property
     def store(self) -> Store:
-        """The store as it was committed last."""
+        """The store at its last committed version."""
         return Store(self.path, self._committed, checked=self._checked)

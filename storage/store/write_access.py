@@ -1,4 +1,4 @@
-"""Checks before a writer works: the directory is a store with the same words, without leftovers of killed runs."""
+"""Check a directory before writing: it is a store with the same words, without leftovers of killed runs."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ FOLDERS = (FOLDER, "frames", "takes", "labels", "index", "results")
 """The folders of a store."""
 
 DATABASE = "kinedex.duckdb"
-"""The file in a store with all views for other DuckDB clients (`storage.store.database_file`)."""
+"""The file in a store that has all views for other DuckDB clients (`storage.store.database_file`)."""
 
 DUCKDB_SIGNS = "?\\"
-"""Characters that DuckDB does not take as they stand in the path of a file."""
+"""Characters that DuckDB does not read literally in file paths."""
 
 _CLOCK_SECONDS = 2.0
-"""Accuracy of the times of files in some file systems."""
+"""The accuracy of file times on some file systems, in seconds."""
 
 
 def refuse_foreign(root: Path) -> None:
-    """Raise a StoreError if a directory holds other things than a store, or has a path that DuckDB cannot open."""
+    """Raise a StoreError if a directory contains anything but a store, or has a path that DuckDB cannot open."""
     if os.name != "nt" and set(DUCKDB_SIGNS).intersection(str(root.absolute())):
         raise StoreError(
             f"{root}: the path of a store cannot have a ? or a backslash in it, which DuckDB reads as signs of its "
@@ -46,7 +46,7 @@ def refuse_foreign(root: Path) -> None:
 
 
 def refuse_other_words(root: Path, manifest: Manifest, feature_set: FeatureSet, rate_hz: float) -> None:
-    """Raise a StoreError if the words of a store have another feature set, or another rate."""
+    """Raise a StoreError if the words of a store have another feature set or another rate."""
     has = manifest.feature_set
     if has.digest != feature_set.digest:
         raise NewStoreError(
@@ -60,7 +60,7 @@ def refuse_other_words(root: Path, manifest: Manifest, feature_set: FeatureSet, 
 
 
 def last_opened(lock: Path) -> float:
-    """Return the time when a store was last opened for writing, by its lock's file; 0 if it never was."""
+    """Return the time when a store was last opened for writing, from its lock file; 0 if it never was."""
     try:
         return lock.stat().st_mtime
     except FileNotFoundError:
@@ -70,7 +70,7 @@ def last_opened(lock: Path) -> float:
 def remove_leftovers(root: Path, newest: Manifest, since: float = 0.0) -> None:
     """Remove the leftovers of killed runs: unfinished files, and parts that no manifest names.
 
-    Only the holder of the lock may do this: no live writer can be about to commit such a part.
+    Only the holder of the lock may call this, because another writer could be about to commit such a part.
 
     Parameters
     ----------
@@ -79,8 +79,8 @@ def remove_leftovers(root: Path, newest: Manifest, since: float = 0.0) -> None:
     newest : Manifest
         The newest version.
     since : float, optional
-        Time when the store was last opened for writing (`last_opened`). Older files are no leftovers, so older parts
-        are not looked up: replaced ones may be named by none of a thousand newer manifests.
+        Time when the store was last opened for writing (`last_opened`). Older files are not leftovers, so that older
+        parts need not be looked up in manifests, of which there may be a thousand.
     """
     candidates = set()
     for folder in (FOLDER, *PART_FOLDERS):
@@ -91,19 +91,20 @@ def remove_leftovers(root: Path, newest: Manifest, since: float = 0.0) -> None:
                 candidates.add(f"{folder}/{name}")
     candidates -= {part.path for part in newest.parts}
     for version in reversed(versions(root)[:-1]):
-        # readers of an older version may still be at work
+        # readers of an older version may still be active
         if not candidates:
             break
         try:
             candidates -= named_files(root, version)
         except StoreError:
-            # what a damaged manifest names is not known, so nothing is garbage; `kinedex verify` reports the manifest
+            # the parts that a damaged manifest names are unknown, so nothing is removed; `kinedex verify` reports the
+            # manifest
             return
     for path in candidates:
         _remove(root / path)
 
 
 def _remove(path: Path) -> None:
-    """Remove a leftover, unless Windows refuses because somebody has it open; the next writer tries again."""
+    """Remove a leftover; if Windows refuses because it is open, the next writer tries again."""
     with suppress(PermissionError if os.name == "nt" else FileNotFoundError):
         path.unlink(missing_ok=True)

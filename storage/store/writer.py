@@ -1,4 +1,4 @@
-"""The writer of a store: one at a time, it collects changes and publishes them as one new version."""
+"""Write a store: one writer at a time collects changes and publishes them as one new version."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ from kinedex.storage.store.write_access import (
 
 
 class StoreWriter(TakeChanges, ResultChanges, RecordChanges):
-    """The one writer of a store, from `open` to `close` (or the end of its `with` block).
+    """The only writer of a store, from `open` to `close` (or the end of its `with` block).
 
-    Readers see no change before `commit`; changes that are not committed at the end are dropped. Other processes may
+    Readers see no change before `commit`; changes that are not committed at the end are discarded. Other processes may
     write parts (`storage.snapshot.parts.FramesWriter`) while this writer is open, but not before: opening it removes
-    the leftovers of killed runs, and a part that no manifest names counts as one.
+    the leftovers of killed runs, including parts that no manifest names.
     """
 
     def __init__(self, path: Path, manifest: Manifest, lock: Lock) -> None:
@@ -47,7 +47,7 @@ class StoreWriter(TakeChanges, ResultChanges, RecordChanges):
     def open(
         cls, path: str | Path, feature_set: FeatureSet, rate_hz: float = 30.0, wait: Wait = NO_WAIT
     ) -> StoreWriter:
-        """Lock a store for writing; make an empty one if there is none.
+        """Lock a store for writing; create an empty one if there is none.
 
         Parameters
         ----------
@@ -63,8 +63,8 @@ class StoreWriter(TakeChanges, ResultChanges, RecordChanges):
         Raises
         ------
         StoreError
-            Another writer holds the lock (the message names its process and host); the directory holds other things;
-            the store has an older format (`kinedex upgrade`), or another feature set or rate.
+            Another writer holds the lock (the message names its process and host); the directory contains anything
+            else; the store has an older format (`kinedex upgrade`), or another feature set or rate.
         """
         root = Path(path)
         refuse_foreign(root)
@@ -90,9 +90,9 @@ class StoreWriter(TakeChanges, ResultChanges, RecordChanges):
             raise
 
     def commit(self) -> Manifest:
-        """Publish all changes since the last commit as one new version; without changes, none is made.
+        """Publish all changes since the last commit as one new version; do nothing without changes.
 
-        The rows of the journal of labels are published, too.
+        Rows in the journal of labels are published as well.
 
         Returns
         -------
@@ -102,7 +102,7 @@ class StoreWriter(TakeChanges, ResultChanges, RecordChanges):
         Raises
         ------
         StoreError
-            The next version exists already, so that another writer has evaded the lock; nothing is published.
+            The next version exists already, because another writer has bypassed the lock; nothing is published.
         """
         journals = self._take_over()
         pending = self._manifest
@@ -141,9 +141,9 @@ class StoreWriter(TakeChanges, ResultChanges, RecordChanges):
         return pending
 
     def close(self) -> None:
-        """Release the lock; changes that were not committed are dropped.
+        """Release the lock; uncommitted changes are discarded.
 
-        After a commit, the database file for other clients is written anew where there is one.
+        After a commit, an existing database file for other clients is rewritten.
         """
         try:
             if self._committed.version != self._opened and (self.path / DATABASE).is_file():
@@ -163,7 +163,7 @@ class StoreWriter(TakeChanges, ResultChanges, RecordChanges):
 
 
 def _first_version(feature_set: FeatureSet, rate_hz: float) -> Manifest:
-    """Return the version of a store without takes."""
+    """Return the initial version of a store, without takes."""
     return Manifest(
         FORMAT_VERSION,
         1,
