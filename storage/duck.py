@@ -62,7 +62,7 @@ def lock_settings(connection: Connection) -> None:
 
 def allow_only(connection: Connection, places: Iterable[Path]) -> None:
     """Restrict a connection to the files in some folders; databases that are attached already stay open."""
-    # DuckDB escapes the path in a scan, and compares it as text
+    # DuckDB compares the glob-escaped path of a scan as text, so allow both forms
     paths = [str(place.absolute()) for place in places]
     folders = ", ".join(quote(path) for path in dict.fromkeys([*paths, *map(glob.escape, paths)]))
     connection.execute(f"SET allowed_directories = [{folders}]")
@@ -210,7 +210,7 @@ def rows_where(table: pa.Table, name: str, condition: str) -> pa.Table:
     name : str
         The table's name in the condition.
     condition : str
-        One condition; it sees the table and nothing outside this process.
+        A single condition on the columns of the table; it cannot read files.
 
     Raises
     ------

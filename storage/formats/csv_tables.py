@@ -31,7 +31,7 @@ def decoded(path: str | Path, data: bytes) -> str:
     Raises
     ------
     SourceError
-        The bytes are text in none of the encodings.
+        The bytes are not text in any of the encodings.
     """
     encodings = [encoding for mark, encoding in _MARKS if data.startswith(mark)] or ["utf-8", "cp1252"]
     first: UnicodeDecodeError | None = None

@@ -51,10 +51,10 @@ from kinedex.storage.snapshot.part_records import Part
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 MOST_WASTE = 2.0
-"""The ratio to the size of a new index file above which the file is written anew."""
+"""The ratio to the size of a new index file above which the file is rewritten."""
 
 SPARE_BYTES = 4_000_000
-"""The number of bytes that a small file may waste without being written anew."""
+"""The number of bytes that a small file may waste without being rewritten."""
 
 _AHEAD = 4
 """The largest number of shards made in advance of the one being stored; each takes some 100 MB."""

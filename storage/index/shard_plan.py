@@ -1,9 +1,9 @@
-"""Plan an index build: the shards that are kept, that lose takes, and that are made anew.
+"""Plan an index build: the shards that are kept, that lose takes, and that are rebuilt.
 
 Frames parts are combined into shards of `SHARD_FRAMES` frames. Takes that are added later form a new shard, and small
 shards are merged by tiers (size classes), like small parts (`storage.store.compaction`): a tier with `FANOUT` shards or
 more becomes one shard of a higher tier, so that each frame is indexed a few times at most, and few shards are small.
-Dropped takes are deleted from their shard until half of it is gone; then it is made anew. So the cost of a build is
+Dropped takes are deleted from their shard until half of it is gone; then it is rebuilt. So the cost of a build is
 proportional to the change, not to the size of the archive.
 """
 

@@ -23,7 +23,7 @@ def index_problems(
 ) -> Iterator[tuple[str, str]]:
     """Yield file and problem for every fault in the content of an index whose files have the recorded checksums.
 
-    In a sound index every live take is in one shard; the tables have the recorded number of rows; in every shard the
+    In a valid index every live take is in one shard; the tables have the recorded number of rows; in every shard the
     lists of a feature set have the runs and the frames that its vocabulary counts; the runs of every set's words cover
     all frames with a word, in takes for which the set is known; and the bit slices agree with the takes' words.
 

@@ -100,7 +100,7 @@ def newest_sound(store: Path, bad: list[BadManifest]) -> Manifest:
 
 
 def set_aside(quarantine: Quarantine, bad: list[BadManifest]) -> None:
-    """Move damaged manifests into the quarantine, with the parts that only they name; newer versions go first.
+    """Move damaged manifests into the quarantine, with the parts that only they name; newer versions are moved first.
 
     Only the holder of the store's lock may do this.
     """

@@ -202,7 +202,7 @@ def _given(values: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
 
 
 def _errors_problem(rows: pa.Table) -> str:
-    """Return the problem of rows of `reconstruction_errors`; empty if they are sound."""
+    """Return the problem of rows of `reconstruction_errors`; empty if there is none."""
     found = rows.to_pylist()
     takes = {row["take_id"]: row for row in found if row["scope"] == "take"}
     whole = sum(row["frames"] for row in found if row["scope"] == "all")

@@ -71,7 +71,7 @@ def read_calibration(path: str | Path, size: tuple[int, int] | None = None) -> C
     Raises
     ------
     ConfigError
-        The file is no calibration, or one of lenses that are not read; the message names line and key.
+        The file is not a calibration, or uses an unsupported lens model; the message names line and key.
     SourceError
         The file cannot be read.
     """
@@ -138,7 +138,7 @@ def in_metres(calibration: Calibration, unit: str | None, up: str | None) -> tup
     Raises
     ------
     ConfigError
-        The kind of file does not determine what is None.
+        `unit` or `up` is None, and the kind of file does not determine it.
     """
     for key, given, known, values in (
         ("unit", unit, calibration.unit, UNITS_M),

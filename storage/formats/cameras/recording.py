@@ -196,7 +196,7 @@ class _Entry:
         return cls(file, name, given, cameras, given.rate_hz, unit, dict(calibration.labels or {}))
 
     def keypoints(self, notes: list[str]) -> dict[str, SeenPersons]:
-        """Return the persons of each camera by its name; none where the entry has no keypoints."""
+        """Return the persons of each camera by its name; empty if the entry has no keypoints."""
         if self.given.keypoints is None:
             return {}
         files = recording_files(self.file, self.name, "keypoints")
@@ -206,7 +206,7 @@ class _Entry:
         return {camera: found[value] for camera, value in self._matched("keypoints", found, notes).items()}
 
     def masks(self, notes: list[str]) -> dict[str, CameraMasks]:
-        """Return the masks of each camera by its name; none where the entry has no silhouettes."""
+        """Return the masks of each camera by its name; empty if the entry has no silhouettes."""
         if self.given.silhouettes is None:
             return {}
         files = recording_files(self.file, self.name, "silhouettes")

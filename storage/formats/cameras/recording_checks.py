@@ -42,12 +42,12 @@ _LEAST_POINTS = 20
 
 
 def check_cameras(file: RecordingsFile, name: str, cameras: Sequence[Camera], notes: Sequence[str]) -> None:
-    """Refuse cameras that no point can be triangulated from; notes report how files were matched to cameras.
+    """Raise an error for cameras that cannot triangulate; `notes` report how files were matched to cameras.
 
     Raises
     ------
     ConfigError
-        There is one camera only, or all stand in one place.
+        There is only one camera, or all are at the same position.
     """
     if len(cameras) < 2:
         listed = cameras[0].name if cameras else "none"

@@ -121,7 +121,7 @@ def fitted_matrix(cloud: Cloud) -> F64:
     Raises
     ------
     SourceError
-        The cloud has no rows, too few points, or is no image of a camera without distortion.
+        The cloud has no rows, too few points, or does not fit a camera without distortion.
     """
     found = _fit(cloud)
     matrix, residual = found

@@ -180,7 +180,7 @@ def recording_truth(file: DepthRecordingsFile, name: str) -> str | Path | None:
     Raises
     ------
     ConfigError
-        The file is not there; the message names file, line and key.
+        The file does not exist; the message names file, line and key.
     """
     return _Entry(file, name, file.entry(name)).truth()
 

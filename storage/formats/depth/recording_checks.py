@@ -61,7 +61,7 @@ class Extents(NamedTuple):
 
 
 def measured_extents(camera: DepthCamera, images: Mapping[int, F32], background: F32 | None) -> Extents | None:
-    """Return distance and size of what stands before the background.
+    """Return distance and size of what is in front of the background.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def moved_frames(images: Mapping[int, F32], background: F32) -> dict[int, float]
 
 
 def other_unit(images: Mapping[int, F32], background: F32) -> float | None:
-    """Return the ratio of the images' distance to that of the background if only other units explain it, else None."""
+    """Return the ratio of the images' distances to the background's if it implies another unit; else None."""
     ratios = [
         np.median(image[both] / background[both])
         for image in images.values()
@@ -162,7 +162,7 @@ def shows_room(images: Mapping[int, F32]) -> bool:
 
 
 def intrinsics_note(camera: DepthCamera) -> str:
-    """Return a note on a principal point that lies far from the middle of the image; empty where it does not."""
+    """Return a note on a principal point far from the middle of the image; empty if it is near the middle."""
     for side, centre, name in (
         (camera.size[0], camera.matrix[0, 2], "cx"),
         (camera.size[1], camera.matrix[1, 2], "cy"),

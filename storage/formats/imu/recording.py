@@ -176,7 +176,7 @@ def _unfinished(path: Path) -> str:
 
 
 def _share_clock(sensors: Sequence[RawSensor]) -> None:
-    """Shift counters and absolute clocks so that they begin with the first sample of any sensor."""
+    """Shift counters and absolute clocks so that the first sample of any sensor is at 0."""
     starts: list[int] = []
     counted = [(sensor, sensor.steps) for sensor in sensors if sensor.steps is not None and len(sensor.steps)]
     for sensor, steps in counted:

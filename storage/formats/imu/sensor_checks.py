@@ -360,7 +360,7 @@ def _measured_rate(times: F64) -> float | None:
 def _gaps(
     times: F64, rate_hz: float, parts: tuple[F64 | None, ...], mag: F64 | None
 ) -> tuple[tuple[float, float], ...]:
-    """Return the intervals of more than 50 ms in which a channel was not measured, the field only if it is alone.
+    """Return the intervals of more than 50 ms in which a channel is missing; the magnetic field counts only alone.
 
     Below 30 Hz, intervals must be longer than one and a half steps.
     """

@@ -71,7 +71,7 @@ class Written:
     paths : tuple of Path
         The files, each of them complete.
     renamed : dict of str to str
-        Take → name of its file, where the take's own name cannot be one.
+        Take → name of its file, if the take's own name is not a valid file name.
     excluded : tuple of str
         Takes that the format cannot hold, since their names or those of their classes would be changed on reading.
     """
@@ -111,7 +111,7 @@ def write_labels(takes: Sequence[TakeLabels], form: str | None, output: str | Pa
         A key of `FORMATS`, in upper or lower case; None for the format of the file's ending, CSV for a folder.
     output : str or Path
         A file if its name ends as the format's files do; a folder if it does not, exists as one, or has a slash at its
-        end. Missing folders are made, and the files in them bear the takes' names, as far as `file_names` allows.
+        end. Missing folders are made, and the files in them are named after the takes, as far as `file_names` allows.
     force : bool, optional
         Replace existing files.
 
@@ -123,9 +123,9 @@ def write_labels(takes: Sequence[TakeLabels], form: str | None, output: str | Pa
     Raises
     ------
     KinedexError
-        The format is unknown, files exist already (none is written then), a file of a format for one take would hold
-        several, the format can hold none of the takes, or cannot store the limb of a label, or a file
-        cannot be written.
+        The format is unknown, files exist already (none is written then), a file of a format for one take would get
+        several, the format can store none of the takes, or cannot store the limb of a label, or a file cannot be
+        written.
     """
     folder = str(output).endswith("/") or os.path.isdir(output)
     kind = _format(form, output, folder)

@@ -25,7 +25,7 @@ def ground_truth_files(pattern: str, roots: Iterable[str | Path]) -> list[Path]:
     Raises
     ------
     KinedexError
-        There is no such file, or a root is gone; the message names the places that were searched.
+        There is no such file, or a root does not exist; the message names the folders that were searched.
     """
     folders, below = _places(pattern, roots)
     found = _found(folders, below)

@@ -249,7 +249,7 @@ class BvhFile(RowFile):
             yield values
 
     def _error(self, fault: t.Fault, rows: int, block: Block, source: Iterator[Block]) -> SourceError:
-        """Return the SourceError for a fault after `rows` sound rows of a block; `source` yields later blocks."""
+        """Return the SourceError for a fault after `rows` valid rows of a block; `source` yields later blocks."""
         if fault.code == t.FULL:
             return changed(self.path)
         at, data = fault.line + block.line - 1, block.data

@@ -256,7 +256,7 @@ def mapped_orientation(fit: Fit, turned: F64, own: F64 | None = None) -> F64:
     turned : float64 array (9, T)
         Rotations of the root in the file's axes.
     own : float64 array (3, 3), optional
-        The root's own axes at rest, if they differ from the file's.
+        The root's own axes at rest; by default those of the file.
 
     Returns
     -------
