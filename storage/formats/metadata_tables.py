@@ -24,7 +24,7 @@ KEYS = ("take", "file", "path", "source", "filename", "name", "stem")
 """The names of key columns; in a table without any of them, the first column is the key."""
 
 ENDINGS = (".csv", ".tsv", ".txt", ".yaml", ".yml", ".json")
-"""The endings of tables."""
+"""File endings of tables about takes."""
 
 MOST_ROWS = 500_000
 MOST_COLUMNS = 200

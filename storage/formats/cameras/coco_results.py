@@ -19,7 +19,7 @@ _MOST_ENTRIES = 2_000_000
 
 
 def read_coco_results(path: Path) -> SeenPersons:
-    """Read the persons of one camera.
+    """Read the persons that a camera saw, from COCO results.
 
     The frame is `image_id`, a number or the name of an image with one. Visibilities 0, 1 and 2 become confidences 0, 1
     and 1.

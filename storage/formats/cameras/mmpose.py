@@ -36,7 +36,7 @@ def are_mmpose(files: Sequence[Path]) -> bool:
 
 
 def read_mmpose(files: Sequence[Path]) -> SeenPersons:
-    """Read the persons of one camera.
+    """Read the persons that a camera saw, from files of MMPose.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ _NUMBERED = re.compile(r".*?(?P<number>\d+)(?:_keypoints)?$", re.DOTALL)
 
 
 def read_openpose(files: Sequence[Path]) -> SeenPersons:
-    """Read the persons of one camera.
+    """Read the persons that a camera saw, from files of OpenPose.
 
     Parameters
     ----------

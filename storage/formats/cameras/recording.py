@@ -303,7 +303,7 @@ def _keypoint_set(file: RecordingsFile, name: str) -> KeypointSet | None:
 
 
 def _mask_arrays(files: CameraFiles) -> dict[str, tuple[Path, str]]:
-    """Return the name of a camera's masks → file and array, of one NPZ file or of one for each camera."""
+    """Return the name of a camera's masks → NPZ file and array, for one file of all cameras or a file for each."""
     arrays: dict[str, tuple[Path, str]] = {}
     for value, paths in files.files.items():
         names = mask_arrays(paths[0])
