@@ -1,4 +1,7 @@
-"""The numbers: numpy in, numpy out; compiled kernels. No files but theirs, no SQL, no configuration, no logging."""
+"""This package computes: its functions take and return numpy arrays, with compiled kernels underneath.
+
+It reads and writes no files but the cache of compiled kernels, and has no SQL, configuration or logging.
+"""
 
 from pathlib import Path
 

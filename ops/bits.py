@@ -1,4 +1,4 @@
-"""Kernels that count and locate the bits of a word."""
+"""These kernels count and locate the bits that are set in a word."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ def count_bits(bits: np.uint64) -> np.int64:
 
 @nb.njit(cache=True, nogil=True)
 def lowest_bit(bits: np.uint64) -> np.int64:
-    """Return the position of the lowest bit that is set; there must be one."""
+    """Return the position of the lowest bit that is set; `bits` must not be 0."""
     return count_bits((bits - _1) & ~bits)
 
 
 @nb.njit(cache=True, nogil=True)
 def highest_bit(bits: np.uint64) -> np.int64:
-    """Return the position of the highest bit that is set; there must be one."""
+    """Return the position of the highest bit that is set; `bits` must not be 0."""
     return count_bits(filled_below(bits)) - 1
 
 
 @nb.njit(cache=True, nogil=True)
 def filled_below(bits: np.uint64) -> np.uint64:
-    """Return all bits up to the highest one that is set."""
+    """Return a word in which all bits up to the highest one that is set in `bits` are set."""
     for width in (1, 2, 4, 8, 16, 32):
         bits |= bits >> np.uint64(width)
     return bits

@@ -1,1 +1,1 @@
-"""Annotation: from distance curves to labelled segments, frame by frame or for a whole take at once."""
+"""Annotation turns distance curves into labelled segments, frame by frame or for a whole take at once."""

@@ -1,10 +1,11 @@
-"""The background that motions stand out from: the postures that an archive usually shows.
+"""This module learns a background model: the postures that the takes of an archive usually show.
 
-One average over all frames would be a poor background: nobody is ever in it, as features occur together (who lies has
-no foot raised and no fast hand), and whatever any motion does is likelier than the average. So the background is a few
-postures, each with its own share of frames in which a feature is on, found by splitting: the average is divided into
-two along the direction in which frames differ most, both are improved by expectation and maximisation, and so on
-(Linde, Buzo and Gray, An Algorithm for Vector Quantizer Design, 1980; here for a mixture of Bernoulli distributions).
+One average over all frames would be a poor background: features occur together (a person who lies has no foot raised
+and no fast hand), so no frame resembles the average, and every motion is likelier under its own model. So the
+background is a few postures, each with its own share of frames in which a feature is on, found by splitting: the
+average is divided into two along the direction in which frames differ most, both are improved by expectation and
+maximisation, and so on (Linde, Buzo and Gray, An Algorithm for Vector Quantizer Design, 1980; here for a mixture of
+Bernoulli distributions).
 """
 
 from __future__ import annotations
@@ -20,14 +21,16 @@ from kinedex.ops.words import NO_WORD, U64, bits
 F64 = npt.NDArray[np.float64]
 
 SPLITS = 2
-"""The number of divisions of all postures: 2 gives four. Chosen on clips of excluded actors (`studies.decoding`)."""
+"""The number of times that every posture is divided: 2 gives four postures. Chosen on clips of excluded actors
+(`studies.decoding`).
+"""
 
 _ROUNDS = 20
-_LEAST = 0.05  # while postures are learned, no feature is surer than this
+_LEAST = 0.05  # probabilities of features stay at least this far from 0 and 1 while postures are learned
 
 
 def background(words: Sequence[U64], features: int, splits: int = SPLITS) -> F64:
-    """Learn the usual postures from frames of all kinds.
+    """Learn the postures of the background from frames of all kinds by repeated splitting.
 
     Parameters
     ----------
@@ -63,13 +66,14 @@ def background(words: Sequence[U64], features: int, splits: int = SPLITS) -> F64
         postures = _split(on, counts, postures)
         for _ in range(_ROUNDS):
             belongs = _belongings(on, counts, postures)
-            # half a frame on and half a frame off besides, so that a posture of no frames is nothing in particular
+            # half a frame with and half a frame without each feature are added, so that an empty posture has
+            # probabilities of 1/2
             postures = (belongs.T @ on + 0.5) / (belongs.sum(axis=0) + 1.0)[:, None]
     return postures
 
 
 def log_likelihoods(words: U64, usual: F64, smoothing: float) -> F64:
-    """Return how likely words are in the background, as logarithms.
+    """Return the log likelihood of words under the background model.
 
     Parameters
     ----------
@@ -98,7 +102,7 @@ def _scores(on: F64, postures: F64) -> F64:
 
 
 def _belongings(on: F64, counts: npt.NDArray[np.int64], postures: F64) -> F64:
-    """Return how many frames of each word belong to each posture, (V, K)."""
+    """Return how many frames of each word belong to each posture, (V, K), by the posterior of the mixture."""
     scores = _scores(on, np.clip(postures, _LEAST, 1.0 - _LEAST))
     shares = np.exp(scores - scores.max(axis=1, keepdims=True))
     result: F64 = shares / shares.sum(axis=1, keepdims=True) * counts[:, None]
@@ -106,7 +110,7 @@ def _belongings(on: F64, counts: npt.NDArray[np.int64], postures: F64) -> F64:
 
 
 def _split(on: F64, counts: npt.NDArray[np.int64], postures: F64) -> F64:
-    """Divide every posture into two, a standard deviation to both sides along the first principal component."""
+    """Divide every posture into two, one standard deviation to either side along the first principal component."""
     halves = []
     for belongs in _belongings(on, counts, postures).T:
         total = max(float(belongs.sum()), 1e-12)
@@ -114,6 +118,7 @@ def _split(on: F64, counts: npt.NDArray[np.int64], postures: F64) -> F64:
         around = on - centre
         variances, directions = np.linalg.eigh((around * belongs[:, None]).T @ around / total)
         direction = directions[:, -1] * np.sqrt(max(float(variances[-1]), 0.0))
-        direction *= np.sign(direction[int(np.argmax(np.abs(direction)))])  # eigenvectors have no sign of their own
+        # the sign of an eigenvector is arbitrary, so it is fixed here
+        direction *= np.sign(direction[int(np.argmax(np.abs(direction)))])
         halves += [centre + direction, centre - direction]
     return np.stack(halves)

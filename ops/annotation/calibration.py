@@ -1,4 +1,4 @@
-"""Thresholds from examples: the distance that separates the clips of a class best from all others."""
+"""This module chooses the distance threshold that best separates the clips of a class from all other clips."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ F64 = npt.NDArray[np.float64]
 
 
 def best_threshold(own: F64, others: F64) -> tuple[float, float]:
-    """Return the threshold τ of the greatest F, and that F.
+    """Return the threshold τ with the greatest F-measure, and that F-measure.
 
     Clips of a distance below τ are assigned to the class. F = 2 TP / (2 TP + FP + FN), TP the clips of the class below
-    τ, FP the others below it, FN = those of the class that are not. Every τ between two distances divides the clips
-    alike, so the middle between them stands for all; of several that divide equally well, the one in the widest gap,
-    then the lowest. Nothing beyond the greatest distance counts as a gap: there τ is the middle between it and twice of
-    it.
+    τ, FP the others below it, FN = those of the class that are not. Every τ between two distances gives the same F, so
+    their midpoint is used; of several intervals with the greatest F, the widest is chosen, then the lowest. The
+    interval above the greatest distance counts as width 0, and its τ is 1.5 times that distance.
 
     Parameters
     ----------
@@ -46,7 +45,7 @@ def best_threshold(own: F64, others: F64) -> tuple[float, float]:
 
 
 def threshold_scores(own: F64, others: F64) -> tuple[F64, F64]:
-    """Return the F of all thresholds, as a function that changes at the distances of clips.
+    """Return the F-measure for every threshold, as a step function that changes at the distances of clips.
 
     Parameters
     ----------

@@ -1,9 +1,10 @@
-"""Confidence: the probability that a segment has the right label, learned from segments of which that is known.
+"""Confidence is the probability that a segment's label is right, learned from segments whose labels were checked.
 
-A logistic regression of few numbers of each segment (its evidence), with an offset for each class. Few segments are
-known, so that coefficients are uncertain: they have a normal prior, and their uncertainty (Laplace's approximation of
-the posterior) draws a confidence towards one half. (MacKay, The Evidence Framework Applied to Classification Networks,
-1992; Platt, Probabilistic Outputs for Support Vector Machines, 1999, is the case of one number and no prior.)
+The model is a logistic regression on a few numbers of each segment (its evidence), with an offset for each class. Few
+checked segments exist, so coefficients are uncertain: they have a normal prior, and their uncertainty (Laplace's
+approximation of the posterior) draws a confidence towards one half. (MacKay, The Evidence Framework Applied to
+Classification Networks, 1992; Platt, Probabilistic Outputs for Support Vector Machines, 1999, is the case of one number
+and no prior.)
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ OFFSET_SPREAD, SLOPE_SPREAD, CLASS_SPREAD = 1.5, 0.5, 0.5
 """Standard deviations of the normal prior, in log odds: of the common offset, of slopes (for a change of one scale),
 and of the offsets of classes."""
 
-_STEPS, _CLOSE = 100, 1e-10  # of Newton's method: the most, and the improvement below which it ends
+_STEPS, _CLOSE = 100, 1e-10  # Newton's method: the most iterations, and the improvement at which it ends
 
 
 @dataclass(frozen=True)
 class Prior:
-    """The evidence that a method has, and the expectations from other archives.
+    """The prior of a method: the numbers used as evidence, and the coefficients expected from other archives.
 
     Parameters
     ----------
@@ -70,7 +71,7 @@ PRIORS: Mapping[str, Prior] = {
 … --seeds 0 1 --prior` prints them."""
 
 UNKNOWN = Prior(PRIORS["thesis"].evidence, PRIORS["thesis"].centres, PRIORS["thesis"].scales, 0.0, (0.0,) * 7)
-"""The prior of other methods: it expects nothing."""
+"""The prior of methods that `PRIORS` lacks: all of its expected coefficients are 0."""
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,10 @@
-"""The best explanation of a take by a sequence of motion templates: one label a frame, found by dynamic programming.
+"""Decoding finds the sequence of motion templates that explains a take best, one label a frame, by dynamic programming.
 
 Where the thesis labels every frame by the nearest template on its own (Chapter 5), this finds the sequence of
 templates, with background in between, that explains all frames best together. A frame that belongs to a template's
 column has the likelihood of that column's feature values; in the background it has the likelihood of its word in the
-usual postures (`ops.annotation.background`). The value of an explanation is the sum of the logarithms of the ratio of
-both, and the explanation of the greatest value is found exactly.
+background postures (`ops.annotation.background`). The value of an explanation is the sum of the log ratios of the two,
+and the explanation of the greatest value is found exactly.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 BLOCK_FRAMES = 32
-"""Templates that are promising somewhere begin and end together, at multiples of so many frames."""
+"""The block length in frames: a template's promising ranges are widened to multiples of it."""
 
 STANDING_OUT = 0.05
-"""Value per frame, in nats per feature, that makes a segment stand out from the background by 1 − 1 / e."""
+"""The value per frame, in nats per feature, at which a segment's background factor in `margins` is 1 − 1 / e."""
 
 
 @dataclass(frozen=True)
 class Decoding:
-    """The parameters of an explanation, in nats per frame and feature; chosen on clips of actors who were excluded.
+    """The parameters of decoding, in nats per frame and feature; chosen on clips of excluded actors.
 
     Parameters
     ----------
@@ -77,13 +77,13 @@ class Decoding:
 
     @property
     def costs(self) -> Costs:
-        """The costs as kernels need them."""
+        """Return the costs as the tuple that kernels take."""
         return Costs(float(self.entry), float(self.skip), float(self.stay))
 
 
 @dataclass(frozen=True, order=True)
 class Explained:
-    """A segment that a template explains.
+    """A segment of a take that decoding assigns to a template.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ class Explained:
 
 
 def _linear(templates: Sequence[Template], usual: F64, decoding: Decoding) -> tuple[F64, F64]:
-    """Return log P(word | column) / f, plus the gain, linear in the bits of a word: slopes (f, C), intercepts (C,)."""
+    """Return log P(word | column) / f plus the gain, linear in the bits of a word: slopes (f, C), intercepts (C,)."""
     values = np.concatenate([template.values for template in templates])
     if usual.ndim != 2 or values.shape[1] != usual.shape[1]:
         raise ParameterError("usual", f"postures of {values.shape[1]} features", usual.shape)
@@ -118,7 +118,7 @@ def _offsets(words: U64, usual: F64, decoding: Decoding) -> F64:
 
 
 def frames_of(words: U64 | Frames, usual: F64, decoding: Decoding) -> Frames:
-    """Return the frames of a take, as kernels need them; once where a take is looked at several times."""
+    """Return the frames of a take in the form that kernels take; reuse them for several calls on one take."""
     if isinstance(words, Frames):
         return words
     vocabulary, codes = np.unique(words, return_inverse=True)
@@ -126,7 +126,7 @@ def frames_of(words: U64 | Frames, usual: F64, decoding: Decoding) -> Frames:
 
 
 def lay_columns(templates: Sequence[Template], usual: F64, decoding: Decoding) -> Columns:
-    """Lay all templates end to end, as `explain` and `margins` need them; once where there are many takes.
+    """Concatenate the columns of all templates for `explain` and `margins`; reuse them for many takes.
 
     Parameters
     ----------
@@ -287,7 +287,7 @@ def exclusive_shares(
 
 
 def _overlap(promising: I64, starts: I64, stops: I64, templates: int) -> Bool:
-    """Return which templates have a promising range in each segment, bool (S, T)."""
+    """Return for each segment the templates that have a promising range in it, bool (S, T)."""
     found = np.zeros((len(starts), templates), bool)
     for own, start, stop in zip(found, starts.tolist(), stops.tolist(), strict=True):
         own[promising[(promising[:, 1] < stop) & (promising[:, 2] > start), 0]] = True
@@ -295,9 +295,9 @@ def _overlap(promising: I64, starts: I64, stops: I64, templates: int) -> Bool:
 
 
 def _allowed_and_promising(allowed: Bool, changes: I64, promising: I64) -> tuple[Bool, I64]:
-    """Return what `_allowed` returns, of the frames in which templates are promising, too.
+    """Return the result of `_allowed`, restricted to the blocks in which templates are promising.
 
-    Frames are taken in blocks: to begin and to end a template costs more than some frames of it.
+    Ranges are rounded to blocks, as starting and ending a template takes longer than computing a few more frames of it.
     """
     blocks = np.zeros((len(allowed), -(-int(changes[-1]) // BLOCK_FRAMES) + 1), np.int64)
     np.add.at(blocks, (promising[:, 0], promising[:, 1] // BLOCK_FRAMES), 1)
@@ -311,7 +311,7 @@ def _allowed_and_promising(allowed: Bool, changes: I64, promising: I64) -> tuple
 
 
 def _allowed(ranges: Sequence[I64] | None, templates: int, frames: int) -> tuple[Bool, I64]:
-    """Return the frames in which each template may be, and the frames in which that changes.
+    """Return the frames in which each template may occur, and the frames at which that set changes.
 
     The first is bool (T, L), or (T, 0) where all may be everywhere; the second ascends from 0 to L.
     """

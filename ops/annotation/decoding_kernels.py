@@ -1,8 +1,8 @@
-"""The kernels of `decoding`: forwards from frame to frame over the columns of all templates, and back to the starts.
+"""These kernels do the dynamic programming of `decoding`: a forward pass over all frames, and the backtracking.
 
 The columns of all templates lie end to end, `MAX_STEP` empty ones before each template, so that one loop without
 branches covers all of them. The log ratios of a frame are those of the frame before it, changed by the few features
-that changed; they are summed anew from time to time, so that rounding errors do not add up.
+that changed; they are recomputed from time to time, so that rounding errors do not accumulate.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ I64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
 
 MAX_STEP = 3
-"""The longest step, in columns and in frames."""
+"""The longest step of a path, in columns and in frames."""
 
 TOLERANCE = 1e-9
-"""Values closer than this are equal."""
+"""Values that differ by less than this count as equal."""
 
-_RING = 4  # rows held: of a frame and of the three before it
-_ANEW = 64  # changes after which log ratios are summed anew
+_RING = 4  # rows of the ring buffer: the current frame and the three before it
+_ANEW = 64  # changes after which log ratios are recomputed from all features
 _ONE = np.uint64(1)
 
 
@@ -76,7 +76,7 @@ class Costs(NamedTuple):
 def forwards(
     frames: Frames, columns: Columns, costs: Costs, allowed: Bool, changes: I64, origins: I64
 ) -> tuple[F64, I64]:
-    """Return the greatest value of the frames before each frame (kernel).
+    """Return the greatest value of an explanation of the frames before each frame (kernel).
 
     Parameters
     ----------
@@ -114,9 +114,9 @@ def forwards(
 
 @nb.njit(cache=True, nogil=True)
 def summed_anew(words: U64) -> I64:
-    """Return for each frame of a take the last one in which its log ratios are summed anew (kernel).
+    """Return for each frame the last frame, up to it, at which its log ratios are recomputed in full (kernel).
 
-    From there on `advance` finds the log ratios that it finds from the beginning of the take, to the last bit.
+    Started there, `advance` computes the same log ratios as from the beginning of the take, to the last bit.
     """
     result = np.zeros(len(words), np.int64)
     changed, last = _ANEW, 0
@@ -132,7 +132,7 @@ def summed_anew(words: U64) -> I64:
 
 @nb.njit(cache=True, nogil=True)
 def rival_values(frames: Frames, columns: Columns, costs: Costs, rivals: Bool, starts: I64, stops: I64) -> F64:
-    """Return, for each segment, the greatest value that its rivals reach (kernel).
+    """Return, for each segment, the greatest value that its rival templates reach (kernel).
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def advance(
     value: F64,
     winner: I64,
 ) -> None:
-    """Continue an explanation by the active templates over frames [start, stop) (kernel).
+    """Continue the forward pass over frames [start, stop) with the active templates (kernel).
 
     Parameters
     ----------
@@ -240,7 +240,7 @@ def advance(
 
 @nb.njit(cache=True, nogil=True)
 def _spans(columns: Columns, active: Bool) -> list[tuple[int, int]]:
-    """Return the columns of active templates, those of neighbours together, each with its empty columns before it."""
+    """Return the column ranges of active templates, neighbours merged, each with the empty columns before it."""
     found = [(0, 0)]
     for template in range(len(active)):
         if active[template]:
@@ -255,7 +255,7 @@ def _spans(columns: Columns, active: Bool) -> list[tuple[int, int]]:
 
 @nb.njit(cache=True, nogil=True)
 def sum_ratios(row: F64, word: np.uint64, offset: float, columns: Columns, first: int) -> None:
-    """Fill the log ratios of a word in the columns from the first on."""
+    """Fill in the log ratios of a word for the columns from the first on."""
     end = first + len(row)
     intercepts = columns.intercepts[first:end]
     for n in range(len(row)):
@@ -275,7 +275,7 @@ def sum_ratios(row: F64, word: np.uint64, offset: float, columns: Columns, first
 def change_ratios(
     row: F64, before: F64, old: np.uint64, new: np.uint64, difference: float, slopes: F64, first: int
 ) -> None:
-    """Fill the log ratios of a word from those of the word before, in double or single precision.
+    """Fill in the log ratios of a word by updating those of the word before, in double or single precision.
 
     Parameters
     ----------
@@ -310,7 +310,7 @@ def change_ratios(
 
 @nb.njit(cache=True, nogil=True)
 def step(here: F64, now: F64, once: F64, twice: F64, last: F64, second: F64, third: F64, skip: float) -> None:
-    """Fill the best value in every column but the first three, from the frames before (without branches, to vectorise).
+    """Fill in the best value of every column but the first three, from the frames before (without branches).
 
     Parameters
     ----------
@@ -339,7 +339,7 @@ def step(here: F64, now: F64, once: F64, twice: F64, last: F64, second: F64, thi
 def backwards(
     frames: Frames, columns: Columns, costs: Costs, allowed: Bool, value: F64, winner: I64
 ) -> list[tuple[int, int, int]]:
-    """Return the segments of the explanation of the greatest value: start, stop, template, the last one first (kernel).
+    """Return the segments of the best explanation as (start, stop, template), the last one first (kernel).
 
     Parameters
     ----------
@@ -397,7 +397,7 @@ def _begin(frames: Frames, columns: Columns, costs: Costs, allowed: Bool, value:
 
 @nb.njit(cache=True, nogil=True)
 def _trace(scores: F64, rows: F64, costs: Costs, value: F64) -> int:
-    """Return the row in which the best path to the last row and column begins.
+    """Return the row in which the best path to the last row and column begins, by backtracking.
 
     `scores` has `MAX_STEP` rows more than `rows`.
     """

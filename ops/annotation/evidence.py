@@ -1,4 +1,4 @@
-"""Evidence: numbers of an annotated segment that distinguish right labels from wrong ones."""
+"""Evidence is a set of numbers of an annotated segment that help to tell right labels from wrong ones."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 _NO_COST = 0.3  # stands for the cost of a segment in which no path ends
-_DISTANT = 5.0  # a segment at distance 1 / 5 has no support, however much its template asks for
+# segments with a distance of 1 / 5 or more have no support, whatever share of entries their template fixes
+_DISTANT = 5.0
 
 
 def evidence_of(
@@ -27,7 +28,7 @@ def evidence_of(
     columns: Sequence[int],
     fixed: Sequence[float],
 ) -> F64:
-    """Return numbers of segments that distinguish right labels from wrong ones.
+    """Return the numbers of segments from which the confidence of their labels is computed.
 
     Parameters
     ----------
@@ -59,7 +60,7 @@ def evidence_of(
 
 @dataclass(frozen=True)
 class _Evidence:
-    """The segments of all takes as columns, S of them, and the numbers of each."""
+    """The S segments of all takes as columns, from which each kind of evidence is computed."""
 
     found: Sequence[Sequence[Segment]]
     offsets: I64
@@ -76,7 +77,7 @@ class _Evidence:
 
     @cached_property
     def spans(self) -> I64:
-        """Return starts and stops, int64 (2, S), where all takes are laid end to end."""
+        """Return starts and stops, int64 (2, S), in frames of all takes laid end to end."""
         spans = np.array([(one.start, one.stop) for one in self.segments], np.int64).T
         return spans + self.offsets[:-1][self.takes]
 
@@ -147,8 +148,9 @@ _NUMBERS: dict[str, Callable[[_Evidence], F64]] = {
 
 @nb.njit(cache=True, nogil=True)
 def _strongest_rivals(starts: I64, stops: I64, takes: I64, classes: I64, strengths: F64) -> F64:
-    """Return the greatest strength of a segment of another class with most of the frames; its own where there is none.
+    """Return the greatest strength among segments of other classes that cover most of the segment's frames.
 
+    It is the segment's own strength where there is no such segment.
     Segments are in order of take and start, in frames of all takes laid end to end.
     """
     longest = np.max(stops - starts)

@@ -1,4 +1,4 @@
-"""The frames in which a template could label anything: elsewhere an explanation need not compare it.
+"""This module finds the frames in which a template could label anything; elsewhere decoding can skip it.
 
 The value of the explanation of a take's first frames never falls from frame to frame, so a segment is part of one only
 if the value that it adds is above 0 (`ops.annotation.decoding`). What a template can add depends on the template and on
@@ -28,10 +28,10 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 _GROUP_COLUMNS, _GROUP_TEMPLATES = 1024, 128
-"""So many columns or templates, at most, are compared with a take together: what they need stays in the cache."""
+"""The most columns and templates that are compared with a take together, so that the working set stays in the cache."""
 
 _SLACK, _SLACK_COLUMN = 1e-3, 1e-5
-"""A template may add so much less than nothing, and so much less for each of its columns, in single precision."""
+"""Slack for rounding in single precision: of a value, and in addition for each of a template's columns."""
 
 _ANEW = 64
 _ONE = np.uint64(1)
@@ -39,7 +39,7 @@ _ONE = np.uint64(1)
 
 @dataclass(frozen=True)
 class Group:
-    """Templates that are compared with a take together.
+    """A group of templates that are compared with a take together.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Group:
 
 
 def lay_groups(templates: Sequence[Template], usual: F64, decoding: Decoding) -> list[Group]:
-    """Lay templates out as `promising_ranges` needs them; once where there are many takes.
+    """Arrange templates in groups for `promising_ranges`; reuse the groups for many takes.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def promising_ranges(groups: Sequence[Group], usual: F64, words: U64, decoding: 
 
 
 def loose_ranges(groups: Sequence[Group], frames: Frames, decoding: Decoding) -> I64:
-    """Return ranges of a take outside of which no path of a template adds anything, whatever is rounded.
+    """Return ranges of a take outside of which no path of a template can have a positive value, rounding included.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def loose_ranges(groups: Sequence[Group], frames: Frames, decoding: Decoding) ->
 def _scan(
     words: U64, offsets: F32, slopes: F32, intercepts: F32, firsts: I64, lengths: I64, costs: Costs
 ) -> tuple[F32, F32]:
-    """Return the most that each template alone adds up to each frame, in its last and in its first column (kernel).
+    """Return the greatest value that each template alone adds up to each frame, in its last and first column (kernel).
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ def _scan(
 
 @nb.njit(cache=True, nogil=True)
 def _sum_single(row: F32, word: np.uint64, offset: np.float32, slopes: F32, intercepts: F32) -> None:
-    """Fill the log ratios of a word."""
+    """Fill in the log ratios of a word in single precision."""
     for n in range(len(row)):
         row[n] = intercepts[n] + offset
     for bit in range(len(slopes)):
@@ -227,7 +227,7 @@ def _sum_single(row: F32, word: np.uint64, offset: np.float32, slopes: F32, inte
 
 @nb.njit(cache=True, nogil=True)
 def _ranges(frames: Frames, columns: Columns, costs: Costs, ends: F32, begins: F32) -> I64:
-    """Return template, start and stop of the ranges of all templates (kernel)."""
+    """Return template, start and stop of the promising ranges of all templates (kernel)."""
     found = np.empty((16, 3), np.int64)
     size = 0
     for template in range(len(ends)):
@@ -239,7 +239,7 @@ def _ranges(frames: Frames, columns: Columns, costs: Costs, ends: F32, begins: F
             if own[frame] <= -slack:
                 frame += 1
                 continue
-            # ends that lie close together are one range
+            # ends that lie close together are merged into one range
             last = frame
             place = frame + 1
             while place < count and place <= last + length:
@@ -309,7 +309,7 @@ def _ratio(frames: Frames, columns: Columns, column: int, frame: int) -> float:
 def _reach(
     frames: Frames, columns: Columns, costs: Costs, template: int, end: int, ends: F32, begins: F32, slack: float
 ) -> int:
-    """Return a frame before which no path begins that ends in a frame or after it.
+    """Return a lower bound of the first frames of all paths that end at a given frame or later.
 
     Between the first and the last column a path takes three frames a column at most; it is followed for as long as it
     may stay in the last one, and then for as long as it may stay in the first one.
@@ -328,7 +328,7 @@ def _reach(
 def _earliest(
     frames: Frames, columns: Columns, costs: Costs, template: int, window: int, first_end: int, last_end: int
 ) -> int:
-    """Return the first frame of the paths that add something and end in frames from `first_end` to `last_end`, or −1.
+    """Return the first frame of all paths of positive value that end from `first_end` to `last_end`, or −1.
 
     No such path begins before `window`.
     """
@@ -388,7 +388,7 @@ def _step_with_starts(
     third_begun: I64,
     skip: float,
 ) -> None:
-    """Fill the best value in every column, and the frame in which its path began; see `decoding_kernels`."""
+    """Fill in the best value of every column and the first frame of its path; see `decoding_kernels.step`."""
     for n in range(len(here)):
         best, start = last[n + 2], last_begun[n + 2]
         other = last[n + 1] - skip

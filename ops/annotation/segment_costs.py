@@ -1,4 +1,4 @@
-"""The distance of segments that were found without distances: the least of their template's curve in their frames."""
+"""This module adds distances to segments that were found without: the least value of the template's distance curve."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ I64 = npt.NDArray[np.int64]
 def least_costs(
     templates: Sequence[QuantisedTemplate], words: U64, ranges: Sequence[I64], chosen: I64, starts: I64, stops: I64
 ) -> F64:
-    """Return the least distance of the paths that end in each segment.
+    """Return the least distance of the template's paths that end in each segment.
 
-    No path to a template of N columns is longer than 2 N − 1 frames, so that the curve is computed in the frames of the
-    segments and so many frames before them only.
+    No path to a template of N columns is longer than 2 N − 1 frames, so the curve is only computed for each segment and
+    the 2 N − 1 frames before it.
 
     Parameters
     ----------

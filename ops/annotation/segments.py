@@ -1,7 +1,7 @@
-"""From the minima of distance curves to annotated segments (thesis, Section 5.2).
+"""This module makes annotated segments from the minima of distance curves (thesis, Section 5.2).
 
-Templates fit in few places: a class's modified curve is ∞ nearly everywhere. It is kept where it is finite only, as
-*islands* of neighbouring frames, and whatever is decided frame by frame is decided there.
+Templates match in few places, so a class's modified curve is ∞ nearly everywhere. Only its finite parts are stored, as
+*islands* of neighbouring frames, and the computations run over these.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Bool = npt.NDArray[np.bool_]
 
 TOLERANCE = 1e-9
 
-_BLOCK = 64  # frames that are passed over together where nothing lies in them
+_BLOCK = 64  # frames that are skipped at once where all values are infinite
 
 
 @dataclass(frozen=True, order=True)
@@ -77,13 +77,13 @@ class Matches:
         return len(self.offsets) - 1
 
     def parts(self) -> list[tuple[I64, I64, F64]]:
-        """Return the starts, ends and costs of each template."""
+        """Return one (starts, ends, costs) tuple for each template."""
         pieces = [slice(start, stop) for start, stop in pairwise(self.offsets.tolist())]
         return [(self.starts[piece], self.ends[piece], self.costs[piece]) for piece in pieces]
 
     @staticmethod
     def of(parts: Sequence[tuple[I64, I64, F64]]) -> Matches:
-        """Concatenate the starts, ends and costs of templates."""
+        """Concatenate the (starts, ends, costs) tuples of templates into `Matches`."""
         offsets = np.cumsum([0, *(len(costs) for _, _, costs in parts)]).astype(np.int64)
         starts = np.concatenate([np.empty(0, np.int64), *(one for one, _, _ in parts)])
         ends = np.concatenate([np.empty(0, np.int64), *(one for _, one, _ in parts)])
@@ -246,7 +246,7 @@ def class_curves(
 
 @nb.njit(cache=True, nogil=True)
 def nearest_classes(islands: I64, values: F64, frames: int) -> tuple[I64, I64, F64, F64]:
-    """Return the label, the nearest class, its cost and the next class's cost of each frame (kernel).
+    """Return each frame's label, nearest class, that class's cost and the next class's cost (kernel).
 
     The label is −1 where there is none.
     """
@@ -273,7 +273,7 @@ def nearest_classes(islands: I64, values: F64, frames: int) -> tuple[I64, I64, F
 def grow_runs(
     islands: I64, values: F64, labels: I64, nearest: I64, least: F64, second: F64, taus: F64
 ) -> tuple[I64, F64, F64]:
-    """Grow the runs of labels (kernel).
+    """Grow the labelled runs to the left and right (kernel).
 
     Returns
     -------
@@ -297,7 +297,7 @@ def grow_runs(
             while right < stop and labels[right] == p:
                 right += 1
             frame = right
-            # What grows into the segment before it has the same end as that, or one further right.
+            # A segment that grows into the one before it has the same end, or one further right.
             wall = places[found - 1, 2] if found > before else begin
             while left > wall and not curve[left - 1 - begin] > curve[left - begin] + TOLERANCE:
                 left -= 1
@@ -331,7 +331,7 @@ def grow_runs(
 def first_members(
     places: I64, least: F64, offsets: I64, starts: I64, ends: I64, costs: F64, members: I64, edges: I64
 ) -> I64:
-    """Return the first subclass of each segment's class that attains the least cost where it lies (kernel)."""
+    """Return the first subclass of each segment's class with the least cost at its minimum (kernel)."""
     longest = np.zeros(len(offsets) - 1, np.int64)
     for s in range(len(longest)):
         for place in range(offsets[s], offsets[s + 1]):

@@ -1,1 +1,1 @@
-"""Bodies: kinematics from channels to positions, gaps, resampling, and features from positions."""
+"""This package computes on bodies: forward kinematics, gaps, resampling, and features from joint positions."""

@@ -1,4 +1,4 @@
-"""Sines and cosines of arrays of angles, in compiled loops without branches that the compiler vectorises."""
+"""This module computes sines and cosines of arrays of angles in compiled loops that vectorise."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numba import njit
 F64 = npt.NDArray[np.float64]
 
 LARGEST = 1e6
-"""Radians up to which `sincos` is exact to the last digit or so; beyond, its quarter turns are not counted exactly."""
+"""The greatest angle in radians for which `sincos` is accurate; beyond it, the reduction by turns loses digits."""
 
 # A quarter turn in three pieces. The first two have 33 bits, so that their products with a count of quarter turns below
 # 2**20 are exact (Cody and Waite, "Software Manual for the Elementary Functions", 1980).
@@ -61,7 +61,7 @@ def sincos(angles: F64, sines: F64, cosines: F64) -> None:
 
 @njit(cache=True, nogil=True, _nrt=False)
 def sincos_far(angles: F64, sines: F64, cosines: F64) -> None:
-    """Compute what `sincos` does for angles of any size, one by one, with the C library."""
+    """Compute sines and cosines of angles of any size, one by one, with the C library."""
     for t in range(angles.shape[0]):
         sines[t] = np.sin(angles[t])
         cosines[t] = np.cos(angles[t])

@@ -1,4 +1,4 @@
-"""Forward kinematics of joint angles that are given as rotation vectors (axis times angle)."""
+"""This module does forward kinematics for joint rotations that are given as rotation vectors (axis times angle)."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from kinedex.ops.errors import ParameterError
 
 F64 = npt.NDArray[np.float64]
 
-_AT_ONCE = 4096  # frames: a few megabytes of matrices, whatever the take's length
+_AT_ONCE = 4096  # frames at a time, so that the matrices take a few megabytes however long the take is
 
 
 def matrices(vectors: F64) -> F64:
-    """Return the matrices (T, 3, 3) of rotation vectors (T, 3) in radians.
+    """Return the rotation matrices (T, 3, 3) of rotation vectors (T, 3) in radians.
 
     Rodrigues' formula: R = I + (sin θ / θ) K + ((1 − cos θ) / θ²) K², with K the cross product by the vector.
     """
@@ -32,7 +32,7 @@ def matrices(vectors: F64) -> F64:
 
 
 def vectors(turned: F64) -> F64:
-    """Return the rotation vectors (T, 3) in radians, up to half a turn, of matrices (T, 3, 3)."""
+    """Return the rotation vectors (T, 3) in radians, of length π at most, of rotation matrices (T, 3, 3)."""
     w, x, y, z = kinematics.quaternions(turned.reshape(-1, 9).T)
     axis = np.stack([x, y, z], axis=1) * np.where(w < 0, -1.0, 1.0)[:, None]
     sine = np.sqrt(np.einsum("ta,ta->t", axis, axis))
@@ -42,10 +42,10 @@ def vectors(turned: F64) -> F64:
 
 
 def forward(rest: F64, parents: Sequence[int], turns: F64, places: F64) -> tuple[F64, F64]:
-    """Compute the positions of the joints of a body from the rotation of each relative to its parent.
+    """Compute the joint positions of a body from the rotation of each joint relative to its parent.
 
-    The skeleton of SMPL (Loper et al. 2015, Eq. 4): a joint's offset from its parent in the rest pose turns with all
-    the turns above it.
+    The skeleton of SMPL (Loper et al. 2015, Eq. 4): a joint's offset from its parent in the rest pose is rotated by the
+    rotations of all its ancestors.
 
     Parameters
     ----------

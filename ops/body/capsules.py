@@ -1,4 +1,4 @@
-"""The surface of a body: capsules between joints of a kinematic chain."""
+"""This module models the surface of a body by capsules between the joints of a kinematic chain."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Capsule:
 
 @dataclass(frozen=True)
 class Surface:
-    """The capsules of a kinematic chain, without a body's lengths.
+    """The capsules of a kinematic chain, with radii for a body of a reference height.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class Capsules(NamedTuple):
 
 
 def body_capsules(body: ChainBody, surface: Surface, thickness: float = 1.0) -> Capsules:
-    """Return the capsules of a body, with radii in proportion to its height.
+    """Return the capsules of a body, with radii scaled by its height.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Animation curves of single numbers: steps, straight lines and cubics between keys."""
+"""This module evaluates animation curves of one number: steps, straight lines and cubics between keys."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 CONSTANT, LINEAR, CUBIC = 0x2, 0x4, 0x8
-"""Flags of a key: how the curve goes on to the next one."""
+"""Flags of a key for the interpolation up to the next key."""
 
 NEXT_VALUE = 0x100
-"""A constant key with this flag has the next key's value."""
+"""Flag of a constant key whose interval takes the next key's value."""
 
 OWN_SLOPES = 0x400
-"""A cubic key with this flag states the slopes; those of others follow from the keys beside it."""
+"""Flag of a cubic key that states its slopes; other slopes are computed from the neighbouring keys."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,14 +42,14 @@ class Curve:
     slopes: F64 | None = None
 
     def at(self, seconds: F64, late: float = 0.0) -> F64:
-        """Return the values at some times; before the first key its value, after the last one that.
+        """Return the values at some times; outside the keys, the value of the first or last key is repeated.
 
         Parameters
         ----------
         seconds : float64 array (T,)
             The times.
         late : float
-            Seconds that a constant key may come after a sample that it counts for.
+            Tolerance in seconds: a constant key that comes this late after a sample still applies to it.
         """
         straight: F64 = np.interp(seconds, self.times, self.values)
         if self.flags is None or self.slopes is None or len(self.times) < 2:
@@ -67,7 +67,7 @@ class Curve:
         return straight
 
     def _cubic(self, key: I64, seconds: F64) -> F64:
-        """Return the values of cubics (Hermite) after some keys."""
+        """Return the values of Hermite cubics on the intervals that begin at the given keys."""
         flags, slopes = self.flags, self.slopes
         assert flags is not None
         assert slopes is not None
@@ -86,7 +86,7 @@ class Curve:
         )
 
     def _smooth(self) -> F64:
-        """Return a slope at each key: that between the keys beside it, and 0 at both ends and at extremes."""
+        """Return a slope at each key: that of the line through both neighbours, and 0 at both ends and at extrema."""
         slopes = np.zeros(len(self.times))
         span = self.times[2:] - self.times[:-2]
         rise = self.values[2:] - self.values[:-2]

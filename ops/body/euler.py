@@ -1,4 +1,4 @@
-"""Euler angles of rotation matrices, in any order of the three axes and without jumps."""
+"""This module computes continuous Euler angles of rotation matrices, in any order of the three axes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ F64 = npt.NDArray[np.float64]
 
 
 def matrices_of(angles: F64, order: str) -> F64:
-    """Return the product (T, 3, 3) of rotations about axes, leftmost first.
+    """Return the products (T, 3, 3) of rotations about axes, the first axis leftmost.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def matrices_of(angles: F64, order: str) -> F64:
 
 
 def euler_angles(matrices: F64, order: str, near: F64 | None = None) -> F64:
-    """Return the angles whose product is a rotation, each frame's nearest to given ones or to the frame before.
+    """Return Euler angles of rotations, in each frame the solution nearest to given angles or to the frame before.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def euler_angles(matrices: F64, order: str, near: F64 | None = None) -> F64:
     Returns
     -------
     float64 array (T, 3)
-        Radians, in the order of the axes; not limited to a turn, so that they go on where a joint turns further.
+        Radians, in the order of the axes; unwrapped, so that they may exceed a full turn.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def euler_angles(matrices: F64, order: str, near: F64 | None = None) -> F64:
 
 @njit(cache=True, nogil=True)
 def _angles(matrices: F64, i: int, j: int, k: int, sign: float, given: F64, out: F64) -> None:
-    """Decompose with the middle angle in a quarter turn, or with its other solution where that is nearer."""
+    """Decompose into Euler angles with the middle angle within ±π/2, or the other solution where that is nearer."""
     turn = 2.0 * np.pi
     near = np.zeros(3)
     found, other = np.empty(3), np.empty(3)
@@ -82,7 +82,7 @@ def _angles(matrices: F64, i: int, j: int, k: int, sign: float, given: F64, out:
         if abs(sine) < 1.0 - 1e-12:
             found[0] = np.arctan2(-sign * m[j, k], m[k, k])
             found[2] = np.arctan2(-sign * m[i, j], m[i, i])
-        else:  # only the sum or the difference of the outer angles is known: the last one stays
+        else:  # gimbal lock: only the sum or the difference of the outer angles is known, and the last one stays
             found[2] = near[2]
             around = np.arctan2(sign * m[k, j], m[j, j])
             found[0] = around - found[2] if sine * sign > 0 else around + found[2]

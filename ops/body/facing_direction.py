@@ -1,6 +1,6 @@
-"""The direction that a body faces on the ground, and motions that begin at the origin, facing +Z.
+"""This module finds the direction that a body faces on the ground, and moves motions to the origin, facing +Z.
 
-Places are in metres with Y up and the body's left towards +X where it faces +Z.
+Positions are in metres with Y up; the left of a body that faces +Z points to +X.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Placement(NamedTuple):
 
 
 def facing_yaw(left: F64, right: F64) -> F64:
-    """Return the turn about Y from +Z of a body that stands between its left and right joints.
+    """Return the yaw of a body, the angle about Y from +Z, from its left and right joints.
 
     The body faces across the line from its right to its left joints, seen from above.
 
@@ -46,7 +46,7 @@ def facing_yaw(left: F64, right: F64) -> F64:
 
 
 def turn_about_y(places: F64, yaw: float) -> F64:
-    """Turn places about the Y axis, so that +Z comes to lie at an angle of yaw towards +X.
+    """Rotate positions about the Y axis, so that +Z comes to lie at an angle of yaw towards +X.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def turn_about_y(places: F64, yaw: float) -> F64:
 
 
 def start_at_origin(places: F64, placement: Placement) -> F64:
-    """Move and turn places so that a body of this placement stands above the origin and faces +Z; heights stay.
+    """Move and rotate positions so that a body with this placement stands at the origin facing +Z; heights stay.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def start_at_origin(places: F64, placement: Placement) -> F64:
 
 
 def turned_quaternions(turns: F64, yaw: float) -> F64:
-    """Return orientations (…, 4) w, x, y, z, of bodies that are turned about the Y axis by yaw radians."""
+    """Return quaternions (…, 4) w, x, y, z, rotated about the Y axis by yaw radians."""
     a, c = math.cos(yaw / 2.0), math.sin(yaw / 2.0)
     w, x, y, z = np.moveaxis(turns, -1, 0)
     return np.stack([a * w - c * y, a * x + c * z, a * y + c * w, a * z - c * x], axis=-1)

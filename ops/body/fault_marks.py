@@ -1,4 +1,4 @@
-"""The frames of a motion that show its faults, for the figures of `ops.body.motion_faults` that single frames cause."""
+"""This module finds the frames that cause those measures of `ops.body.motion_faults` that depend on single frames."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
 SPIKE = math.radians(40.0)
-"""A limb that turns away by more than this in one frame and back in the next is marked."""
+"""Angle in radians; a limb that turns away by more than this in one frame and back in the next is marked."""
 
 SKATE_M_S = 1.2
-"""A foot in contact that slides faster is marked."""
+"""Speed in m/s; a foot in contact with the ground that slides faster is marked."""
 
 SUNK_M = 0.1
-"""A foot that is so far below the usual height of the lowest joint is marked."""
+"""Depth in metres; a foot farther below the usual height of the lowest joint is marked."""
 
 STUCK_S = 0.2
-"""A joint that keeps its place exactly for so long, while its limb moves, is marked."""
+"""Time in seconds; a joint whose position stays identical for so long, while its limb moves, is marked."""
 
 _FEET = (("ltoes", "lankle"), ("rtoes", "rankle"))
 _LEGS = (("lhip", "lknee", "lankle"), ("rhip", "rknee", "rankle"))
@@ -39,12 +39,12 @@ _ARMS = (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"))
 
 @dataclass(frozen=True)
 class FaultMarks:
-    """The frames that show a fault.
+    """The frames of a motion that show one kind of fault.
 
     Attributes
     ----------
     figure : str
-        The figure of a take that they cause, as in `ops.body.motion_faults.MotionFaults`.
+        The measure of a take that these frames affect, as in `ops.body.motion_faults.MotionFaults`.
     name, meaning : str
         A title, and what is marked.
     frames : bool array (T,)
@@ -88,7 +88,7 @@ def fault_marks(
                 for begin, end in (*_ARMS, ("knee", "ankle")):
                     if side + begin in at and side + end in at:
                         spikes |= _spikes(at[side + end] - at[side + begin])
-                        if end != "ankle":  # a foot may stand still
+                        if end != "ankle":  # an ankle may rest while its limb moves
                             stuck |= _stuck(at[side + begin], at[side + end], rate_hz)
             knees = _knees(at, none)
             slides, sunk = _ground(at, none, rate_hz)
@@ -117,7 +117,7 @@ def _spikes(bone: F64) -> Bool:
 
 
 def _stuck(begin: F64, end: F64, rate_hz: float) -> Bool:
-    """Return the frames in which the end of a limb keeps its place for a while and its begin moves."""
+    """Return the frames in which one end of a limb keeps its position for `STUCK_S` while its other end moves."""
     still = (end[1:] == end[:-1]).all(axis=1) & (np.linalg.norm(np.diff(begin, axis=0), axis=1) * rate_hz > MOVES_M_S)
     edges = np.flatnonzero(np.diff(np.concatenate(([False], still, [False])).astype(np.int8))).reshape(-1, 2)
     found = np.zeros(len(end), np.bool_)
@@ -128,7 +128,7 @@ def _stuck(begin: F64, end: F64, rate_hz: float) -> Bool:
 
 
 def _knees(at: dict[str, F64], none: Bool) -> Bool:
-    """Return the frames in which a knee bends forwards about the line of the hips."""
+    """Return the frames in which a knee bends forwards, by the axis of its bend and the line through the hips."""
     if not all(joint in at for leg in _LEGS for joint in leg):
         return none
     left = at["lhip"] - at["rhip"]
@@ -143,7 +143,7 @@ def _knees(at: dict[str, F64], none: Bool) -> Bool:
 
 
 def _ground(at: dict[str, F64], none: Bool, rate_hz: float) -> tuple[Bool, Bool]:
-    """Return the frames in which a foot slides, and those in which one is below the floor."""
+    """Return the frames in which a foot slides, and those in which a foot is below the floor."""
     lowest = np.fmin.reduce([place[:, 1] for place in at.values()])
     if not np.isfinite(lowest).any():
         return none, none
@@ -163,6 +163,6 @@ def _ground(at: dict[str, F64], none: Bool, rate_hz: float) -> tuple[Bool, Bool]
 
 
 def _quantile(values: F64) -> float:
-    """Return the lowest usual value."""
+    """Return the `FLOOR_SHARE` quantile of the finite values."""
     known = np.sort(values[np.isfinite(values)])
     return float(known[int(FLOOR_SHARE * (len(known) - 1))])

@@ -1,4 +1,4 @@
-"""The kernel that goes through a take once, block by block, and evaluates all rules of its features."""
+"""This module has the kernel that evaluates all rules of a feature set in one pass over a take, block by block."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ I64 = npt.NDArray[np.int64]
 U64 = npt.NDArray[np.uint64]
 
 BLOCK = 256
-"""Frames of a block: what is between positions and words stays in the cache of a core."""
+"""Frames per block: the data between positions and words then stay in a core's cache."""
 
 KINDS = {name: kind for kind, name in enumerate(JOINTS_OF)}
-"""The numbers of the primitives."""
+"""The number of each primitive, by name."""
 
 GIVEN = len(KINDS)
-"""The number that stands for a primitive whose values are given."""
+"""The number that stands for a primitive whose values are computed elsewhere and passed in."""
 
 PLANE, NPLANE, VPLANE, VNPLANE, SPEED, ANGLE, SEGMENTS, TILT, HEIGHT, EXTENT_Y, EXTENT_XZ, TURN_RATE = range(GIVEN)
 A, B, C, Q, FIRST, STOP, KIND, WINDOW, ABSOLUTE, COLUMNS = range(10)
-"""The columns of a term: four joints, the place of its joints in a list, and its properties."""
+"""The columns of a term's row: four joints, its range of joints in the list of joints, and its properties."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -83,7 +83,7 @@ def frame_words(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _total(values: F64, terms: I64, total: F64) -> F64:
-    """Return the sum of some rows of values."""
+    """Return the sum of the given rows of values."""
     if len(terms) == 1:
         return values[terms[0]]
     one, other = values[terms[0]], values[terms[1]]

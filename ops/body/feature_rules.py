@@ -1,7 +1,7 @@
-"""Rules of relational features: sums of geometric primitives, compared with a weak and a strong threshold.
+"""Rules describe relational features: sums of geometric primitives, compared with a weak and a strong threshold.
 
-A rule only describes a feature; `ops.body.features` evaluates rules with compiled kernels, which whoever reads a
-feature set need not load.
+A rule only describes a feature; `ops.body.features` evaluates rules with compiled kernels, which need not be loaded to
+read a feature set.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy.typing as npt
 F64 = npt.NDArray[np.float64]
 
 ABOVE, AT_LEAST, BELOW, AT_MOST, WITHIN = range(5)
-"""The comparisons, as kernels know them."""
+"""The comparisons, numbered as kernels expect them."""
 
 COMPARISONS = {">": ABOVE, ">=": AT_LEAST, "<": BELOW, "<=": AT_MOST, "within": WITHIN}
 
@@ -89,12 +89,12 @@ class Rule:
 
     @property
     def length_joints(self) -> list[set[int]]:
-        """The joints of the length, and those of each that can stand for it; empty for plain numbers."""
+        """The joints of the length, and those of each stand-in; empty for plain numbers."""
         every = [self.length, *(pairs for _, pairs in self.stand_ins)] if self.length else []
         return [{joint for pair in pairs for joint in pair} for pairs in every]
 
     def joints(self, body: Iterable[int]) -> tuple[set[int], set[int]]:
-        """Return the joints that the terms name, and those of `body` whose lowest or highest they use."""
+        """Return the joints that the terms name, and the joints of `body` over which their extremes are taken."""
         fixed: set[int] = set()
         several: set[int] = set()
         for term in self.terms:

@@ -1,4 +1,4 @@
-"""Relational features: rules over joint trajectories give one word a frame (thesis, 2.2)."""
+"""Relational features turn joint trajectories into one word a frame by rules (thesis, 2.2)."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Pairs = tuple[tuple[int, int], ...]
 
 @lru_cache(maxsize=256)
 def window_samples(window_ms: float, rate_hz: float) -> int:
-    """Return the number of samples in a velocity window, max(1, ceil(w/1000 · rate)), without float noise."""
+    """Return the number of samples in a velocity window, max(1, ceil(w/1000 · rate)), robust to rounding errors."""
     return max(1, math.ceil(round(window_ms / 1000.0 * rate_hz, 9)))
 
 
@@ -99,7 +99,7 @@ def words(
 
 
 def words_bytes(rules: Sequence[Rule]) -> int:
-    """Return the most memory that `words` takes for a frame besides its input, values of given primitives included."""
+    """Return the most bytes that `words` needs per frame besides its input, including values of other primitives."""
     given = {term for rule in rules for term in rule.terms if term.primitive not in KINDS}
     return 8 + 8 * len(given) + max((24 * len(term.joints) + 32 for term in given), default=0)
 
@@ -112,7 +112,7 @@ def _stretch(
     measured: F64,
     primitives: Mapping[str, Primitive],
 ) -> npt.NDArray[np.uint64]:
-    """Return the words of consecutive valid frames; limb lengths are measured in one frame, (J, 3, 1)."""
+    """Return the words of consecutive valid frames; `measured` (J, 3, 1) is the frame that gives the limb lengths."""
     out = np.zeros(positions.shape[2], dtype=np.uint64)
     if not len(out):
         return out
@@ -128,7 +128,7 @@ def _stretch(
 
 
 class _Plan:
-    """Rules as the arrays that the kernel takes, see `frame_words`.
+    """Rules as the arrays that the kernel `frame_words` takes.
 
     Parameters
     ----------
@@ -172,14 +172,14 @@ class _Plan:
         self._scale_of_rule = np.array([self._scales.index(scale) for scale in scales], np.int64)
 
     def scales(self, measured: F64) -> F64:
-        """Return the length that scales the thresholds of each rule, (R, 1), from the joints in one frame, (J, 3)."""
+        """Return the length that scales each rule's thresholds, (R, 1), from the joints of one frame, (J, 3)."""
         lengths: dict[Pairs, float] = {}
         found = [_scale(scale, measured, lengths) for scale in self._scales]
         return np.array(found, np.float64)[self._scale_of_rule, None]
 
 
 def _scale(ways: Sequence[tuple[float, Pairs]], measured: F64, lengths: dict[Pairs, float]) -> float:
-    """Return a length, or the first of its stand-ins that is known; NaN where none is, 1 for plain numbers."""
+    """Return a length, or the first of its stand-ins that is known; NaN if none is, and 1 for unscaled thresholds."""
     for factor, pairs in ways:
         if pairs not in lengths:
             steps = (measured[a] - measured[b] for a, b in pairs)
@@ -191,14 +191,14 @@ def _scale(ways: Sequence[tuple[float, Pairs]], measured: F64, lengths: dict[Pai
 
 
 def _several(term: Term, joints: int) -> list[int]:
-    """Return the joints of a term of any number of them."""
+    """Return the joints of a term whose primitive takes any number of joints."""
     if term.primitive in ("height", "extent_y"):
         return [joint for joint in range(joints) if joint not in term.without]
     return list(term.joints) if term.primitive in ("speed", "extent_xz") else []
 
 
 _PLANS: dict[tuple[object, ...], _Plan] = {}
-"""Plans by the identities of their rules, which they keep alive."""
+"""Cached plans by the identities of their rules; the plans keep the rules alive."""
 
 
 def _plan(rules: Sequence[Rule], joints: int, rate_hz: float) -> _Plan:
@@ -212,7 +212,7 @@ def _plan(rules: Sequence[Rule], joints: int, rate_hz: float) -> _Plan:
 
 
 def _given(positions: F64, rate_hz: float, term: Term, primitives: Mapping[str, Primitive]) -> npt.ArrayLike:
-    """Return the values of a term whose primitive is none of `JOINTS_OF`."""
+    """Return the values of a term whose primitive is not in `JOINTS_OF`."""
     if term.primitive not in primitives:
         raise ParameterError("primitive", f"one of {', '.join((*JOINTS_OF, *primitives))}", term.primitive)
     found = primitives[term.primitive].compute(positions[list(term.joints)], rate_hz)

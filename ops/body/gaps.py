@@ -1,4 +1,4 @@
-"""Gaps in trajectories: ranges of frames in which a point was not seen, and the interpolation of short ones."""
+"""This module finds gaps in trajectories, in which a point was not seen, and interpolates the short ones."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ F64 = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Gap:
-    """A point that is missing from frame `start` up to, not including, `stop`."""
+    """A gap: a point is missing from frame `start` up to, not including, `stop`."""
 
     point: int
     start: int

@@ -1,4 +1,4 @@
-"""The tree of the 24 named joints: the joint that each one hangs from."""
+"""This module defines the tree of the 24 named joints: the parent of each joint."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ JOINT_PARENTS = {
     "lclavicle": "neck", "lshoulder": "lclavicle", "lelbow": "lshoulder", "lwrist": "lelbow", "lfingers": "lwrist",
     "rclavicle": "neck", "rshoulder": "rclavicle", "relbow": "rshoulder", "rwrist": "relbow", "rfingers": "rwrist",
 }  # fmt: skip
-"""Named joint → the joint that it hangs from; None for the root. Parents come before their children."""
+"""The parent of each named joint; None for the root. Parents come before their children."""
 
 JOINTS = tuple(JOINT_PARENTS)
 """The 24 named joints in their order, parents before children."""
 
 PARENTS = np.array([-1 if parent is None else JOINTS.index(parent) for parent in JOINT_PARENTS.values()], np.int64)
-"""The number of the joint that each of `JOINTS` hangs from; −1 for the root."""
+"""The index of the parent of each of `JOINTS`; −1 for the root."""

@@ -1,4 +1,4 @@
-"""Tracks of key frames, sampled at any times: steps, straight lines, arcs of quaternions, and cubic splines."""
+"""This module samples animation tracks at any times: steps, straight lines, slerp of quaternions, and cubic splines."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ USUAL_RATES_HZ = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 72.0, 75.0, 90.0, 100.0, 1
 """Rates of cameras and capture systems, slowest first."""
 
 OFF_GRID = 0.02
-"""Shares of a frame by which a key may miss its frame, for times of few digits."""
+"""Tolerance of a key's time as a share of a frame, for files that write times with few digits."""
 
 
 def sample_track(times: F64, values: F64, at: F64, interpolation: str, turns: bool, late: float = 0.0) -> F64:
-    """Return the values of a track at some times, before the first key its value and after the last one that.
+    """Return the values of a track at some times; outside the keys, the first or last value is repeated.
 
     Parameters
     ----------
@@ -35,7 +35,8 @@ def sample_track(times: F64, values: F64, at: F64, interpolation: str, turns: bo
     turns : bool
         True for unit quaternions, which are interpolated along arcs, and of which the result has length 1.
     late : float
-        Seconds that a step may come after a sample that it counts for, where times have few digits.
+        Tolerance in seconds: a step that comes this late after a sample still applies to it, as times may have few
+        digits.
 
     Returns
     -------
@@ -81,7 +82,7 @@ def _unit(quaternions: F64) -> F64:
 
 
 def likely_rate(times: F64) -> tuple[float, bool]:
-    """Return the rate that key frames were made at: the slowest usual one on whose frames all keys lie.
+    """Return the frame rate that keys were probably made at: the slowest usual one whose frames hold all keys.
 
     Parameters
     ----------
@@ -91,7 +92,7 @@ def likely_rate(times: F64) -> tuple[float, bool]:
     Returns
     -------
     tuple[float, bool]
-        Frames per second, and whether it is a usual rate; if not, it follows from the median step between keys.
+        Frames per second, and True for a usual rate; otherwise the rate comes from the median step between keys.
     """
     steps = np.diff(times)
     steps = steps[steps > 1e-5]

@@ -1,10 +1,10 @@
-"""The kinematic chain: a body of nodes that turn, its points for a pose, and their derivatives (thesis, Section 6.2.1).
+"""The kinematic chain of a body: its points for a pose, and their derivatives (thesis, Section 6.2.1).
 
-A pose is the place of the first node and a rotation R_k of every node. With G_k = G_parent · R_k and the centre
-c_k = c_parent + G_parent · o_k, a point q in the frame of node k is at y = c_k + G_k · q. A step x of the parameters
-adds x₁..₃ to the place, and sets R_k ← R_k · exp(Σ x_d ê_d) over the axes of the node: twists that are linearised anew
-at every pose, so that three axes in one place never lock. The derivative of y by a turn about axis e_d of a node k
-above it is (G_k e_d) × (y − c_k); by the place it is the unit vector.
+A pose is the place of the first node and a rotation R_k of every node. With G_k = G_parent · R_k and the centre c_k =
+c_parent + G_parent · o_k, a point q in the frame of node k is at y = c_k + G_k · q. A step x of the parameters adds
+x₁..₃ to the place, and sets R_k ← R_k · exp(Σ x_d ê_d) over the axes of the node: twists that are linearised at each
+pose, so that no gimbal lock occurs. The derivative of y by a turn about axis e_d of a node k above it is (G_k e_d) × (y
+− c_k); by the place it is the unit vector.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ I64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
 
 PLACES = 3
-"""The first parameters of a pose are the place of the first node; those of its turns follow, axis by axis."""
+"""The number of parameters of the first node's position; the joint angles follow them, axis by axis."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class JointRest:
-    """The place of a joint in the frame of the node that moves it.
+    """The position of a joint in the frame of the node that moves it.
 
     Attributes
     ----------
@@ -360,7 +360,7 @@ def take_step(chain: ChainArrays, place: F64, turns: F64, step: F64, new_place: 
 
 @njit(cache=True, nogil=True)
 def _rodrigues(square: float) -> tuple[float, float]:
-    """Return sin θ / θ and (1 − cos θ) / θ², from θ²: to full precision by their series where θ is small."""
+    """Return sin θ / θ and (1 − cos θ) / θ² from θ², by their series where θ is small."""
     if square < 0.03:
         return (
             1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0 * (1.0 - square / 72.0))),
@@ -384,13 +384,13 @@ def rotation_of(vector: F64) -> F64:
 
 @njit(cache=True, nogil=True)
 def vector_of(rotation: F64) -> F64:
-    """Return the rotation vector, up to half a turn, of a rotation (3, 3)."""
+    """Return the rotation vector, of length π at most, of a rotation matrix (3, 3)."""
     return np.array(log_of(rotation))
 
 
 @njit(cache=True, nogil=True)
 def log_of(rotation: F64) -> tuple[float, float, float]:
-    """Return the components of `vector_of`, by the largest component of the quaternion."""
+    """Return the components of `vector_of`, computed from the largest component of the quaternion."""
     m = rotation
     squares = (
         1 + m[0, 0] + m[1, 1] + m[2, 2], 1 + m[0, 0] - m[1, 1] - m[2, 2],
@@ -432,7 +432,7 @@ def log_derivative(vector: F64) -> F64:
 def log_gradients(
     vector: tuple[float, float, float], pull: tuple[float, float, float]
 ) -> tuple[float, float, float, float, float, float]:
-    """Return Jᵀq and J q for a pull q (a gradient by the logarithm) and J of `log_derivative`.
+    """Return Jᵀq and J q for a vector q (a gradient by the logarithm), with the J of `log_derivative`.
 
     They are q ∓ ½ v × q + b v × (v × q). The first is the gradient by a turn on the right of the rotation, the second
     minus that by a turn of the frame that the rotation is seen from.
@@ -453,7 +453,7 @@ HINGE_RAD = 0.05
 
 @njit(cache=True, nogil=True)
 def rest_cost(chain: ChainArrays, turns: F64) -> float:
-    """Return the squares of the pulls to rest and of the hinges' excess in one frame."""
+    """Return the sum of squares of the pulls to the rest pose and of the hinges' excess in one frame."""
     total, d = 0.0, 0
     for k in range(len(chain.parents)):
         if d >= len(chain.axis_nodes) or chain.axis_nodes[d] != k:
@@ -469,7 +469,7 @@ def rest_cost(chain: ChainArrays, turns: F64) -> float:
 
 @njit(cache=True, nogil=True)
 def add_rest_terms(chain: ChainArrays, turns: F64, hessian: F64, gradient: F64) -> float:
-    """Add the terms of `rest_cost` to H and g of one frame, with g half of the derivative of the cost; return the cost.
+    """Add the terms of `rest_cost` to H and g of one frame, with g half of the cost's derivative; return the cost.
 
     g holds the exact derivative of the logarithm; H takes it as the identity, and stays diagonal.
     """

@@ -1,4 +1,4 @@
-"""Forward kinematics: positions in space from the joint angles of a chain of nodes."""
+"""This module does forward kinematics: positions in space from the joint angles of a chain of nodes."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ F64 = npt.NDArray[np.float64]
 I32 = npt.NDArray[np.int32]
 
 ROTATE_X, ROTATE_Y, ROTATE_Z, MOVE_X, MOVE_Y, MOVE_Z, STRETCH = range(7)
-"""The effects of a channel on its node: rotation about an axis, translation along one, or a longer bone."""
+"""The kinds of channels: rotation about an axis, translation along one, or lengthening of the bone."""
 
 BLOCK = 120
-"""Frames per block: the matrices of a whole body then fit into the second-level cache. The rows of a block do not lie a
-power of two apart, as they would share a few lines of the first-level cache."""
+"""Frames per block: the matrices of a whole body then fit into the second-level cache. Rows are not a power of two
+apart, since they would then compete for a few lines of the first-level cache.
+"""
 
 
 @dataclass(frozen=True)
 class Step:
-    """A channel of a node: its effect, and its column in the channel matrix."""
+    """A channel of a node: its kind, and its column in the channel matrix."""
 
     kind: int
     column: int
@@ -137,7 +138,7 @@ class _Chain(NamedTuple):
     offsets: F64
 
 
-@lru_cache(maxsize=16)  # The takes of an archive share a few skeletons.
+@lru_cache(maxsize=16)  # The takes of an archive share a few skeletons, so their chains are cached.
 def _chain(nodes: tuple[Node, ...]) -> _Chain:
     for i, node in enumerate(nodes):
         if not -1 <= node.parent < i:
@@ -181,7 +182,7 @@ def _turn(a: F64, b: F64, sines: F64, cosines: F64) -> None:
 
 @njit(cache=True, nogil=True, _nrt=False)
 def _times(a: F64, b: F64, c: F64, matrix: F64, x: F64, y: F64, z: F64) -> None:
-    """Multiply a row (a, b, c) by a fixed matrix in every frame, into x, y, z."""
+    """Multiply rows (a, b, c) by a fixed matrix in every frame, and write the results to x, y, z."""
     f0, f1, f2, f3, f4, f5, f6, f7, f8 = matrix
     for t in range(a.shape[0]):
         p, q, r = a[t], b[t], c[t]
@@ -213,7 +214,7 @@ def _move(out: F64, turns: F64, x: float, y: float, z: float, lengths: F64) -> N
 
 @njit(cache=True, nogil=True, _nrt=False)
 def _copy(source: F64, target: F64) -> None:
-    """Copy a matrix by element; assigning it whole would compile the error messages for unequal shapes as well."""
+    """Copy a matrix element by element; slice assignment would also compile numba's error messages for shapes."""
     for i in range(source.shape[0]):
         for t in range(source.shape[1]):
             target[i, t] = source[i, t]
@@ -221,7 +222,7 @@ def _copy(source: F64, target: F64) -> None:
 
 @njit(cache=True, nogil=True, _nrt=False)
 def _add(values: F64, to: F64) -> None:
-    """Add numbers in place, by element as in `_copy`."""
+    """Add values in place element by element, as in `_copy`."""
     for t in range(to.shape[0]):
         to[t] += values[t]
 
@@ -244,7 +245,7 @@ def _forward(
     frames: F64, plain: npt.NDArray[np.bool_], offsets: F64, oriented: int, positions: F64, orientation: F64,
     rotations: F64, block: F64, axes: F64,
 ) -> None:  # fmt: skip
-    """Compute positions and orientation; no references to slices are counted, all memory is given.
+    """Compute positions and orientation in preallocated memory, without reference counts of slices.
 
     `rotations` is for those of every node in a block of frames, row by row, `block` for the channels of the block, its
     sines and cosines. Both are cut into arrays without gaps, which let the loops take several frames at once.
@@ -317,7 +318,7 @@ def frames_along(across: F64, up: F64) -> F64:
 
 
 def quaternions(matrices: F64, before: F64 | None = None, after: F64 | None = None) -> F64:
-    """Return unit quaternions (4, T) w x y z of rotation matrices (9, T), without jumps of sign.
+    """Return unit quaternions (4, T) w x y z of rotation matrices (9, T), continuous in sign.
 
     Parameters
     ----------
@@ -335,7 +336,7 @@ def quaternions(matrices: F64, before: F64 | None = None, after: F64 | None = No
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _quaternions(matrices: F64, left: F64, right: F64, out: F64) -> None:
-    """Convert by the largest component first, so that no divisor is near zero."""
+    """Convert matrices by their largest quaternion component, so that no divisor is near zero."""
     m, half = np.empty((3, 3)), np.empty((3, 3))
     last = np.array([1.0, 0.0, 0.0, 0.0])  # the first one has w ≥ 0
     for t in range(out.shape[1]):

@@ -1,4 +1,4 @@
-"""The judgement whether a body's left is on its left, from the places of its joints alone.
+"""This module judges from joint positions alone whether the left and right of a body are exchanged.
 
 Toes lie in front of the ankles, and knees bend forwards. Both show the direction that the body faces without the words
 left and right; the left hip then has to lie to the left of it. The judgement holds in any right-handed axes, whichever
@@ -18,10 +18,10 @@ from numba import njit
 F64 = npt.NDArray[np.float64]
 
 CLEAR = 0.15
-"""Figures nearer to 0 than this decide nothing; takes of HDM05, CMU and Bandai have 0.37 and more."""
+"""Values nearer to 0 than this decide nothing; takes of HDM05, CMU and Bandai have 0.37 and more."""
 
 _BENT = 0.15  # leg lengths; a knee so far off the line from hip to ankle counts as fully bent
-_TOES, _KNEES = 2.0, 1.0  # weights
+_TOES, _KNEES = 2.0, 1.0  # weights of the evidence of toes and of knees
 
 
 @dataclass(frozen=True)
@@ -45,12 +45,12 @@ class LeftRight:
 
     @property
     def swapped(self) -> bool:
-        """Return whether the sides are clearly exchanged, of the body or of a pair of joints."""
+        """Return True where the sides are clearly exchanged, of the whole body or of a pair of joints."""
         return bool(self.legs < -CLEAR or self.lines < -CLEAR)
 
 
 def left_right(places: Mapping[str, F64]) -> LeftRight:
-    """Judge whether left and right of a body are where its names claim.
+    """Judge whether the joints named left lie on the body's left.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def left_right(places: Mapping[str, F64]) -> LeftRight:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def side_agreement(hips: F64, knees: F64, ankles: F64, toes: F64, shoulders: F64) -> tuple[float, float, float]:
-    """Return the agreement of the legs, and the mean cosines of shoulders and knees with the line of the hips."""
+    """Return the agreement of the legs with their names, and the mean cosines of shoulders and knees with the hips."""
     across = hips[0] - hips[1]
     total, weights = 0.0, 0.0
     for s in range(2):

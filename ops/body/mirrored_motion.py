@@ -1,4 +1,4 @@
-"""Motions in a mirror: left and right exchanged, across the plane x = 0."""
+"""This module mirrors motions across the plane x = 0, with left and right exchanged."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ I64 = npt.NDArray[np.int64]
 
 
 def mirrored_names(names: Sequence[str]) -> list[str]:
-    """Return the name of the mirror image of each named joint: lhip for rhip; root for root.
+    """Return for each named joint the name of its mirror image: lhip for rhip, root for root.
 
     A name that begins with l or r has a mirror image where the other one is among the names, too.
     """
@@ -22,7 +22,7 @@ def mirrored_names(names: Sequence[str]) -> list[str]:
 
 
 def mirrored_places(places: F64, names: Sequence[str]) -> F64:
-    """Return the places of a body's mirror image.
+    """Return the joint positions of a body's mirror image.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def mirrored_places(places: F64, names: Sequence[str]) -> F64:
     Returns
     -------
     float array (T, J, 3)
-        Joint by joint in the order of the names. Mirrored twice, the places are what they were, to the bit.
+        Joint by joint in the order of the names. Mirroring twice restores the positions exactly.
     """
     index = {name: j for j, name in enumerate(names)}
     order = np.array([index[name] for name in mirrored_names(names)], np.int64)
