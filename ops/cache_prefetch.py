@@ -1,4 +1,4 @@
-"""The instruction that brings memory into a processor's cache before a kernel reads it."""
+"""This module gives kernels the processor instruction that loads memory into the cache before it is read."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numba.extending import intrinsic
 
 @intrinsic
 def prefetch(context: Any, array: Any, index: Any) -> Any:
-    """Ask for the memory of an element of a flat array. Nothing waits for it; any index does no harm."""
+    """Prefetch the memory of an element of a flat array. Execution does not wait for it, and any index is safe."""
 
     def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         number, pointer = ir.IntType(32), ir.IntType(8).as_pointer()
@@ -19,7 +19,7 @@ def prefetch(context: Any, array: Any, index: Any) -> Any:
         function = builder.module.declare_intrinsic("llvm.prefetch", [pointer], kind)
         data = target.make_array(signature.args[0])(target, builder, arguments[0]).data
         address = builder.bitcast(builder.gep(data, [arguments[1]]), pointer)
-        # to be read (0), kept in the nearest cache (3), as data (1)
+        # arguments of LLVM's prefetch: read (0), keep in the nearest cache (3), data (1)
         builder.call(function, [address, number(0), number(3), number(1)])
         return target.get_dummy_value()
 

@@ -1,8 +1,8 @@
-"""Compiled kernels on disk, kept consistent with the source.
+"""This module removes compiled kernels from numba's cache on disk when their source has changed.
 
-numba keeps compiled kernels beside their files, and compiles one again where its own file has changed. Where another
-file has changed whose kernels it calls, numba does not notice, and the old one would go on computing after an update.
-So the compiled kernels of a file are removed when that file, or one that it imports, has changed since.
+numba keeps compiled kernels beside their files, and compiles one again where its own file has changed. It does not
+notice a change in another file whose kernels that file calls, and would keep using the old code after an update. So the
+compiled kernels of a file are removed when that file, or one that it imports, has changed since.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ STAMP = "kernels.json"
 _IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([\w.]+))", re.MULTILINE)
 
 State = dict[str, tuple[int, int, str]]
-"""Of each source file its size, time of change in ns and sha256."""
+"""For each source file its size, modification time in ns and sha256."""
 
 
 def forget_outdated(package: Path, name: str, environment: Mapping[str, str] = os.environ) -> list[str]:
-    """Remove compiled kernels of files that have changed, or that import such a file.
+    """Remove the compiled kernels of files that have changed, or that import a changed file.
 
     Parameters
     ----------
@@ -39,7 +39,8 @@ def forget_outdated(package: Path, name: str, environment: Mapping[str, str] = o
     Returns
     -------
     list of str
-        The files concerned, relative to the folder; none where the place cannot be written: no kernels are kept there.
+        The files whose kernels were outdated, relative to the folder; empty if numba's cache is not writable, as it
+        then holds no kernels.
     """
     place = _place(package, environment)
     if place is None:
@@ -68,7 +69,7 @@ def forget_outdated(package: Path, name: str, environment: Mapping[str, str] = o
 
 
 def _place(package: Path, environment: Mapping[str, str]) -> Callable[[Path], Path] | None:
-    """Return where numba keeps the kernels of a folder: as configured, beside the files, or in the user's cache."""
+    """Return the function from a folder to numba's cache for it: as configured, beside the files, or the user's."""
     if environment.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return None
     if given := environment.get("NUMBA_CACHE_DIR"):
@@ -76,7 +77,7 @@ def _place(package: Path, environment: Mapping[str, str]) -> Callable[[Path], Pa
     beside = package / "__pycache__"
     if os.access(beside if beside.is_dir() else package, os.W_OK):
         return lambda folder: folder / "__pycache__"
-    from numba.misc.appdirs import AppDirs  # rare, and numba takes its time
+    from numba.misc.appdirs import AppDirs  # imported late: rarely needed, and importing numba takes long
 
     return partial(_below, Path(AppDirs(appname="numba", appauthor=False).user_cache_dir))
 
@@ -87,7 +88,7 @@ def _below(root: Path, folder: Path) -> Path:
 
 
 def _state(package: Path, former: State) -> State:
-    """Return the state of the sources; contents are read only where size or time have changed."""
+    """Return the state of the source files; a file is only hashed if its size or time has changed."""
     found: State = {}
     folders = [""]
     for below in folders:
@@ -128,7 +129,7 @@ def _imports(package: Path, name: str, file: str) -> set[str]:
 
 
 def _write(path: Path, text: str) -> None:
-    import tempfile  # only an update needs it
+    import tempfile  # imported late: only needed after an update
 
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(prefix=".tmp-", dir=path.parent)

@@ -1,7 +1,6 @@
-"""Copies of rows and tables in kernels.
+"""These kernels copy rows and tables.
 
-They compile in a fraction of the time that an assignment of arrays takes, which brings the code of broadcasting and of
-its error messages with it.
+They compile much faster than an assignment of arrays, which also compiles broadcasting and its error messages.
 """
 
 from __future__ import annotations
@@ -16,14 +15,14 @@ Array = npt.NDArray[Any]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def copy_row(target: Array, source: Array | tuple[float, ...]) -> None:
-    """Write the values (n,) of a row into another one, or those of a tuple of one type."""
+    """Copy the values (n,) of a row, or of a tuple of numbers of one type, into another row."""
     for i in range(len(source)):
         target[i] = source[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def copy_table(target: Array, source: Array) -> None:
-    """Write the values (n, m) of a table into another one."""
+    """Copy the values (n, m) of a table into another table."""
     for i in range(source.shape[0]):
         for j in range(source.shape[1]):
             target[i, j] = source[i, j]

@@ -1,8 +1,8 @@
-"""Faults of a motion: feet that slide, sink or never land, limbs that jump, knees that bend forwards, joints that stop.
+"""This module measures faults of a motion, such as feet that slide or sink, limbs that jump and joints that stop.
 
-The figures are those that animators and biomechanists look for in a take whose body is read rightly; see
-`ops.body.plausibility` for the figures that show a wrong reading. All frames count, except pairs and triples of frames
-of which one is invalid.
+The measures are those that animators and biomechanists use on a take that was read correctly; `ops.body.plausibility`
+has the measures that reveal a file that was read wrongly. All frames count, except pairs and triples of frames of which
+one is invalid.
 """
 
 from __future__ import annotations
@@ -24,31 +24,33 @@ Bool = npt.NDArray[np.bool_]
 UNKNOWN = float("nan")
 
 CONTACT_M = 0.03
-"""A foot is in contact while it is at most this far above the lowest place that it usually has (its 5th percentile)."""
+"""Height in metres above a foot's usual lowest height (its 5th percentile) up to which the foot is in contact."""
 
 CONTACT_M_S = 0.25
-"""A foot in contact moves up and down by less than this."""
+"""Vertical speed in m/s below which a foot can be in contact with the ground."""
 
 GROUND_M = 0.1
-"""A body touches the ground while one of its joints is at most this far above the floor."""
+"""Height in metres above the floor up to which a joint touches the ground."""
 
 FLOOR_SHARE = 0.05
-"""Quantile of heights that is taken for the lowest usual place: a few wild frames do not move it."""
+"""Quantile of heights that is used as the usual lowest height, so that a few outliers do not move it."""
 
 LOCKED = math.radians(12.0)
-"""A knee bends forwards if its shank points forwards of the thigh by more than this angle."""
+"""Angle in radians; a knee bends forwards if its shank points forwards of the thigh by more than this."""
 
 SIDEWAYS = 0.7
-"""Cosine between the axis of a knee and the line of the hips, up to which the knee bends sideways."""
+"""Cosine between the axis of a knee and the line through the hips, up to which the knee bends sideways, not forwards.
+"""
 
 LAG_S = 1.0 / 30.0
-"""Jitter is measured over times of this length: noise of single frames of fast cameras is not a property of motion."""
+"""Time step in seconds of the jitter measure: noise between single frames of fast cameras is not jitter of the motion.
+"""
 
 MOVES_M_S = 0.03
-"""A joint that is faster moves."""
+"""Speed in m/s above which a joint moves."""
 
 SAMPLED = 200
-"""Knees are looked at in so many frames at least, spread over the take."""
+"""Least number of frames, spread over the take, in which knees are measured."""
 
 _FEET = (("ltoes", "lankle"), ("rtoes", "rankle"))
 _LEGS = (("lhip", "lknee", "lankle"), ("rhip", "rknee", "rankle"))
@@ -58,7 +60,7 @@ _LIMBS = tuple((s + a, s + b) for s in "lr" for a, b in (("hip", "knee"), ("knee
 
 @dataclass(frozen=True)
 class MotionFaults:
-    """The figures of one take; a figure that its joints do not show is NaN.
+    """The measures of one take; a measure whose joints are missing is NaN.
 
     Attributes
     ----------
@@ -127,13 +129,13 @@ def motion_faults(positions: F64, joints: tuple[str, ...], rate_hz: float, valid
 
 @lru_cache(maxsize=16)  # The takes of an archive share a few skeletons.
 def _parts(joints: tuple[str, ...], known: tuple[bool, ...]) -> tuple[I64, I64, I64, I64]:
-    """Return the joints of soles, of limbs, of limbs whose end does not stand, and of whole legs that are known."""
+    """Return indices of foot joints, of limbs, of limbs that do not end in an ankle, and of whole legs."""
     at = {joint: i for i, joint in enumerate(joints) if known[i]}
     feet = [[at[joint] for joint in foot if joint in at][:1] for foot in _FEET]
     limbs = [(a, b) for a, b in _LIMBS if a in at and b in at]
     legs = [[at[joint] for joint in leg] for leg in _LEGS if all(joint in at for joint in leg)]
     ends = [(at[a], at[b]) for a, b in limbs]
-    above = [(at[a], at[b]) for a, b in limbs if not b.endswith("ankle")]  # a foot may stand still
+    above = [(at[a], at[b]) for a, b in limbs if not b.endswith("ankle")]  # an ankle may rest while its limb moves
     return (
         np.array([joint for foot in feet for joint in foot], np.int64),
         np.array(ends, np.int64).reshape(-1, 2),
@@ -144,13 +146,13 @@ def _parts(joints: tuple[str, ...], known: tuple[bool, ...]) -> tuple[I64, I64, 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _quantile(values: F64, share: float) -> float:
-    """Return a quantile of values, NaN of none, and move them about."""
+    """Return a quantile of values, NaN if there are none; the values are reordered."""
     return order_statistic(values, int(share * (len(values) - 1))) if len(values) else np.nan
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _ground(positions: F64, valid: Bool, soles: I64, rate_hz: float) -> tuple[float, float, float, float]:
-    """Return metres and seconds of sliding feet, metres below the floor, and seconds without ground."""
+    """Return metres and seconds of sliding feet, the depth below the floor, and the longest time without contact."""
     joints, _, frames = positions.shape
     lowest = np.full(frames, np.inf)
     for j in range(joints):
@@ -180,7 +182,7 @@ def _ground(positions: F64, valid: Bool, soles: I64, rate_hz: float) -> tuple[fl
 
 @njit(inline="always")
 def _between(positions, a, b, t):  # type: ignore[no-untyped-def]
-    # The vector from one joint to another in a frame; numbers, since an array of three would be a piece of memory.
+    # The components are returned as numbers, since an array of three would be allocated on the heap.
     return (
         positions[a, 0, t] - positions[b, 0, t],
         positions[a, 1, t] - positions[b, 1, t],
@@ -261,7 +263,7 @@ def _angle(chord: float) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _jitter(positions: F64, valid: Bool, lag: int) -> float:
-    """Return the median length of the third difference over a lag, in at most some 2,000 places."""
+    """Return the median norm of the third difference over a lag, from at most about 2,000 samples."""
     joints, _, frames = positions.shape
     stride = max(1, (frames - 3 * lag) * joints // 2000)
     found = np.empty(max((frames - 3 * lag) * joints // stride + 1, 1))
@@ -283,7 +285,7 @@ def _jitter(positions: F64, valid: Bool, lag: int) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _stuck(positions: F64, valid: Bool, limbs: I64, rate_hz: float) -> float:
-    """Return the largest share of steps in which the end of a limb keeps its place while its begin moves."""
+    """Return the largest share of steps in which a limb's end keeps its position while its start moves."""
     frames = positions.shape[2]
     steps = (valid[1:] & valid[:-1]).sum()
     if not len(limbs) or not steps:

@@ -1,4 +1,4 @@
-"""Forward kinematics of multibody models, whose joints turn and shift by functions of generalised coordinates."""
+"""This module does forward kinematics of multibody models, whose joints are functions of generalised coordinates."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Function(Protocol):
 
 @dataclass(frozen=True)
 class Linear:
-    """The sum of coordinates times `slopes`, and a constant; a constant alone has no slopes."""
+    """A linear function: the sum of coordinates times `slopes`, plus a constant; without slopes it is constant."""
 
     slopes: tuple[float, ...]
     constant: float
@@ -37,7 +37,7 @@ class Linear:
 
 @dataclass(frozen=True)
 class Polynomial:
-    """A polynomial of one coordinate, the highest power first."""
+    """A polynomial of one coordinate, with the coefficient of the highest power first."""
 
     coefficients: tuple[float, ...]
 
@@ -49,7 +49,7 @@ class Polynomial:
 
 @dataclass(frozen=True)
 class Multiple:
-    """A function times a number."""
+    """A function multiplied by a constant."""
 
     function: Function
     factor: float
@@ -126,14 +126,14 @@ def spline(x: F64, y: F64) -> Spline:
         second = np.diff(rise) / (x[2:] - x[:-2])
         third = np.diff(second) / (x[3:] - x[:-3])
         right[0], right[-1] = h[0] ** 2 * third[0], -(h[-1] ** 2) * third[-1]
-    sixth = np.linalg.solve(system, right)  # the second derivatives at the knots, over six
+    sixth = np.linalg.solve(system, right)  # the second derivatives at the knots, divided by six
     slope = np.append(rise - h * (2 * sixth[:-1] + sixth[1:]), rise[-1] + h[-1] * (sixth[-2] + 2 * sixth[-1]))
     return Spline(x, y, slope)
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A turn about an axis, or a shift along it, by a function of some coordinates.
+    """A rotation about an axis, or a translation along it, as a function of some coordinates.
 
     Attributes
     ----------
@@ -152,7 +152,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Placed:
-    """A frame within another one: its rotation (3, 3), and its origin (3,) in metres."""
+    """A frame in another frame: its rotation (3, 3), and its origin (3,) in metres."""
 
     rotation: F64
     origin: F64
@@ -160,7 +160,7 @@ class Placed:
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint: the frames that it joins, and how the one in the child moves in the one of the parent.
+    """A joint: its frames in the parent and in the child body, and the motion of the second relative to the first.
 
     Attributes
     ----------
@@ -189,7 +189,7 @@ def euler_xyz(angles: F64) -> F64:
 
 
 def forward(joints: Sequence[Joint], coordinates: F64) -> tuple[list[F64], list[F64]]:
-    """Compute where the child bodies of joints are.
+    """Compute the rotations and origins of the child bodies of joints.
 
     Parameters
     ----------

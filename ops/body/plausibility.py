@@ -1,4 +1,4 @@
-"""Figures of a take by which a wrong reading shows: size, proportions, up axis, sides, ground, speed and tempo.
+"""This module measures a take to reveal wrong reading: size, proportions, up axis, sides, ground, speed and tempo.
 
 Geometry is measured in `SAMPLED` valid frames, spread evenly over the take; speeds in all frames.
 """
@@ -37,7 +37,7 @@ F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
 SAMPLED = 32
-"""Frames in which geometry is measured."""
+"""Number of frames in which geometry is measured."""
 
 UNKNOWN = float("nan")
 
@@ -60,16 +60,16 @@ _HIP_CHOICES, _HEAD_CHOICES, _FOOT_CHOICES = _indices(HIPS), _indices(HEADS), _i
 _TRUNK = tuple(_JOINTS.index(joint) for joint in ("root", "belly", "chest", "neck", "head", "headtop"))
 _SIDES = tuple(_JOINTS.index("l" + name) for name in ("hip", "knee", "ankle", "toes", "shoulder"))
 _SWUNG = tuple(_JOINTS.index(joint) for joint in ("lankle", "rankle", "lwrist", "rwrist"))
-_UPRIGHT = 1.1  # the share that feet and the slope of the pelvis add to the length of legs and trunk
-_FIXED_M = 0.01  # a root that moves by less up and down is fixed, and its body has no ground
-_AT_ORIGIN_M = 0.05  # a fixed root so near to y = 0 has no floor under it
-_STILL_M = 0.1  # hands and feet that move within less show no tempo
-_BIN_M_S, _BINS = 0.25, 4000  # of the histogram of speeds
+_UPRIGHT = 1.1  # factor of the standing height over legs plus trunk, for the feet and the slope of the pelvis
+_FIXED_M = 0.01  # a root whose height varies by less is fixed in space, so that the body has no ground
+_AT_ORIGIN_M = 0.05  # a fixed root this close to y = 0 has no floor below it
+_STILL_M = 0.1  # wrists and ankles that move within a smaller range give no tempo
+_BIN_M_S, _BINS = 0.25, 4000  # width in m/s and number of bins of the histogram of speeds
 
 
 @dataclass(frozen=True)
 class Plausibility(MotionFaults):
-    """The figures of one take, with those of `MotionFaults`; a figure that its joints do not show is NaN.
+    """The measures of one take, in addition to those of `MotionFaults`; a measure whose joints are missing is NaN.
 
     Attributes
     ----------
@@ -88,7 +88,8 @@ class Plausibility(MotionFaults):
     up_confidence : float
         The confidence of the up axis, from 0 to 1.
     left_right : float
-        From −1 (left is on the right) to 1, by toes and knees, or by shoulders or knees that contradict the hips.
+        From −1 (left and right are exchanged) to 1; by toes and knees, or by shoulders or knees that contradict the
+        hips.
     floor_m : float
         The median height of the lowest foot, metres; NaN for a body whose root is fixed in space.
     speed_m_s : float
@@ -130,7 +131,7 @@ class Plausibility(MotionFaults):
 
 
 def plausibility(positions: F64, joints: tuple[str, ...], rate_hz: float, valid: Bool | None = None) -> Plausibility:
-    """Measure the figures of a take.
+    """Compute the plausibility measures of a take.
 
     Parameters
     ----------
@@ -186,7 +187,7 @@ def plausibility(positions: F64, joints: tuple[str, ...], rate_hz: float, valid:
 
 
 def reasons(positions: F64, joints: tuple[str, ...], valid: Bool | None = None) -> tuple[str, ...]:
-    """Return phrases on up axis and sides of a take with their figures, from the arguments of `plausibility`."""
+    """Return phrases with numbers that explain the judged up axis and sides, from the arguments of `plausibility`."""
     counted = np.ones(positions.shape[2], np.bool_) if valid is None else valid
     if not counted.any():
         return ()
@@ -197,13 +198,13 @@ def reasons(positions: F64, joints: tuple[str, ...], valid: Bool | None = None) 
 
 @lru_cache(maxsize=16)
 def _places_of(joints: tuple[str, ...]) -> npt.NDArray[np.int64]:
-    """Return the index of each of `_JOINTS`, −1 for one that is not among the joints."""
+    """Return the index of each of `_JOINTS`, −1 for one that the take lacks."""
     return np.array([joints.index(joint) if joint in joints else -1 for joint in _JOINTS])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def sampled_frames(positions: F64, counted: Bool) -> F64:
-    """Return the positions (J, 3, K) in at most `SAMPLED` of the frames that count, spread evenly."""
+    """Return the positions (J, 3, K) in at most `SAMPLED` of the counted frames, spread evenly."""
     frames = np.flatnonzero(counted)
     taken = min(len(frames), SAMPLED)
     sampled = np.empty((positions.shape[0], 3, taken))
@@ -217,7 +218,7 @@ def sampled_frames(positions: F64, counted: Bool) -> F64:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _geometry(sampled: F64, at: npt.NDArray[np.int64]) -> tuple[F64, F64, F64]:
-    """Return the figures that need no time: lengths of limbs (8, 2), leads of axes (6,), and six others."""
+    """Return the measures of single poses: lengths of limbs (8, 2), leads of axes (6,), and six others."""
     joints, _, frames = sampled.shape
     seen = np.zeros(joints, np.bool_)
     for j in range(joints):
@@ -256,7 +257,7 @@ def _geometry(sampled: F64, at: npt.NDArray[np.int64]) -> tuple[F64, F64, F64]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _pair(sampled: F64, at: npt.NDArray[np.int64], there: Bool, choices: npt.NDArray[np.int64]) -> F64:
-    """Return the places (2, 3, K) of the first choice of joints that are there, (0, 3, 0) where none is."""
+    """Return the positions (2, 3, K) of the first pair of joints that is known, (0, 3, 0) if none is."""
     for i in range(len(choices)):
         if there[choices[i, 0]] and there[choices[i, 1]]:
             pair = np.empty((2, 3, sampled.shape[2]))
@@ -268,7 +269,7 @@ def _pair(sampled: F64, at: npt.NDArray[np.int64], there: Bool, choices: npt.NDA
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _length(a: F64, b: F64) -> tuple[float, float]:
-    """Return the median distance of two joints, and its standard deviation as a share of it."""
+    """Return the median distance of two joints, and its standard deviation divided by it."""
     frames = a.shape[1]
     lengths = np.empty(frames)
     for t in range(frames):
@@ -294,7 +295,7 @@ def _spine(sampled: F64, at: npt.NDArray[np.int64], there: Bool) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _neck(sampled: F64, at: npt.NDArray[np.int64], there: Bool) -> float:
-    """Return how far the neck lies above the middle of the shoulders along the trunk, with hanging arms if they do."""
+    """Return the median height of the neck above the shoulders' midpoint along the trunk, of hanging arms if any."""
     frames = sampled.shape[2]
     above, hanging = np.empty(frames), np.zeros(frames, np.bool_)
     elbows = there[_LELBOW] and there[_LELBOW + 1]
@@ -330,7 +331,7 @@ def _floor(sampled: F64, at: npt.NDArray[np.int64], there: Bool) -> float:
 def _motion(
     positions: F64, joints: tuple[str, ...], rate_hz: float, counted: Bool, at: npt.NDArray[np.int64]
 ) -> dict[str, Any]:
-    """Return speeds, repeated frames and tempo."""
+    """Return the measures of speed, repeated frames and tempo."""
     total, number, repeated, steps, fastest, joint, frame, fast = _speeds(positions, counted, float(rate_hz))
     if not number:
         return {}
@@ -350,7 +351,7 @@ def _motion(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _swung(positions: F64, at: npt.NDArray[np.int64]) -> F64:
-    """Return the tracks (N, 3, T) of wrists and ankles that are known, none where all of them stand still."""
+    """Return the tracks (N, 3, T) of known wrists and ankles, none if all of them stand still."""
     tracks = np.empty((len(_SWUNG), 3, positions.shape[2]))
     used, most = 0, 0.0
     for joint in _SWUNG:
@@ -371,7 +372,7 @@ def _swung(positions: F64, at: npt.NDArray[np.int64]) -> F64:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _speeds(positions: F64, known: Bool, rate_hz: float) -> tuple[float, int, int, int, float, int, int, int]:
-    """Return sum and number of speeds, repeated frames, steps, the largest speed with joint and frame, and a bin.
+    """Return the sum and count of speeds, repeated frames, steps, the largest speed with joint and frame, and a bin.
 
     The bin of the histogram is that of the 99th percentile of speeds.
     """

@@ -1,4 +1,4 @@
-"""The fit of a kinematic chain to joints: lengths, an analytic start, and Levenberg's method in each frame."""
+"""This module fits a kinematic chain to joints: bone lengths, analytic initial poses, and Levenberg's method."""
 
 from __future__ import annotations
 
@@ -27,15 +27,16 @@ from kinedex.ops.errors import ParameterError
 F64 = npt.NDArray[np.float64]
 
 POINT_M = 0.01
-"""Standard deviation of a joint's place, in metres."""
+"""Standard deviation of a joint's position, in metres."""
 
 MOST_STEPS = 25
-"""Steps of Levenberg's method in a frame, those that fail included."""
+"""The most steps of Levenberg's method in a frame, rejected ones included."""
 
-_DAMPING, _EASED, _RAISED = 1e-3, 0.2, 10.0  # the first damping, and its factors after a success and a failure
-_LEAST = 1e-6  # added to the diagonal
-_BENT = 0.12  # weight of the pelvis' X beside the plane of the leg, which a straight leg does not have
-_CHEST = 0.084  # weight of the chest beside the plane of the arm
+# the initial damping, and its factors after an accepted and a rejected step
+_DAMPING, _EASED, _RAISED = 1e-3, 0.2, 10.0
+_LEAST = 1e-6  # is added to the diagonal of the normal equations
+_BENT = 0.12  # weight of the pelvis's X axis against the normal of the leg's plane, which a straight leg does not have
+_CHEST = 0.084  # weight of the chest's axis against the normal of the arm's plane
 
 
 def measured_body(chain: KinematicChain, positions: F64) -> ChainBody:
@@ -76,10 +77,10 @@ def measured_body(chain: KinematicChain, positions: F64) -> ChainBody:
 def fit_poses(
     body: ChainBody, positions: F64, sigma_m: float = POINT_M, steps: int = MOST_STEPS, tolerance: float = 1e-4
 ) -> Poses:
-    """Fit the poses of a body to joints, each frame by itself.
+    """Fit the poses of a body to joints, each frame independently.
 
-    The sum of squares of the distances to the joints over sigma, of the pulls to the rest pose and of the excess of
-    hinges is made least from an analytic start, see `start_poses`.
+    The method minimises the sum of squares of the distances to the joints over sigma, of the pulls to the rest pose and
+    of the excess of hinges, starting from `start_poses`.
 
     Parameters
     ----------
@@ -111,7 +112,7 @@ def fit_poses(
 
 
 def start_poses(body: ChainBody, positions: F64) -> Poses:
-    """Return poses from the directions of the bones, the start of a fit; started from elsewhere it can end beside.
+    """Return initial poses from the directions of the bones; a fit from other poses may end in another local minimum.
 
     Parameters
     ----------
@@ -142,7 +143,7 @@ def start_poses(body: ChainBody, positions: F64) -> Poses:
 
 
 def _world_turns(chain: KinematicChain, positions: F64, at: dict[str, F64]) -> dict[str, F64]:
-    """Return the world rotations (T, 3, 3) of all nodes, by the directions of the bones."""
+    """Return the world rotations (T, 3, 3) of all nodes, from the directions of the bones."""
     pelvis = _held(_pelvis(chain, positions))
     found = {"pelvis": pelvis}
     hips, shoulders = _unit(at["lhip"] - at["rhip"]), _unit(at["lshoulder"] - at["rshoulder"])
@@ -195,7 +196,7 @@ def _pelvis(chain: KinematicChain, positions: F64) -> F64:
 
 
 def _held(rows: F64) -> F64:
-    """Return rows in which those that are not finite are the last finite one; before the first one, that one."""
+    """Return rows in which those that are not finite repeat the last finite row, or the first one at the start."""
     seen = np.isfinite(rows.reshape(len(rows), -1).sum(axis=1))
     if not seen.any():
         raise ParameterError("positions of the root and the hips", "finite in a frame at least", "none")
@@ -204,21 +205,21 @@ def _held(rows: F64) -> F64:
 
 
 def _unit(vectors: F64) -> F64:
-    """Return vectors (T, 3) of length 1; NaN for one without length."""
+    """Return vectors (T, 3) normalised to length 1; NaN for the zero vector."""
     with np.errstate(invalid="ignore", divide="ignore"):
         lengths = np.sqrt(np.einsum("ta,ta->t", vectors, vectors))
         return vectors / np.where(lengths > 1e-9, lengths, np.nan)[:, None]
 
 
 def _frame(first: int, exact: F64, second: int, near: F64, above: F64) -> F64:
-    """Return frames (T, 3, 3) with one axis along `exact`, and another as near to `near` as can be.
+    """Return frames (T, 3, 3) with one axis along `exact`, and another as close to `near` as possible.
 
     An axis that is not known is that of the frame `above`.
     """
     one = _unit(exact)
     one = np.where(np.isfinite(one.sum(axis=1, keepdims=True)), one, above[:, :, first])
     other = _unit(near - np.einsum("ta,ta->t", near, one)[:, None] * one)
-    for axis in (second, 3 - first - second):  # the second serves where the first lies along the exact axis
+    for axis in (second, 3 - first - second):  # the second axis is used where the first lies along the exact axis
         own = above[:, :, axis] if axis == second else np.cross(above[:, :, axis], one) * (1 if first == 0 else -1)
         spare = _unit(own - np.einsum("ta,ta->t", own, one)[:, None] * one)
         other = np.where(np.isfinite(other.sum(axis=1, keepdims=True)), other, spare)
@@ -228,7 +229,7 @@ def _frame(first: int, exact: F64, second: int, near: F64, above: F64) -> F64:
 
 @njit(cache=True, nogil=True)
 def _restrict(turns: F64, node: int, free: npt.NDArray[np.bool_]) -> None:
-    """Keep the components of a node's rotation vectors about its axes only."""
+    """Restrict the rotation vectors of a node to the components about its axes."""
     for t in range(len(turns)):
         vector = vector_of(turns[t, node])
         for i in range(3):
@@ -295,7 +296,7 @@ def _add_points(
     chain: ChainArrays, turned: F64, centres: F64, joints: F64, points: F64, weight: float, columns: F64,
     hessian: F64, gradient: F64,
 ) -> None:  # fmt: skip
-    """Add the squares of the distances of joints to their points to the lower half of H, and to g."""
+    """Add the squared distances of joints to their points to the lower half of H, and to g."""
     for j in range(len(joints)):
         x, y, z = joints[j, 0] - points[j, 0], joints[j, 1] - points[j, 1], joints[j, 2] - points[j, 2]
         if np.isnan(x + y + z):
@@ -311,7 +312,7 @@ def _add_points(
 
 @njit(cache=True, nogil=True)
 def solve_step(matrix: F64, gradient: F64, step: F64) -> None:
-    """Solve matrix · step = −gradient by Cholesky's method, in place of the matrix's lower half."""
+    """Solve matrix · step = −gradient by Cholesky decomposition, overwriting the lower half of the matrix."""
     size = len(gradient)
     for i in range(size):
         for j in range(i + 1):

@@ -1,9 +1,9 @@
-"""The geometric primitives of relational features, as compiled loops over a few frames of one take.
+"""This module computes the geometric primitives of relational features in compiled loops over the frames of one take.
 
 Positions are float64 (J, 3, T). A primitive fills an array with its values in the frames from `start` on, as many as
-the array has: a kernel that goes through a take in short pieces finds them all in the cache of a core. Vectors are
-(3, n), one row per coordinate, so that the loops over frames vectorise. A vector of length zero gives NaN (0/0), which
-every comparison of a feature turns into "off".
+the array has: a kernel that works on short blocks of a take has all of them in the cache of a core. Vectors are (3, n),
+one row per coordinate, so that the loops over frames vectorise. A vector of length zero gives NaN (0/0), which every
+comparison of a feature turns into "off".
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ def difference(positions: F64, q: int, c: int, start: int, out: F64) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _reflect(index: int, length: int) -> int:
-    """Return the index that symmetric reflection (edge value repeated) maps an index outside 0 … length − 1 to."""
-    if 0 <= index < length:  # a division takes longer than all else
+    """Return the index inside 0 … length − 1 that an index maps to by symmetric reflection (edge value repeated)."""
+    if 0 <= index < length:  # the division below is slow, so the common case returns first
         return index
     period = 2 * length
     index %= period
@@ -45,7 +45,7 @@ def _reflect(index: int, length: int) -> int:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def velocity(positions: F64, q: int, c: int, window: int, rate_hz: float, start: int, out: F64) -> None:
-    """Fill in the velocities (3, n) of joint q relative to joint c, or to the room for c < 0, over W samples.
+    """Fill in the velocities (3, n) of joint q relative to joint c, or to the world for c < 0, over W samples.
 
     They are smoothed by a moving average. The moving average of first differences telescopes: away from the ends of
     the take it is the difference of two positions W frames apart, divided by W. At the ends the reflected differences
@@ -77,7 +77,7 @@ def velocity(positions: F64, q: int, c: int, window: int, rate_hz: float, start:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _velocity_at_end(positions: F64, q: int, c: int, window: int, scale: float, frame: int, out: F64) -> None:
-    """Fill in the velocity (3,) in a frame whose window exceeds the take."""
+    """Fill in the velocity (3,) in a frame whose window extends past an end of the take."""
     frames = positions.shape[2]
     begin, extended = frame + 1 - (window + 1) // 2, max(frames, window)
     x, y, z = 0.0, 0.0, 0.0
@@ -92,7 +92,7 @@ def _velocity_at_end(positions: F64, q: int, c: int, window: int, scale: float, 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _place(positions: F64, q: int, c: int, axis: int, frame: int) -> float:
-    """Return a coordinate of joint q relative to joint c, or to the room for c < 0."""
+    """Return a coordinate of joint q relative to joint c, or to the world for c < 0."""
     return positions[q, axis, frame] if c < 0 else positions[q, axis, frame] - positions[c, axis, frame]
 
 
@@ -108,7 +108,7 @@ def cross(u: F64, v: F64, out: F64) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def along(n: F64, v: F64, out: F64) -> None:
-    """Fill in n · v / |n|, the length of vectors v along the directions of vectors n."""
+    """Fill in n · v / |n|, the components of vectors v along the directions of vectors n."""
     nx, ny, nz, vx, vy, vz = n[0], n[1], n[2], v[0], v[1], v[2]
     for t in range(len(out)):
         norm = math.sqrt(nx[t] * nx[t] + ny[t] * ny[t] + nz[t] * nz[t])
@@ -125,7 +125,7 @@ def norm(v: F64, out: F64) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def angle_between(u: F64, v: F64, out: F64) -> None:
-    """Fill in the angles between two vectors in degrees; NaN where one has no length."""
+    """Fill in the angles between vectors in degrees; NaN where one has length 0."""
     ux, uy, uz, vx, vy, vz = u[0], u[1], u[2], v[0], v[1], v[2]
     for t in range(len(out)):
         dot = ux[t] * vx[t] + uy[t] * vy[t] + uz[t] * vz[t]
@@ -143,7 +143,7 @@ def angle_between(u: F64, v: F64, out: F64) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def lowest(positions: F64, joints: I64, start: int, out: F64) -> None:
-    """Fill in the lowest Y over some joints, NaN joints left out."""
+    """Fill in the lowest Y over some joints, ignoring NaN."""
     out[:] = np.inf
     for j in joints:
         height = positions[j, 1, start : start + len(out)]
@@ -154,7 +154,7 @@ def lowest(positions: F64, joints: I64, start: int, out: F64) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def highest(positions: F64, joints: I64, start: int, out: F64) -> None:
-    """Fill in the highest Y over some joints, NaN joints left out."""
+    """Fill in the highest Y over some joints, ignoring NaN."""
     out[:] = -np.inf
     for j in joints:
         height = positions[j, 1, start : start + len(out)]
@@ -206,7 +206,7 @@ def turn_rate(orientation: F64, rate_hz: float, start: int, out: F64) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def bounds(comparison: int, low: float, high: float) -> tuple[float, float]:
-    """Return the lowest and highest number for which a comparison holds; only WITHIN uses `high`."""
+    """Return the least and greatest number for which a comparison holds; only WITHIN uses `high`."""
     if comparison == ABOVE:
         return np.nextafter(low, np.inf), np.inf
     if comparison == AT_LEAST:
@@ -220,7 +220,7 @@ def bounds(comparison: int, low: float, high: float) -> tuple[float, float]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_bit(x: F64, low: float, high: float, bit: int, words: U64) -> None:
-    """Set a bit of the words where a number lies from low to high, both included, and never for NaN."""
+    """Set a bit of the words where a value lies in [low, high], and never for NaN."""
     place = np.uint64(bit)
     for t in range(len(x)):
         words[t] |= np.uint64((x[t] >= low) & (x[t] <= high)) << place
@@ -228,7 +228,7 @@ def add_bit(x: F64, low: float, high: float, bit: int, words: U64) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def hysteresis(weak: U64, strong: U64, state: U64, words: U64) -> None:
-    """Fill in the words of consecutive frames, all features side by side.
+    """Fill in the words of consecutive frames by hysteresis, for all features at once.
 
     A feature turns on where its strong condition becomes true and stays on until the weak one is false.
 
@@ -237,7 +237,7 @@ def hysteresis(weak: U64, strong: U64, state: U64, words: U64) -> None:
     weak, strong : uint64 array (n,)
         The bits of the features whose conditions hold.
     state : uint64 array (2,)
-        The word and the strong bits of the frame before, 0 at the begin; afterwards those of the last frame.
+        The word and the strong bits of the frame before, 0 at the start; afterwards those of the last frame.
     words : uint64 array (n,)
         The words.
     """

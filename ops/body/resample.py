@@ -1,4 +1,4 @@
-"""Change of frame rate: positions are interpolated linearly, orientations by slerp."""
+"""This module changes frame rates: positions are interpolated linearly, orientations by slerp."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from kinedex.ops.errors import ParameterError
 F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
-_ON_A_FRAME = 1e-9  # shares of the next frame below this are float noise
+_ON_A_FRAME = 1e-9  # interpolation weights below this are rounding errors
 
 
 def feature_rate(source_rate_hz: float, rate_hz: float) -> float:
-    """Return the multiple of the analysis rate nearest to a source rate, and at least the analysis rate.
+    """Return the multiple of the analysis rate that is nearest to a source rate, at least the analysis rate.
 
     Features are computed at that rate, then every (multiple)-th frame is kept. Halfway rates are rounded up.
     """
@@ -36,7 +36,7 @@ class Sampled(NamedTuple):
 def resample(
     positions: F64, orientation: F64, source_rate_hz: float, rate_hz: float, valid: Bool | None = None
 ) -> Sampled:
-    """Sample a take at another rate; frame 0 stays where it is, and nothing is extrapolated past the last frame.
+    """Resample a take to another rate; frame 0 keeps its time, and nothing is extrapolated past the last frame.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def resample(
     at = np.minimum(np.arange(count) * (source_rate_hz / rate_hz), frames - 1)
     left = np.minimum(np.floor(np.round(at, 9)).astype(np.int64), frames - 2)
     share = at - left
-    # A frame that is met exactly does not depend on its neighbours.
+    # A sample that falls on a source frame does not depend on the neighbouring frames.
     left, right = np.where(share > 1.0 - _ON_A_FRAME, left + 1, left), np.where(share > _ON_A_FRAME, left + 1, left)
     moved = np.empty((*positions.shape[:2], count))
     for joint, track in enumerate(positions):
@@ -75,9 +75,9 @@ def covered_frames(start: int, stop: int, frames: int, source_rate_hz: float, ra
     """Return the interval of source frames that an interval of resampled frames covers.
 
     Frame t of the result lasts from t to t + 1 of its own frames, and covers the source frames that begin in that time;
-    so neighbouring intervals share no source frame. Sampled again, the source frames give as many frames as the
-    interval has, unless the source is slower than the result: one more or less then. Where the source has no whole
-    number of frames for each of the result, a few more source frames may be needed for that.
+    so neighbouring intervals share no source frame. Resampling these source frames gives as many frames as the interval
+    has, or one more or less if the source is slower than the result. Where the ratio of the rates is not an integer, a
+    few more source frames may be included for this.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def _slerp(a: F64, b: F64, share: F64) -> F64:
     b = np.where(cosine < 0, -b, b)
     angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
     sine = np.sin(angle)
-    near = sine < 1e-9  # The two are the same rotation: interpolate linearly instead of dividing by zero.
+    near = sine < 1e-9  # Both are the same rotation: interpolate linearly instead of dividing by zero.
     safe = np.where(near, 1.0, sine)
     first = np.where(near, 1.0 - share, np.sin((1.0 - share) * angle) / safe)
     second = np.where(near, share, np.sin(share * angle) / safe)

@@ -1,4 +1,4 @@
-"""The tempo of a motion: how fast hands and feet turn round, which shows the rate that a take was recorded at."""
+"""This module measures the frequency at which hands and feet swing, and estimates a take's frame rate from it."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ USUAL_HZ = tuple(map(float, (10, 15, 20, 25, 30, 50, 60, 75, 90, 100, 120, 150, 
 """Rates of motion capture and cameras that a likely rate is rounded to."""
 
 TYPICAL_HZ = 1.0
-"""The median tempo of the takes of HDM05, CMU and Bandai."""
+"""The median tempo in Hz of the takes of HDM05, CMU and Bandai."""
 
-LAG_S = 1.0 / 30.0  # differences over so long a time are free of the noise between frames of fast cameras
-_TURNED = 0.4  # radians; the lag from which a likely rate is computed turns the motion by at least so much
-_MOST = 512  # frames in which differences are taken, spread over the take
+LAG_S = 1.0 / 30.0  # seconds; differences over this time are free of the noise between frames of fast cameras
+_TURNED = 0.4  # radians; the least turn of the motion over the lag from which a likely rate is computed
+_MOST = 512  # most frames in which differences are taken, spread over the take
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def tempo(tracks: F64, rate_hz: float) -> Tempo | None:
 
 
 def likely_rate(tracks: F64) -> float | None:
-    """Estimate frames per second from the motion alone: at this rate hands and feet move at the usual tempo.
+    """Estimate the frame rate from the motion alone: the rate at which hands and feet move at the typical tempo.
 
     On HDM05, CMU and Bandai, with every frame and with every second one, it is right within a factor of 2 for 96 % of
     takes, and within 3 for 98 %.
@@ -87,7 +87,7 @@ def likely_rate(tracks: F64) -> float | None:
 
 
 def usual_rate(rate_hz: float) -> float:
-    """Return the one of `USUAL_HZ` that is nearest to a rate by its ratio."""
+    """Return the rate of `USUAL_HZ` with the least ratio to the given rate."""
     return min(USUAL_HZ, key=lambda usual: abs(np.log(usual / rate_hz)))
 
 

@@ -1,4 +1,4 @@
-"""Rotations from quaternions, and the places of a tree's nodes from transforms of each relative to its parent."""
+"""This module converts quaternions to rotations, and composes the transforms of a tree of nodes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ F64 = npt.NDArray[np.float64]
 def rotations(quaternions: F64) -> F64:
     """Return the rotation matrices (..., 3, 3) of quaternions (..., 4) w x y z, which need not have length 1.
 
-    A quaternion of length 0 turns nothing.
+    A quaternion of length 0 gives the identity.
     """
     squared = np.einsum("...a,...a->...", quaternions, quaternions)
     scale = np.divide(2.0, squared, out=np.zeros_like(squared), where=squared > 0)
@@ -47,7 +47,7 @@ def slerp(first: F64, second: F64, share: F64) -> F64:
     second = np.where(cosine[:, None] < 0, -second, second)
     angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
     sine = np.sin(angle)
-    near = sine < 1e-6  # the arc is so short that a straight line is the same
+    near = sine < 1e-6  # the arc is so short that linear interpolation is as good
     divisor = np.where(near, 1.0, sine)
     before = np.where(near, 1.0 - share, np.sin((1.0 - share) * angle) / divisor)
     after = np.where(near, share, np.sin(share * angle) / divisor)
@@ -95,7 +95,7 @@ def global_transforms(parents: Sequence[int], linear: F64, offsets: F64) -> tupl
 
 
 def without_scale(linear: F64) -> F64:
-    """Return the rotations (..., 3, 3) nearest to matrices of rotation and scale; the identity where there is none."""
+    """Return the rotations (..., 3, 3) nearest to matrices with scale; the identity for a singular matrix."""
     sound = np.all(np.isfinite(linear), axis=(-1, -2), keepdims=True)
     left, sizes, right = np.linalg.svd(np.where(sound, linear, np.eye(3)))
     turned = left @ right

@@ -1,4 +1,4 @@
-"""The judgement which axis of a file is vertical, from the places of a body's joints.
+"""This module judges which axis of a file is vertical, from the positions of a body's joints.
 
     up = up_axis(places, rest)          # places: {"root": (3, K), "head": (3, K), "lankle": …}, rest: {"root": (3,), …}
     if up.axis:                         # "x", "y", "z", "-x", "-y" or "-z"; "" where nothing decides
@@ -6,9 +6,9 @@
 
 Three observations vote, and none of them uses the name of an axis, so that a turned body gets the turned axis:
 
-- *posture*: the head is above the hips, and the hips are above the feet, in most frames;
-- *ground*: over time the lowest point of the body stays at one height, whereas the hips travel across the ground;
-- *rest pose*: a skeleton that stands in its rest pose stands along the vertical axis.
+- *posture*: in most frames the head is above the hips, and the hips are above the feet; - *ground*: over time the
+lowest point of the body stays at one height, whereas the hips travel across the ground; - *rest pose*: a skeleton that
+stands in its rest pose stands along the vertical axis.
 
 A body that lies still looks like one that stands, turned. Therefore posture alone decides only where neither ground nor
 rest pose contradict it, and a body that lies or hangs throughout is left undecided: the caller keeps the format's axis.
@@ -30,7 +30,7 @@ from kinedex.ops.order_statistics import median, order_statistic
 F64 = npt.NDArray[np.float64]
 
 SURE = 0.5
-"""An axis with less confidence is not returned."""
+"""Least confidence of an axis that is returned."""
 
 AXES = ("x", "y", "z", "-x", "-y", "-z")
 
@@ -38,15 +38,18 @@ HEADS = (("head",), ("headtop",), ("neck",), ("lshoulder", "rshoulder"), ("lclav
 HIPS = (("lhip", "rhip"), ("root",), ("belly",))
 FEET = (("lankle", "rankle"), ("ltoes", "rtoes"), ("lknee", "rknee"))
 _STRAIGHT, _LEANING, _BENT = 0.75, 0.85, 0.4
-"""Cosines with the axis: trunk and legs of a standing body, trunk of a sitting body, and its legs."""
+"""Cosines with the vertical axis: of trunk and legs of a standing body, of the trunk of a sitting one, and of its legs.
+"""
 
 _HALF_BODY = 0.75  # weight of the posture of a trunk without legs, or of legs without a trunk
-_SITTING = 0.5  # weight of a frame in which only the trunk is upright: a crawling body looks like it, turned
-_GROUND, _REST = 0.5, 0.7  # weights of ground and rest pose, where posture has 1
-_ONCE = 0.05  # an axis along which the body stands in this share of frames has twice the weight of ground
-_LEVEL = 0.15  # body sizes; a lowest point that varies by more does not rest on a ground
-_TRAVEL = 0.08  # body sizes; by so much more the hips travel where the ground is clear
-_ENDS = 2.0  # lead over the opposite axis of a body that never stands on its head
+# weight of a frame in which only the trunk is upright, since a crawling body looks like that when rotated
+_SITTING = 0.5
+_GROUND, _REST = 0.5, 0.7  # weights of ground and rest pose relative to posture
+_ONCE = 0.05  # share of frames with the body upright along an axis from which ground has twice its weight for that axis
+_LEVEL = 0.15  # body sizes; if the lowest point varies by more, there is no level ground
+# body sizes; the excess of the hips' travel over the lowest point's variation at which ground has its full weight
+_TRAVEL = 0.08
+_ENDS = 2.0  # factor of the lead of an axis over its opposite axis
 _NO_BODY = ("no hips with head or feet",)
 GAIN = 1.6  # confidence is 1 − exp(−GAIN · lead)
 
@@ -71,7 +74,7 @@ class UpAxis:
 
 
 def up_axis(places: Mapping[str, F64], rest: Mapping[str, F64] | None = None) -> UpAxis:
-    """Judge which of ±x, ±y and ±z points up.
+    """Judge which of the axes ±x, ±y and ±z points up.
 
     Parameters
     ----------
@@ -114,7 +117,7 @@ def up_axis(places: Mapping[str, F64], rest: Mapping[str, F64] | None = None) ->
 
 
 def _pair(places: Mapping[str, F64], choices: tuple[tuple[str, ...], ...]) -> F64:
-    """Return the places (2, 3, K) of the first choice of joints that are there, (0, 3, 0) where none is."""
+    """Return the positions (2, 3, K) of the first pair of joints that is known, (0, 3, 0) if none is."""
     for names in choices:
         if all(name in places for name in names):
             return np.array([places[names[0]], places[names[-1]]], np.float64)
@@ -129,14 +132,14 @@ def _standing(rest: Mapping[str, F64]) -> F64:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _middle(pair: F64, k: int, t: int) -> float:
-    """Return a coordinate of the middle of two joints, or that of the one that is seen."""
+    """Return a coordinate of the midpoint of two joints, or of the one that is known."""
     a, b = pair[0, k, t], pair[1, k, t]
     return b if np.isnan(a) else a if np.isnan(b) else 0.5 * (a + b)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def posture_shares(hips: F64, head: F64, feet: F64) -> tuple[F64, F64, int]:
-    """Return the share of frames in which the body stands along each axis, the frames with any vote, and those seen."""
+    """Return each axis's share of frames in which the body stands along it, and counts of voting and of seen frames."""
     share, stood = np.zeros(6), np.zeros(6)
     seen = 0
     for t in range(hips.shape[2]):
@@ -167,7 +170,7 @@ def posture_shares(hips: F64, head: F64, feet: F64) -> tuple[F64, F64, int]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def point_spreads(places: F64, hips: F64) -> tuple[F64, F64, bool]:
-    """Return by how much the lowest point (6,) and the hips (3,) vary in body sizes, and whether frames suffice."""
+    """Return the ranges of the lowest point (6,) and the hips (3,) in body sizes, and True for enough frames."""
     joints, _, frames = places.shape
     tracks = np.empty((9, frames))
     sizes = np.empty(frames)
@@ -206,7 +209,7 @@ def point_spreads(places: F64, hips: F64) -> tuple[F64, F64, bool]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def least_leads(share: F64, standing: F64, lowest: F64, travel: F64, grounded: bool) -> F64:
-    """Return the least lead (6,) that each axis has over the axes of the other lines, and over its own other end."""
+    """Return each axis's least lead (6,) over the axes of other directions and over its own opposite."""
     stance = share + _REST * standing
     score = stance.copy()
     for axis in range(6) if grounded else range(0):

@@ -1,1 +1,1 @@
-"""Cameras as arrays: projection, lens distortion and the rays of pixels."""
+"""This package computes with cameras as arrays: projection, lens distortion and the rays of pixels."""

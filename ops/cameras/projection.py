@@ -1,4 +1,4 @@
-"""Projection of points into a camera, and the rays of its pixels.
+"""This module projects points into a camera image, and computes the rays of its pixels.
 
 The conventions are those of OpenCV, and hold for every camera of the project: in the camera, x points right, y down and
 z forward; x_camera = R · X + t takes a point X of the world into it; the centre of the first pixel of an image is
@@ -19,7 +19,7 @@ from kinedex.ops.errors import ParameterError
 F64 = npt.NDArray[np.float64]
 
 DISTORTION_COUNTS = (0, 4, 5, 8)
-"""Numbers of distortion coefficients that are known."""
+"""The numbers of distortion coefficients that are supported."""
 
 _MOST_STEPS = 60
 _CLOSE = 1e-13  # in units of the focal length: 1e-10 pixels at 1000
@@ -92,7 +92,7 @@ def project(
 def pixel_directions(
     matrix: npt.ArrayLike, rotation: npt.ArrayLike, distortion: npt.ArrayLike, pixels: npt.ArrayLike
 ) -> F64:
-    """Return the directions of the rays that pixels are seen by.
+    """Return the directions of the rays through pixels.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def pixel_directions(
     Returns
     -------
     float64 array (…, 3)
-        Unit vectors in the world, away from the camera; NaN for a pixel that no ray falls on, far outside the image.
+        Unit vectors in the world, away from the camera; NaN for a pixel far outside the image that no ray maps to.
 
     Raises
     ------
@@ -130,13 +130,13 @@ def pixel_directions(
 
 
 def distort(distortion: npt.ArrayLike, plane: F64) -> F64:
-    """Return where the lens puts places (…, 2) of the plane z = 1 of a camera."""
+    """Apply lens distortion to points (…, 2) on the plane z = 1 of a camera."""
     numbers = _coefficients(distortion)
     return plane if numbers is None else _lens(numbers, plane)[0]
 
 
 def undistort(distortion: npt.ArrayLike, seen: F64) -> F64:
-    """Return the places on the plane z = 1 that the lens puts at `seen`, by Newton's iteration.
+    """Return the undistorted points on the plane z = 1 for distorted ones, by Newton's iteration.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def undistort(distortion: npt.ArrayLike, seen: F64) -> F64:
 
 
 def _newton_step(numbers: F64, seen: F64, plane: F64, missing: F64) -> tuple[F64, F64]:
-    """Return the places after one step, and what is missing there; a step that does not come nearer is shortened."""
+    """Return the points after one Newton step and their residuals; a step that increases the residual is shortened."""
     slope = _lens(numbers, plane)[1]
     determinant = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
     step = np.stack(
@@ -191,7 +191,7 @@ def _newton_step(numbers: F64, seen: F64, plane: F64, missing: F64) -> tuple[F64
 
 
 def _lens(numbers: F64, plane: F64) -> tuple[F64, F64]:
-    """Return the places (…, 2) behind the lens, and their derivatives (…, 2, 2) by the places before it."""
+    """Return the distorted points (…, 2), and their derivatives (…, 2, 2) by the undistorted ones."""
     k1, k2, p1, p2, k3, k4, k5, k6 = numbers
     a, b = plane[..., 0], plane[..., 1]
     square = a * a + b * b
@@ -215,7 +215,7 @@ def _lens(numbers: F64, plane: F64) -> tuple[F64, F64]:
 
 
 def _coefficients(distortion: npt.ArrayLike) -> F64 | None:
-    """Return the eight numbers of a distortion; None if all are 0."""
+    """Return the eight distortion coefficients, missing ones as 0; None if all are 0."""
     numbers = np.asarray(distortion, np.float64).reshape(-1)
     if len(numbers) not in DISTORTION_COUNTS:
         raise ParameterError("distortion", "of 0, 4, 5 or 8 numbers (k1 k2 p1 p2 k3 k4 k5 k6)", len(numbers))

@@ -1,1 +1,1 @@
-"""Full-body motion from one depth camera (thesis, Chapter 8)."""
+"""This package reconstructs full-body motion from one depth camera (thesis, Chapter 8)."""

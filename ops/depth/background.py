@@ -1,4 +1,4 @@
-"""The empty room behind a person: measured in the recording itself, and compared with its frames."""
+"""This module estimates the empty room from a depth recording itself, and compares frames with it."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 
 PERCENTILE = 90.0
-"""The percentile of a pixel's measured depths that is the room behind who moves."""
+"""The percentile of a pixel's depths over time that is used as the background behind a moving person."""
 
 BEHIND = 0.06, 0.03
-"""A depth is behind the background if it is farther by more than the first, in metres, and the second times itself."""
+"""A depth is behind the background if it exceeds it by more than the first, in metres, plus the second times itself."""
 
 PERSON_SHARE = 0.93
-"""A depth below this share of the background belongs to the person, whatever the unit of both is."""
+"""Factor of the background's depth below which a depth belongs to the person, in any unit."""
 
 _ROWS = 16
 
 
 def percentile_depths(images: F32, percentile: float = PERCENTILE) -> F32:
-    """Return a percentile of each pixel's measured depths.
+    """Return a percentile over time of each pixel's measured depths.
 
     Parameters
     ----------
     images : float32 array (T, H, W)
         Depths; 0 where nothing was measured.
     percentile : float, optional
-        The percentile, 0 to 100, between neighbouring depths along a straight line.
+        The percentile, 0 to 100; linearly interpolated between neighbouring depths.
 
     Returns
     -------
@@ -37,7 +37,7 @@ def percentile_depths(images: F32, percentile: float = PERCENTILE) -> F32:
     """
     height = images.shape[1]
     found = np.zeros(images.shape[1:], np.float32)
-    for top in range(0, height, _ROWS):  # bounds the copies
+    for top in range(0, height, _ROWS):  # row by row, to bound the size of copies
         block = np.sort(np.where(images[:, top : top + _ROWS] > 0, images[:, top : top + _ROWS], np.inf), axis=0)
         counts = np.isfinite(block).sum(axis=0)
         place = np.maximum(counts - 1, 0) * (percentile / 100)
@@ -52,7 +52,7 @@ def percentile_depths(images: F32, percentile: float = PERCENTILE) -> F32:
 
 
 def behind_share(image: F32, background: F32) -> float:
-    """Return the share of pixels farther than the background, which no person can cause: the camera moved.
+    """Return the share of pixels farther away than the background; only a moved camera makes it large, not a person.
 
     Parameters
     ----------
@@ -73,14 +73,14 @@ def behind_share(image: F32, background: F32) -> float:
 
 
 def person_extent(image: F32, background: F32 | None, rays: F64) -> tuple[float, float] | None:
-    """Return distance and size of what stands before the background.
+    """Return the distance and the size of whatever stands in front of the background.
 
     Parameters
     ----------
     image : float32 array (H, W)
         Depths; 0 where nothing was measured.
     background : float32 array (H, W), optional
-        The empty room; None where all that is measured is the person.
+        Depths of the empty room; None where every measured pixel belongs to the person.
     rays : float64 array (H, W, 2)
         The rays (a, b, 1) of the pixels.
 

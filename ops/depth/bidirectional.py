@@ -1,4 +1,4 @@
-"""Tracks of both directions of time joined into one: in each frame one of the two, by dynamic programming."""
+"""This module joins a forward and a backward track into one, choosing one of them per frame by dynamic programming."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 CHANGE = 0.5
-"""The cost of a change from one track to the other, per metre of their mean distance in the frame after it."""
+"""The cost of a change between the tracks, per metre of their mean distance in the frame after it."""
 
 _NO_POSE = 1e6  # the cost of a track in a frame in which it has no pose
 
 
 def choose_directions(forward: F64, backward: F64, costs: F64, change: float = CHANGE) -> I64:
-    """Choose one of two tracks in every frame, with the least sum of costs of frames and of changes.
+    """Choose one of two tracks in every frame so that the sum of frame costs and change costs is least.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def choose_directions(forward: F64, backward: F64, costs: F64, change: float = C
     for t in range(frames):
         if t:
             changed = sums[::-1] + steps[t]
-            # at equal sums a track is not left; that of both at the end goes to forward
+            # at equal sums the current track is kept; at the last frame, forward is taken
             came[t] = np.where(changed < sums, [1, 0], [0, 1])
             sums = np.minimum(sums, changed)
         sums = sums + own[t]

@@ -1,4 +1,4 @@
-"""Links between the components of a frame's points, each between the closest pair of points.
+"""This module links the components of a frame's point graph by edges between the closest pairs of points.
 
 The nodes of a component are gathered in blocks: tiles of 8 × 8 pixels, with the box in space that holds their points.
 A distance to such a box is never above that to a point in it, rounding included, so blocks farther than the closest
@@ -20,17 +20,17 @@ I32 = npt.NDArray[np.int32]
 Bool = npt.NDArray[np.bool_]
 
 MOST_LINK_M = 0.5
-"""Components that are not nearer than this to the body are no part of it."""
+"""Greatest distance in metres from the body at which a component still belongs to it."""
 
 TILE_BITS = 3
-"""Rows and columns of a block are 2 to this power, in pixels."""
+"""Base-2 logarithm of a block's width and height in pixels."""
 
 MOST_TILES = 1 << 14 >> TILE_BITS
-"""Tiles beside each other: images have fewer than 2¹⁴ columns."""
+"""The most tiles in a row: images have fewer than 2¹⁴ columns."""
 
 
 class LinkRoom(NamedTuple):
-    """The arrays that links are found in, for at most N points and K components.
+    """Preallocated arrays for finding links, for at most N points and K components.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class LinkRoom(NamedTuple):
 
 
 def link_room(most: int, components: int) -> LinkRoom:
-    """Return room for frames with at most so many points and components."""
+    """Allocate the arrays for frames with at most the given numbers of points and components."""
     return LinkRoom(
         np.zeros(most, np.int32),
         np.zeros((2, most), np.int32),
@@ -84,7 +84,7 @@ def link_room(most: int, components: int) -> LinkRoom:
 def link_components(
     points: F64, pixels: I32, labels: I32, sizes: I32, components: int, body: Bool, room: LinkRoom
 ) -> int:
-    """Join components to the largest one, the nearest first, and return the number of links.
+    """Link components to the largest one, the nearest first, and return the number of links.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def link_components(
 
 @njit(cache=True, nogil=True)
 def _gather_blocks(points: F64, pixels: I32, labels: I32, components: int, room: LinkRoom) -> None:
-    """Sort the nodes by component and tile, and find the boxes of their blocks."""
+    """Sort the nodes by component and tile, and compute the bounding boxes of their blocks."""
     order, blocks, firsts, boxes = room.order, room.blocks, room.firsts, room.boxes
     kept = _sort_nodes(pixels, labels, components, room)
     count, component, tile = 0, -1, -1
@@ -165,7 +165,7 @@ def _gather_blocks(points: F64, pixels: I32, labels: I32, components: int, room:
 
 @njit(cache=True, nogil=True)
 def _sort_nodes(pixels: I32, labels: I32, components: int, room: LinkRoom) -> int:
-    """Order the nodes of components by component, column of tiles and row of tiles, and return their number."""
+    """Sort the nodes by component, column of tiles and row of tiles, and return their number."""
     n = len(pixels)
     order, (tiles, passing), counts = room.order, room.keys, room.counts
     left, right, top = pixels[0, 0], pixels[0, 0], pixels[0, 1]
@@ -199,9 +199,9 @@ def _sort_nodes(pixels: I32, labels: I32, components: int, room: LinkRoom) -> in
 
 @njit(cache=True, nogil=True)
 def _update_closest(points: F64, grown: int, component: int, room: LinkRoom) -> None:
-    """Compare a component with one that has joined the body; ties go to the lowest node of the body, then its own."""
+    """Update the closest pairs after a component joined the body; ties go to the lowest nodes, the body's first."""
     boxes, firsts = room.boxes, room.firsts
-    for skip_far in (True, False):  # the nearest pair of blocks first, for a bound that excludes most of the others
+    for skip_far in (True, False):  # the nearest pair of blocks first: its distance excludes most other blocks
         near, near_a, near_b = np.inf, -1, -1
         for a in range(firsts[grown], firsts[grown + 1]):
             for b in range(firsts[component], firsts[component + 1]):
@@ -243,7 +243,7 @@ def _compare_blocks(points: F64, a: int, b: int, component: int, room: LinkRoom)
 
 @njit(cache=True, nogil=True)
 def _box_square(one: F64, other: F64) -> float:
-    """Return the squared distance of two boxes."""
+    """Return the squared distance between two boxes."""
     total = 0.0
     for axis in range(3):
         gap = max(one[0, axis] - other[1, axis], other[0, axis] - one[1, axis], 0.0)

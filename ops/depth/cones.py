@@ -1,4 +1,4 @@
-"""The surface of a body as round cones: signed distances of points, and samples that face the camera.
+"""This module models the surface of a body by round cones: signed distances of points, and samples facing the camera.
 
 A round cone is the union of balls along an axis from A to B whose radius changes evenly from r_A to r_B; A and B are
 joints, or mixtures of joints. Lengths are in metres; the camera is at the origin.
@@ -26,9 +26,9 @@ START, AXIS, INVERSE, RADIUS, GROWTH, MIDDLE, REACH = 0, 3, 6, 7, 8, 9, 12
 COLUMNS = 13
 
 BEHIND = 0.4
-"""A place of the surface is out of the camera's sight where the cosine of its normal and the ray is above this."""
+"""A surface point counts as hidden from the camera where the cosine of its normal and the ray exceeds this."""
 
-_SLACK = 1e-9  # metres by which a bound may be wrong by rounding
+_SLACK = 1e-9  # tolerance in metres for rounding errors of a bound
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class ConeBody:
     pivots : int64 array (P,)
         The joints that turn what is below them; the root first, parents before children.
     stiffness : float64 array (P,)
-        How much each pivot holds back a step of a fit.
+        How strongly each pivot is damped in a step of a fit.
     """
 
     name: str
@@ -90,7 +90,7 @@ class ConeBody:
         return float(self.height_bones @ np.asarray(bone_lengths, np.float64)) + self.height_plus_m
 
     def cones(self, height: float) -> Cones:
-        """Return the cones of an actor of a standing height in metres, for kernels.
+        """Return the cones of an actor of the given standing height in metres, as arrays for kernels.
 
         Raises
         ------
@@ -103,13 +103,13 @@ class ConeBody:
 
     @cached_property
     def samples(self) -> Samples:
-        """The samples of the surface, for kernels."""
+        """Return the samples of the surface as arrays for kernels."""
         angles = self.sample_angles
         return Samples(self.sample_cones, self.sample_places, np.cos(angles), np.sin(angles), angles == 0.0)
 
 
 class Cones(NamedTuple):
-    """The cones of an actor, see `ConeBody` for the arrays; radii are the actor's."""
+    """The cones of an actor as arrays; see `ConeBody` for their meaning, with radii scaled to the actor."""
 
     joints: I64
     shares: F64
@@ -117,7 +117,7 @@ class Cones(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """Samples of the surface, see `ConeBody`: cone, place, cosine and sine of the angle, and whether the angle is 0."""
+    """Samples of the surface, see `ConeBody`: cone, position, cosine and sine of the angle, True where the angle is 0."""
 
     cones: I64
     places: F64
@@ -127,7 +127,7 @@ class Samples(NamedTuple):
 
 
 class SurfaceDistances(NamedTuple):
-    """The nearest places of a body's surface to points.
+    """The signed distances of points from a body's surface, with the nearest cone of each.
 
     Attributes
     ----------
@@ -202,7 +202,7 @@ def body_samples(body: ConeBody, pose: F64, height: float | None = None) -> F64:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def place_cones(cones: Cones, pose: F64, placed: F64) -> None:
-    """Write the cones of a pose.
+    """Write the cones of a pose into `placed`.
 
     Parameters
     ----------
@@ -272,11 +272,11 @@ def nearest_cone(placed: F64, x: float, y: float, z: float, guess: int) -> tuple
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def seen_side(cone: F64, s: float, x: float, y: float, z: float) -> tuple[float, float, float, float]:
-    """Return the normal of a cone where a camera can see it from the origin, and the distance of a point from there.
+    """Return the normal of a cone on the side that the camera at the origin can see, and a point's distance from there.
 
-    The nearest place of the surface may face away from the camera, which no point of a depth image does: a shank just
-    before its points would fit them with its calf. There the side towards the camera counts, and the point lies behind
-    it.
+    The nearest point of the surface may face away from the camera, where no depth pixel can come from: a shank slightly
+    in front of its points would be fitted to them with its calf. In this case the side towards the camera is used, and
+    the point lies behind it.
 
     Parameters
     ----------
@@ -321,7 +321,7 @@ def _distances(placed: F64, points: F64, found: SurfaceDistances) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def place_samples(samples: Samples, placed: F64, points: F64, offsets: F64) -> None:
-    """Write the samples of a pose's surface, on the side towards the camera in the origin.
+    """Write the samples of a pose's surface, on the side towards the camera at the origin.
 
     Parameters
     ----------
@@ -330,7 +330,7 @@ def place_samples(samples: Samples, placed: F64, points: F64, offsets: F64) -> N
     placed : float64 array (C, 13)
         The placed cones.
     points, offsets : float64 array (S, 3)
-        The samples in metres, and what they lie beside their cone's axis; both are written.
+        The samples in metres, and their offsets from their cone's axis; both are written.
     """
     for i in range(len(samples.cones)):
         row, s = placed[samples.cones[i]], samples.places[i]
@@ -339,7 +339,7 @@ def place_samples(samples: Samples, placed: F64, points: F64, offsets: F64) -> N
         x, y, z = row[START] + s * row[AXIS], row[START + 1] + s * row[AXIS + 1], row[START + 2] + s * row[AXIS + 2]
         along = x * e + y * f + z * g
         u, v, w = _unit(along * e - x, along * f - y, along * g - z)
-        if s == 1.0 and samples.straight[i]:  # the tip
+        if s == 1.0 and samples.straight[i]:  # the tip of the cone
             u, v, w = _unit(u + e, v + f, w + g)
         radius = row[RADIUS] + s * row[GROWTH]
         cosine, sine = radius * samples.cosines[i], radius * samples.sines[i]
@@ -351,7 +351,7 @@ def place_samples(samples: Samples, placed: F64, points: F64, offsets: F64) -> N
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _unit(x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return a vector at length 1; without length it stays."""
+    """Return a vector normalised to length 1; the zero vector is returned as it is."""
     length = math.sqrt(x * x + y * y + z * z)
     scale = 1.0 / length if length > 1e-12 else 0.0
     return x * scale, y * scale, z * scale

@@ -1,10 +1,10 @@
-"""Geodesic extrema: the points that are farthest along the body, one after the other (thesis, Algorithm 4).
+"""This module finds geodesic extrema, the points farthest along the body, one after the other (thesis, Algorithm 4).
 
 The first is the node farthest from the source. Each found node becomes a further source, and the next extremum is the
 node farthest from all of them. The distances of one step are those of the step before, made smaller around the new
 source: the search is continued, and visits only nodes that come nearer. Nodes wait in buckets of about equal distance
-(Dial, 1969) instead of a heap, which takes a third of the time. The distances are those of Dijkstra's algorithm from
-all sources anew, to the last bit: each is the least sum over its neighbours, whatever the order they are visited in.
+(Dial, 1969) instead of a heap, in a third of the time. The distances are those of Dijkstra's algorithm started from all
+sources, to the last bit: each is the least sum over its neighbours in any order of visits.
 """
 
 from __future__ import annotations
@@ -24,20 +24,21 @@ F64 = npt.NDArray[np.float64]
 I32 = npt.NDArray[np.int32]
 
 SOURCE_DROP_M = 0.2
-"""The source is the node nearest to the mean of the points, lowered by this."""
+"""Distance in metres by which the mean of the points is lowered; the source is the node nearest to it."""
 
 COUNT = 20
 """The number of extrema (thesis, Section 8.4.4)."""
 
 TIP_M = 0.15
-"""At the tip of a limb, no point connected to it within this is farther from the source."""
+"""Radius in metres around an extremum that must hold no node farther from the source, for it to be the tip of a limb.
+"""
 
 BUCKET_M, BUCKETS = 0.01, 128
 """Width of a bucket of distances, and their number, a power of two; all together are longer than the longest edge."""
 
 
 class Extrema(NamedTuple):
-    """The geodesic extrema of a frame; fewer than asked for where the body has fewer nodes.
+    """The geodesic extrema of a frame; fewer than requested where the body has fewer nodes.
 
     Attributes
     ----------
@@ -55,7 +56,7 @@ class Extrema(NamedTuple):
 
 
 class ExtremaRoom(NamedTuple):
-    """The arrays of the search, for graphs of at most N nodes.
+    """Preallocated arrays of the search, for graphs of at most N nodes.
 
     Attributes
     ----------
@@ -83,7 +84,7 @@ class ExtremaRoom(NamedTuple):
 
 
 def extrema_room(nodes: int) -> ExtremaRoom:
-    """Return room for graphs of at most so many nodes."""
+    """Allocate the arrays for graphs of at most the given number of nodes."""
     return ExtremaRoom(
         np.zeros(nodes),
         np.zeros(BUCKETS, np.int32),
@@ -127,7 +128,7 @@ def geodesic_extrema(graph: PointGraph, source: int, count: int = COUNT, room: E
     count : int
         The number of extrema.
     room : ExtremaRoom, optional
-        Room of earlier frames, which is used again; None: it is made.
+        Arrays to reuse from earlier frames; None allocates them.
 
     Returns
     -------
@@ -150,10 +151,10 @@ def geodesic_extrema(graph: PointGraph, source: int, count: int = COUNT, room: E
 
 
 def tips_first(cloud: FrameCloud, graph: PointGraph, extrema: Extrema, room: ExtremaRoom) -> Extrema:
-    """Return extrema in another order: first those at the tips of limbs, then the others, each in the order they had.
+    """Return the extrema reordered: first those at the tips of limbs, then the others, each group in its former order.
 
-    At a tip, no point that is connected to it within 0.15 m is farther from the source. A knee between source and foot,
-    or a shoulder, takes a place among the first five extrema where a hand hangs at the hip, but is mostly no tip.
+    At a tip, no point that is connected to it within 0.15 m is farther from the source. Where a hand hangs at the hip,
+    a knee or a shoulder may be among the first five extrema, but it is rarely a tip.
 
     Parameters
     ----------
@@ -164,7 +165,7 @@ def tips_first(cloud: FrameCloud, graph: PointGraph, extrema: Extrema, room: Ext
     extrema : Extrema
         Its extrema.
     room : ExtremaRoom
-        The room that they were found in, with nothing else since.
+        The arrays of the search that found them, not used since.
 
     Returns
     -------
@@ -181,7 +182,7 @@ def tips_first(cloud: FrameCloud, graph: PointGraph, extrema: Extrema, room: Ext
 def _find_tips(
     points: F64, starts: I32, neighbours: I32, nodes: I32, room: ExtremaRoom, tips: npt.NDArray[np.bool_]
 ) -> None:
-    """Search around each extremum, along edges within the ball, until a node is farther from the source."""
+    """Search around each extremum within the radius, until a node is found that is farther from the source."""
     distances, queue, seen = room.from_source, room.after, room.changed
     seen[: len(points)] = -1
     for m in range(len(nodes)):
@@ -225,7 +226,7 @@ def _nearest_to_mean(points: F64, body: npt.NDArray[np.bool_], drop: float) -> i
 def _find_extrema(
     starts: I32, neighbours: I32, lengths: F64, source: int, room: ExtremaRoom, nodes: I32, distances: F64, visited: I32
 ) -> int:
-    """Fill the extrema, and return how many there are."""
+    """Fill in the extrema, and return their number."""
     reached = room.distances[: len(starts) - 1]
     reached[:] = np.inf
     room.changed[: len(reached)] = -1
@@ -257,7 +258,7 @@ def _greatest_finite(values: F64) -> float:
 
 @njit(cache=True, nogil=True)
 def _spread(starts: I32, neighbours: I32, lengths: F64, source: int, search: int, room: ExtremaRoom) -> int:
-    """Add a source to the distances, and return the number of nodes that came nearer.
+    """Update the distances for an additional source, and return the number of nodes whose distance became less.
 
     Nodes wait in buckets of distances, each node in one at most, in a ring that is longer than the longest edge. A node
     that comes nearer while its own bucket is being emptied returns to it, so the result does not depend on the width of
@@ -289,7 +290,7 @@ def _spread(starts: I32, neighbours: I32, lengths: F64, source: int, search: int
             place, former = int(length * scale) & (BUCKETS - 1), buckets[other]
             if place == former:
                 continue
-            if former >= 0:  # it leaves the bucket that it waited in
+            if former >= 0:  # remove it from its former bucket
                 if before[other] >= 0:
                     after[before[other]] = after[other]
                 else:

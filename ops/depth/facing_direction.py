@@ -1,4 +1,4 @@
-"""The centre of the points, and the direction that the chest faces by them (thesis, Section 8.3.4)."""
+"""This module finds the centre of a frame's points, and the direction that the chest faces (thesis, Section 8.3.4)."""
 
 from __future__ import annotations
 
@@ -14,25 +14,26 @@ from kinedex.ops.order_statistics import median
 F64 = npt.NDArray[np.float64]
 
 SAMPLE = 700
-"""About as many points as this are used where not all are needed."""
+"""Approximate number of points that are used where not all are needed."""
 
 WIDTH_M, CLOSE_M, MOST_SHIFTS = 0.25, 1e-3, 8
-"""Width of the mean shift's weights, the step that ends it, and the most steps."""
+"""Bandwidth of the mean shift in metres, the step that ends it, and the most steps."""
 
 AROUND_M, LEAST_POINTS, LEAST_HORIZONTAL = 0.15, 20, 0.5
-"""Points around the centre that the plane is fitted to, how many there must be, and how upright it must be."""
+"""Radius around the centre for the plane fit, the least number of points, and the least horizontal part of its normal.
+"""
 
 FOLLOW = 0.7
-"""The share by which a direction follows a plane that is fully trusted."""
+"""The weight of a fully trusted plane when the direction is updated."""
 
 
 def sample_step(count: int) -> int:
-    """Return the step in which points are used: every ⌊n/700⌋-th, at least every one."""
+    """Return the stride in which points are sampled: ⌊n/700⌋, at least 1."""
     return max(count // SAMPLE, 1)
 
 
 def point_centre(points: F64) -> F64:
-    """Return the centre of a frame's points, by mean shift from the median of each coordinate.
+    """Return the centre of a frame's points by mean shift, started from the coordinate-wise median.
 
     Parameters
     ----------
@@ -50,7 +51,7 @@ def point_centre(points: F64) -> F64:
 
 
 def facing_from_points(points: F64, centre: F64, facing: F64) -> F64:
-    """Return the direction that the chest faces, from the plane of the points around the centre.
+    """Return the direction that the chest faces, from a plane fitted to the points around the centre.
 
     Parameters
     ----------
@@ -103,7 +104,7 @@ def _face(points: F64, centre: F64, facing: F64, result: F64) -> None:
     copy_row(result, facing)
     covariance, count = np.zeros((3, 3)), 0
     mean = np.zeros(3)
-    for step in range(2):  # the mean of the points around the centre, then their covariance
+    for step in range(2):  # first pass: the mean of the points around the centre; second pass: their covariance
         for i in range(len(points)):
             dx, dy, dz = points[i, 0] - centre[0], points[i, 1] - centre[1], points[i, 2] - centre[2]
             if dx * dx + dy * dy + dz * dz >= AROUND_M * AROUND_M:
@@ -138,7 +139,7 @@ def _face(points: F64, centre: F64, facing: F64, result: F64) -> None:
 
 @njit(cache=True, nogil=True)
 def symmetric_eigenvectors(matrix: F64) -> tuple[F64, F64]:
-    """Return the eigenvalues of a symmetric matrix, ascending, and its eigenvectors, by Jacobi's rotations.
+    """Return the eigenvalues of a symmetric matrix, ascending, and its eigenvectors, by Jacobi's method.
 
     Parameters
     ----------

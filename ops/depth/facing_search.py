@@ -1,8 +1,9 @@
-"""Proposals for other directions that a person may face than the one that is known.
+"""This module proposes poses in which a person faces other directions than the one assumed so far.
 
-Extrema are turned by the facing direction before poses are looked up. That of the last pose is wrong where the pose is,
-and then no pose is found that could replace it. So all directions are tried at a start, two of them with every map of
-ends to extrema since a person may lie, and one more direction in every third frame after it, in turn.
+Extrema are rotated by the facing direction before poses are looked up. If the last pose is wrong, so is its facing
+direction, and the lookup cannot find the right pose. So the first frame tries all directions, two of them with every
+assignment of end effectors to extrema, since a person may lie; later, every third frame tries one more direction, in
+turn.
 """
 
 from __future__ import annotations
@@ -18,23 +19,25 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 TURNS_DEG = (90.0, -90.0, 45.0, -45.0, 135.0, -135.0, 180.0)
-"""The facing direction is turned by each of these, in this order."""
+"""Angles in degrees by which the facing direction is rotated, in this order."""
 
 ALL_MAPS_DEG = (0.0, 180.0)
-"""At a start all maps of ends to extrema are tried for these turns; for the others the lowest extrema are the feet."""
+"""Rotations in degrees for which the first frame tries all assignments of end effectors to extrema; for the others the
+lowest extrema are the feet.
+"""
 
 TURN_FRAMES = 3
-"""Another direction is tried in one of so many frames."""
+"""Another direction is tried in one of this many frames."""
 
 TURNED_SHARE = 0.85
-"""A pose that faces another direction is taken where it costs less than this share of the local hypothesis.
+"""A pose that faces another direction is accepted if it costs less than this share of the local hypothesis.
 
 From behind, a person looks almost as from the front: the costs of both differ by little, and by chance.
 """
 
 
 def propose_start(lookup: Lookup, extrema: F64, centre: F64, facing: F64) -> Proposals:
-    """Propose poses that face any direction, without a previous pose.
+    """Propose poses that face any direction, without using a previous pose.
 
     Parameters
     ----------
@@ -59,7 +62,7 @@ def propose_start(lookup: Lookup, extrema: F64, centre: F64, facing: F64) -> Pro
 
 
 def add_turned(proposals: Proposals, lookup: Lookup, extrema: F64, centre: F64, facing: F64, number: int) -> Proposals:
-    """Add the best pose that faces another direction, with the lowest extrema as feet, if it is not there already.
+    """Add the best pose that faces another direction, with the lowest extrema as feet, unless it is a candidate.
 
     Parameters
     ----------
@@ -83,7 +86,7 @@ def add_turned(proposals: Proposals, lookup: Lookup, extrema: F64, centre: F64, 
 
 
 def _joined(parts: Sequence[Proposals]) -> Proposals:
-    """Return all candidates, with the maps of all parts."""
+    """Concatenate the candidates of several searches, with their maps."""
     maps = np.cumsum([0, *(len(one.maps) for one in parts)])
     origins = np.concatenate([one.origins + first for one, first in zip(parts, maps, strict=False)])
     columns = {
@@ -93,7 +96,7 @@ def _joined(parts: Sequence[Proposals]) -> Proposals:
 
 
 def best_of_rows(proposals: Proposals, costs: Sequence[float], most: int) -> list[int]:
-    """Return the numbers of the candidates of least cost, one for each row of the database, by their lookup costs.
+    """Return indices of the cheapest candidates, one for each row of the database, sorted by their lookup costs.
 
     Parameters
     ----------

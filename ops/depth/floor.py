@@ -1,6 +1,6 @@
-"""The floor of an empty room: its largest plane that lies below the camera and is about level.
+"""This module finds the floor of an empty room: the largest nearly level plane below the camera.
 
-Axes are x right, y up and z to the rear, with the camera at the origin, before any turn.
+Axes are x right, y up and z to the rear, with the camera at the origin, before any rotation.
 """
 
 from __future__ import annotations
@@ -15,21 +15,22 @@ from kinedex.ops.errors import ParameterError
 F64 = npt.NDArray[np.float64]
 
 TRIPLES = 300
-"""Planes that are tried, each through three points."""
+"""Number of planes that are tried, each through three random points."""
 
 WITHIN_M = 0.03
-"""A point belongs to a plane that is not farther away."""
+"""Distance in metres up to which a point belongs to a plane."""
 
 LEAST_SHARE = 0.15
-"""The floor has at least this share of the points."""
+"""Least share of the points that the floor must have."""
 
 MOST_FROM_UP, MOST_FROM_IMAGE_UP = np.radians(5.0), np.radians(45.0)
-"""Greatest angles between the floor's normal and `up`, or the upward axis of the image where there is no `up`."""
+"""Greatest angles between the floor's normal and `up`, or the image's upward axis if there is no `up`, in radians."""
 
 _MOST_DRAWN = 100 * TRIPLES
 _COUNTED = 10_000
 _REFITS = 5
-_LEAST_NORMAL = 1e-6  # of three points that are nearly in a line, in square metres
+# m²; least length of the normal's cross product, so that the three points are not nearly collinear
+_LEAST_NORMAL = 1e-6
 
 
 class Floor(NamedTuple):
@@ -53,8 +54,8 @@ class Floor(NamedTuple):
 def find_floor(points: npt.ArrayLike, up: npt.ArrayLike | None = None, seed: int = 0) -> Floor | None:
     """Return the largest plane that can be the floor.
 
-    Planes through 300 random triples of points, of those whose normals are near to `up`, are compared by the number of
-    points within 3 cm; the best is fitted to its points by least squares.
+    As in RANSAC, 300 planes through random triples of points, with normals near to `up`, are compared by the number of
+    points within 3 cm; the best plane is then fitted to its points by least squares.
 
     Parameters
     ----------
@@ -148,7 +149,7 @@ def fitted_plane(points: F64, up: F64) -> tuple[F64, float]:
 
 
 def upright_turn(up: npt.ArrayLike) -> F64:
-    """Return the shortest turn (3, 3) that brings a direction to +Y.
+    """Return the least rotation (3, 3) that maps a direction to +Y.
 
     Parameters
     ----------
@@ -164,7 +165,7 @@ def upright_turn(up: npt.ArrayLike) -> F64:
     aside = x * x + z * z
     if y < 0 and aside < 1e-300:
         return np.diag([1.0, -1.0, -1.0])
-    share = 1 / (1 + y) if y >= 0 else (1 - y) / aside  # the same, where 1 + y would lose its digits
+    share = 1 / (1 + y) if y >= 0 else (1 - y) / aside  # the same number, where 1 + y would lose digits
     return np.array([[1 - x * x * share, -x, -x * z * share], [x, y, z], [-x * z * share, -z, 1 - z * z * share]])
 
 

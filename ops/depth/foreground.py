@@ -1,9 +1,9 @@
-"""The foreground of a depth image, and its noise removed (thesis, Section 8.3.1).
+"""This module finds the foreground of a depth image and removes its noise (thesis, Section 8.3.1).
 
 A pixel is foreground if its depth z is above `near`, below `far` and below a limit that background and floor set. Each
 of these conditions holds up to one depth and fails beyond it, so one table of limits, exact to the last bit, stands for
-all of them. What is left is judged in windows of 3 × 3 pixels: contours and flying pixels go, and the others take the
-median of their window.
+all of them. The remaining pixels are filtered in windows of 3 × 3: contours and flying pixels are removed, and the
+others get the median of their window.
 """
 
 from __future__ import annotations
@@ -18,23 +18,24 @@ I32 = npt.NDArray[np.int32]
 I64 = npt.NDArray[np.int64]
 
 NEAR_M, FAR_M = 0.4, 8.0
-"""Depths of the foreground lie between these, in metres."""
+"""Least and greatest depth of the foreground, in metres."""
 
 BEFORE_BACKGROUND, BEFORE_BACKGROUND_SHARE = 0.06, 0.015
-"""A foreground pixel is nearer than the background by more than the first, in metres, plus the second times z."""
+"""A foreground pixel is nearer than the background by more than the first, in metres, plus the second times its depth.
+"""
 
 ABOVE_FLOOR_M = 0.01
-"""Points that are not higher above a known floor belong to it."""
+"""Height in metres above a known floor up to which points belong to the floor."""
 
 LEAST_NEIGHBOURS, MOST_FROM_MEDIAN_M = 5, 0.10
-"""A pixel stays with as many foreground neighbours of 8, and nearer than this to the median of its window."""
+"""A pixel is kept if at least this many of 8 neighbours are foreground, and it is nearer than this to the median."""
 
-# sensors report whole millimetres: a difference of exactly 0.10 in them is not below 0.10 in float32
+# Sensors report whole millimetres; in float32 a difference of exactly 0.10 m may not be below 0.10.
 _ROUNDING_M = 1e-6
 
 
 def depth_limits(background: F32 | None, rises: F64, floor_height: float | None, far: float) -> F32:
-    """Return the least depth of each pixel that is no foreground any more.
+    """Return for each pixel the least depth that does not belong to the foreground any more.
 
     Parameters
     ----------
@@ -77,7 +78,7 @@ def depth_limits(background: F32 | None, rises: F64, floor_height: float | None,
 def is_foreground(
     z: F32, background: F32 | None, rises: F64, floor_height: float | None, far: float
 ) -> npt.NDArray[np.bool_]:
-    """Return which depths lie before the background, above the floor and nearer than `far`; see `depth_limits`."""
+    """Return a mask of depths in front of the background, above the floor and nearer than `far`; see `depth_limits`."""
     depth = z.astype(np.float64)
     found = depth < far
     if background is not None:
@@ -96,7 +97,7 @@ def float32_below(value: float) -> np.float32:
 
 @njit(cache=True, nogil=True)
 def find_foreground(image: F32, limits: F32, near: np.float32, foreground: F32, runs: I64) -> int:
-    """Copy foreground depths into a padded image, find where they begin and end in each row, and count them.
+    """Copy foreground depths into a padded image, find the range of columns in each row, and return their count.
 
     Parameters
     ----------
@@ -143,18 +144,18 @@ def remove_noise(
     foreground: F32, directions: F64, runs: I64, rows: F32,
     points: F64, pixels: I32, numbers: I32, depth: F32, box: I64,
 ) -> int:  # fmt: skip
-    """Clear the former frame's box, number the pixels that stay, set their box, and return how many there are.
+    """Clear the former frame's box, number the pixels that are kept, set the new box, and return their count.
 
     Parameters
     ----------
     foreground : float32 array (h + 2, w + 2)
         The foreground, see `find_foreground`.
     directions : float64 array (h, w, 3)
-        The place of each pixel at z = 1.
+        The point (x, y, 1) on the ray of each pixel.
     runs : int64 array (h, 2)
         The foreground's columns in each row.
     rows : float32 array (5, w + 2)
-        Room for the sorted columns and the medians of a row.
+        Work memory for the sorted columns and the medians of a row.
     points : float64 array (h · w, 3)
         Receives the place of each point in metres.
     pixels : int32 array (h · w, 2)
@@ -194,7 +195,7 @@ def _clean_run(
     foreground: F32, rows: F32, v: int, left: int, right: int, n: int,
     directions: F64, points: F64, pixels: I32, depth: F32,
 ) -> int:  # fmt: skip
-    """Write the pixels that stay of some columns of a row, after n points, and return the new number of points."""
+    """Write the kept pixels among some columns of a row, after the first n points, and return the new count."""
     size = right - left + 2
     lows, middles, highs, counts, medians = (
         rows[0, :size], rows[1, :size], rows[2, :size], rows[3, :size], rows[4, : size - 2]
@@ -239,7 +240,7 @@ def _sort_columns(above: F32, here: F32, below: F32, lows: F32, middles: F32, hi
 
 @njit(cache=True, nogil=True)
 def _medians(lows: F32, middles: F32, highs: F32, medians: F32) -> None:
-    """Compute the median of each window of three columns, in which pixels without a depth count as 0."""
+    """Compute the median of each window of three columns, counting pixels without a depth as 0."""
     for i in range(len(medians)):
         a, b, c = lows[i], lows[i + 1], lows[i + 2]
         low = a if a > b else b
@@ -258,7 +259,7 @@ def _medians(lows: F32, middles: F32, highs: F32, medians: F32) -> None:
 
 @njit(cache=True, nogil=True)
 def _sixth(above: F32, here: F32, below: F32, i: int) -> np.float32:
-    """Return the sixth of the nine values of a window: the lower median of six or seven, zeros before them."""
+    """Return the sixth smallest value of a 3 × 3 window, the lower median of its six or seven depths after zeros."""
     first = second = third = fourth = np.float32(-1.0)  # the four greatest, descending
     for row in (above, here, below):
         for k in range(3):

@@ -1,8 +1,8 @@
-"""The graph of a frame's points: edges between neighbouring pixels, components, and links (thesis, Section 8.4.2).
+"""This module builds the graph of a frame's points: edges, components, and links (thesis, Section 8.4.2).
 
-Two points are joined if their pixels are among the eight neighbours of each other and they lie closer than a threshold.
-Small components are noise. The largest one is the body; of the others always the nearest to the body as grown so far
-joins it, by an edge between the closest pair of points.
+Two points are joined if their pixels are adjacent (8-neighbours) and they lie closer than a threshold. Small components
+are noise. The largest one is the body; the others join it one by one, always the nearest next, by an edge between the
+closest pair of points.
 """
 
 from __future__ import annotations
@@ -21,30 +21,30 @@ I32 = npt.NDArray[np.int32]
 Bool = npt.NDArray[np.bool_]
 
 EDGE_M = 0.06
-"""Neighbouring points closer than this are joined by an edge."""
+"""Distance in metres below which neighbouring points are joined by an edge."""
 
 FINE_EDGE_M, EDGE_PER_STEP = 0.043, 0.7
-"""The threshold for a sensor of fine steps, and what it grows by with the step of a frame, up to `EDGE_M`."""
+"""The threshold for a sensor of fine depth steps, and its growth per metre of a frame's depth step, up to `EDGE_M`."""
 
 STEP_SHARE, STEP_BIN_M, STEP_BINS = 0.2, 0.001, 64
-"""The step of a frame is the value that this share of depth differences is below, counted in bins of a millimetre."""
+"""The quantile of depth differences that is a frame's depth step, and the width and number of its histogram bins."""
 
 LEAST_NODES = 12
-"""Components of fewer nodes are dropped."""
+"""Least number of nodes of a component that is kept."""
 
 FORWARD = 4
-"""Neighbours of a pixel that come after it, row by row: right, and three below."""
+"""Number of neighbours of a pixel that follow it row by row: right, and three below."""
 
 
 class PointGraph(NamedTuple):
-    """The graph of a frame's points; its arrays are overwritten by the next one that is built in the same room.
+    """The graph of a frame's points; its arrays are overwritten by the next graph that uses the same `GraphRoom`.
 
     Attributes
     ----------
     starts : int32 array (n + 1,)
         Where the edges of each node begin in the two arrays that follow.
     neighbours : int32 array (m,)
-        The other node of each edge; every edge is there from both of its nodes.
+        The other node of each edge; every edge is stored for both of its nodes.
     lengths : float64 array (m,)
         The lengths of the edges in metres.
     body : bool array (n,)
@@ -67,7 +67,7 @@ class PointGraph(NamedTuple):
 
 
 class GraphRoom(NamedTuple):
-    """The arrays that graphs are built in, for frames of at most N points.
+    """Preallocated arrays for graphs of frames with at most N points.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class GraphRoom(NamedTuple):
 
 
 def graph_room(most: int) -> GraphRoom:
-    """Return room for the graphs of frames with at most so many points."""
+    """Allocate the arrays for graphs of frames with at most the given number of points."""
     components = most // LEAST_NODES + 1
     edges = 2 * FORWARD * most + 2 * components
     return GraphRoom(
@@ -118,10 +118,10 @@ def graph_room(most: int) -> GraphRoom:
 
 
 def edge_threshold(cloud: FrameCloud) -> float:
-    """Return the distance that neighbouring points of a frame are joined below, by the step of its depths.
+    """Return the distance below which neighbouring points of a frame are joined, from its depth step.
 
-    A hand at the hip is a step of some 5 cm from it. Where the sensor resolves this, a lower threshold keeps both
-    apart; disparities of structured light make steps of 2.6 cm at 3 m, two of which must not cut a limb.
+    A hand at the hip is about 5 cm in front of it. Where the sensor resolves this, a lower threshold keeps both apart;
+    structured-light sensors have depth steps of 2.6 cm at 3 m, two of which must not cut a limb.
 
     Parameters
     ----------
@@ -148,12 +148,12 @@ def build_graph(cloud: FrameCloud, threshold: float = EDGE_M, room: GraphRoom | 
     threshold : float
         Neighbouring points closer than this are joined, in metres.
     room : GraphRoom, optional
-        Room of earlier frames, which is used again; None: it is made.
+        Arrays to reuse from earlier frames; None allocates them.
 
     Returns
     -------
     PointGraph
-        The graph, in arrays of the room.
+        The graph, stored in arrays of `room`.
     """
     n = len(cloud.points)
     if room is None:
@@ -179,7 +179,7 @@ def build_graph(cloud: FrameCloud, threshold: float = EDGE_M, room: GraphRoom | 
 
 @njit(cache=True, nogil=True)
 def _depth_step(pixels: I32, depth: npt.NDArray[np.float32], counts: npt.NDArray[np.int64]) -> float:
-    """Return the bin that a share of the differences of horizontal neighbours is below, in metres; 0 without any."""
+    """Return the `STEP_SHARE` quantile of depth differences of horizontal neighbours, in metres; 0 without any."""
     total = 0
     for i in range(len(pixels) - 1):
         u, v = pixels[i, 0], pixels[i, 1]
@@ -197,7 +197,7 @@ def _depth_step(pixels: I32, depth: npt.NDArray[np.float32], counts: npt.NDArray
 
 @njit(cache=True, nogil=True)
 def _root(parents: I32, node: int) -> int:
-    """Return the lowest node of a component, and shorten the way to it."""
+    """Return the root of a node in union-find, the lowest node of its component, and compress the path to it."""
     while parents[node] != node:
         parents[node] = parents[parents[node]]
         node = parents[node]
@@ -210,7 +210,7 @@ def _join_neighbours(
 ) -> None:
     """Find the edges of each node with nodes after it, and unite their components."""
     height, width = numbers.shape
-    most = threshold * threshold * (1.0 + 1e-12)  # the exact comparison is that of the distance
+    most = threshold * threshold * (1.0 + 1e-12)  # with slack, as the exact comparison is made on the distance itself
     for i in range(len(points)):
         parents[i] = i
     for i in range(len(points)):
@@ -238,10 +238,10 @@ def _join_neighbours(
 
 @njit(cache=True, nogil=True)
 def _label_components(n: int, parents: I32, labels: I32, sizes: I32) -> int:
-    """Number the components that are large enough by their lowest nodes, and return how many there are."""
+    """Number the components that are large enough by their lowest nodes, and return their number."""
     sizes[:n] = 0
     for i in range(n):
-        parents[i] = parents[parents[i]]  # a parent is a lower node, and points to its root already
+        parents[i] = parents[parents[i]]  # a parent is a lower node, so it already points to its root
         sizes[parents[i]] += 1
     count = 0
     for i in range(n):
@@ -250,7 +250,8 @@ def _label_components(n: int, parents: I32, labels: I32, sizes: I32) -> int:
         elif sizes[i] < LEAST_NODES:
             labels[i] = -1
         else:
-            sizes[count], labels[i] = sizes[i], count  # a component's number is not above its lowest node
+            # a component's number is at most its lowest node, so sizes can be overwritten in place
+            sizes[count], labels[i] = sizes[i], count
             count += 1
     return count
 
@@ -260,7 +261,7 @@ def _pack_edges(
     n: int, ahead: I32, spans: F64, pairs: I32, pair_spans: F64, starts: I32, cursors: I32, neighbours: I32,
     lengths: F64,
 ) -> None:  # fmt: skip
-    """Write the edges of each node one after the other, neighbours ascending and links last."""
+    """Write the edges of all nodes one node after the other, each node's neighbours ascending and its links last."""
     cursors[: n + 1] = 0
     for i in range(n):
         for k in range(FORWARD):
