@@ -1,7 +1,7 @@
-"""The point of a depth image that corresponds to a sample of the body's surface (thesis, 8.4.1).
+"""This module finds the point of a depth image that corresponds to a sample of the body's surface (thesis, 8.4.1).
 
-A sample is projected into the image; its point is the closest one in a window around the pixel with a point that is
-nearest to it there. A sample is hidden where its point lies clearly before it on almost the same ray.
+A sample is projected into the image; its point is the closest one in a window around the nearest pixel that has a
+point. A sample is hidden where its point lies clearly in front of it on almost the same ray.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ I32 = npt.NDArray[np.int32]
 I64 = npt.NDArray[np.int64]
 
 HIDDEN_M, SAME_RAY = 0.12, 0.02
-"""A sample is hidden by a point nearer to the camera by the first, if x/z and y/z differ by less than the second."""
+"""A sample is hidden by a point that is nearer to the camera by the first (m), with x/z and y/z within the second."""
 
-_NEAREST_M = 1e-6  # what is nearer to the camera's plane lies behind it
+_NEAREST_M = 1e-6  # a depth z in metres; anything nearer counts as behind the camera
 
 
 class DepthView(NamedTuple):
-    """The camera that the points of a recording were made with.
+    """The camera and the orientation of a recording's points.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class DepthView(NamedTuple):
 
 
 class FrameImage(NamedTuple):
-    """A frame as the search uses it.
+    """A frame with the look-up tables that the search needs.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class FrameImage(NamedTuple):
 def depth_view(
     matrix: npt.ArrayLike, distortion: npt.ArrayLike = (), turn: npt.ArrayLike | None = None, stride: int = 1
 ) -> DepthView:
-    """Return the camera of a recording.
+    """Return the camera of a recording in the form that kernels take.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def depth_view(
     turn : float64 array (3, 3), optional
         The rotation that brings the camera's own (x, −y, −z) to axes with +Y up; None for a level camera.
     stride : int, optional
-        Every how many rows and columns a pixel is used.
+        The step of rows and columns at which pixels are used.
 
     Returns
     -------
@@ -113,7 +113,7 @@ def depth_view(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def project_samples(view: DepthView, image: FrameImage, samples: F64, seen: F64, places: I64) -> None:
-    """Project samples into the image, and find the pixels with a point that are nearest to them there.
+    """Project samples into the image, and find the nearest pixel with a point for each.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def project_samples(view: DepthView, image: FrameImage, samples: F64, seen: F64,
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _distorted(distortion: F64, a: float, b: float) -> tuple[float, float]:
-    """Return the place (x/z, y/z) with distortion."""
+    """Return the distorted coordinates (x/z, y/z)."""
     k1, k2, p1, p2, k3, k4, k5, k6 = distortion
     square = a * a + b * b
     scale = 1.0 + square * (k1 + square * (k2 + square * k3))

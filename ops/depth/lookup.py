@@ -1,4 +1,4 @@
-"""Lookup of poses by geodesic extrema, whose labels are not known (thesis, Section 8.4.3)."""
+"""This module looks up poses by geodesic extrema, without knowing which extremum is which body part (thesis, 8.4.3)."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 NEAR_M = 0.5
-"""An end is looked for among extrema that are so near to where it was (μ of Eq. 8.4)."""
+"""Distance in metres from the previous position within which an end effector is sought among extrema (μ of Eq. 8.4)."""
 
 JUMP_M = 0.25
-"""Feet are looked for among the lowest extrema where one lies so far from all of the frame before."""
+"""Distance in metres; the lowest extrema are tried as feet if one is farther than this from all extrema before."""
 
 MOST_MAPS = 12
-"""The maps of least sum of distances are tried."""
+"""Number of assignments, those of least sum of distances, that are tried."""
 
 NEIGHBOURS = 10
-"""Poses that are retrieved for each map (K)."""
+"""Number of poses that are retrieved for each assignment (K)."""
 
 APART_M = 0.1
-"""Candidates differ by more than this root mean square over the compared joints."""
+"""Least root mean square distance in metres between two candidates, over the compared joints."""
 
-_LAMBDA = 0.5  # of the ends' distance in Eq. 8.6; the rest is the distance from the previous pose
-_FEET = 12  # maps in which the two lowest extrema are the feet
+_LAMBDA = 0.5  # weight of the end effectors' distance in Eq. 8.6; the previous pose's distance has the rest
+_FEET = 12  # number of assignments in which the two lowest extrema are the feet
 _EVERY_MAP = np.array([*itertools.permutations(range(len(END_EFFECTORS)))], np.int64)
 
 
 class Proposals(NamedTuple):
-    """Candidates from the database, cheapest first, and the maps that were tried.
+    """Candidates from the database, cheapest first, and the maps of end effectors to extrema that were tried.
 
     Attributes
     ----------
@@ -54,13 +54,13 @@ class Proposals(NamedTuple):
     costs : float64 array (C,)
         Their costs (thesis, Eq. 8.6, with root mean squares).
     ends : float64 array (C,)
-        Root mean square distances of their ends from the extrema in metres.
+        Root mean square distances of their end effectors from the extrema in metres.
     origins : int64 array (C,)
         The map that each was found by.
     maps : int64 array (M, 5)
-        For each map the extremum that is taken for each of the five ends.
+        For each map the extremum that is assigned to each of the five end effectors.
     sums : float64 array (M,)
-        For each map the sum of distances from the previous ends in metres; NaN for one that does not come from them.
+        For each map the sum of distances from the previous ends in metres; NaN for a map that was not found from them.
     turns : float64 array (C,)
         The degrees by which the facing direction was turned for each.
     """
@@ -76,7 +76,7 @@ class Proposals(NamedTuple):
 
 
 class Lookup:
-    """Proposes poses of a database for the extrema of frames.
+    """Proposes poses of a database for the geodesic extrema of frames.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class Lookup:
     candidates : int, optional
         The most candidates of a frame.
     among : int, optional
-        Ends are sought among so many first extrema: 6, or 5 as printed.
+        The number of first extrema among which end effectors are sought: 6, or 5 as in the thesis.
 
     Raises
     ------
@@ -133,15 +133,15 @@ class Lookup:
         facing : float64 array (3,)
             The horizontal unit direction that the person faces.
         previous : float64 array (24, 3) or None
-            The pose of the frame before; None at a start.
+            The pose of the frame before; None without one.
         compare : bool, optional
             False for costs without the distance from the previous pose.
         jumped : bool, optional
-            Try the two lowest extrema as feet, as at a start.
+            Try the two lowest extrema as feet, as without a previous pose.
         every : bool, optional
-            Try all maps of the five ends to the first five extrema, and no others.
+            Try all assignments of the five end effectors to the first five extrema, and no others.
         turn_deg : float, optional
-            Turn the facing direction by so many degrees, from Z towards X.
+            Degrees by which the facing direction is rotated, from Z towards X.
 
         Returns
         -------
@@ -178,7 +178,7 @@ class Lookup:
 
 
 def turned_direction(facing: F64, degrees: float) -> F64:
-    """Return a horizontal direction (3,), turned about Y by so many degrees, from Z towards X."""
+    """Return a horizontal direction (3,) rotated about Y by an angle in degrees, from Z towards X."""
     if degrees == 0.0:
         return facing
     cosine, sine = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
@@ -187,14 +187,14 @@ def turned_direction(facing: F64, degrees: float) -> F64:
 
 @nb.njit(cache=True, nogil=True)
 def near_maps(extrema: F64, ends: F64, maps: I64, sums: F64) -> int:
-    """Write the `MOST_MAPS` injective maps of five ends to extrema of least sum, all distances below `NEAR_M`.
+    """Write the `MOST_MAPS` injective maps of five end effectors to extrema of least sum, all distances below `NEAR_M`.
 
     Parameters
     ----------
     extrema : float64 array (N, 3)
         The extrema to choose from.
     ends : float64 array (5, 3)
-        The previous ends.
+        The previous positions of the end effectors.
     maps : int64 array (M, 5)
         The maps by their sums; at equal sums by the numbers of their extrema.
     sums : float64 array (M,)
@@ -213,7 +213,7 @@ def near_maps(extrema: F64, ends: F64, maps: I64, sums: F64) -> int:
             distances[e, n] = np.sqrt(x * x + y * y + z * z)
     used, choice, partial = np.zeros(count, np.bool_), np.full(5, -1, np.int64), np.zeros(6)
     found, e = 0, 0
-    while e >= 0:  # depth first, in the order of numbers
+    while e >= 0:  # depth-first search over end effectors, extrema in ascending order
         if choice[e] >= 0:
             used[choice[e]] = False
         choice[e] += 1
@@ -243,7 +243,7 @@ def near_maps(extrema: F64, ends: F64, maps: I64, sums: F64) -> int:
 
 @nb.njit(cache=True, nogil=True)
 def feet_maps(extrema: F64, maps: I64, sums: F64, count: int) -> int:
-    """Append the 12 maps of five ends to five extrema in which the two lowest are the feet; return the new number."""
+    """Append the 12 maps of end effectors to extrema in which the two lowest are the feet; return the new number."""
     lowest = np.argsort(extrema[:, 1].copy(), kind="mergesort")
     feet, others = lowest[:2], lowest[2:]
     _sort_few(feet)
@@ -262,7 +262,7 @@ def feet_maps(extrema: F64, maps: I64, sums: F64, count: int) -> int:
 
 @nb.njit(cache=True, nogil=True)
 def _sort_few(numbers: I64) -> None:
-    """Sort a few numbers in place."""
+    """Sort a short array in place."""
     for i in range(1, len(numbers)):
         number, place = numbers[i], i
         while place > 0 and numbers[place - 1] > number:
@@ -287,7 +287,7 @@ def _propose(
     centres: F64, queries: F32, ordered: F32, order: I64, edges: I64, boxes: F32, rows: I64, squares: F32, costs: F64,
     placed: F64, found: I64,
 ) -> int:  # fmt: skip
-    """Retrieve poses for every map, and place the cheapest ones that are apart; return their number."""
+    """Retrieve poses for every map, place the cheapest ones that differ enough, and return their number."""
     turned = extrema - centre
     turn_poses(turned, -facing[0], facing[2])
     before = previous - centre

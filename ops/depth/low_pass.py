@@ -1,4 +1,4 @@
-"""A low-pass filter of poses over time that keeps the lengths of bones."""
+"""This module smooths poses over time by a low-pass filter that preserves bone lengths."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from kinedex.ops.errors import ParameterError
 
 F64 = npt.NDArray[np.float64]
 
-_REACH = 4.0  # standard deviations beyond which a frame has no weight
+_REACH = 4.0  # standard deviations at which the Gaussian is truncated
 
 
 def low_pass(poses: F64, rate_hz: float, cutoff_hz: float) -> F64:
-    """Smooth poses by a Gaussian over time, without delay; each bone keeps its length in every frame.
+    """Smooth poses by a Gaussian over time, with zero phase; each bone keeps its length in every frame.
 
-    A motion of the frequency `cutoff_hz` keeps 1/√2 of its amplitude. Frames without a pose stay so, and what lies
-    beyond one has no weight: nothing is carried over a gap.
+    A motion of the frequency `cutoff_hz` keeps 1/√2 of its amplitude. Frames without a pose stay without, and frames on
+    the far side of such a gap have no weight.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def low_pass(poses: F64, rate_hz: float, cutoff_hz: float) -> F64:
 
 
 def _smoothed(poses: F64, weights: F64, reach: int) -> F64:
-    """Return the weighted means of frames, over those that there are."""
+    """Return the weighted means over the neighbouring frames that have a pose."""
     total, mass = np.zeros_like(poses), np.zeros(len(poses))
     for shift, weight in zip(range(-reach, reach + 1), weights.tolist(), strict=True):
         low, high = max(0, -shift), min(len(poses), len(poses) - shift)
@@ -64,7 +64,7 @@ def _smoothed(poses: F64, weights: F64, reach: int) -> F64:
 
 
 def _with_lengths(smooth: F64, poses: F64) -> F64:
-    """Return smoothed poses whose bones have the lengths of the poses, along the smoothed directions."""
+    """Return poses with the directions of the smoothed bones and the lengths of the original ones."""
     found = smooth.copy()
     for joint in range(len(JOINTS)):
         parent = int(PARENTS[joint])

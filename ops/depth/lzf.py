@@ -1,4 +1,4 @@
-"""LZF, the compression of point clouds: runs of literal bytes, and copies of bytes that came before."""
+"""This module decompresses LZF, used by point clouds: literal bytes, and copies of earlier bytes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from kinedex.ops.errors import ParameterError
 U8 = npt.NDArray[np.uint8]
 
 MOST_RATIO = 88
-"""Three bytes, the longest copy, become 264 bytes at most."""
+"""The greatest ratio of expansion: the longest copy takes three bytes and becomes 264."""
 
 _TRUNCATED, _TOO_LONG, _TOO_EARLY = -1, -2, -3
 _REASONS = {
@@ -22,14 +22,14 @@ _REASONS = {
 
 
 def decompress(data: bytes, size: int) -> U8:
-    """Return the bytes that LZF data unpack to.
+    """Decompress LZF data.
 
     Parameters
     ----------
     data : bytes
         The packed bytes.
     size : int
-        How many bytes they unpack to.
+        The number of decompressed bytes.
 
     Returns
     -------
@@ -39,7 +39,8 @@ def decompress(data: bytes, size: int) -> U8:
     Raises
     ------
     ParameterError
-        The data are damaged, or unpack to fewer or more bytes. Nothing is allocated for a size beyond their reach.
+        The data are damaged, or unpack to fewer or more bytes. A size that the data cannot reach is rejected before
+        allocating.
     """
     if not 0 <= size <= MOST_RATIO * len(data):
         raise ParameterError("size", f"0 to {MOST_RATIO * len(data)} for {len(data)} packed bytes", size)
@@ -54,13 +55,13 @@ def decompress(data: bytes, size: int) -> U8:
 
 @njit(cache=True, nogil=True)
 def _decompress(data: U8, unpacked: U8) -> int:
-    """Unpack data, and return the number of bytes, or one of the faults below 0."""
+    """Decompress data, and return the number of bytes, or a negative error code."""
     end, room = len(data), len(unpacked)
     i = o = 0
     while i < end:
         control = int(data[i])
         i += 1
-        if control < 32:  # a run of control + 1 bytes as they are
+        if control < 32:  # a literal run of control + 1 bytes
             count = control + 1
             if i + count > end:
                 return _TRUNCATED

@@ -1,4 +1,4 @@
-"""The nearest foreground pixel of every pixel: the exact distance transform of the box of the points."""
+"""This module finds the nearest foreground pixel of every pixel in a box by an exact distance transform."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ I64 = npt.NDArray[np.int64]
 
 
 class NearestRoom(NamedTuple):
-    """The arrays that nearest points are found in.
+    """Preallocated arrays for finding nearest points.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class NearestRoom(NamedTuple):
 
 
 def nearest_pixels(numbers: I32, box: tuple[int, int, int, int], room: NearestRoom | None = None) -> I32:
-    """Return the point of the pixel that is nearest to each pixel of the box.
+    """Return for each pixel of the box the point of the nearest pixel that has one.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def nearest_pixels(numbers: I32, box: tuple[int, int, int, int], room: NearestRo
     box : (int, int, int, int)
         First column, first row, and the column and row after the last, of all points.
     room : NearestRoom, optional
-        The room of the recording; None: it is made.
+        Arrays to reuse from earlier frames; None allocates them.
 
     Returns
     -------
@@ -58,20 +58,20 @@ def nearest_pixels(numbers: I32, box: tuple[int, int, int, int], room: NearestRo
 
 
 def nearest_room(shape: tuple[int, ...]) -> NearestRoom:
-    """Return room for the nearest points of images of h rows and w columns."""
+    """Allocate the arrays for images of h rows and w columns."""
     empty = np.zeros(4, np.int64)
     return NearestRoom(np.full(shape, -1, np.int32), empty, np.zeros(shape, np.int32), np.zeros((3, shape[1])))
 
 
 @njit(cache=True, nogil=True)
 def _nearest(numbers: I32, left: int, top: int, right: int, bottom: int, room: NearestRoom) -> None:
-    """Fill the nearest points: down and up each column, then along each row by the lower envelope of parabolas."""
+    """Fill in the nearest points: down and up each column, then along each row by the lower envelope of parabolas."""
     nearest, box, steps = room.nearest, room.box, room.steps
     for v in range(box[1], box[3]):
         nearest[v, box[0] : box[2]] = -1
     box[0], box[1], box[2], box[3] = left, top, right, bottom
     far = np.int32(1 << 14)  # above any distance in an image, and its square below 2³¹
-    for v in range(top, bottom):  # steps to the nearest point of the column; negative for one above
+    for v in range(top, bottom):  # signed number of rows to the nearest point of the column; negative for a point above
         for u in range(left, right):
             before = steps[v - 1, u] - 1 if v > top else -far
             steps[v, u] = 0 if numbers[v, u] >= 0 else max(before, -far)
@@ -86,7 +86,7 @@ def _nearest(numbers: I32, left: int, top: int, right: int, bottom: int, room: N
 
 @njit(cache=True, nogil=True)
 def _nearest_of_row(numbers: I32, v: int, left: int, right: int, far: int, steps: I32, hull: F64, nearest: I32) -> None:
-    """Fill the nearest points of a row from those of the columns (Meijster, Roerdink and Hesselink, 2000)."""
+    """Fill in the nearest points of a row from those of the columns (Meijster, Roerdink and Hesselink, 2000)."""
     starts, columns, squares = hull[0], hull[1], hull[2]
     count = 0
     for u in range(left, right):

@@ -1,12 +1,13 @@
-"""JᵀJ and Jᵀr of a fit by sums over cones and over the tree of pivots.
+"""This module computes JᵀJ and Jᵀr of a pose fit from sums over cones and over the tree of pivots.
 
-A point of a cone's axis moves by dq = t + Σ_k ω_k × a_k, with a displacement t of all and a small turn ω_k of each
-pivot above it: a_k = Σ_j w_j (p_j − p_k) over the joints that pivot k moves, with their weights w_j in the point.
+A point of a cone's axis moves by dq = t + Σ_k ω_k × a_k, with a displacement t of the whole body and a small rotation
+ω_k of each pivot above the point: a_k = Σ_j w_j (p_j − p_k) over the joints that pivot k moves, with their weights w_j
+in the point.
 
-Most cones are rigid: one pivot and those above it move all of the cone. Their rows are (n, r × n) in the velocity of
-the root's place and the angular velocity, whatever the point, and are summed by pivot. The sums of a pivot go on to the
-one above it, so the work does not grow with the points. The axis of a blended cone has ends that different pivots move;
-its rows are in the velocity and the angular velocity of both ends.
+Most cones are rigid: one pivot and its ancestors move the whole cone. Their rows are (n, r × n) in the velocity of the
+root's position and the angular velocity, for every point, and are summed by pivot. The sums of a pivot go on to the one
+above it, so the work does not grow with the points. The axis of a blended cone has ends that different pivots move; its
+rows are in the velocity and the angular velocity of both ends.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ I64 = npt.NDArray[np.int64]
 
 
 class MovingCones(NamedTuple):
-    """The pivots that move each cone, for kernels.
+    """The pivots that move each cone, as arrays for kernels.
 
     Attributes
     ----------
@@ -49,7 +50,7 @@ class MovingCones(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """Room for the sums of a step.
+    """Preallocated arrays for the sums of a step.
 
     Attributes
     ----------
@@ -66,7 +67,7 @@ class Sums(NamedTuple):
     square : float64 array (6, 6)
         Σ w row rowᵀ of one pivot.
     levers : float64 array (K, 2, 4)
-        −a_k at both ends of a cone, and the share of the turn that the end makes.
+        −a_k at both ends of a cone, and the share of the rotation that applies to each end.
     columns : float64 array (12, 3)
         Products of a pivot's columns with the sums.
     matrix : float64 array (3 P + 3, 3 P + 3)
@@ -116,7 +117,7 @@ def moving_cones(body: ConeBody) -> MovingCones:
 
 
 def make_sums(pivots: int, moving: MovingCones) -> Sums:
-    """Return room for the sums of a body."""
+    """Allocate the arrays of sums for a body."""
     blends, size = len(moving.cones), 3 * pivots + 3
     return Sums(
         np.zeros((pivots, 27)), np.zeros((blends, 24)), np.zeros((blends, 12, 12)), np.zeros((blends, 12)),
@@ -140,7 +141,7 @@ def clear_sums(sums: Sums) -> None:
 def add_rigid_face(
     rigid: F64, pivot: int, x: float, y: float, z: float, a: float, b: float, c: float, residual: float, weight: float
 ) -> None:
-    """Add the row n · dq = residual of a place on the axis of a rigid cone.
+    """Add the row n · dq = residual of a point on the axis of a rigid cone.
 
     Parameters
     ----------
@@ -172,7 +173,7 @@ def add_rigid_face(
 def add_blended_face(
     faces: F64, blend: int, s: float, a: float, b: float, c: float, residual: float, weight: float
 ) -> None:
-    """Add the row n · dq = residual of a place on the axis of a blended cone.
+    """Add the row n · dq = residual of a point on the axis of a blended cone.
 
     Parameters
     ----------
@@ -216,7 +217,7 @@ def add_blended_vector(
     s : float
         The place on its axis, from 0 to 1.
     offset : float64 array (3,)
-        What the sample lies beside the axis in metres.
+        The offset of the sample from the axis in metres.
     x, y, z : float
         The residual in metres.
     weight : float
@@ -260,7 +261,7 @@ def assemble(moving: MovingCones, joints: I64, pivots: Pivots, pose: F64, sums: 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _add_rigid(pivots: Pivots, pose: F64, sums: Sums) -> None:
-    """Add the sums of rigid cones, which go from each pivot to the one above it."""
+    """Add the sums of rigid cones, passing them on from each pivot to its parent."""
     count = len(pivots.joints)
     shift, columns, s = 3 * count, sums.columns, sums.square
     root = pose[pivots.joints[0]]
@@ -305,7 +306,7 @@ def _add_rigid(pivots: Pivots, pose: F64, sums: Sums) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _complete(face: F64, matrix: F64, right: F64) -> None:
-    """Add the rows along normals to all rows of a blended cone."""
+    """Add the sums along normals of a blended cone to those of all its rows."""
     for i in range(3):
         right[i] += face[18 + i]
         right[6 + i] += face[21 + i]
@@ -372,7 +373,7 @@ def _add_blended(moving: MovingCones, joints: I64, pivots: Pivots, pose: F64, b:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def solve(sums: Sums) -> bool:
-    """Solve JᵀJ x = Jᵀr by Cholesky; with the deepest pivots first the factor stays as sparse as the tree.
+    """Solve JᵀJ x = Jᵀr by Cholesky decomposition; deepest pivots first keeps the factor as sparse as the tree.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Several people in a frame: the points of one of them are kept."""
+"""This module separates several people in a frame, so that the points of one of them can be tracked."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 PERSON_POINTS, APART_M = 500, 0.3
-"""Components of more points than the first that are farther apart than the second are different people."""
+"""Two components with more points than the first, and farther apart in metres than the second, are two people."""
 
-_SAMPLE = 400  # points of a component that distances are measured from
+_SAMPLE = 400  # most points of a component between which distances are measured
 
 
 def split_people(cloud: FrameCloud, graph: PointGraph) -> list[I64]:
-    """Return the points of each person of a frame, by their lowest point; none where there is one person at most.
+    """Return the points of each person in a frame, ordered by their lowest point; empty for one person or none.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def split_people(cloud: FrameCloud, graph: PointGraph) -> list[I64]:
     Returns
     -------
     list of int64 array
-        Ascending numbers of points; those of small components belong to the nearest person.
+        Ascending indices of points; those of small components belong to the nearest person.
     """
     sizes = np.bincount(graph.labels[graph.labels >= 0], minlength=graph.components)
     large = np.flatnonzero(sizes > PERSON_POINTS)
@@ -50,7 +50,7 @@ def split_people(cloud: FrameCloud, graph: PointGraph) -> list[I64]:
 
 
 def nearest_person(cloud: FrameCloud, people: list[I64], pose: F64 | None) -> int:
-    """Return the person whose points are nearest to a pose (24, 3), or to the middle of the image without one."""
+    """Return the index of the person nearest to a pose (24, 3), or to the image centre if there is no pose."""
     if pose is not None:
         middle = pose.mean(axis=0)
         return int(np.argmin([np.linalg.norm(cloud.points[own].mean(axis=0) - middle) for own in people]))
@@ -60,14 +60,14 @@ def nearest_person(cloud: FrameCloud, people: list[I64], pose: F64 | None) -> in
 
 
 def restrict_cloud(cloud: FrameCloud, rows: I64) -> FrameCloud:
-    """Return a frame with some of its points alone, in new arrays.
+    """Return a copy of a frame that is restricted to some of its points.
 
     Parameters
     ----------
     cloud : FrameCloud
         The points.
     rows : int64 array (n,)
-        Ascending numbers of those that stay, at least one.
+        Ascending indices of the points to keep, at least one.
     """
     pixels = cloud.pixels[rows]
     numbers, depth = np.full_like(cloud.numbers, -1), np.zeros_like(cloud.depth)
@@ -79,7 +79,7 @@ def restrict_cloud(cloud: FrameCloud, rows: I64) -> FrameCloud:
 
 
 def _united(points: F64, components: list[I64]) -> list[I64]:
-    """Unite components that are not apart."""
+    """Merge components that are not far apart."""
     people: list[I64] = []
     for own in components:
         sample = _sampled(points, own)
@@ -96,6 +96,6 @@ def _sampled(points: F64, rows: I64) -> F64:
 
 
 def _apart(one: F64, other: F64) -> float:
-    """Return the least distance of two samples in metres."""
+    """Return the least distance between two samples of points, in metres."""
     squares = ((one[:, None] - other[None]) ** 2).sum(axis=2)
     return float(np.sqrt(squares.min()))

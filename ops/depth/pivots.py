@@ -1,4 +1,4 @@
-"""Pivots: joints that turn what hangs below them, so that bones keep their lengths without any joint angles."""
+"""Pivots are joints about which all joints below them rotate, so that bones keep their lengths without joint angles."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ I64 = npt.NDArray[np.int64]
 
 
 class Pivots(NamedTuple):
-    """The pivots of a body, for kernels.
+    """The pivots of a body, as arrays for kernels.
 
     Attributes
     ----------
     joints : int64 array (P,)
         The joint of each pivot; the root first, parents before children.
     parents : int64 array (P,)
-        The pivot that each one hangs from; −1 for the root.
+        The parent pivot of each; −1 for the root.
     starts : int64 array (P + 1,)
         The range of each pivot in `moved`.
     moved : int64 array
@@ -37,12 +37,12 @@ class Pivots(NamedTuple):
 
 
 def pivots_of(joints: I64) -> Pivots:
-    """Return the pivots at joints, for kernels.
+    """Return the pivots at the given joints, as arrays for kernels.
 
     Parameters
     ----------
     joints : int64 array (P,)
-        The joints: the root first, then each after the joint that it hangs from.
+        The joints: the root first, parents before children.
     """
     moved = moved_joints(joints)
     numbers = {int(joint): k for k, joint in enumerate(joints)}
@@ -52,7 +52,7 @@ def pivots_of(joints: I64) -> Pivots:
 
 
 def moved_joints(joints: I64) -> npt.NDArray[np.bool_]:
-    """Return for each pivot (P,) whether it moves each joint (24,): those below it, and not itself."""
+    """Return a mask (P, 24), True where a pivot moves a joint: for those below it, not for itself."""
     moved = np.zeros((len(joints), len(PARENTS)), np.bool_)
     for k, pivot in enumerate(joints):
         for joint in range(len(PARENTS)):
@@ -64,7 +64,7 @@ def moved_joints(joints: I64) -> npt.NDArray[np.bool_]:
 
 
 def turned_pose(joints: I64, pose: F64, turns: F64, shift: npt.ArrayLike = (0.0, 0.0, 0.0)) -> F64:
-    """Return a pose with every pivot turned, the deepest ones first, and then all of it moved.
+    """Return a pose after rotating every pivot, the deepest ones first, and then translating the whole body.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def turned_pose(joints: I64, pose: F64, turns: F64, shift: npt.ArrayLike = (0.0,
     turns : float64 array (P, 3)
         Rotation vectors in radians.
     shift : float64 array (3,), optional
-        Metres.
+        Translation in metres.
 
     Returns
     -------
@@ -89,7 +89,7 @@ def turned_pose(joints: I64, pose: F64, turns: F64, shift: npt.ArrayLike = (0.0,
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def turn_pose(pivots: Pivots, pose: F64, turns: F64, shift: F64) -> None:
-    """Turn every pivot of a pose in place, the deepest ones first, and then move all of it; see `turned_pose`."""
+    """Rotate every pivot of a pose in place, the deepest ones first, and then translate it; see `turned_pose`."""
     for k in range(len(pivots.joints) - 1, -1, -1):
         a, b, c = turns[k, 0], turns[k, 1], turns[k, 2]
         angle = math.sqrt(a * a + b * b + c * c)

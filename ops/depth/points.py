@@ -1,6 +1,6 @@
-"""From a depth image to the points of the person (thesis, Section 8.3.1).
+"""This module turns a depth image into the points of the person (thesis, Section 8.3.1).
 
-Points have the axes x right, y up, z to the rear, with the camera at the origin, turned so that +Y is up.
+Points have the axes x right, y up, z backwards, with the camera at the origin, rotated so that +Y is up.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ F64 = npt.NDArray[np.float64]
 I32 = npt.NDArray[np.int32]
 
 MOST_POINTS = 6000
-"""The stride is the least with which the median frame has at most as many points."""
+"""The most points of the median frame: the stride is the least that does not exceed it."""
 
 STRIDE_FRAMES = 10
-"""The stride is chosen on the first frames, as many as this."""
+"""Number of first frames from which the stride is chosen."""
 
 
 class FrameCloud(NamedTuple):
@@ -41,7 +41,7 @@ class FrameCloud(NamedTuple):
     Attributes
     ----------
     points : float64 array (n, 3)
-        Places in metres, row by row of the image.
+        Positions in metres, in row-major order of the image.
     pixels : int32 array (n, 2)
         Column and row of each point in the strided image.
     numbers : int32 array (h, w)
@@ -53,7 +53,7 @@ class FrameCloud(NamedTuple):
     foreground : int
         The number of foreground pixels before cleaning.
     room : NearestRoom, optional
-        Room for `nearest_pixels`, that of the recording; None: it is made.
+        Arrays for `nearest_pixels` to reuse; None allocates them.
     """
 
     points: F64
@@ -66,7 +66,7 @@ class FrameCloud(NamedTuple):
 
 
 def ray_table(matrix: npt.ArrayLike, distortion: npt.ArrayLike, size: tuple[int, int], stride: int = 1) -> F64:
-    """Return the rays (a, b, 1) of the pixels of a strided image, distortion undone.
+    """Return the rays (a, b, 1) of the pixels of a strided image, corrected for distortion.
 
     Parameters
     ----------
@@ -77,12 +77,12 @@ def ray_table(matrix: npt.ArrayLike, distortion: npt.ArrayLike, size: tuple[int,
     size : (int, int)
         Width and height of the whole image.
     stride : int
-        Every how many rows and columns a pixel is used.
+        The step of rows and columns at which pixels are used.
 
     Returns
     -------
     float64 array (h, w, 2)
-        a and b; NaN for pixels that no ray falls on.
+        a and b; NaN for pixels that no ray maps to.
     """
     (fx, skew, cx), (_, fy, cy) = np.asarray(matrix, np.float64)[:2]
     columns, rows = np.meshgrid(np.arange(0, size[0], stride), np.arange(0, size[1], stride))
@@ -91,7 +91,7 @@ def ray_table(matrix: npt.ArrayLike, distortion: npt.ArrayLike, size: tuple[int,
 
 
 class Preparation:
-    """The preparation of the frames of one recording, with the room that it needs.
+    """Prepares the frames of one recording, with preallocated arrays.
 
     Parameters
     ----------
@@ -102,11 +102,11 @@ class Preparation:
     turn : float64 array (3, 3), optional
         The rotation that brings the camera's own (x, −y, −z) to axes with +Y up; None for a level camera.
     floor_height : float, optional
-        The floor's Y after that turn, in metres: minus the height of the camera; None where it is unknown.
+        The floor's Y after that rotation, in metres: minus the height of the camera; None where it is unknown.
     near, far : float
         Depths of the foreground lie between these, in metres.
     stride : int
-        Every how many rows and columns of a frame a pixel is used.
+        The step of rows and columns at which pixels are used.
     is_range : bool
         True where frames and background hold distances along the ray, not z.
     """
@@ -146,7 +146,7 @@ class Preparation:
         self._box, self._nearest = np.zeros(4, np.int64), nearest_room(self.shape)
 
     def prepare(self, image: npt.ArrayLike) -> FrameCloud:
-        """Return the points of a frame.
+        """Return the person's points in a frame.
 
         Parameters
         ----------
@@ -175,7 +175,7 @@ class Preparation:
         )
 
     def _strided(self, name: str, image: npt.ArrayLike) -> F32:
-        """Return every k-th row and column of an image as depths z, in the room of the next one."""
+        """Return every k-th row and column of an image as depths z, in an array that the next image overwrites."""
         taken = np.asarray(image)[:: self.stride, :: self.stride]
         if taken.shape != self.shape:
             raise ParameterError(name, f"of shape {self.shape} at stride {self.stride}", taken.shape)
@@ -200,12 +200,12 @@ def choose_stride(
     is_range: bool = False,
     most: int = MOST_POINTS,
 ) -> int:
-    """Return the least stride with which the median frame of the first ten has at most so many points.
+    """Return the least stride with which the median of the first ten frames has at most `most` points.
 
     Parameters
     ----------
     images : sequence of float32 array (H, W)
-        The first frames of a recording, in metres; those after the tenth are not looked at.
+        The first frames of a recording, in metres; those after the tenth are ignored.
     matrix, distortion
         The camera, see `ray_table`.
     background, turn, floor_height, near, far, is_range

@@ -1,4 +1,4 @@
-"""The pose database: unit bone directions of an archive, put on any body, thinned to poses that differ."""
+"""The pose database holds unit bone directions of an archive's poses, thinned, for use on a body of any bone lengths."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 LEAST_BONE_M = 1e-4
-"""A bone that is shorter than this has no direction: in Acclaim skeletons the clavicles coincide with the neck."""
+"""Length in metres below which a bone has no direction: in Acclaim skeletons the clavicles coincide with the neck."""
 
 DISTANCE_M = 0.05
-"""Least distance of two poses of a database, the root mean square over `COMPARED` joints in metres."""
+"""Least distance between two poses of a database: root mean square over `COMPARED` joints, in metres."""
 
 _FAR = ("fingers", "toes", "wrist", "ankle", "elbow", "knee", "headtop")
-_ORDERED = np.array(  # compared joints, those first that differ most: sums of squares end early
+_ORDERED = np.array(  # compared joints, those that vary most first, so that sums of squares exceed their limit early
     sorted(COMPARED, key=lambda j: next((k for k, end in enumerate(_FAR) if JOINTS[j].endswith(end)), len(_FAR)))
 )
 
@@ -34,7 +34,7 @@ _LHIP, _RHIP = JOINTS.index("lhip"), JOINTS.index("rhip")
 
 
 class Thinned(NamedTuple):
-    """Poses that were kept, and what stands for the others.
+    """The poses that were kept, and a kept pose to represent each of the others.
 
     Attributes
     ----------
@@ -79,14 +79,14 @@ def bone_directions(poses: F64) -> F32:
 
 
 def place_directions(directions: F32 | F64, bone_lengths: F64) -> F64:
-    """Put directions on the bones of a body, with the root at 0 and the chest towards +Z.
+    """Put bone directions on a body with given bone lengths, with the root at 0 and the chest facing +Z.
 
     Parameters
     ----------
     directions : float array (T, 24, 3)
         Unit directions of bones, see `bone_directions`.
     bone_lengths : float64 array (24,)
-        The lengths of a body's bones in metres; that of the root is not used.
+        The lengths of a body's bones in metres; that of the root is ignored.
 
     Returns
     -------
@@ -125,7 +125,7 @@ def _place(directions: F32 | F64, lengths: F64, parents: I64, poses: F64) -> Non
 
 @nb.njit(cache=True, nogil=True)
 def facing_of(pose: F64, facing: F64) -> None:
-    """Write the horizontal direction (3,) that the chest of a pose (24, 3) faces, of length 1, or 0 where it has none.
+    """Write the horizontal unit direction (3,) that the chest of a pose (24, 3) faces, or 0 if it has none.
 
     It is that of ((lshoulder − rshoulder) + (lhip − rhip)) × (neck − root).
     """
@@ -145,7 +145,7 @@ def facing_of(pose: F64, facing: F64) -> None:
 
 @nb.njit(cache=True, nogil=True)
 def turn_poses(points: F64, sine: float, cosine: float) -> None:
-    """Turn points (N, 3) in place about the Y axis, by an angle that takes +Z to (sine, 0, cosine)."""
+    """Rotate points (N, 3) in place about the Y axis, by an angle that takes +Z to (sine, 0, cosine)."""
     for j in range(len(points)):
         x, z = points[j, 0], points[j, 2]
         points[j, 0] = cosine * x + sine * z
@@ -153,15 +153,15 @@ def turn_poses(points: F64, sine: float, cosine: float) -> None:
 
 
 class PoseThinning:
-    """Poses kept so far, to which further ones are added unless they are near one of them.
+    """A growing set of poses that keeps a pose only if none of those kept so far is near it.
 
-    The kept poses lie in cells along `_cell_axes`, directions of unit length in the space of compared joints: near
-    poses lie in the same cell or in neighbouring ones.
+    The kept poses are hashed by grid cells along `_cell_axes`, unit directions in the space of compared joints, so that
+    near poses lie in the same cell or in neighbouring ones.
 
     Parameters
     ----------
     bone_lengths : float64 array (24,)
-        The bones in metres that all poses are put on.
+        The bone lengths in metres on which poses are compared.
     distance : float
         Poses are near up to this root mean square over the `COMPARED` joints, in metres.
 
@@ -187,19 +187,19 @@ class PoseThinning:
         self.count = 0
 
     def add(self, directions: F32, *, always: bool = False) -> I64:
-        """Add poses in order, each unless a kept one is near it.
+        """Add poses in order, keeping each one unless a kept pose is near it.
 
         Parameters
         ----------
         directions : float32 array (T, 24, 3)
             Unit directions of bones.
         always : bool, optional
-            Keep all of them: they are known to be apart.
+            Keep all of them without comparing, as they are known to differ.
 
         Returns
         -------
         int64 array (T,)
-            For each pose the number of the kept one that is near it; its own where it was kept now.
+            For each pose the index of the kept pose near it, which is its own if it was kept.
         """
         poses = self._compared(directions)
         while self.count + len(poses) > len(self._kept):
@@ -212,7 +212,7 @@ class PoseThinning:
         return near
 
     def near(self, directions: F32) -> I64:
-        """Return for each pose (T, 24, 3) the number of a kept one that is near it, −1 where there is none."""
+        """Return for each pose (T, 24, 3) the index of a kept pose near it, −1 if there is none."""
         poses = self._compared(directions)
         near: I64 = np.empty(len(poses), np.int64)
         _find(
@@ -226,7 +226,7 @@ class PoseThinning:
         return np.ascontiguousarray(poses.reshape(len(poses), 3 * len(_ORDERED)), np.float32)
 
     def _grow(self) -> None:
-        """Double the room for kept poses, and spread their cells over more lists."""
+        """Double the capacity for kept poses, and rehash their cells."""
         self._kept, self._cells, self._next = (
             np.concatenate([array, np.empty_like(array)]) for array in (self._kept, self._cells, self._next)
         )
@@ -245,7 +245,7 @@ def thin_poses(directions: F32, bone_lengths: F64, distance: float = DISTANCE_M)
     directions : float32 array (T, 24, 3)
         Unit directions of bones in order of take name and frame.
     bone_lengths : float64 array (24,)
-        The archive's mean bones in metres.
+        The archive's mean bone lengths in metres.
     distance : float
         Metres.
 
@@ -265,7 +265,7 @@ def thin_poses(directions: F32, bone_lengths: F64, distance: float = DISTANCE_M)
 
 
 def _cell_axes() -> F32:
-    """Return orthonormal directions, each over the heights or depths of a limb, in which bodies differ much."""
+    """Return orthonormal directions, each along the heights or depths of a limb, in which poses vary much."""
     compared = [JOINTS[j] for j in _ORDERED]
     arm, leg = ("elbow", "wrist", "fingers"), ("knee", "ankle", "toes")
     groups: list[list[tuple[str, int, float]]] = [
@@ -281,7 +281,7 @@ def _cell_axes() -> F32:
 
 @nb.njit(cache=True, nogil=True)
 def _slot(cell: I64, slots: int) -> int:
-    """Return the list of a cell: a hash of its numbers."""
+    """Return the hash slot of a cell."""
     value = np.uint64(14695981039346656037)
     for number in cell:
         value = (value ^ np.uint64(number)) * np.uint64(1099511628211)
@@ -298,7 +298,7 @@ def _list_cells(cells: I64, following: I64, heads: I64, count: int) -> None:
 
 @nb.njit(cache=True, nogil=True)
 def _project(pose: F32, axes: F32, width: float, place: F64, cell: I64) -> None:
-    """Write where a pose lies along the axes, in widths of a cell, and its cell."""
+    """Write the coordinates of a pose along the axes in units of the cell width, and its cell."""
     for a in range(len(axes)):
         total = 0.0
         for k in range(len(pose)):
@@ -312,7 +312,7 @@ def _near(
     pose: F32, place: F64, cell: I64, steps: I64, reach: float, kept: F32, cells: I64, following: I64, heads: I64,
     other: I64,
 ) -> int:  # fmt: skip
-    """Return the number of a kept pose that is near, −1 if none is; of each cell the newest is compared first."""
+    """Return the index of a kept pose that is near, −1 if none is; within a cell the newest is compared first."""
     most = reach * reach
     for step in steps:
         gap = 0.0
@@ -358,7 +358,7 @@ def _add(
     poses: F32, axes: F32, steps: I64, reach: float, always: bool, kept: F32, cells: I64, following: I64, heads: I64,
     count: int, near: I64,
 ) -> int:  # fmt: skip
-    """Add poses to the kept ones, write what stands for each, and return the new number of kept ones."""
+    """Add poses to the kept ones, write the representative of each, and return the new number of kept poses."""
     place, cell, other = np.empty(len(axes)), np.empty(len(axes), np.int64), np.empty(len(axes), np.int64)
     width = reach * (1.0 + 1e-6)
     for t in range(len(poses)):

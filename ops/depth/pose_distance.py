@@ -1,4 +1,4 @@
-"""The distance of two poses over the joints that depth images are judged by (thesis, Eq. 8.1)."""
+"""This module measures the distance of two poses over the joints used to judge depth reconstructions (thesis, Eq. 8.1)."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ END_EFFECTORS = np.array([JOINTS.index(name) for name in ("lfingers", "rfingers"
 """The joints E⁵ of the thesis, 8.3.3: hands, feet, and the top of the head."""
 
 UNCOMPARED = ("lclavicle", "rclavicle", "belly", "head")
-"""Joints that distances and errors leave out: clavicles coincide with the neck in Acclaim skeletons."""
+"""Joints that distances and errors ignore, since for example clavicles coincide with the neck in Acclaim skeletons."""
 
 COMPARED = np.array([k for k, name in enumerate(JOINTS) if name not in UNCOMPARED])
-"""The J = 20 joints of distances and errors."""
+"""The indices of the J = 20 joints in distances and errors."""
 
 
 FOUND_M = 0.2
-"""An end of the body is found where an extremum is nearer to it than this."""
+"""Distance in metres below which an extremum counts as the detection of an end effector."""
 
 
 def are_ends_found(extrema: F64, poses: F64) -> npt.NDArray[np.bool_]:
-    """Return whether the five ends of bodies have an extremum each, one to one (thesis, Section 8.5.1).
+    """Return a mask of frames whose five end effectors are matched one to one by extrema (thesis, Section 8.5.1).
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def are_ends_found(extrema: F64, poses: F64) -> npt.NDArray[np.bool_]:
     Returns
     -------
     bool array (T,)
-        True where all five ends are nearer than `FOUND_M` to an extremum of their own.
+        True where each of the five end effectors is nearer than `FOUND_M` to a different extremum.
     """
     apart = np.linalg.norm(extrema[:, None] - poses[:, END_EFFECTORS, None], axis=3)
     near = apart < FOUND_M

@@ -1,9 +1,9 @@
-"""Local optimisation of a pose on the points of a depth image by Gauss–Newton (thesis, 8.4.1).
+"""This module fits a pose to the points of a depth image by Gauss–Newton (thesis, 8.4.1).
 
-The unknowns of a step are a displacement of the body and a small turn of every pivot. Points of the image pull the
-nearest place of the surface along its normal, or the side towards the camera where that place faces away; samples of
-the surface that are projected beside the foreground are pulled to it. In the printed form all samples are pulled to
-their points, and nothing else is.
+The unknowns of a step are a displacement of the body and a small rotation of every pivot. Each image point pulls the
+nearest surface point along its normal, or the side towards the camera where that point faces away; surface samples that
+project outside the foreground are pulled towards it. In the form printed in the thesis, all samples are pulled to their
+points, and there are no other terms.
 """
 
 from __future__ import annotations
@@ -51,33 +51,34 @@ I64 = npt.NDArray[np.int64]
 Form = Literal["best", "printed"]
 
 STEPS, PRINTED_STEPS = 8, 6
-"""Steps of a fit at most, and those of the printed form."""
+"""The most steps of a fit, and those of the form printed in the thesis."""
 
 SIGMA_M, RETRIEVED_SIGMA_M = (0.20, 0.05), (0.25, 0.06)
-"""σ of the first and of the last step in metres, from the last frame's pose and from a retrieved one."""
+"""σ of the robust weights at the first and last step in metres: for a fit from the last pose, and from a retrieved one.
+"""
 
 SAMPLED_POINTS = 700
-"""Every ⌊n/700⌋-th of the n points of a frame pulls at the surface."""
+"""Approximate number of points in a fit: every ⌊n/700⌋-th of a frame's n points is used."""
 
 SILHOUETTE_WEIGHT, STIFFNESS, LEAST_STIFFNESS = 2.0, 3.0, 1e-3
-"""Weight of a sample beside the foreground, factor of a pivot's stiffness, and what is added to all unknowns."""
+"""Weight of a sample outside the foreground, factor of a pivot's stiffness, and the damping of all unknowns."""
 
 MOST_TURN, LEAST_TURN = 0.6, 0.004
-"""A step turns a pivot by at most the first, in radians; the fit stops after a step that turns none by the second."""
+"""The most rotation of a pivot in a step, in radians, and the rotation below which the fit has converged."""
 
 WINDOW = 3
-"""Pixels to each side of the window that is searched for the point of a sample."""
+"""Half-width in pixels of the window that is searched for the point of a sample."""
 
 
 class FitRoom(NamedTuple):
-    """Room for the fits of a recording.
+    """Preallocated arrays for the fits of a recording.
 
     Attributes
     ----------
     placed : float64 array (C, 13)
         The cones of the pose.
     samples, offsets : float64 array (S, 3)
-        The samples of its surface, and what they lie beside the axes.
+        The samples of its surface, and their offsets from the axes.
     seen : float64 array (S, 3)
         The samples in the camera, see `project_samples`.
     places : int64 array (S, 3)
@@ -101,7 +102,7 @@ class FitRoom(NamedTuple):
 
 
 class FitBody(NamedTuple):
-    """The body of an actor, for kernels: cones, samples, pivots with their stiffness, and what moves which cone."""
+    """The body of an actor as arrays for kernels: cones, samples, pivots with their stiffness, and the cones they move."""
 
     cones: Cones
     samples: Samples
@@ -111,7 +112,7 @@ class FitBody(NamedTuple):
 
 
 class PoseFit:
-    """Fits and costs of the poses of one recording, with the room that they need.
+    """Fits poses to the frames of one recording and computes their costs, with preallocated arrays.
 
     Parameters
     ----------
@@ -136,7 +137,7 @@ class PoseFit:
         self.image: FrameImage | None = None
 
     def look(self, cloud: FrameCloud) -> None:
-        """Take the points of a frame, which fits and costs refer to until the next one.
+        """Set the frame that fits and costs refer to until the next call.
 
         Parameters
         ----------
@@ -163,7 +164,7 @@ class PoseFit:
         form: Form = "best",
         out: F64 | None = None,
     ) -> F64:
-        """Return the pose that fits the points of the frame better, near the given one.
+        """Fit a pose to the points of the frame, starting from the given pose.
 
         Parameters
         ----------
@@ -176,7 +177,7 @@ class PoseFit:
         form : {"best", "printed"}, optional
             The terms: points to the surface and the silhouette, or samples to points as the thesis has them.
         out : float64 array (24, 3), optional
-            Where the pose is written; a new array by default.
+            Receives the pose; a new array by default.
 
         Returns
         -------
@@ -202,7 +203,7 @@ def fit_pose(
     sigma_to: float = SIGMA_M[1],
     form: Form = "best",
 ) -> F64:
-    """Return the pose that fits the points of one frame better; see `PoseFit`, which serves whole recordings."""
+    """Fit a pose to the points of one frame; use `PoseFit` for whole recordings."""
     fit = PoseFit(body, height, view)
     fit.look(cloud)
     return fit.fit(np.ascontiguousarray(pose, np.float64), steps, (sigma_from, sigma_to), form)
@@ -213,7 +214,7 @@ def _fit(
     body: FitBody, view: DepthView, image: FrameImage, room: FitRoom, pose: F64, steps: int,
     sigma_from: float, sigma_to: float, printed: bool,
 ) -> int:  # fmt: skip
-    """Move a pose by Gauss–Newton, and return the number of steps."""
+    """Update a pose in place by Gauss–Newton, and return the number of steps."""
     room.guesses[0] = -1
     for step in range(steps):
         share = step / (steps - 1.0) if steps > 1 else 0.0
@@ -232,7 +233,7 @@ def _fit(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_points(body: FitBody, image: FrameImage, room: FitRoom, pose: F64, sigma: float) -> None:
-    """Add the rows n · dq = d of sampled points of the image, with the side of the nearest cone that can be seen."""
+    """Add the rows n · dq = d for sampled image points and the visible side of their nearest cone."""
     points, guesses, placed, root = image.points, room.guesses, room.placed, pose[body.pivots.joints[0]]
     blends, pivots, faces, rigid = body.moving.blends, body.moving.rigid, room.sums.faces, room.sums.rigid
     every = max(1, len(points) // SAMPLED_POINTS)
@@ -258,7 +259,7 @@ def add_points(body: FitBody, image: FrameImage, room: FitRoom, pose: F64, sigma
 def add_samples(
     body: FitBody, view: DepthView, image: FrameImage, room: FitRoom, pose: F64, sigma: float, printed: bool
 ) -> None:
-    """Add the rows of samples of the surface and their points: of those beside the foreground, or of all."""
+    """Add the rows of surface samples and their points: of samples outside the foreground, or of all samples."""
     factor = 1.0 if printed else SILHOUETTE_WEIGHT
     root, rigid = pose[body.pivots.joints[0]], room.sums.rigid
     samples, seen, places = room.samples, room.seen, room.places
@@ -288,7 +289,7 @@ def add_samples(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _move(body: FitBody, room: FitRoom, pose: F64) -> float:
-    """Solve for a step, move the pose by it, and return the largest turn in radians."""
+    """Solve for a step, apply it to the pose, and return the largest rotation in radians."""
     count, matrix, step = len(body.pivots.joints), room.sums.matrix, room.sums.right
     for k in range(count):
         for i in range(3 * (count - 1 - k), 3 * (count - k)):

@@ -1,4 +1,4 @@
-"""The nearest poses of a database by the places of their five ends: a tree of boxes, with the answers of a scan."""
+"""This module finds the nearest poses of a database by their five end effectors, with a k-d tree and exact results."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 LEAF = 16
-"""Most poses of a leaf of the tree."""
+"""The most poses in a leaf of the tree."""
 
 AHEAD_M = 0.1
-"""The middle of the surface lies so far before the middle of root and neck, seen from the front."""
+"""Distance in metres from the midpoint of root and neck forwards to the middle of the visible surface."""
 
 _ROOT, _NECK = JOINTS.index("root"), JOINTS.index("neck")
-_SLACK = np.float32(1.0 + 1e-5)  # of bounds, which are summed in another order than distances
+_SLACK = np.float32(1.0 + 1e-5)  # tolerance for bounds, which are summed in another order than distances
 
 
 def pose_centres(poses: F64) -> F64:
-    """Return for poses (N, 24, 3) that face +Z the places (N, 3) that the middle of their points is compared with."""
+    """Return the expected centres (N, 3) of the visible points of poses (N, 24, 3) that face +Z."""
     centres: F64 = (poses[:, _ROOT] + poses[:, _NECK]) / 2
     centres[:, 2] += AHEAD_M
     return centres
 
 
 def pose_features(poses: F64) -> F32:
-    """Return the five ends of poses (N, 24, 3) that face +Z, less their centres, float32 (N, 15) in metres."""
+    """Return the end effectors of poses (N, 24, 3) that face +Z, relative to their centres, float32 (N, 15) in metres."""
     ends = poses[:, END_EFFECTORS] - pose_centres(poses)[:, None]
     return np.ascontiguousarray(ends.reshape(len(poses), -1), np.float32)
 
 
 class PoseIndex:
-    """Poses that are found by their five ends.
+    """An index that finds poses by the positions of their five end effectors.
 
-    The tree halves the poses at the median of the widest axis, and keeps the box around each half, so that most of
-    them are never compared. Its answers are those of a scan over all, to the bit: ties go to the lowest row.
+    The tree halves the poses at the median of the widest axis, and keeps the box around each half, so that most of them
+    are never compared. Its results equal those of a full scan, to the bit: ties go to the lowest row.
 
     Parameters
     ----------
@@ -78,19 +78,19 @@ class PoseIndex:
 
     @property
     def nbytes(self) -> int:
-        """The bytes of poses, features and tree."""
+        """Return the size of poses, features and tree in bytes."""
         arrays = (self.poses, self.features, self.order, self.edges, self.boxes, self.ordered)
         return sum(array.nbytes for array in arrays)
 
     def nearest(self, features: F32, count: int) -> tuple[I64, F64]:
-        """Find the poses whose ends are nearest.
+        """Find the poses whose end effectors are nearest to the queries.
 
         Parameters
         ----------
         features : float32 array (Q, 15)
-            Places of the five ends less a centre, in metres.
+            Positions of the five end effectors relative to a centre, in metres.
         count : int
-            The number of poses for each.
+            The number of poses for each query.
 
         Returns
         -------
@@ -112,7 +112,7 @@ class PoseIndex:
 
 @nb.njit(cache=True, nogil=True)
 def _halve(features: F32, order: I64, edges: I64, boxes: F32, depth: int) -> None:
-    """Fill a whole binary tree of the depth, whose root is node 1."""
+    """Fill a complete binary tree of the given depth, whose root is node 1."""
     edges[1, 1] = len(order)
     for node in range(1, 2 << depth):
         start, stop = edges[node]
@@ -138,7 +138,7 @@ def _halve(features: F32, order: I64, edges: I64, boxes: F32, depth: int) -> Non
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
 def _square(queries: F32, q: int, features: F32, row: int, most: np.float32) -> np.float32:
-    """Return the squared distance, or a partial sum above `most` where it exceeds that."""
+    """Return the squared distance, or a partial sum once that exceeds `most`."""
     total = np.float32(0.0)
     for k in range(0, 15, 3):
         a = queries[q, k] - features[row, k]
@@ -152,7 +152,7 @@ def _square(queries: F32, q: int, features: F32, row: int, most: np.float32) -> 
 
 @nb.njit(cache=True, nogil=True)
 def _take(row: int, square: np.float32, q: int, rows: I64, squares: F32) -> np.float32:
-    """Insert a pose into the sorted answers, before those that are as far and have a higher row; return the last."""
+    """Insert a pose into the sorted results, ties ordered by row, and return the greatest distance."""
     last = rows.shape[1] - 1
     place = last
     if square == squares[q, last] and row > rows[q, last] >= 0:
@@ -168,7 +168,7 @@ def _take(row: int, square: np.float32, q: int, rows: I64, squares: F32) -> np.f
 
 @nb.njit(cache=True, nogil=True)
 def _gap(queries: F32, q: int, boxes: F32, node: int) -> np.float32:
-    """Return the squared distance of a query from a box."""
+    """Return the squared distance of a query to a box."""
     total = np.float32(0.0)
     for k in range(15):
         off = max(boxes[node, 0, k] - queries[q, k], queries[q, k] - boxes[node, 1, k], np.float32(0.0))
@@ -178,7 +178,7 @@ def _gap(queries: F32, q: int, boxes: F32, node: int) -> np.float32:
 
 @nb.njit(cache=True, nogil=True)
 def search(queries: F32, features: F32, order: I64, edges: I64, boxes: F32, rows: I64, squares: F32) -> None:
-    """Write the nearest rows and their squared distances; the arrays hold −1 and infinity before."""
+    """Write the nearest rows and their squared distances; the arrays must be filled with −1 and infinity."""
     leaves = len(edges) // 2
     stack, gaps = np.empty(64, np.int64), np.empty(64, np.float32)
     for q in range(len(queries)):

@@ -1,4 +1,4 @@
-"""The pose that the next frame begins with: the last one, moved on as it has moved before."""
+"""This module predicts the pose of the next frame by extrapolating the last movement, as the start of a fit."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from kinedex.ops.body.joint_tree import PARENTS
 F64 = npt.NDArray[np.float64]
 
 SHARE = 0.7
-"""Share of the last frame's movement that is added: chosen on clips of two actors, for two cameras."""
+"""Share of the last movement that is extrapolated, chosen on clips of two actors with two cameras."""
 
 
 def predicted_pose(pose: F64, before: F64, share: float = SHARE) -> F64:
-    """Return a pose that has gone on moving; its bones keep their lengths.
+    """Return the extrapolated pose of the next frame; its bones keep their lengths.
 
-    The root moves on by a share of its last movement, and each bone's direction by that share of its last change.
+    The root continues by a share of its last movement, and each bone's direction by that share of its last change.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The size of a person from depth frames: the height at which the body fits them best."""
+"""This module estimates a person's size from depth frames: the height at which the body model fits them best."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 
 HEIGHTS_M = (1.45, 2.0)
-"""Heights from the first to the second are tried in steps of `STEP_M`, and further ones where an end fits best."""
+"""Range of standing heights in metres that is tried in steps of `STEP_M`, and extended if an end fits best."""
 
 STEP_M = 0.05
 
 LIMITS_M = (1.0, 2.4)
-"""No height beyond these is tried."""
+"""Least and greatest height in metres that is ever tried."""
 
 SECONDS = 1.0
-"""So much of a recording is tracked at each height."""
+"""Duration in seconds of the part of a recording that is tracked at each height."""
 
 
 class SizeEstimate(NamedTuple):
@@ -66,17 +66,17 @@ def estimate_size(
     body : ConeBody
         The surface.
     mean_bones : float64 array (24,)
-        The mean bones of an archive's actors in metres.
+        The mean bone lengths of an archive's actors in metres.
     directions : float32 array (N, 24, 3)
         The pose database.
     preparation : Preparation
-        Makes points of frames.
+        Turns frames into points.
     view : DepthView
         The camera.
     images : sequence of float32 array (H, W)
         The first frames that show the person, at least one; those after a second are not used.
     settings : TrackerSettings, optional
-        The choices of the tracker.
+        The settings of the tracker.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The pose of a person in one depth frame after the other: two hypotheses and their vote (thesis, Section 8.4)."""
+"""This module tracks a person through depth frames: in each, two hypotheses and a vote (thesis, Section 8.4)."""
 
 from __future__ import annotations
 
@@ -32,30 +32,31 @@ F64 = npt.NDArray[np.float64]
 Hypothesis = Literal["local", "database"]
 
 LEAST_POINTS = 200
-"""A frame of fewer points shows nobody."""
+"""Least number of points of a frame that shows a person."""
 
 ABSENT_S, MISSING_S = 0.5, 0.2
-"""The tracker starts anew where nobody was seen, or frames were missing, for longer."""
+"""Durations in seconds after which the tracker restarts: without a person in view, and with missing frames."""
 
 TRIAL_STEPS = 2
-"""Steps that each candidate gets before the best of them is fitted."""
+"""Number of steps of the short fit by which candidates are compared."""
 
-_TOWARDS = np.array([0.0, 0.0, 1.0])  # a person faces the camera until something else is known
+_TOWARDS = np.array([0.0, 0.0, 1.0])  # the assumed facing direction at a start: towards the camera
 
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """The choices of a tracker.
+    """The settings of a tracker.
 
     Attributes
     ----------
     form : str
-        "best", or "printed": the thesis's.
+        "best", or "printed" for the form printed in the thesis.
     hypotheses : tuple of str
-        Those that take part, of "local" and "database". Without "database" it lends only the pose of a start; without
-        "local" it is not compared with the pose before.
+        The hypotheses to use, of "local" and "database". Without "database", the database only gives the first pose;
+        without "local", candidates are not compared with the previous pose.
     candidates : int
-        Poses of the database that are tried in a frame, beside one that faces another direction; 1 as printed.
+        The number of database poses that are tried in a frame, besides one that faces another direction; 1 in the
+        thesis.
     rate_hz : float
         Frames per second.
 
@@ -82,12 +83,12 @@ class TrackerSettings:
 
     @property
     def is_printed(self) -> bool:
-        """True for the form of the thesis."""
+        """Return True for the form printed in the thesis."""
         return self.form == "printed"
 
     @property
     def most_candidates(self) -> int:
-        """The most candidates that a frame has in its result."""
+        """Return the most candidates that a frame's result can have."""
         return self.candidates if self.is_printed else self.candidates + 1
 
 
@@ -116,16 +117,16 @@ class Candidate(NamedTuple):
 
 
 class FrameResult(NamedTuple):
-    """The result of a frame, with its explanation.
+    """The result of a frame, with the intermediate results that explain it.
 
     Attributes
     ----------
     pose : float64 array (24, 3)
         The joints in metres; NaN without a person.
     hypothesis : str or None
-        The one that was taken; None without a person.
+        The hypothesis that was chosen; None without a person.
     cost_local, cost_database : float
-        Their costs in the vote; NaN for one that there is none of.
+        Their costs in the vote; NaN for a missing hypothesis.
     row : int
         The row of the database that the database's hypothesis comes from; −1 without one.
     local, database : float64 array (24, 3) or None
@@ -133,15 +134,15 @@ class FrameResult(NamedTuple):
     extrema : float64 array (20, 3)
         The geodesic extrema in metres; NaN where there are fewer.
     facing : float64 array (3,)
-        The horizontal direction that extrema were turned by.
+        The horizontal facing direction by which extrema were rotated.
     centre : float64 array (3,)
         The centre of the points.
     points, components, links : int
         The sizes of the graph.
     maps : int64 array (M, 5)
-        The maps of ends to extrema that were tried.
+        The assignments of end effectors to extrema that were tried.
     sums : float64 array (M,)
-        Their sums of distances from the previous ends; NaN for maps that do not come from them.
+        Their sums of distances from the previous end effectors; NaN for maps that were not found from them.
     candidates : tuple of Candidate
         The poses that were tried, by their lookup cost, and last the one that faces another direction; at a start the
         best of those that were tried. Their rows differ.
@@ -153,7 +154,7 @@ class FrameResult(NamedTuple):
         The number of people in the frame, of whom the one nearest to the last pose is tracked, and at a start the one
         nearest to the middle of the image.
     parts : tuple of PoseCost or None
-        The costs of the local hypothesis and of the database's with their parts; None for one that there is none of.
+        The costs of the local hypothesis and of the database's with their parts; None for a missing hypothesis.
     box : tuple of int
         The first column and row of the person's pixels, and the column and row after the last, of the strided image.
     """
@@ -182,12 +183,12 @@ class FrameResult(NamedTuple):
 
     @property
     def cost(self) -> float:
-        """The cost of the hypothesis that was taken; NaN without a person."""
+        """Return the cost of the chosen hypothesis; NaN without a person."""
         return {"local": self.cost_local, "database": self.cost_database}.get(self.hypothesis or "", np.nan)
 
 
 class _Scene(NamedTuple):
-    """All that is known of a frame before poses are fitted."""
+    """The extrema, directions and sizes of a frame that are computed before poses are fitted."""
 
     cloud: FrameCloud
     extrema: F64
@@ -206,15 +207,15 @@ class Reconstructor:
     body : ConeBody
         The surface.
     bone_lengths : float64 array (24,)
-        The person's bones in metres.
+        The person's bone lengths in metres.
     directions : float32 array (N, 24, 3)
         The pose database: unit directions of bones.
     preparation : Preparation
-        Makes points of frames.
+        Turns frames into points.
     view : DepthView
         The camera, with the stride and the turn of the preparation.
     settings : TrackerSettings, optional
-        The choices.
+        The settings.
 
     Raises
     ------
@@ -245,15 +246,15 @@ class Reconstructor:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the person: the next frame is a start."""
+        """Discard the tracked person, so that the next frame starts without a previous pose."""
         self._pose: F64 | None = None
-        self._before: F64 | None = None  # the pose before it, where the one follows from the other
+        self._before: F64 | None = None  # the pose of the frame before the last one, if that was tracked continuously
         self._last: F64 | None = None  # the extrema of the last frame
         self._facing = _TOWARDS.copy()
         self._absent = self._missing = self._frames = 0
 
     def skip(self, frames: int = 1) -> None:
-        """Pass over frames that are missing; after more than `MISSING_S` without one the tracker starts anew."""
+        """Skip missing frames; after more than `MISSING_S` of them the tracker restarts."""
         self._missing += frames
         self._before = None
         if self._missing > MISSING_S * self.settings.rate_hz + 1e-9:
@@ -270,7 +271,7 @@ class Reconstructor:
         Returns
         -------
         FrameResult
-            The pose and how it came about.
+            The pose with the intermediate results that explain it.
 
         Raises
         ------
@@ -304,7 +305,7 @@ class Reconstructor:
         )  # fmt: skip
 
     def _look(self, cloud: FrameCloud) -> _Scene:
-        """Find the extrema, the centre and the facing direction of a frame."""
+        """Find the extrema, the centre and the facing direction in a frame's points."""
         pixels = self.preparation.shape[0] * self.preparation.shape[1]
         if self._graph is None:
             self._graph = graph_room(pixels)
@@ -332,7 +333,7 @@ class Reconstructor:
         return _Scene(cloud, cloud.points[nodes], centre, self._facing.copy(), *counts)
 
     def _vote(self, scene: _Scene, previous: F64 | None) -> FrameResult:
-        """Fit both hypotheses, and take the one of least cost; the local one at equal costs."""
+        """Fit both hypotheses, and choose the one of least cost; the local one at equal costs."""
         local = database = pose = None
         cost_local = cost_database = np.nan
         parts: list[PoseCost | None] = [None, None]
@@ -363,9 +364,9 @@ class Reconstructor:
         )  # fmt: skip
 
     def _beginning(self, previous: F64, scene: _Scene) -> F64:
-        """Return the pose that the local optimisation begins with: the previous one, or that moved on if it costs less.
+        """Return the initial pose of the local fit: the previous one, or its extrapolation if that costs less.
 
-        As printed it is the previous one.
+        In the form printed in the thesis it is the previous one.
         """
         if self._before is None or self.settings.is_printed:
             return previous
@@ -373,9 +374,9 @@ class Reconstructor:
         return moved if self._cost(moved, scene).total < self._cost(previous, scene).total else previous
 
     def _propose(self, scene: _Scene, previous: F64 | None) -> Proposals:
-        """Look poses up; also with the lowest extrema as feet where an extremum has jumped, and for another direction.
+        """Look up poses, also with the lowest extrema as feet after a jump of an extremum, and for another direction.
 
-        As printed only for the direction that the person is known to face.
+        In the form printed in the thesis, only for the current facing direction.
         """
         extrema, centre, facing = scene.extrema, scene.centre, scene.facing
         if previous is None and not self.settings.is_printed:
@@ -396,9 +397,9 @@ class Reconstructor:
     def _try(
         self, proposals: Proposals, scene: _Scene, is_start: bool
     ) -> tuple[tuple[Candidate, ...], int, F64 | None]:
-        """Give each proposal two short steps, and fit the best one; at a start the best of them.
+        """Compare proposals by a short fit of two steps, and fit the best one in full.
 
-        Returns the candidates, the number of the one that is taken, and its pose.
+        Returns the candidates (without a previous pose only the best), the index of the chosen one, and its pose.
         """
         poses, costs = list(proposals.poses), [np.nan] * len(proposals.poses)
         if len(poses) > 1:
@@ -431,7 +432,7 @@ class Reconstructor:
         return cost_of(self._poses, pose, scene.extrema, self.settings.form)
 
     def _unseen(self, pose: F64 | None, cloud: FrameCloud) -> Bool:
-        """Return the joints whose cones are nearest to no point."""
+        """Return a mask (24,) of the joints whose cones are nearest to no point."""
         if pose is None:
             return np.ones(len(JOINTS), np.bool_)
         sample = cloud.points[:: sample_step(len(cloud.points))]
@@ -453,7 +454,7 @@ def _padded(extrema: F64) -> F64:
 
 
 def cone_joints(body: ConeBody) -> Bool:
-    """Return which joints are at an end of each cone, bool (C, 24)."""
+    """Return a mask (C, 24), True where a joint determines an end of a cone."""
     joints: Bool = np.zeros((len(body.cone_names), len(JOINTS)), np.bool_)
     for c in range(len(joints)):
         joints[c, body.joints[c][body.shares[c] > 0]] = True

@@ -1,4 +1,4 @@
-"""The cost of a pose in a frame, by which the vote takes one of several poses (thesis, 8.4.4)."""
+"""This module computes the cost by which the vote chooses one of several poses in a frame (thesis, 8.4.4)."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from kinedex.ops.errors import ParameterError
 F64 = npt.NDArray[np.float64]
 
 MOST_SAMPLE_M, HIDDEN_COST_M, MOST_POINT_M = 0.5, 0.03, 0.15
-"""A sample costs at most the first, a hidden one the second, and a point the third, in metres."""
+"""Upper limits of a sample's cost, of a hidden sample's (its constant cost), and of a point's, in metres."""
 
 POINTS_WEIGHT = 2.0
-"""Weight of the points in the cost; they are no part of the thesis's."""
+"""Weight of the points' distance in the cost, which the thesis's cost lacks."""
 
 WINDOW = 4
-"""Pixels to each side of the window that is searched for the point of a sample."""
+"""Half-width in pixels of the window that is searched for the point of a sample."""
 
 
 class PoseCost(NamedTuple):
@@ -33,7 +33,7 @@ class PoseCost(NamedTuple):
     Attributes
     ----------
     total : float
-        The sum of the parts: least for the pose that is taken.
+        The sum of the parts; the pose of least total is chosen.
     surface : float
         Mean distance of the surface's samples from their points (8.7).
     extrema : float
@@ -49,7 +49,7 @@ class PoseCost(NamedTuple):
 
 
 def cost_of(fit: PoseFit, pose: F64, extrema: F64, form: Form = "best") -> PoseCost:
-    """Return the cost of a pose in the frame that was looked at last.
+    """Return the cost of a pose in the frame that was last set by `PoseFit.look`.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def cost_of(fit: PoseFit, pose: F64, extrema: F64, form: Form = "best") -> PoseC
     extrema : float64 array (n, 3)
         The places of the geodesic extrema in metres; without any, that part is 0.
     form : {"best", "printed"}, optional
-        The thesis's cost has no part of all points.
+        The terms; "printed", as in the thesis, has no points term.
 
     Returns
     -------
@@ -78,7 +78,7 @@ def cost_of(fit: PoseFit, pose: F64, extrema: F64, form: Form = "best") -> PoseC
 def pose_cost(
     body: ConeBody, height: float, view: DepthView, pose: F64, cloud: FrameCloud, extrema: F64, form: Form = "best"
 ) -> PoseCost:
-    """Return the cost of a pose in one frame; see `cost_of`, which serves whole recordings."""
+    """Return the cost of a pose in one frame; use `cost_of` for whole recordings."""
     fit = PoseFit(body, height, view)
     fit.look(cloud)
     return cost_of(fit, np.ascontiguousarray(pose, np.float64), np.ascontiguousarray(extrema, np.float64), form)
@@ -88,7 +88,7 @@ def pose_cost(
 def _cost(
     body: FitBody, view: DepthView, image: FrameImage, room: FitRoom, pose: F64, extrema: F64, printed: bool
 ) -> tuple[float, float, float]:
-    """Return the three parts of the cost."""
+    """Return the three parts of the cost: surface, extrema and points."""
     place_cones(body.cones, pose, room.placed)
     place_samples(body.samples, room.placed, room.samples, room.offsets)
     surface, ends, points = 0.0, 0.0, 0.0

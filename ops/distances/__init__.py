@@ -1,1 +1,1 @@
-"""Distance curves, and what is read off them: hits, labels, explanations."""
+"""This package computes distance curves of templates, and bounds, paths and minima of these curves."""

@@ -1,4 +1,4 @@
-"""Local costs of templates (thesis, Eq. 5.2): words as codes of a vocabulary, and a table of the costs of each word."""
+"""This module computes local costs of templates (thesis, Eq. 5.2), tabulated for each different word."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ Bool = npt.NDArray[np.bool_]
 Table = npt.NDArray[Any]  # float32, float64, or uint16 and uint8 of lower bounds
 
 PADDING = 32
-"""Tables are a multiple of this many columns wide, so that vectorised loops over columns have no remainder."""
+"""Width in columns of which tables are a multiple, so that vectorised loops over columns have no remainder."""
 
 _NO_WORD = np.uint64(NO_WORD)
-_SHAVE = 1 - 1e-9  # of a unit, see `bound_table`
+_SHAVE = 1 - 1e-9  # factor of a unit for rounding, see `bound_table`
 _LOWER, _SPREAD, _SPREAD_TOO = np.uint64(0xFFFF_FFFF), np.uint64(0x9E37_79B9), np.uint64(0x85EB_CA6B)
 _32 = np.uint64(32)
 
 
 @dataclass(frozen=True)
 class CodedWords:
-    """Words as codes of a vocabulary, so that what depends on the word only is computed once.
+    """The words of frames as codes of a vocabulary, so that costs are computed once for each different word.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class TemplateColumns(NamedTuple):
     Parameters
     ----------
     values : uint64 array (N,)
-        The bits that each column asks for.
+        The required bits of each column.
     group_masks : uint64 array (G, N)
         The bits of each group that are fixed.
     group_weights : float64 array (G, N)
@@ -75,7 +75,7 @@ class TemplateColumns(NamedTuple):
 
 @dataclass(frozen=True)
 class Layout:
-    """The columns of several templates side by side, one column of infinite cost between two, padded at the end.
+    """The columns of several templates side by side, separated by a column of infinite cost and padded at the end.
 
     Parameters
     ----------
@@ -94,17 +94,17 @@ class Layout:
 
     @property
     def lengths(self) -> I64:
-        """The number of columns of each template, int64 (T,)."""
+        """Return the number of columns of each template, int64 (T,)."""
         return self.lasts - self.firsts + 1
 
     @property
     def width(self) -> int:
-        """The number of columns S, padding included."""
+        """Return the number of columns S, padding included."""
         return len(self.columns.values)
 
 
 def encode(words: U64, ranges: I64 | None = None) -> CodedWords:
-    """Number the different words of a sequence of frames.
+    """Number the different words of a sequence of frames in the order of their first occurrence.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def encode(words: U64, ranges: I64 | None = None) -> CodedWords:
 
 
 def template_columns(template: QuantisedTemplate) -> TemplateColumns:
-    """Return the columns of one template for kernels."""
+    """Return the columns of one template in the form that kernels take."""
     bits, weights = _weight_groups(template)
     masks = template.mask & bits[:, None]
     group_weights = np.repeat(weights[:, None], len(template), axis=1)
@@ -135,7 +135,7 @@ def template_columns(template: QuantisedTemplate) -> TemplateColumns:
 
 
 def lay_out(templates: Sequence[QuantisedTemplate]) -> Layout:
-    """Put the columns of templates side by side, see `Layout`."""
+    """Arrange the columns of templates side by side, see `Layout`."""
     lengths = np.array([len(template) for template in templates], np.int64)
     firsts = np.concatenate(([0], np.cumsum(lengths + 1)[:-1])).astype(np.int64)
     lasts = firsts + lengths - 1
@@ -154,13 +154,13 @@ def lay_out(templates: Sequence[QuantisedTemplate]) -> Layout:
 
 
 def _weight_groups(template: QuantisedTemplate) -> tuple[U64, F64]:
-    """Return the features of each weight as bits, uint64 (G,), and the weights, float64 (G,)."""
+    """Return the features of each different weight as bits, uint64 (G,), and the weights, float64 (G,)."""
     if template.feature_weights is None:
         return np.array([~np.uint64(0)]), np.ones(1)
     weights, group = np.unique(template.feature_weights, return_inverse=True)
     bits = np.zeros(len(weights), np.uint64)
     np.bitwise_or.at(bits, group, np.uint64(1) << np.arange(len(group), dtype=np.uint64))
-    if not (weights > 0).any():  # as wildcards alone: nothing is contradicted
+    if not (weights > 0).any():  # as for a column of wildcards, nothing can be contradicted
         return np.zeros(1, np.uint64), np.ones(1)
     return bits[weights > 0], weights[weights > 0]
 
@@ -202,9 +202,9 @@ def cost_table(layout: Layout, vocabulary: U64, dtype: type[np.floating[Any]] = 
 def bound_table(
     layout: Layout, vocabulary: U64, units: F64, most: int, dtype: type[np.unsignedinteger[Any]], needed: Bool
 ) -> Table:
-    """Tabulate how many whole units each local cost holds at least: ⌊cost / unit⌋, but no more than `most`.
+    """Tabulate lower bounds of local costs in whole units, min(⌊cost / unit⌋, most).
 
-    Units are counted a little low, so that rounding never makes a bound too high.
+    Costs are scaled down slightly, so that rounding never makes a bound too high.
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ def bound_table(
 
 
 def in_units(layout: Layout, units: F64) -> TemplateColumns:
-    """Return the columns with the weights of groups in units, a little too low; 0 where no template is.
+    """Return the columns with the weights of groups in units, rounded slightly down; 0 for padding.
 
     Parameters
     ----------
@@ -264,7 +264,7 @@ def grid_step(columns: int) -> float:
 def number_words(words: U64, slots: I32, vocabulary: U64, count: int, codes: I32) -> int:
     """Number words in the order of their first occurrence, with open addressing; return their number (kernel).
 
-    So many words, `count`, have numbers already.
+    The first `count` entries of the vocabulary have numbers already.
     """
     last = len(slots) - 1
     for frame in range(len(words)):
@@ -286,13 +286,13 @@ def number_words(words: U64, slots: I32, vocabulary: U64, count: int, codes: I32
 
 @nb.njit(cache=True, nogil=True)
 def contradictions(word: np.uint64, mask: np.uint64, value: np.uint64) -> np.int64:
-    """Count the bits of a column that a word contradicts (kernel)."""
+    """Count the fixed bits of a column that a word contradicts (kernel)."""
     return count_bits((word ^ value) & mask)
 
 
 @nb.njit(cache=True, nogil=True)
 def column_costs(word: np.uint64, columns: TemplateColumns, costs: F64) -> None:
-    """Fill the costs of columns against a word other than `NO_WORD` (kernel).
+    """Fill in the costs of columns against a word other than `NO_WORD` (kernel).
 
     Parameters
     ----------
@@ -314,7 +314,7 @@ def column_costs(word: np.uint64, columns: TemplateColumns, costs: F64) -> None:
 
 @nb.njit(cache=True, nogil=True)
 def contradicted_weights(word: np.uint64, columns: TemplateColumns, sums: F64) -> None:
-    """Fill the weight of all bits of each column that a word contradicts (kernel)."""
+    """Fill in the weight of those bits of each column that a word contradicts (kernel)."""
     values, masks, weights, _ = columns
     for g in range(len(masks)):
         mask, weight = masks[g], weights[g]
@@ -328,7 +328,7 @@ def contradicted_weights(word: np.uint64, columns: TemplateColumns, sums: F64) -
 
 @nb.njit(cache=True, nogil=True)
 def fill_costs(vocabulary: U64, columns: TemplateColumns, step: float, table: Table) -> None:
-    """Fill a table with costs, rounded to multiples of a step where that is not 0 (kernel)."""
+    """Fill a table with costs, rounded to multiples of `step` unless it is 0 (kernel)."""
     costs = np.empty(len(columns.values))
     for w in range(len(vocabulary)):
         if vocabulary[w] == _NO_WORD:
@@ -345,7 +345,7 @@ def fill_costs(vocabulary: U64, columns: TemplateColumns, step: float, table: Ta
 
 @nb.njit(cache=True, nogil=True)
 def fill_bounds(vocabulary: U64, columns: TemplateColumns, cap: int, needed: Bool, table: Table) -> None:
-    """Fill a table with the whole units that a cost holds at least, no more than `cap` (kernel).
+    """Fill a table with lower bounds of costs in whole units, at most `cap` (kernel).
 
     Parameters
     ----------

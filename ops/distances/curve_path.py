@@ -1,4 +1,4 @@
-"""The paths behind distance curves, the least curve of several classes, and essential minima (thesis, Chapter 6)."""
+"""This module traces paths of distance curves, and finds least curves and essential minima (thesis, Chapter 6)."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def least_curve(curves: F64) -> LeastCurve:
     Returns
     -------
     LeastCurve
-        Of equally near curves the first.
+        The least curve; ties go to the first curve.
     """
     if not len(curves):
         return LeastCurve(np.full(curves.shape[1], np.inf), np.full(curves.shape[1], -1, np.int64))
@@ -51,7 +51,7 @@ def least_curve(curves: F64) -> LeastCurve:
 
 
 class CurvePath(NamedTuple):
-    """The cheapest path that ends in a frame.
+    """The cheapest warping path that ends in a frame.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class CurvePath(NamedTuple):
 
 
 def curve_paths(template: QuantisedTemplate, words: U64, ends: I64) -> list[CurvePath]:
-    """Return the cheapest paths that end in some frames, as frames and columns.
+    """Return the cheapest warping paths that end in some frames, as frames and columns.
 
     Among equally cheap paths the one is taken that, read from its end, prefers (1,1), then (1,2), then (2,1), as in
     `ops.distances.window_sums.path_start`.
@@ -142,7 +142,7 @@ def trace_path(window: Window, codes: I32, begin: int, end: int, cells: I64) -> 
 
 
 def essential_minima(starts: I64, ends: I64, costs: F64) -> I64:
-    """Return the minima that no cheaper one is close to (thesis, Section 6.4.1).
+    """Return the minima that have no cheaper minimum close by (thesis, Section 6.4.1).
 
     By ascending costs, then ends, a minimum is dropped if its end is closer to the end of one that is taken already
     than half the shorter of the two paths, counted from first to last frame.

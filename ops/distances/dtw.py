@@ -1,4 +1,4 @@
-"""Distance curves: how well a template fits a take up to every frame (subsequence DTW)."""
+"""Distance curves measure in every frame how well a template fits a take up to there (subsequence DTW)."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from kinedex.ops.ranges import checked_ranges
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import U64
 
-_TABLE_CELLS = 4_000_000  # of a cost table that is held at once: 32 MB, whatever the length of the takes
-_PIECE = 4096  # frames of a range that are computed independently of the rest of it
+_TABLE_CELLS = 4_000_000  # most cells of a cost table at a time: 32 MB, however long the takes are
+_PIECE = 4096  # frames of a range that are computed independently of its other frames
 
 
 def distance_curves(
@@ -63,7 +63,8 @@ def distance_curves(
     layout = lay_out(templates)
     lead_in = 2 * (int(layout.lengths.max()) - 1)
     most_words = max(1, _TABLE_CELLS // layout.width)
-    # Where the words together are few, one table serves all frames; else parts of the ranges get tables of their own.
+    # If there are few different words in all, one table serves all frames; else parts of the ranges get their own
+    # tables.
     start, stop = int(checked[0, 0]), int(checked[-1, 1])
     coded = encode(words[start:stop])
     few = len(coded.vocabulary) <= most_words
@@ -79,7 +80,7 @@ def distance_curves(
 
 
 def _batches(pieces: I64, frames: int) -> Iterator[I64]:
-    """Divide pieces into consecutive groups that span at most so many frames, and at least one piece."""
+    """Divide pieces into consecutive groups that span at most the given number of frames, or are a single piece."""
     first = 0
     for place in range(1, len(pieces) + 1):
         if place == len(pieces) or pieces[place, 2] - pieces[first, 0] > frames:

@@ -1,8 +1,8 @@
-"""Lower bounds of distance curves from the coarse copy of bit slices, without any word.
+"""This module bounds distance curves from below using only the coarse copy of bit slices, without words.
 
 The coarse copy of `ops.search.bit_slices` has, for every granule of 8 frames, the features that are on in some frame
-and those that are off in some. A feature that a template asks to be on contradicts every frame of a granule where it
-is on in none. So much is known of the cost of a path through a granule, whichever frames it visits.
+and those that are off in some. A feature that a template requires to be on is contradicted in every frame of a granule
+where it is on in none. This bounds the cost of a path through a granule, whichever frames it visits.
 
 *Blocks of columns.* The columns of a template are taken B at a time, the last ones at the end; fewer than B at its
 beginning are ignored. A path collects a weight of B − 1 or more in a block: B for its columns, less one where a (2,1)
@@ -33,10 +33,10 @@ from kinedex.ops.words import U64
 F32 = npt.NDArray[np.float32]
 
 LONG = 40
-"""Templates of so many columns are divided into blocks of 8 columns, others into blocks of 4."""
+"""Number of columns from which templates are divided into blocks of 8 columns; others have blocks of 4."""
 
 _ROUNDING = 1 + 1e-4
-"""Sums of float32 are too high by less than this."""
+"""Factor by which sums in float32 may be too high."""
 
 
 class GranuleBlocks(NamedTuple):
@@ -62,7 +62,7 @@ class GranuleWords:
     Parameters
     ----------
     on, off : uint64 array
-        One word a granule; a take begins with the granule 8 · first[take] of its slices.
+        One word per granule; take t begins at granule 8 · first[t] of the slices.
     """
 
     on: U64
@@ -70,7 +70,7 @@ class GranuleWords:
 
 
 def granule_words(slices: BitSlices, first: int, stop: int) -> GranuleWords:
-    """Return what is on and off in the granules of some takes, from those of take `first` to those before `stop`.
+    """Return the features that are on and off in the granules of takes `first` to `stop` − 1.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def granule_bounds(template: QuantisedTemplate, words: GranuleWords, edges: I64)
 
 @nb.njit(cache=True, nogil=True)
 def _bound(blocks, on, off, edges, steps, ends, memory, bounds):  # type: ignore[no-untyped-def]
-    """Fill the least sums over blocks of the paths that end in each granule (kernel)."""
+    """Fill in the least sums over blocks of the paths that end in each granule (kernel)."""
     must_on, must_off, weights = blocks
     pad = max(steps, ends)
     for take in range(len(edges) - 1):
@@ -174,7 +174,7 @@ def _bound(blocks, on, off, edges, steps, ends, memory, bounds):  # type: ignore
 
 @nb.njit(cache=True, nogil=True)
 def _least(values, pad, back, found):  # type: ignore[no-untyped-def]
-    """Fill the least of each value and those up to so many places before it (kernel)."""
+    """Fill in the minima of each value and the `back` values before it (kernel)."""
     for g in range(len(found)):
         found[g] = values[g + pad]
     for step in range(1, back + 1):

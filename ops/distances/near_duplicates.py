@@ -1,8 +1,8 @@
-"""Clips that show the same motion: near-duplicates by the places of their joints.
+"""This module finds clips that show the same motion, near-duplicates by the positions of their joints.
 
-They may be two performances, at two speeds, as far apart as the user allows. `ops.duplicates` finds one recording that
-is in an archive twice: it looks for equal runs of words, which two performances hardly share, and finds parts and other
-rates, which an outline of a whole clip cannot.
+They may be two performances at different speeds, with a difference up to a given limit. By contrast, `ops.duplicates`
+finds the same recording twice in an archive: it searches for equal runs of words, which two performances rarely share,
+and also finds parts of takes and other frame rates.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ F64 = npt.NDArray[np.float64]
 F32 = npt.NDArray[np.float32]
 
 MOMENTS = 32
-"""Moments, evenly spread over a clip, at which clips are compared."""
+"""Number of evenly spread moments of a clip at which clips are compared."""
 
 _BLOCK = 256
 
 
 def motion_outline(places: F64, placement: Placement) -> F32:
-    """Return a clip's outline: its joints at `MOMENTS` moments, from the origin and facing +Z at the start.
+    """Return a clip's outline: its joints at `MOMENTS` moments, moved to start at the origin facing +Z.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def motion_outline(places: F64, placement: Placement) -> F32:
     Returns
     -------
     float32 array (MOMENTS, J, 3)
-        Places between two frames are interpolated.
+        The positions, interpolated between frames.
     """
     at = np.linspace(0.0, len(places) - 1.0, MOMENTS)
     left = np.floor(at).astype(np.int64)
@@ -61,7 +61,7 @@ def near_duplicates(outlines: Sequence[F32] | F32, seconds: Sequence[float] | F6
     seconds : sequence of float (N,)
         Their durations.
     most : float
-        The difference in metres from which on clips are different.
+        The difference in metres from which clips count as different.
 
     Returns
     -------
@@ -92,7 +92,7 @@ def near_duplicates(outlines: Sequence[F32] | F32, seconds: Sequence[float] | F6
         longer = np.maximum(durations[block][:, None], durations[candidates][None, :])
         near &= np.abs(durations[block][:, None] - durations[candidates][None, :]) <= 0.1 * longer
         found: list[int] = []
-        # a clip of this block counts from where it turns out to be no duplicate
+        # from here on, a clip of this block that is no duplicate is compared with the later ones
         usable = np.arange(len(candidates)) < len(kept)
         for row, clip in enumerate(block.tolist()):
             matches = near[row] & usable
@@ -109,7 +109,7 @@ def near_duplicates(outlines: Sequence[F32] | F32, seconds: Sequence[float] | F6
 def _distances(
     values: F32, known: npt.NDArray[np.bool_], whole: bool, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]
 ) -> F64:
-    """Return the distances in metres between clips; infinity where they know no joint in common."""
+    """Return the distances in metres between clips; infinity where no joint is known in both."""
     a, b = values[rows], values[columns]
     if whole:
         squares = np.square(a).sum(axis=1, dtype=np.float64)[:, None] + np.square(b).sum(axis=1, dtype=np.float64)

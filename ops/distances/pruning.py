@@ -1,9 +1,8 @@
-"""Exact pruning: bounds that exclude the frames where a distance curve cannot have minima below a threshold.
+"""Exact pruning excludes frames where a distance curve cannot have minima below a threshold, by lower bounds.
 
-Three bounds, each proven below, keep the work small: whole units and windows (`fine_bound`), and coarse units before
-them (`coarse_bounds`). What they leave is computed in float64 by `ops.ranking.ranking`, and over short ranges by
-`ops.distances.range_minima`; that decides, so that hits are those of the whole curve of
-`ops.distances.dtw.distance_curves`.
+There are three bounds, each proven below: coarse units (`coarse_bounds`), then whole units and windows (`fine_bound`).
+The remaining frames are computed in float64 by `ops.ranking.ranking`, or over short ranges by
+`ops.distances.range_minima`, so that hits equal those of the full curve of `ops.distances.dtw.distance_curves`.
 """
 
 from __future__ import annotations
@@ -22,10 +21,11 @@ from kinedex.ops.distances.sweep import CAP, U16, pieces_of, sweep_bounds
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.templates.templates import QuantisedTemplate
 
-_PIECE = 4096  # frames of a range that are computed independently of the rest of it
-_TABLE_CELLS = 16_000_000  # most bytes of a table of coarse costs; where words are many, fewer templates share a pass
-_LEAST_COLUMNS = 128  # from here on coarse sums cost less than they save: short rows are as slow as in 16 bits
-_MOST_TEMPLATES = SLOTS // 2  # in one pass: with more, a large part of the rows would be filler
+_PIECE = 4096  # frames of a range that are computed independently of its other frames
+# most bytes of a table of coarse costs; with many different words, fewer templates share a pass
+_TABLE_CELLS = 16_000_000
+_LEAST_COLUMNS = 128  # least number of columns in a pass for which coarse sums save more time than they cost
+_MOST_TEMPLATES = SLOTS // 2  # most templates in one pass: with more, a large part of the rows would be padding
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class CoarseBound:
     ----------
     sums : uint8 array (B,)
         One for each block of `ops.distances.stripes.BLOCK` frames, the last one may have fewer; `COARSE_CAP` where no
-        path ends that is below the threshold it was made for.
+        path ends below the threshold that the bound was made for.
     unit : float
         The distance that a unit stands for.
     """
@@ -53,7 +53,7 @@ class CoarseBound:
 
 @dataclass(frozen=True)
 class FineBound:
-    """A lower bound of a distance curve in whole units of 16 bits, as far as the curve may be below a threshold.
+    """A lower bound of a distance curve in whole units of 16 bits, computed where the curve may be below a threshold.
 
     Parameters
     ----------
@@ -62,14 +62,14 @@ class FineBound:
     unit : float
         The distance that a unit stands for.
     slack : int
-        By how many units a minimum may seem to be above its neighbour.
+        The number of units by which the bound at a minimum may exceed that at its neighbour.
     ranges : int64 array (R, 2)
-        Ascending ranges outside of which all is `CAP`.
+        Ascending ranges outside of which all units are `CAP`.
     frames : int
         The number of frames of the curve.
     computed : int
-        The number of frames whose units were computed column by column, those that lead in to others included; the
-        rest was skipped.
+        The number of frames whose units were computed column by column, lead-in frames before windows included; the
+        others were skipped.
     """
 
     units: U16
@@ -81,7 +81,7 @@ class FineBound:
 
 
 def coarse_bound(template: QuantisedTemplate, coded: CodedWords, threshold: float, ranges: I64) -> CoarseBound | None:
-    """Return the coarse bound of one template on its own, where that saves time; see `coarse_bounds`."""
+    """Return the coarse bound of one template alone, or None where it would not save time; see `coarse_bounds`."""
     if len(template) < _LEAST_COLUMNS:
         return None
     return coarse_bounds([template], coded, np.array([threshold]), ranges)[0]
@@ -90,13 +90,13 @@ def coarse_bound(template: QuantisedTemplate, coded: CodedWords, threshold: floa
 def coarse_bounds(
     templates: Sequence[QuantisedTemplate], coded: CodedWords, thresholds: F64, ranges: I64
 ) -> list[CoarseBound]:
-    """Bound the distance curves of templates from below, all in one pass over the words.
+    """Bound the distance curves of templates from below in coarse units, all in one pass over the words.
 
     *Coarse units.* With u = τN / 255 every local cost c holds ⌊c/u⌋ whole units. A path costs the sum of its local
     costs, each counted once or twice, N counted ones in all, and the sum of their whole units is no more than cost / u.
-    Sums are kept in 8 bits that stop at 255; one that has stopped stands for one that is no less. So where the least
-    sum is q units, no path costs less than q u, and where it is 255, none is below τ: a path below any τ' ≤ τ ends only
-    at frames of fewer than τ'N / u units.
+    Sums saturate at 255 in 8 bits, and a saturated sum is still a lower bound. So where the least sum is q units, no
+    path costs less than q u, and where it is 255, none is below τ: a path below any τ' ≤ τ ends only at frames of fewer
+    than τ'N / u units.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def coarse_bounds(
 def fine_bound(
     template: QuantisedTemplate, coded: CodedWords, threshold: float, ranges: I64, coarse: CoarseBound | None = None
 ) -> FineBound:
-    """Bound a distance curve from below, as far as it may be below a threshold.
+    """Bound a distance curve from below in whole units, where it may be below a threshold.
 
     *Whole units.* With u = τN / 21845 every local cost c holds ⌊c/u⌋ whole units. A path costs the sum of its local
     costs, each counted once or twice, N counted ones in all; the sum of their whole units is no more than cost / u
@@ -147,8 +147,8 @@ def fine_bound(
     16 bits, is a lower bound within N units of the true one (for paths below τ), and a frame can be a minimum only
     if it is not more than N units above a neighbour.
 
-    *Windows.* A path that ends at frame l lies within the 2(N − 1) frames before it. What the coarse bound leaves is
-    therefore computed with so many frames before it, and otherwise as if these were whole takes.
+    *Windows.* A path that ends at frame l lies within the 2(N − 1) frames before it. So each part that the coarse bound
+    leaves is computed with this many frames before it, like a take of its own.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def fine_bound(
     if coarse is not None:
         pieces = pieces_below(coarse, threshold, ranges, lead_in)
         kept = np.ascontiguousarray(pieces[:, 1:])
-        # Long ones first: the lanes end together.
+        # Long pieces first, so that the lanes end at about the same time.
         pieces = pieces[np.argsort(pieces[:, 0] - pieces[:, 2], kind="stable")]
     elif frames:
         pieces = pieces_of(ranges, _PIECE, lead_in)
@@ -198,7 +198,7 @@ def fine_bound(
 def pieces_below(bound: CoarseBound, threshold: float, ranges: I64, lead_in: int) -> I64:
     """Return the pieces, see `ops.distances.sweep.pieces_of`, that cover all blocks that may be below a threshold.
 
-    Blocks are in one piece where fewer frames lie between them than lead in to a piece. Pieces are ascending.
+    Blocks are merged into one piece where fewer than `lead_in` frames lie between them. Pieces are ascending.
     """
     places = np.flatnonzero(bound.blocks_below(threshold))
     if not len(places):
@@ -206,7 +206,7 @@ def pieces_below(bound: CoarseBound, threshold: float, ranges: I64, lead_in: int
     apart = np.flatnonzero((np.diff(places) - 1) * BLOCK > lead_in)
     begins = places[np.concatenate(([0], apart + 1))] * BLOCK
     ends = (places[np.concatenate((apart, [len(places) - 1]))] + 1) * BLOCK
-    # A piece meets the ranges from the first that ends behind its beginning to the last that begins before its end.
+    # A piece overlaps the ranges from the first that ends after its start to the last that starts before its end.
     first = np.searchsorted(ranges[:, 1], begins, side="right")
     counts = np.maximum(np.searchsorted(ranges[:, 0], ends, side="left") - first, 0)
     piece = np.repeat(np.arange(len(begins)), counts)
@@ -226,7 +226,7 @@ def mark_words(codes: I32, pieces: I64, needed: Bool) -> None:
 
 @nb.njit(cache=True, nogil=True)
 def possible_minima(units: U16, ranges: I64, slack: int) -> tuple[I64, Bool]:
-    """Return the frames below the threshold that can be minima or stand beside such, and which of them can (kernel).
+    """Return the frames that can be minima, with their neighbours, and a mask of those that can (kernel).
 
     Parameters
     ----------
@@ -240,14 +240,14 @@ def possible_minima(units: U16, ranges: I64, slack: int) -> tuple[I64, Bool]:
     candidates : int64 array (C,)
         Ascending frames.
     possible : bool array (C,)
-        Whether each can be a minimum.
+        True for frames that can be minima, False for their neighbours.
     """
     found = np.empty(len(units), np.int64)
     possible = np.empty(len(units), np.bool_)
     count = 0
     for r in range(len(ranges)):
         start, stop = ranges[r]
-        done = start  # frames before this one are candidates already, or none
+        done = start  # all candidates before this frame have been found
         for frame in range(start, stop):
             if units[frame] == CAP:
                 continue
