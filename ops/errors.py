@@ -1,4 +1,4 @@
-"""The project's errors: a small tree; each message names the place, what was expected, and the way out."""
+"""This module defines the errors of kinedex; each message states the place, what was expected, and a remedy."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _LONGEST_NAME, _MOST_NAMES = 200, 10_000
 
 @dataclass(frozen=True)
 class Remedy:
-    """The way out of an error or of a finding.
+    """The remedy of an error or of a finding.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Remedy:
 
 
 class KinedexError(Exception):
-    """Anything kinedex refuses to do, with a message that a user can act on.
+    """The base of all errors of kinedex, with a message that a user can act on.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def _source_error(path: str, reason: str, line: int | None) -> SourceError:
 
 
 class ConfigError(KinedexError):
-    """A configuration file is wrong: the message has file, line, key, what was expected and the nearest name."""
+    """A configuration file is wrong: the message has file, line, key, the expected value and the most similar name."""
 
     def __init__(self, path: str | Path, message: str, *, line: int | None = None, key: str | None = None) -> None:
         message = _readable(message)
@@ -115,7 +115,7 @@ def _config_error(path: str, reason: str, line: int | None, key: str | None) -> 
 
 
 class StoreError(KinedexError):
-    """A store is missing, locked, damaged, of another format version, or lacks what is asked for.
+    """A store is missing, locked, damaged, of another format version, or lacks the requested data.
 
     Parameters
     ----------
@@ -127,19 +127,19 @@ class StoreError(KinedexError):
 
 
 class NewStoreError(StoreError):
-    """A store is sound, but what is asked for needs another one: to ask again does not help."""
+    """A store is sound, but the request needs another store, so that repeating it does not help."""
 
 
 class ConflictError(KinedexError):
-    """A change is about something that somebody else has changed meanwhile; nothing was changed."""
+    """A change conflicts with a change that somebody else made in the meantime; nothing was changed."""
 
 
 class AcceptError(KinedexError):
-    """Something would be lost that the user has to accept first (`--accept`); nothing was changed."""
+    """A change would lose something that the user has to accept first (`--accept`); nothing was changed."""
 
 
 def _readable(message: str) -> str:
-    """Return a message that quotes a file in a readable form: very long words and messages are cut and marked."""
+    """Return a message without very long words, such as quoted file contents, and cut to a readable length."""
     message = _LONG_WORD.sub(lambda found: f"{found[0][:60]}… ({len(found[0])} characters)", message)
     if len(message) > _LONGEST_MESSAGE:
         more = len(message) - 2 * (_LONGEST_MESSAGE // 3)
@@ -148,7 +148,7 @@ def _readable(message: str) -> str:
 
 
 def did_you_mean(name: str, known: Iterable[str], alike: float = 0.6) -> str:
-    """Return "; did you mean 'x'?" for the nearest known name, or the list of a few known names.
+    """Return "; did you mean 'x'?" for the most similar known name, or a list of the known names if they are few.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def did_you_mean(name: str, known: Iterable[str], alike: float = 0.6) -> str:
         A clause to append to an error message; empty where no name is known.
     """
     names = sorted(set(known))
-    # the search takes time in proportion to the lengths of both names, and to the number of names
+    # the search takes time proportional to the lengths of both names and to the number of names
     short = [known for known in names[:_MOST_NAMES] if len(known) <= _LONGEST_NAME]
     near = difflib.get_close_matches(name, short, n=1, cutoff=alike) if len(name) <= _LONGEST_NAME else []
     if near:

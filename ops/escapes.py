@@ -1,7 +1,7 @@
-"""Control and invisible characters of names, values and messages, escaped for people's eyes.
+"""This module escapes control and invisible characters of names, values and messages for display.
 
-A terminal obeys ESC sequences in a file's name, and a right-to-left override shows a name as another one. Everything
-that the command line shows passes here; CSV, JSON and Parquet in files and pipes keep the true values.
+A terminal would execute ESC sequences in a file's name, and a right-to-left override would display a different name.
+All output of the command line is escaped here; CSV, JSON and Parquet in files and pipes keep the true values.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 
 _ODD = (
-    "\x00-\x1f\x7f-\x9f"  # controls, C1 among them
+    "\x00-\x1f\x7f-\x9f"  # C0 and C1 control characters
     "\u00ad\u061c\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb\U000e0000-\U000e0fff"  # invisible
     "\ud800-\udfff"  # bytes of file names that are not UTF-8
 )
@@ -19,26 +19,26 @@ _SHORT = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
 
 
 def visible(text: str) -> str:
-    """Return a text of one line in which control and invisible characters are escaped: ``\\x1b``, ``\\u202e``."""
+    """Return a one-line text with control and invisible characters escaped: ``\x1b``, ``\u202e``."""
     return text if text.isascii() and text.isprintable() else _ESCAPED.sub(_escape, text)
 
 
 def visible_text(text: str) -> str:
-    """Return a text as `visible` does, but with its line breaks."""
+    """Return a text escaped as by `visible`, but with its line breaks kept."""
     return text if text.isascii() and text.isprintable() else _ESCAPED_IN_LINES.sub(_escape, text)
 
 
 def visible_lines(text: str) -> str:
-    """Return a message as `visible` does, but with its lines; all but the first are indented by two spaces or more.
+    """Return a message escaped as by `visible`, with line breaks kept and all lines but the first indented.
 
-    So a name with a line break in it cannot pass for a message of its own.
+    So a name that contains a line break cannot look like a separate message. The indent is two spaces or more.
     """
     return re.sub(r"\n(?!  |\n|$)", "\n  ", visible_text(text))
 
 
 def json_escaped(text: str) -> str:
-    """Return JSON text in which these characters are escaped; its values stay the same."""
-    # DEL is the one control character that JSON leaves as it is
+    """Return JSON text with these characters escaped; its values stay the same."""
+    # DEL is the only control character that JSON does not escape
     return text if text.isascii() and "\x7f" not in text else _ESCAPED_IN_LINES.sub(_json_escape, text)
 
 

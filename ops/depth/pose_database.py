@@ -1,4 +1,4 @@
-"""The pose database holds unit bone directions of an archive's poses, thinned, for use on a body of any bone lengths."""
+"""The pose database holds the unit bone directions of an archive's poses, thinned, for bodies of any bone lengths."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""This module measures the distance of two poses over the joints used to judge depth reconstructions (thesis, Eq. 8.1)."""
+"""This module measures the distance of poses over the joints by which depth images are judged (thesis, Eq. 8.1)."""
 
 from __future__ import annotations
 

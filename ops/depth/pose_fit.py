@@ -102,7 +102,7 @@ class FitRoom(NamedTuple):
 
 
 class FitBody(NamedTuple):
-    """The body of an actor as arrays for kernels: cones, samples, pivots with their stiffness, and the cones they move."""
+    """The body of an actor as arrays for kernels: cones, samples, pivots, their stiffness, and the cones they move."""
 
     cones: Cones
     samples: Samples

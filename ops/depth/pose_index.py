@@ -32,7 +32,7 @@ def pose_centres(poses: F64) -> F64:
 
 
 def pose_features(poses: F64) -> F32:
-    """Return the end effectors of poses (N, 24, 3) that face +Z, relative to their centres, float32 (N, 15) in metres."""
+    """Return the end effectors of poses (N, 24, 3) facing +Z, relative to their centres, float32 (N, 15) in metres."""
     ends = poses[:, END_EFFECTORS] - pose_centres(poses)[:, None]
     return np.ascontiguousarray(ends.reshape(len(poses), -1), np.float32)
 

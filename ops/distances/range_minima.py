@@ -1,10 +1,10 @@
-"""Minima of distance curves within short ranges, such as keyframes or bounds leave.
+"""This module finds minima of distance curves within short ranges, such as those left by keyframes or bounds.
 
-Where ranges are long or many, `ops.distances.pruning` excludes most frames by finer and finer bounds, and goes over
-what remains twice, for distances and for paths. Within a few hundred frames that is more work than the distances
-themselves: here the costs of all paths are computed once, and kept until the paths have been followed back. The kernels
-of `ops.distances.window_sums`, which also skip cells above a limit, took 1.13 to 1.2 times as long here when they were
-put in the place of these and `python -m benchmarks annotating` was run with either.
+Where ranges are long or many, `ops.distances.pruning` excludes most frames by finer and finer bounds, and makes two
+passes over the rest, for distances and for paths. Within a few hundred frames that is more work than the distances
+themselves: here the costs of all paths are computed once, and kept until the paths have been traced back. The kernels
+of `ops.distances.window_sums`, which also skip cells above a limit, would take 1.13 to 1.2 times as long (`python -m
+benchmarks annotating`).
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import NO_WORD, U64
 
 _NO_WORD = np.uint64(NO_WORD)
-_TABLE_ROWS = 4096  # words whose costs are kept at once
-_PIECE = 512  # frames of a range whose sums are kept at once, besides those that lead in
+_TABLE_ROWS = 4096  # most words whose costs are in memory at once
+_PIECE = 512  # most frames of a range whose sums are in memory at once, besides the lead-in
 
 
 def minima_within(
@@ -36,9 +36,9 @@ def minima_within(
     coded: CodedWords | None = None,
     coarse: Sequence[CoarseBound | None] | None = None,
 ) -> Matches:
-    """Find the local minima of distance curves below a threshold within ranges, with the paths that lead to them.
+    """Find the local minima of distance curves below a threshold within ranges, with their warping paths.
 
-    They are those of the whole curves of `ops.distances.dtw.distance_curves` in float64, to the bit.
+    They equal those of the full curves of `ops.distances.dtw.distance_curves` in float64, to the bit.
 
     Parameters
     ----------
@@ -54,7 +54,8 @@ def minima_within(
         `ops.distances.costs.encode(words)`, where it is known.
     coarse : sequence of CoarseBound, optional
         For each template a bound of its curve (`ops.distances.pruning.coarse_bounds`), made for these ranges or wider
-        ones and for its threshold or a greater one; then only frames that it leaves are computed. None: all frames.
+        ones and for its threshold or a greater one; then only frames that the bound does not exclude are computed.
+        None: all frames.
 
     Raises
     ------
@@ -82,7 +83,7 @@ def minima_within(
 
 
 def _pieces(ranges: I64, bound: CoarseBound | None, columns: int, threshold: float) -> I64:
-    """Return where paths may start and the half-open range where they may end, int64 (P, 3)."""
+    """Return for each piece the first possible start of a path and the half-open range of its ends, int64 (P, 3)."""
     if bound is None:
         return np.stack([ranges[:, 0], ranges[:, 0], ranges[:, 1]], axis=1)
     return pieces_below(bound, threshold, ranges, 2 * (columns - 1))
@@ -105,7 +106,7 @@ def fill_matches(
         The first column of each template, and the number of its columns.
     thresholds : float64 array (T,)
     pieces : int64 array (P, 3)
-        See `_pieces`; beside a piece no distance is below the threshold.
+        See `_pieces`; outside the pieces no distance is below the threshold.
     edges : int64 array (T + 1,)
         Template t has the pieces edges[t] to edges[t + 1] - 1.
     """
@@ -129,7 +130,8 @@ def fill_matches(
             opens, closes = pieces[place, 0], pieces[place, 2]
             for begin in range(pieces[place, 1], closes, _PIECE):
                 stop = min(begin + _PIECE, closes)
-                # A path that ends in the frame before the piece, a neighbour of its first one, starts from here on.
+                # The earliest start of a path that ends in the frame before the piece, the left neighbour of its first
+                # frame.
                 first = max(begin - 1 - 2 * (size - 1), opens)
                 frames = min(stop + 1, closes) - first
                 if used + frames > len(table):
@@ -160,10 +162,10 @@ def _fill_costs(
     vocabulary: U64, codes: I32, template: TemplateColumns, table: F64, row_of: I32, filled: I64, turn: int, used: int,
     rows: I32,
 ) -> int:  # fmt: skip
-    """Fill the rows of frames in a table of costs, and the costs that it lacks; return how many rows are used (kernel).
+    """Map frames to rows of a cost table, fill in missing rows, and return the number of rows in use (kernel).
 
-    Few of the words occur where a template is matched, and these often: each costs one row. `row_of` holds the row of
-    each word that was filled in this turn, which `filled` records.
+    Few different words occur where a template is matched, each of them often, so each takes one row. `row_of` holds the
+    row of each word whose `filled` equals `turn`.
     """
     for frame in range(len(codes)):
         code = codes[frame]
@@ -180,14 +182,14 @@ def _fill_costs(
 
 @nb.njit(cache=True, nogil=True)
 def _fill_sums(table: F64, rows: I32, columns: int, sums: F64) -> None:
-    """Fill the costs of the cheapest paths to each column at each frame, in row frame + 2 (kernel).
+    """Fill in the costs of the cheapest paths to each column at each frame, in row frame + 2 (kernel).
 
-    Excluded are cells that no path reaches (a frame leads on by two columns at most), which are ∞, and cells that lead
-    to no end.
+    Cells that no path reaches (a path advances by at most two columns a frame) are ∞; cells that lead to no end are
+    skipped.
     """
     for frame in range(len(rows)):
         least, most = max(0, columns - 1 - 2 * (len(rows) - 1 - frame)), min(columns - 1, 2 * frame)
-        # Views that begin with the first cell: the compiler then sees that no index is below 0, and vectorises.
+        # Views that begin at the first cell let the compiler see that no index is negative, so that it vectorises.
         before, behind, here = sums[frame, least + 1 :], sums[frame + 1, least:], sums[frame + 2, least + 2 :]
         cost = table[rows[frame], least:]
         for n in range(most + 1 - least):
@@ -200,7 +202,7 @@ def _fill_sums(table: F64, rows: I32, columns: int, sums: F64) -> None:
 
 @nb.njit(cache=True, nogil=True)
 def _start_frame(table: F64, rows: I32, columns: int, sums: F64, frame: int) -> int:
-    """Return the frame in which the cheapest path starts that ends at a frame, as `window_sums.path_start` (kernel)."""
+    """Return the start frame of the cheapest path that ends at a frame, as `window_sums.path_start` does (kernel)."""
     n = columns - 1
     while n > 0:
         frames, back = step_back(sums, frame, n, table[rows[frame], n])

@@ -1,4 +1,4 @@
-"""The recurrence of subsequence DTW over the steps (1,1), (1,2) and (2,1) of template and take (thesis, Section 5.2).
+"""This module has the recurrence of subsequence DTW with steps (1,1), (1,2), (2,1) (thesis, Section 5.2).
 
 With c the local cost of column n in frame f, the cheapest path that ends there costs
 
@@ -17,7 +17,7 @@ import numpy as np
 from kinedex.ops.distances.costs import F64
 
 COARSE_CAP = 255
-"""Sums of coarse units stop here, at the greatest number of 8 bits."""
+"""The greatest 8-bit number, at which sums of coarse units saturate."""
 
 _COARSE_CAP = np.uint8(COARSE_CAP)
 
@@ -41,11 +41,11 @@ def path_cost(straight, slow, fast, cost):  # type: ignore[no-untyped-def]
 
 @nb.njit(inline="always")
 def coarse_path_cost(straight, slow, fast, cost):  # type: ignore[no-untyped-def]
-    """Return `path_cost` of whole units in 8 bits, where every addition stops at `COARSE_CAP` (inlined kernel).
+    """Return `path_cost` for whole units in 8 bits, with additions that saturate at `COARSE_CAP` (inlined kernel).
 
-    Additions that stop can be done in any order, so that c + min(D(n − 1, f − 1), D(n − 1, f − 2), D(n − 2, f − 1) + c)
-    is the same with one operation less: `path_cost` with such additions takes 1.3 times as long
-    (`python -m benchmarks.recurrence`).
+    Saturating additions can be done in any order, so that c + min(D(n − 1, f − 1), D(n − 1, f − 2), D(n − 2, f − 1) +
+    c) is equal and saves one operation: `path_cost` with such additions takes 1.3 times as long (`python -m
+    benchmarks.recurrence`).
     """
     far = np.uint8(fast + cost)
     far = far if far >= cost else _COARSE_CAP
@@ -57,7 +57,7 @@ def coarse_path_cost(straight, slow, fast, cost):  # type: ignore[no-untyped-def
 
 @nb.njit(cache=True, nogil=True)
 def step_back(sums: F64, frame: int, n: int, cost: float) -> tuple[int, int]:
-    """Return by how many frames and columns the cheapest path to a cell goes back (kernel).
+    """Return the numbers of frames and columns that the last step of the cheapest path to a cell spans (kernel).
 
     Of equally cheap steps the first of (1,1), (1,2), (2,1) is taken.
 

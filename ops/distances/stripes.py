@@ -1,8 +1,8 @@
-"""Coarse sums of many templates at once, their columns placed so that every step of a path stays in its byte lane.
+"""This module computes coarse sums of many templates at once, with columns laid out for SIMD byte lanes.
 
-Where columns lie one after the other, column n needs what columns n − 1 and n − 2 had a frame before: vectors that were
-written across the borders of those that are read, for which a processor waits until they are in the cache. Here each
-column lies `SLOTS` bytes behind the one before it, so that vectors are read as they were written.
+In a layout of consecutive columns, column n needs the values of columns n − 1 and n − 2 in the frame before. Such loads
+straddle the vectors that were just stored, so the processor stalls until the stores reach the cache. Here each column
+lies `SLOTS` bytes after the one before it, so that every vector is loaded as it was stored.
 """
 
 from __future__ import annotations
@@ -18,25 +18,24 @@ from kinedex.ops.words import NO_WORD, U64
 U8 = npt.NDArray[np.uint8]
 
 SLOTS = 64
-"""The number of columns that lie side by side in a row: the bytes of the widest vector, and of a line of the cache."""
+"""The number of columns side by side in a row: the bytes of the widest vector, and of a cache line."""
 
 BLOCK = 8
 """The number of frames that share one least sum."""
 
 
 def least_sums(layout: Layout, coded: CodedWords, units: F64, pieces: I64) -> U8:
-    """Return the least sum of coarse units that a path of each template has, by blocks of `BLOCK` frames.
+    """Return the least sum of coarse units over the paths of each template that end in each block of `BLOCK` frames.
 
-    *Places.* The columns of all templates stand one below the other in slots: R rows a slot, slot after slot. A
-    template takes up whole slots, and is moved down in them so that its last column is in the last row; one cell or
-    more is left above its first column. So the column before another one is in the row above it, or in the last row of
-    the slot before, and all templates end in one row.
+    *Layout.* The columns of all templates are stacked in slots of R rows, slot after slot. A template occupies whole
+    slots, and is shifted down in them so that its last column is in the last row, with at least one empty cell above
+    its first column. So each column's predecessor is in the row above it, or in the last row of the slot before, and
+    all templates end in the same row.
 
-    *Starts.* The cells above a first column always hold 0, so that it costs c alone: they begin with 0, cost nothing,
-    and what is above the highest of them is 0. The second column has such a cell two columns before it. So there are
-    more paths than there should be: those that skip the first column and count the second one twice. The least sum of
-    more paths is no greater: it is a lower bound all the same. What comes over from another template is no less than
-    the 0 that is there already.
+    *Starts.* The cells above a first column always hold 0, so that the first column costs c alone. The second column
+    has such a cell two columns before it, which allows additional paths that skip the first column and count the second
+    one twice. The least sum over more paths is no greater, so it is still a lower bound. Values carried over from
+    another template are at least 0, so they do not lower these cells.
 
     Parameters
     ----------
@@ -51,7 +50,7 @@ def least_sums(layout: Layout, coded: CodedWords, units: F64, pieces: I64) -> U8
     Returns
     -------
     uint8 array (T, B)
-        `COARSE_CAP` for all that is no less, and outside the pieces.
+        The sums, saturated at `COARSE_CAP`, which is also the value outside the pieces.
     """
     rows, slots, places = place_columns(layout.lengths)
     sums = np.full((len(slots), -(-len(coded) // BLOCK)), COARSE_CAP, np.uint8)
@@ -72,7 +71,7 @@ def least_sums(layout: Layout, coded: CodedWords, units: F64, pieces: I64) -> U8
 
 
 def place_columns(lengths: I64) -> tuple[int, I64, I64]:
-    """Place the columns of templates in rows of `SLOTS`.
+    """Assign the columns of templates to rows of `SLOTS` bytes.
 
     Parameters
     ----------
@@ -86,9 +85,9 @@ def place_columns(lengths: I64) -> tuple[int, I64, I64]:
     slots : int64 array (T,)
         The slot in which each template ends.
     places : int64 array
-        The place of each column, template after template.
+        The byte position of each column, template after template.
     """
-    # An even number, because compilers handle two vectors at a time and a last one byte by byte.
+    # The number is even, as compilers process two vectors at a time and a single last one byte by byte.
     rows = 2 * max(1, -(-int((lengths + 1).sum()) // (2 * SLOTS)))
     while int(-(-(lengths + 1) // rows).sum()) > SLOTS:
         rows += 2
@@ -98,7 +97,7 @@ def place_columns(lengths: I64) -> tuple[int, I64, I64]:
 
 
 def _table(layout: Layout, vocabulary: U64, units: F64, places: I64, others: I64, width: int) -> U8:
-    """Tabulate the units of every word against every column, each in its place; all other places cost nothing."""
+    """Tabulate the units of every word against every column at the columns' byte positions; other bytes are 0."""
     own = np.setdiff1d(np.arange(layout.width), layout.padding)
     columns, groups = in_units(layout, units), len(layout.columns.group_masks)
     values, masks, weights = np.zeros(width, np.uint64), np.zeros((groups, width), np.uint64), np.zeros((groups, width))
@@ -112,9 +111,9 @@ def _table(layout: Layout, vocabulary: U64, units: F64, places: I64, others: I64
 
 
 def aligned_bytes(shape: tuple[int, ...], value: int | None = None) -> U8:
-    """Return an array of bytes that begins with a line of the cache, filled with a value if one is given.
+    """Return an array of bytes that begins at a cache line, filled with a value if one is given.
 
-    Vectors that cross two lines take longer to read.
+    Loads of vectors across two cache lines take longer.
     """
     size = int(np.prod(shape))
     memory = np.empty(size + SLOTS, np.uint8)
@@ -129,9 +128,9 @@ def aligned_bytes(shape: tuple[int, ...], value: int | None = None) -> U8:
 def sweep_stripes(
     table: U8, codes: I32, pieces: I64, initial: U8, above: U8, state: U8, least: U8, slots: I64, sums: U8
 ) -> None:  # fmt: skip
-    """Lower `sums` to the least that the paths of all templates have in the blocks of pieces (kernel).
+    """Lower `sums` to the least sums of the paths of all templates that end in the blocks of pieces (kernel).
 
-    The two rows above the first one repeat the last two, each cell one slot further, and 0 where a template begins.
+    The two rows above the first one repeat the last two, shifted by one slot, with 0 where a template begins.
 
     Parameters
     ----------

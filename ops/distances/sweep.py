@@ -1,4 +1,4 @@
-"""The inner loops of subsequence DTW: frame by frame over columns side by side, several pieces at a time."""
+"""This module has the inner loops of subsequence DTW: frame by frame over adjacent columns, for several pieces."""
 
 from __future__ import annotations
 
@@ -13,28 +13,31 @@ from kinedex.ops.distances.recurrence import path_cost
 U16 = npt.NDArray[np.uint16]
 
 LANES = 4
-"""The number of pieces that are computed at a time. A frame waits for the one before it, which has just been written;
-while one piece waits, another one computes. (The number is constant, so that the loop over lanes is unrolled.)"""
+"""The number of pieces that are computed together. A frame depends on the frame before it, whose stores have not
+completed; while one piece waits for them, another one is computed. (The number is a constant, so that the loop over
+lanes is unrolled.)
+"""
 
 CHUNK = 512
 """The number of frames after which the lanes write their results."""
 
 CAP = 21845
-"""Sums of whole units stop here; with a (2,1) step of the greatest cost on top, the sum still fits 16 bits."""
+"""The number at which sums of whole units saturate; a (2,1) step of the greatest cost on top still fits 16 bits.
+"""
 
 
 def pieces_of(ranges: I64, longest: int, lead_in: int) -> I64:
     """Cut ranges into pieces that can be computed independently of each other.
 
-    A path of N columns begins 2(N − 1) frames before its end at most. A piece whose computation begins so many frames
-    earlier, or where its range begins, therefore has the results of the whole range.
+    A path of N columns begins 2(N − 1) frames before its end at most. So a piece has the results of the whole range if
+    its computation begins that many frames earlier, or at the start of its range.
 
     Parameters
     ----------
     ranges : int64 array (R, 2)
         Half-open ranges of frames, none of them empty.
     longest : int
-        The most frames of a piece, without those that lead in to it.
+        The most frames of a piece, without the lead-in.
     lead_in : int
         2(N − 1) for the longest template.
 
@@ -53,7 +56,7 @@ def pieces_of(ranges: I64, longest: int, lead_in: int) -> I64:
 
 @nb.njit(cache=True, nogil=True)
 def refill(pieces: I64, following: int, lanes: I64, state: Table, initial: float) -> tuple[int, int]:
-    """Give the next piece to lanes that have finished theirs (kernel).
+    """Assign the next pieces to lanes that have finished theirs (kernel).
 
     Parameters
     ----------
@@ -62,8 +65,8 @@ def refill(pieces: I64, following: int, lanes: I64, state: Table, initial: float
     following : int
         The next piece.
     lanes : int64 array (LANES, 3)
-        Of each lane the frame to compute next, the first frame whose result is wanted, and the frame where it stops; -1
-        there for a lane without a piece, which repeats the work of another one.
+        For each lane the next frame to compute, the first frame whose result is wanted, and the stop frame, which is -1
+        for a lane without a piece; such a lane repeats the work of another.
     state : array (3, LANES, columns + 2)
         The sums of each lane, which become `initial` at the beginning of a piece.
     initial : float
@@ -71,7 +74,7 @@ def refill(pieces: I64, following: int, lanes: I64, state: Table, initial: float
     Returns
     -------
     (int, int)
-        The piece that is next then, and the number of frames that all lanes can go on.
+        The next unassigned piece, and the number of frames that all lanes can still compute.
     """
     steps = 0
     for k in range(len(lanes)):
@@ -95,7 +98,7 @@ def refill(pieces: I64, following: int, lanes: I64, state: Table, initial: float
 
 @nb.njit(cache=True, nogil=True)
 def write_results(lanes: I64, steps: int, found: Table, sums: Table, first: int) -> None:
-    """Write the results of the lanes into the sums, from a first frame on, and move the lanes on (kernel)."""
+    """Write the results of the lanes into `sums`, from the frame `first` on, and advance the lanes (kernel)."""
     for k in range(len(lanes)):
         at = lanes[k, 0]
         start = max(at, lanes[k, 1])
@@ -106,11 +109,11 @@ def write_results(lanes: I64, steps: int, found: Table, sums: Table, first: int)
 
 @nb.njit(cache=True, nogil=True)
 def sweep(table: Table, codes: I32, pieces: I64, firsts: I64, lasts: I64, sums: Table, first: int) -> None:
-    """Fill the costs of the best paths of all templates of a layout, in the precision of the table (kernel).
+    """Fill in the costs of the best paths of all templates of a layout, in the precision of the table (kernel).
 
-    All three steps advance the take and none stays in its row, so a frame depends on the two frames before it only, and
-    nothing within a frame depends on anything: the loop over columns vectorises. A column of ∞ before a template's
-    first keeps the (2,1) step out; the first column is the local cost alone.
+    All three steps advance in the take, so a frame depends on the two frames before it only, and the columns of a frame
+    are independent of each other: the loop over columns vectorises. A column of ∞ before a template's first keeps the
+    (2,1) step out; the first column is the local cost alone.
 
     Parameters
     ----------
@@ -123,7 +126,7 @@ def sweep(table: Table, codes: I32, pieces: I64, firsts: I64, lasts: I64, sums: 
     sums : array (T, M)
         The results; frames outside the pieces are left as they are.
     first : int
-        The place of the first code's result among them.
+        The index in `sums` of the first code's result.
     """
     columns = table.shape[1]
     state = np.full((3, LANES, columns + 2), np.inf, table.dtype)
@@ -152,9 +155,9 @@ def sweep(table: Table, codes: I32, pieces: I64, firsts: I64, lasts: I64, sums: 
 
 @nb.njit(cache=True, nogil=True)
 def sweep_bounds(table: U16, codes: I32, pieces: I64, final: int, sums: U16) -> None:
-    """Fill one template's lower bounds in whole units, `CAP` for all that is no less (kernel).
+    """Fill in one template's lower bounds in whole units, saturated at `CAP` (kernel).
 
-    It is `sweep` with sums that stop at `CAP`: a cell at `CAP` is reached by no path of fewer units.
+    It is `sweep` with saturating sums: no path of fewer units than `CAP` reaches a cell with the value `CAP`.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Costs of the paths that end in a few frames, in float64, and the paths themselves.
+"""This module computes the costs of the paths that end in a few frames, in float64, and traces the paths.
 
 Paths that end in neighbouring frames share the frames before these. A *window* is such an interval of frames: the costs
-of the paths to all its cells are kept until the paths of interest have been followed back.
+of the paths to all its cells are kept until the paths of interest have been traced back.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from kinedex.ops.words import NO_WORD, U64
 _NO_WORD = np.uint64(NO_WORD)
 
 MOST_COSTS = 4_000_000
-"""Costs of words against columns that are kept while paths are followed: 32 MB."""
+"""The most costs of words against columns that are kept for tracing paths: 32 MB."""
 
 
 class Window(NamedTuple):
@@ -48,7 +48,7 @@ class Window(NamedTuple):
 
 @nb.njit(cache=True, nogil=True)
 def make_window(frames: int, columns: int, words: int) -> Window:
-    """Make a window of at most so many frames and columns, for words of a vocabulary of this size (kernel)."""
+    """Allocate a window for at most the given numbers of frames and columns, and a vocabulary size (kernel)."""
     sums = np.empty((frames + 2, columns + 2))
     sums[:2, :] = np.inf
     costs = np.empty((max(frames, min(words, MOST_COSTS // columns)), columns))
@@ -60,13 +60,12 @@ def sum_window(
     vocabulary: U64, codes: I32, template: TemplateColumns, begin: int, end: int, sums: F64, limit: float,
     window: Window,
 ) -> None:  # fmt: skip
-    """Fill the costs of the cheapest paths that end in the frames from `end` on, as many as there are sums (kernel).
+    """Fill in the costs of the cheapest paths that end in the frames from `end` on, one for each of `sums` (kernel).
 
     Cells from which no end can be reached are skipped: from frame f the columns N − 1 − 2(e − f) to N − 1 − (e − f)/2
-    lead to the end e, so that over all ends those from the last end's least to the first end's most count. Every step
-    back from a cell of these leads to another one, or out of the window. Cells are skipped as well that are reached
-    only by paths that cost more than the limit: costs only grow along a path, so that one within the limit has no such
-    cell.
+    lead to the end e; over all ends, the columns from the last end's least to the first end's greatest are needed.
+    Every step back from such a cell leads to another one, or out of the window. Cells that are only reached by paths
+    above the limit are skipped as well: costs only grow along a path, so a path within the limit has no such cell.
 
     Parameters
     ----------
@@ -91,7 +90,7 @@ def sum_window(
     if used[0] + last_end + 1 > len(costs):
         row_of[:] = -1
         used[0] = 0
-    # Cells within the limit of the frame before, and of that before.
+    # The cells within the limit of the previous frame, and of the one before it.
     low, high, lower, higher = columns, -1, columns, -1
     for frame in range(last_end + 1):
         row = grid[frame + 2]
@@ -117,13 +116,13 @@ def sum_window(
 
 @nb.njit(cache=True, nogil=True)
 def fill_row(sums: F64, frame: int, first: int, last: int, costs: F64) -> None:
-    """Fill the costs of the paths to the columns from first to last in a frame of a window (kernel).
+    """Fill in the costs of the paths to the columns from `first` to `last` in a frame of a window (kernel).
 
-    Cells that are skipped are ∞ as far as the two rows after this one read them. These begin a column behind the first
-    cell within the limit of the two rows before, or with the first one that leads to an end, which is two columns
-    further in each row; they end two columns behind the last cell within the limit of the row before, or one behind
-    that of the row before it. So they read at most three columns before the first cell of this row, and three behind
-    its last one. The last column is read at ends.
+    Skipped cells are set to ∞ where the next two rows read them. The cells of a row begin one column after the first
+    cell within the limit of the two rows before, or at the first one that leads to an end, which advances by two
+    columns a row; they end two columns after the last cell within the limit of the row before, or one after that of the
+    row before it. So the next rows read at most three columns before the first cell of this row, and three after its
+    last one. The last column is read at ends.
 
     Parameters
     ----------
@@ -136,7 +135,7 @@ def fill_row(sums: F64, frame: int, first: int, last: int, costs: F64) -> None:
     row[max(0, first - 1) : first + 2] = np.inf
     row[last + 3 : last + 6] = np.inf
     row[len(row) - 1] = np.inf
-    # All of these begin at the first column, so that the loop over columns needs no check of its bounds.
+    # All of these begin at the first column, so that the loop over columns needs no bounds checks.
     behind, here = sums[frame + 1, first:], row[first + 2 : last + 3]
     straight, slow, own = behind[1:], sums[frame, first + 1 :], costs[first:]
     for n in range(len(here)):
@@ -147,7 +146,7 @@ def fill_row(sums: F64, frame: int, first: int, last: int, costs: F64) -> None:
 
 @nb.njit(cache=True, nogil=True)
 def within_limit(row: F64, first: int, last: int, limit: float) -> tuple[int, int]:
-    """Return the first and the last of some columns that are within the limit, (N, −1) where none is (kernel)."""
+    """Return the first and the last of some columns that are within the limit, (N, −1) if none is (kernel)."""
     while first <= last and not row[first + 2] <= limit:
         first += 1
     while last >= first and not row[last + 2] <= limit:
@@ -157,7 +156,7 @@ def within_limit(row: F64, first: int, last: int, limit: float) -> tuple[int, in
 
 @nb.njit(cache=True, nogil=True)
 def is_minimum(distances: F64, place: int, threshold: float) -> bool:
-    """Return whether a distance is below the threshold and not above those beside it (kernel).
+    """Return True if a distance is below the threshold and not above its neighbours (kernel).
 
     Distances closer than `TOLERANCE` are equal. Beyond the ends there is no path.
     """
@@ -170,15 +169,15 @@ def is_minimum(distances: F64, place: int, threshold: float) -> bool:
 
 @nb.njit(cache=True, nogil=True)
 def path_start(window: Window, codes: I32, begin: int, end: int, number: int, starts: I64) -> int:
-    """Return the frame where the cheapest path starts that ends in the last column at a frame of a window (kernel).
+    """Return the start frame of the cheapest path that ends in the last column at a frame of a window (kernel).
 
-    Among equally cheap paths the one is taken that, read from its end, prefers (1,1), then (1,2), then (2,1). It
-    depends on nothing but the cell that it has come to: where another path has passed, it goes on as that one did.
+    Among equally cheap paths the one is taken that, read from its end, prefers (1,1), then (1,2), then (2,1). Its
+    continuation depends on the current cell only: from a cell of an earlier path, it follows that path.
 
     Parameters
     ----------
     window : Window
-        Its trail is -1 everywhere before the first path.
+        The window; `trail` must be -1 everywhere before the first path.
     codes : int32 array (L,)
     begin : int
         The first frame of the window.
@@ -187,7 +186,7 @@ def path_start(window: Window, codes: I32, begin: int, end: int, number: int, st
     number : int
         The number of the path.
     starts : int64 array (C,)
-        The results of the paths before, by their numbers.
+        The start frames of the earlier paths, by their numbers.
     """
     sums, costs, row_of, _, trail = window
     frame, n = end - begin, costs.shape[1] - 1

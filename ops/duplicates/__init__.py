@@ -1,5 +1,5 @@
-"""The same motion twice: alignments of takes by equal runs of words, judged by the places of their joints.
+"""This package finds takes that hold the same recording: alignments by equal words, verified by joint positions.
 
-It finds copies of a recording, also parts of it; `ops.distances.near_duplicates` finds clips that merely resemble one
+It finds copies of a recording or of parts of it; `ops.distances.near_duplicates` finds clips that merely resemble one
 another.
 """

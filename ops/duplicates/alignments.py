@@ -1,9 +1,9 @@
-"""Alignments of takes in which several successive runs of whole words are equal: candidates for the same motion.
+"""This module finds alignments of takes in which several successive runs of words are equal.
 
 A copy of a motion has the words of the motion, also where it is cut, moved to another place or turned; a mirrored copy
-has mirrored words. At another rate, or cut between two analysis frames, a copy loses some runs, and keeps others. So
-each sequence of `LENGTH` successive words is looked up in all other takes, and votes for the alignment in which it
-starts at the same moment.
+has mirrored words. At another rate, or cut between two analysis frames, a copy has some runs changed and others equal.
+So each sequence of `LENGTH` successive words is looked up in all other takes, and each occurrence votes for the
+alignment that it implies.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ U64 = npt.NDArray[np.uint64]
 Bool = npt.NDArray[np.bool_]
 
 LENGTH = 4
-"""Successive runs of a sequence: 4 words of 40 bits are rarely equal by chance."""
+"""Number of successive runs in a sequence: 4 words of 40 bits are rarely equal by chance."""
 
 SHORT = 2
-"""Successive runs of a sequence of a take that has few runs."""
+"""Number of successive runs in a sequence of a take that has few runs."""
 
 FEW_RUNS = 24
-"""Takes with fewer runs are looked up by sequences of `SHORT` runs, too."""
+"""Number of runs; takes with fewer are also looked up by sequences of `SHORT` runs."""
 
 FEW = 24
-"""A sequence that occurs at most so often votes for all pairs of its places; a more frequent one for neighbours."""
+"""Greatest number of occurrences for which all pairs of them vote; of a more frequent sequence, only neighbours do."""
 
 NEIGHBOURS = 3
-"""Places of a frequent sequence, in order of takes, that vote with each other: copies of one motion form a chain."""
+"""Number of next occurrences, in order of takes, with which one of a frequent sequence votes: copies form a chain."""
 
 KEPT = 3
-"""Alignments of a pair of takes that are judged, the ones with most votes first."""
+"""Number of alignments of a pair of takes that are verified, those with most votes first."""
 
 MOST_VOTES = 4_000_000
-"""Votes that are held at once, some 400 MB while they are sorted."""
+"""The most votes in memory at once, some 400 MB while they are sorted."""
 
 _PRIME = np.uint64(0x9E37_79B9_7F4A_7C15)
 
@@ -57,7 +57,7 @@ class Alignments(NamedTuple):
     mirrored : bool array (A,)
         The second take is the mirror image of the first.
     votes : int64 array (A,)
-        Sequences of runs that are equal there.
+        The number of sequences of runs that are equal in the alignment.
     start, stop : int64 array (A,)
         The frames of the second take in which the first and the last of them lie.
     """
@@ -71,17 +71,17 @@ class Alignments(NamedTuple):
     stop: I64
 
     def rows(self, chosen: I64 | Bool) -> Alignments:
-        """Return some alignments, in the order in which they are chosen."""
+        """Return the chosen alignments, in the order of their indices."""
         one, two, three, image, *rest = self
         votes, start, stop = (column[chosen] for column in rest)
         return Alignments(one[chosen], two[chosen], three[chosen], image[chosen], votes, start, stop)
 
 
 class _Places(NamedTuple):
-    """The places of sequences, in order of sequence and take; one place of each pair that votes is before the other.
+    """The occurrences of sequences, in order of sequence and take; of each voting pair, one comes before the other.
 
-    `ahead` is the number of places that follow and show the same sequence, of a frequent one at most `NEIGHBOURS`;
-    `image` is true where the mirror image is shown; a take of each pair must be `asked` for.
+    `ahead` is the number of following occurrences of the same sequence, at most `NEIGHBOURS` of a frequent one; `image`
+    is true for mirrored words; `asked` marks the takes of which each voting pair must have one.
     """
 
     take: I64
@@ -101,13 +101,13 @@ def find_alignments(runs: WordRuns, mirrored: U64 | None = None, most_votes: int
     mirrored : uint64 array (R,), optional
         The word of each run with left and right exchanged; without it no mirrored copies are found.
     most_votes : int, optional
-        So many votes are held at once, or those of one take if these are more.
+        The most votes in memory at once; the votes of one take are never divided.
 
     Yields
     ------
     Alignments
-        At most `KEPT` alignments of each pair of takes and each side, those with most votes; those of some first takes
-        at a time, in order.
+        For a group of first takes at a time, in order: at most `KEPT` alignments of each pair of takes, mirrored or
+        not, those with most votes.
     """
     count = int(runs.take[-1]) + 1 if len(runs.take) else 0
     few = np.bincount(runs.take, minlength=count) < FEW_RUNS
@@ -133,7 +133,7 @@ def _joined(parts: Sequence[Alignments]) -> Alignments:
 
 
 def _blocks(votes: I64, most: int) -> Iterator[tuple[int, int]]:
-    """Yield ranges of first takes that have votes, so many that there are at most some votes in each."""
+    """Yield ranges of first takes that have at most `most` votes together, or are a single take."""
     low, held = 0, 0
     for take, own in enumerate(votes.tolist()):
         if held and held + own > most:
@@ -145,7 +145,7 @@ def _blocks(votes: I64, most: int) -> Iterator[tuple[int, int]]:
 
 
 def _sequences(runs: WordRuns, words: U64, length: int) -> tuple[U64, I64, I64]:
-    """Return hash, take and frame of each sequence: the start of its second run, which no cut of a take moves."""
+    """Return hash, take and frame of each sequence; the frame is the start of its second run, which no cut moves."""
     count = len(runs.take) - length + 1
     if count < 1:
         return np.empty(0, np.uint64), np.empty(0, np.int64), np.empty(0, np.int64)
@@ -155,12 +155,13 @@ def _sequences(runs: WordRuns, words: U64, length: int) -> tuple[U64, I64, I64]:
         mixed = (hashes ^ words[k : k + count]) * _PRIME
         hashes = mixed ^ (mixed >> np.uint64(29))
         if k:
-            whole &= runs.start[k : k + count] == runs.stop[k - 1 : k - 1 + count]  # no invalid frame in between
+            # valid only without an invalid frame in between
+            whole &= runs.start[k : k + count] == runs.stop[k - 1 : k - 1 + count]
     return hashes[whole], runs.take[:count][whole], runs.start[1 : 1 + count][whole]
 
 
 def _places(runs: WordRuns, mirrored: U64 | None, length: int, asked: Bool) -> _Places:
-    """Return the places of sequences of some length; with mirrored words, also those of their mirror images."""
+    """Return the occurrences of sequences of some length; with mirrored words, also those of their mirror images."""
     hashes, takes, frames = _sequences(runs, runs.word, length)
     image = np.zeros(len(hashes), np.bool_)
     if mirrored is not None:
@@ -172,7 +173,7 @@ def _places(runs: WordRuns, mirrored: U64 | None, length: int, asked: Bool) -> _
     begins = np.flatnonzero(np.diff(hashes, prepend=~hashes[:1]) != 0)
     sizes = np.diff(begins, append=len(hashes))
     size = np.repeat(sizes, sizes)
-    rest = np.repeat(begins + sizes, sizes) - np.arange(len(hashes)) - 1  # places that follow in the group
+    rest = np.repeat(begins + sizes, sizes) - np.arange(len(hashes)) - 1  # number of later occurrences in the group
     ahead = np.where(size <= FEW, rest, np.minimum(rest, NEIGHBOURS))
     if mirrored is None:
         image = np.zeros(0, np.bool_)
@@ -181,7 +182,7 @@ def _places(runs: WordRuns, mirrored: U64 | None, length: int, asked: Bool) -> _
 
 @nb.njit(cache=True, nogil=True)
 def _votes_with(take: I64, image: Bool, asked: Bool, i: int, j: int) -> bool:
-    """Return whether two places vote: of different takes, one asked for, one of them mirrored where images are."""
+    """Return True if two occurrences vote: in different takes, one asked for, and one mirrored if images are given."""
     if take[i] == take[j] or not (asked[take[i]] or asked[take[j]]):
         return False
     return len(image) == 0 or image[i] != image[j]
@@ -189,7 +190,7 @@ def _votes_with(take: I64, image: Bool, asked: Bool, i: int, j: int) -> bool:
 
 @nb.njit(cache=True, nogil=True)
 def _count_votes(take: I64, frame: I64, image: Bool, ahead: I64, asked: Bool, count: int) -> I64:
-    """Return the number of votes by first take."""
+    """Return the number of votes for each first take."""
     votes = np.zeros(count, np.int64)
     for i in range(len(take)):
         for j in range(i + 1, i + 1 + ahead[i]):
@@ -216,7 +217,7 @@ def _votes(
 
 
 def _best(first: I64, second: I64, shift: I64, place: I64, image: bool) -> Alignments:
-    """Return the alignments with most votes of each pair of takes; those one frame apart count together."""
+    """Return the alignments with most votes of each pair of takes; votes one frame apart are added."""
     order = np.lexsort((place, shift, second, first))
     first, second, shift, place = first[order], second[order], shift[order], place[order]
     begins = np.flatnonzero(_changes(first, second, shift))
@@ -236,7 +237,7 @@ def _best(first: I64, second: I64, shift: I64, place: I64, image: bool) -> Align
 
 
 def _changes(*columns: I64) -> Bool:
-    """Return the rows that differ from the row before; the first row does."""
+    """Return a mask of the rows that differ from the row before; the first one is True."""
     changed = np.zeros(len(columns[0]), np.bool_)
     changed[:1] = True
     for column in columns:

@@ -1,4 +1,4 @@
-"""The judgement that two takes hold the same motion, by the places of their joints around the root."""
+"""This module judges from joint positions relative to the root whether two takes hold the same motion."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 
 NEAR_M = 0.03
-"""Two poses whose joints are nearer than this on average can be one pose, read at another rate."""
+"""Mean distance of joints in metres below which two poses can be the same pose, sampled at another rate."""
 
 GAP_FRAMES = 3
-"""Longest interruption of an interval of near poses: a fast hand between two frames of another rate."""
+"""Longest interruption of an interval of near poses in frames, as by a fast hand sampled at another rate."""
 
 LAG_S = 0.2
-"""Poses this far apart within a take show how much it moves."""
+"""Time in seconds between the poses of a take that measure how much it moves."""
 
 RATIO = 0.15
-"""Largest distance of two copies, as a share of the distance of poses that are `LAG_S` apart in the interval."""
+"""Largest distance of two copies, relative to the distance of poses `LAG_S` apart in the interval."""
 
 FLOOR_M = 0.0001
-"""Distances below come from the rounding of numbers in files; they count as equal however still the body is."""
+"""Distance in metres below which poses count as equal, due to rounding in files, however still the body is."""
 
 LEAST_S = 1.0
-"""Shortest interval that two takes have in common, unless it is nearly all of the shorter take."""
+"""Least duration in seconds of a common interval, unless it is nearly all of the shorter take."""
 
 NEARLY_ALL = 0.9
 """Share of the shorter take that counts as all of it."""
 
 MOST = 256
-"""Frames in which the moment between two frames is looked for."""
+"""Most frames in which the shift between two frames is estimated."""
 
-_STEPS = 8  # of the first search for the moment between two frames, per frame
+_STEPS = 8  # steps per frame of the first search for the shift between two frames
 
 
 class SameMotion(NamedTuple):
@@ -59,7 +59,7 @@ class SameMotion(NamedTuple):
 
 
 def local_poses(places: F32, root: int, left: int, right: int, *, mirrored: bool = False) -> F32:
-    """Return the places of joints around the root, turned so that the hips lie along the X axis.
+    """Return joint positions relative to the root, rotated so that the hips lie along the X axis.
 
     Parameters
     ----------
@@ -73,7 +73,8 @@ def local_poses(places: F32, root: int, left: int, right: int, *, mirrored: bool
     Returns
     -------
     float32 array (T, J, 3)
-        They are the same wherever the body is, and whichever way it faces; NaN where a joint has no place.
+        Positions that depend neither on the body's position nor on its facing direction; NaN where a joint is not
+        known.
     """
     return _local(places, root, left, right, -1.0 if mirrored else 1.0)
 
@@ -111,7 +112,7 @@ def same_motion(first: F32, second: F32, shift: int, rate_hz: float) -> SameMoti
     -------
     SameMotion or None
         None if the interval is shorter than `LEAST_S` (and than `NEARLY_ALL` of the shorter take), or if its poses
-        differ by more than `RATIO` of what the body moves in `LAG_S`.
+        differ by more than `RATIO` times the movement in `LAG_S`.
     """
     low, high = max(0, -shift), min(len(second), len(first) - shift)
     if high - low < 2:
@@ -135,7 +136,7 @@ def same_motion(first: F32, second: F32, shift: int, rate_hz: float) -> SameMoti
 
 @njit(cache=True, nogil=True)
 def _moment(first: F32, second: F32, low: int, high: int, shift: float) -> float:
-    """Return the shift, to a thousandth of a frame, at which poses differ least; distant poses count alike."""
+    """Return the shift, to a thousandth of a frame, at which poses differ least; distances are clipped at `NEAR_M`."""
     best, least = shift, _cost(first, second, low, high, shift)
     for step in range(-_STEPS, _STEPS + 1):
         cost = _cost(first, second, low, high, shift + step / _STEPS)
@@ -154,7 +155,7 @@ def _moment(first: F32, second: F32, low: int, high: int, shift: float) -> float
 
 @njit(cache=True, nogil=True)
 def _cost(first: F32, second: F32, low: int, high: int, shift: float) -> float:
-    """Return the mean distance of poses, each at most `NEAR_M`, in `MOST` frames spread over the interval."""
+    """Return the mean distance of poses, each clipped at `NEAR_M`, in `MOST` frames spread over the interval."""
     stride = max(1, (high - low) // MOST)
     weights = _weights(shift)
     total, count = 0.0, 0
@@ -177,7 +178,7 @@ def _distances(first: F32, second: F32, low: int, high: int, shift: float) -> F6
 
 @njit(cache=True, nogil=True)
 def _weights(shift: float) -> tuple[float, float, float, float]:
-    """Return the weights of four frames in the cubic between the middle two (Catmull and Rom)."""
+    """Return the weights of four frames in a Catmull–Rom spline between the middle two."""
     f = shift - math.floor(shift)
     g = 1.0 - f
     return -0.5 * f * g * g, 1.0 - f * f * (2.5 - 1.5 * f), 1.0 - g * g * (2.5 - 1.5 * g), -0.5 * g * f * f

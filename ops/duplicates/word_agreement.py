@@ -1,4 +1,4 @@
-"""The agreement of words at an alignment: it rejects most alignments of different motions without their poses."""
+"""This module rejects most alignments of different motions by their words alone, before poses are compared."""
 
 from __future__ import annotations
 
@@ -18,18 +18,19 @@ Bool = npt.NDArray[np.bool_]
 _INVALID_BITS = 8
 
 LONG_S = 5.0
-"""Takes of this length have many runs, so that copies of parts of them agree more closely than short takes do."""
+"""Duration in seconds from which takes are long: they have many runs, so that copies of parts agree more closely."""
 
 LONG_DIFFER, LONG_VOTES, SHORT_DIFFER = 0.2, 2, 0.5
-"""The largest difference of the words of two long takes, and the fewest votes; and the largest difference where a take
-is shorter. (Of 1,234 copies of HDM05's clips all differ by less, of those of 5 s and more by 0.05 at most.)"""
+"""The largest difference of the words of two long takes, and their fewest votes; and the largest difference if a take
+is shorter. (All of 1,234 copies of HDM05's clips differ by less, those of 5 s and more by 0.05 at most.)
+"""
 
 LAG_FRAMES = 6
-"""Words so many frames apart within a take show how much it changes."""
+"""Number of frames between the words of a take that measure how much it changes."""
 
 
 def plausible(words: U64, offsets: I64, mirrored: U64 | None, found: Alignments, rate_hz: float) -> Bool:
-    """Return which alignments can be of one motion, as far as words tell.
+    """Return a mask of the alignments that can be of one motion, judged by their words.
 
     Parameters
     ----------
@@ -57,9 +58,9 @@ def plausible(words: U64, offsets: I64, mirrored: U64 | None, found: Alignments,
 
 
 def word_differences(words: U64, offsets: I64, mirrored: U64 | None, found: Alignments, frames: int) -> F64:
-    """Return how much two takes differ where their words agree best, as a share of how much the words change there.
+    """Return the word difference of two takes where they agree best, relative to how much the words change there.
 
-    Looked at are the intervals of some frames at the equal sequences that an alignment was found by.
+    The comparison is over intervals of `frames` frames around the equal sequences that support the alignment.
 
     Parameters
     ----------
@@ -120,7 +121,7 @@ def _differences(
 
 @nb.njit(cache=True, nogil=True)
 def _bits(one: np.uint64, two: np.uint64) -> int:
-    """Return the number of bits that differ; a word is far from an invalid frame."""
+    """Return the number of bits that differ, `_INVALID_BITS` if only one frame is valid."""
     if (one == NO_WORD) != (two == NO_WORD):
         return _INVALID_BITS
     return count_bits(one ^ two)

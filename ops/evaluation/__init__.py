@@ -1,1 +1,1 @@
-"""Measures of results: precision and recall of labels, of overlaps, and of rankings."""
+"""This package evaluates results: precision and recall of labels, overlaps of segments, and rankings."""

@@ -1,4 +1,4 @@
-"""Confidence intervals of shares from counts."""
+"""This module computes confidence intervals of proportions from counts."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from kinedex.ops.errors import ParameterError
 
 
 def wilson(hits: int, total: int, level: float = 0.95) -> tuple[float, float]:
-    """Return the Wilson interval of a share from counts (Wilson 1927), which is honest for few, none, and all.
+    """Return the Wilson score interval of a proportion (Wilson 1927), which also holds for few counts, none and all.
 
     Parameters
     ----------
@@ -18,7 +18,7 @@ def wilson(hits: int, total: int, level: float = 0.95) -> tuple[float, float]:
     total : int
         The number of trials.
     level : float
-        How often the interval holds the true share.
+        The probability that the interval covers the true proportion.
 
     Returns
     -------
@@ -41,5 +41,5 @@ def wilson(hits: int, total: int, level: float = 0.95) -> tuple[float, float]:
     share, weight = hits / total, z * z / total
     middle = (share + weight / 2) / (1 + weight)
     half = z * math.sqrt(share * (1 - share) / total + weight / (4 * total)) / (1 + weight)
-    # the ends of none and of all are exact, without rounding errors
+    # the bounds for none and for all are exact, without rounding errors
     return middle - half if hits else 0.0, middle + half if hits < total else 1.0

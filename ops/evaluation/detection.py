@@ -1,4 +1,4 @@
-"""Segments evaluated by overlap, as newer work reports them: average precision by intersection over union."""
+"""This module evaluates segments by overlap: average precision at thresholds of intersection over union."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 """The usual thresholds of intersection over union."""
 
 LEVEL = 0.95
-"""The share of draws within an interval."""
+"""The coverage of bootstrap intervals."""
 
 
 class Detection(NamedTuple):
@@ -61,11 +61,11 @@ def overlap(a: tuple[int, int], b: tuple[int, int]) -> float:
 
 
 def average_precision(found: Sequence[Detection], known: Sequence[TrueSegment], threshold: float) -> float:
-    """Return the average precision of one class's segments.
+    """Return the average precision of the segments of one class.
 
-    The surest segment chooses first: the manual segment of its take that it overlaps most, of those that no surer one
-    has chosen. It is right where their intersection over union is at least the threshold. Of equally sure ones the
-    first in take and time chooses first.
+    Segments are matched in order of decreasing confidence, each to the manual segment of its take that it overlaps most
+    among those not yet matched. It is a true positive if their intersection over union is at least the threshold. Ties
+    in confidence are ordered by take and time.
 
     Parameters
     ----------
@@ -77,8 +77,8 @@ def average_precision(found: Sequence[Detection], known: Sequence[TrueSegment], 
     Returns
     -------
     float
-        The area below the precision-recall curve, precision being the best of any recall that is not lower; NaN where
-        there is no manual segment.
+        The area below the precision-recall curve, with interpolated precision (the greatest at any recall that is not
+        lower); NaN where there is no manual segment.
 
     Raises
     ------
@@ -111,9 +111,9 @@ def average_precision(found: Sequence[Detection], known: Sequence[TrueSegment], 
 
 
 def boundary_errors(found: Sequence[Detection], known: Sequence[TrueSegment]) -> npt.NDArray[np.int64]:
-    """Return how far automatic boundaries are from manual ones.
+    """Return the differences in frames between automatic and manual boundaries.
 
-    Every manual segment that an automatic one of its take overlaps is compared with the one that overlaps it most.
+    Every manual segment is compared with the automatic one of its take that overlaps it most, if there is one.
 
     Parameters
     ----------
@@ -139,17 +139,17 @@ def boundary_errors(found: Sequence[Detection], known: Sequence[TrueSegment]) ->
 
 
 def bootstrap(measure: Callable[..., float], *of_takes: Sequence[Counts], draws: int = 1000) -> tuple[float, float]:
-    """Return a 95 % interval of a measure over takes, which are drawn with replacement and their counts pooled.
+    """Return a 95 % bootstrap interval of a measure: takes are drawn with replacement, and their counts pooled.
 
     Parameters
     ----------
     measure : callable
-        Of the pooled counts of each evaluation; for instance `lambda counts: counts.f1`, or of two evaluations
-        `lambda ours, theirs: theirs.f1 - ours.f1`.
+        A function of the pooled counts of each evaluation; for instance `lambda counts: counts.f1`, or of two
+        evaluations `lambda ours, theirs: theirs.f1 - ours.f1`.
     *of_takes : sequences of Counts
         The counts of the same takes in each evaluation.
     draws : int
-        How often takes are drawn.
+        The number of bootstrap samples.
 
     Returns
     -------
@@ -159,7 +159,7 @@ def bootstrap(measure: Callable[..., float], *of_takes: Sequence[Counts], draws:
     Raises
     ------
     ParameterError
-        If there is no draw.
+        If `draws` is below 1.
     """
     if draws < 1:
         raise ParameterError("draws", "1 or more", draws)

@@ -1,4 +1,4 @@
-"""The division of groups of clips into splits, such as training and test, of which no group is in two."""
+"""This module divides groups of clips into splits, such as training and test, without dividing a group."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _ROUNDS = 100
 
 
 def split_groups(sizes: Sequence[float] | F64, shares: Sequence[float] | F64) -> I64:
-    """Divide groups into splits, as near to the wanted shares of their sizes as whole groups allow.
+    """Divide groups into splits whose shares of the total size are as close to the wanted ones as possible.
 
-    Few groups are divided in the best of all ways; many of them one by one, the largest first, each into the split that
-    lacks most, and then by moves and exchanges of groups for as long as these bring the shares nearer. No split is
-    empty. The outcome depends on the order of the groups only where several are equally good.
+    For few groups, all divisions are tried; otherwise groups are assigned greedily, the largest first, each to the
+    split that lacks most, and then moved and exchanged as long as this improves the shares. No split is empty. The
+    outcome depends on the order of the groups only where several are equally good.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def split_groups(sizes: Sequence[float] | F64, shares: Sequence[float] | F64) ->
 
 
 def _best(amounts: F64, goal: F64) -> I64:
-    """Return the best of all divisions without an empty split, the first of equally good ones."""
+    """Return the best of all divisions without an empty split; ties go to the first."""
     every = np.array(list(product(range(len(goal)), repeat=len(amounts))), np.int64)
     held = np.stack([(every == k) @ amounts for k in range(len(goal))], axis=1)
     used = np.stack([(every == k).any(axis=1) for k in range(len(goal))], axis=1).all(axis=1)
@@ -82,7 +82,7 @@ def _greedy(amounts: F64, goal: F64) -> I64:
 
 
 def _improved(chosen: I64, amounts: F64, goal: F64) -> I64:
-    """Move groups to other splits, and exchange pairs of groups, for as long as that brings the shares nearer."""
+    """Move groups between splits and exchange pairs of groups as long as this brings the shares closer."""
     for _ in range(_ROUNDS):
         if not (_move(chosen, amounts, goal) or _exchange(chosen, amounts, goal)):
             break
@@ -95,7 +95,7 @@ def _held(chosen: I64, amounts: F64, goal: F64) -> F64:
 
 
 def _move(chosen: I64, amounts: F64, goal: F64) -> bool:
-    """Move the group whose move helps most; return False where none does."""
+    """Make the move of one group that improves the shares most; return False if none does."""
     held = _held(chosen, amounts, goal)
     over = held - goal
     # the change of the squared errors where group g leaves its split for split k
@@ -110,7 +110,7 @@ def _move(chosen: I64, amounts: F64, goal: F64) -> bool:
 
 
 def _exchange(chosen: I64, amounts: F64, goal: F64) -> bool:
-    """Exchange the first group with the one that helps most; return False where no exchange of any group does."""
+    """Exchange the first group that has an improving exchange with the best partner; return False if there is none."""
     over = _held(chosen, amounts, goal) - goal
     least = -1e-9 * max(1.0, float(goal.sum())) ** 2
     for group in range(len(chosen)):

@@ -1,4 +1,4 @@
-"""Precision, recall and F-measure of annotations by frames and by segments (thesis, Section 5.4)."""
+"""This module computes precision, recall and F-measure of annotations by frames and segments (thesis, Section 5.4)."""
 
 from __future__ import annotations
 
@@ -43,40 +43,40 @@ class Counts:
 
     @property
     def p1(self) -> float:
-        """The precision by frames (thesis, Eq. 5.10); NaN where nothing was annotated."""
+        """Return the precision by frames (thesis, Eq. 5.10); NaN where nothing was annotated."""
         return _ratio(self.frames_both, self.frames_automatic)
 
     @property
     def r1(self) -> float:
-        """The recall by frames (thesis, Eq. 5.11); NaN where nothing was to be found."""
+        """Return the recall by frames (thesis, Eq. 5.11); NaN without manual frames."""
         return _ratio(self.frames_both, self.frames_manual)
 
     @property
     def f1(self) -> float:
-        """F (frames) (thesis, Eq. 5.12)."""
+        """Return the F-measure by frames (thesis, Eq. 5.12)."""
         return f_measure(self.p1, self.r1)
 
     @property
     def p2(self) -> float:
-        """The precision by segments; NaN where nothing was annotated."""
+        """Return the precision by segments; NaN where nothing was annotated."""
         return _ratio(self.segments_automatic_hit, self.segments_automatic)
 
     @property
     def r2(self) -> float:
-        """The recall by segments; NaN where nothing was to be found."""
+        """Return the recall by segments; NaN without manual segments."""
         return _ratio(self.segments_manual_hit, self.segments_manual)
 
     @property
     def f2(self) -> float:
-        """F (segments)."""
+        """Return the F-measure by segments."""
         return f_measure(self.p2, self.r2)
 
 
 def f_measure(precision: float, recall: float) -> float:
     """Return the harmonic mean of precision and recall (thesis, Eq. 5.12).
 
-    It is 0 where one of them is 0 or only one is undefined (something was missed, or found in vain, and nothing was
-    right), and NaN where both are undefined.
+    It is 0 where one of them is 0 or only one is undefined (there were errors and no true positive), and NaN where both
+    are undefined.
     """
     if math.isnan(precision) and math.isnan(recall):
         return math.nan
@@ -86,12 +86,12 @@ def f_measure(precision: float, recall: float) -> float:
 
 
 def pooled(counts: Iterable[Counts]) -> Counts:
-    """Add counts, as if all takes were one after the other in a single long one."""
+    """Return the sum of counts, as of a single concatenated take."""
     return sum(counts, Counts())
 
 
 def compare(automatic: Bounds, manual: Bounds) -> Counts:
-    """Count what the automatic and the manual segments of one class in one take have in common.
+    """Count agreements between the automatic and the manual segments of one class in one take.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def _covered(segments: npt.NDArray[np.int64], stop: int) -> npt.NDArray[np.bool_
 
 
 def _hit(segments: npt.NDArray[np.int64], covered: npt.NDArray[np.bool_]) -> int:
-    """Count the segments of which the other side covers at least one frame."""
+    """Count the segments that overlap at least one covered frame."""
     return sum(bool(covered[start:end].any()) for start, end in segments)
 
 

@@ -1,4 +1,4 @@
-"""Measures of a ranking: precision and recall along it, and average precision."""
+"""This module evaluates rankings by precision and recall at each rank, and by average precision."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def precision_recall(relevant: Sequence[bool], total: int) -> tuple[F64, F64]:
     Parameters
     ----------
     relevant : sequence of bool
-        Whether the entry at each rank, the best first, should be found; each one counts once.
+        True where the entry at a rank, the best first, should be found; each entry occurs once.
     total : int
         The number of entries that should be found, those that the ranking misses included.
 
@@ -39,7 +39,7 @@ def precision_recall(relevant: Sequence[bool], total: int) -> tuple[F64, F64]:
 
 
 def average_precision(relevant: Sequence[bool], total: int) -> float:
-    """Return the mean of the precision at every relevant rank, 0 for each entry that is not found.
+    """Return the mean of the precision at every relevant rank, counting 0 for each entry that is not found.
 
     It is NaN where nothing should be found. Parameters and errors are those of `precision_recall`.
     """

@@ -1,4 +1,4 @@
-"""Reliability: do segments of a confidence hold as often as it says, and does it sort right ones from wrong ones?"""
+"""This module tests confidences: their calibration, and how well they separate right from wrong segments."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
 EDGES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
-"""The edges of five buckets of confidence."""
+"""The edges of five bins of confidence."""
 
 
 @dataclass(frozen=True)
 class Bucket:
-    """The segments whose confidence is in [low, high), or [low, high] in the last bucket.
+    """The segments whose confidence is in [low, high), or in [low, high] for the last bin.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Bucket:
 
 
 def reliability(confidences: F64, right: Bool, edges: Sequence[float] = EDGES) -> list[Bucket]:
-    """Sort segments into buckets of confidence.
+    """Sort segments into bins of confidence, as in a reliability diagram.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def auroc(scores: F64, right: Bool) -> float:
     Parameters
     ----------
     scores : float64 array (S,)
-        Higher for segments that are rather right.
+        Scores that are higher for segments that are more likely right.
     right : bool array (S,)
         True where the label is right.
     """

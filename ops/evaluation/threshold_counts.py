@@ -1,4 +1,4 @@
-"""Counts of frames and segments whose value is above a threshold, for many thresholds in one pass."""
+"""This module counts frames and segments above a threshold, for many thresholds in one pass."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ I64 = npt.NDArray[np.int64]
 
 
 def threshold_counts(values: F64, manual: Bounds, thresholds: Sequence[float]) -> list[Counts]:
-    """Compare the runs of frames above each threshold with manual segments, as `metrics.compare` does for one.
+    """Compare the runs of frames above each threshold with manual segments, as `metrics.compare` does once.
 
-    A run at τ ends where the value falls to τ or less. So the runs are the frames above τ less the pairs of neighbours
-    of which both are, and the runs that a manual segment overlaps are the manual frames above τ less the pairs of
-    successive manual frames between which no value falls to τ: all are counts of numbers above τ.
+    A run at τ ends where the value falls to τ or less. So the number of runs is the number of frames above τ minus the
+    number of adjacent pairs that are both above τ. The number of runs that overlap a manual segment is the number of
+    manual frames above τ minus the pairs of successive manual frames between which no value falls to τ. All of these
+    count numbers above τ.
 
     Parameters
     ----------
@@ -66,7 +67,7 @@ def threshold_counts(values: F64, manual: Bounds, thresholds: Sequence[float]) -
 
 
 def _above(values: F64, limits: F64) -> I64:
-    """Return how many values are above each threshold."""
+    """Return the number of values above each threshold."""
     passed = np.bincount(np.searchsorted(limits, values, side="left"), minlength=len(limits) + 1)
     return np.asarray(passed[::-1].cumsum()[::-1][1:])
 
@@ -75,6 +76,6 @@ def _least_between(values: F64, marked: I64) -> F64:
     """Return the least value from each marked frame to the next, both included."""
     if len(marked) < 2:
         return np.empty(0)
-    # each piece reaches up to the next marked frame, whose own value is added
+    # each piece ends before the next marked frame, whose own value is added
     least = np.minimum.reduceat(values[: marked[-1] + 1], marked)[:-1]
     return np.minimum(least, values[marked[1:]])

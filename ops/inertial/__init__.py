@@ -1,1 +1,1 @@
-"""Takes against inertial sensors, and sensors simulated from takes (thesis, Chapter 7 and Appendix A)."""
+"""This package compares takes with inertial sensors, and simulates sensors (thesis, Chapter 7 and Appendix A)."""

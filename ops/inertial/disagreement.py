@@ -1,8 +1,8 @@
-"""The orientation error between a take and a sensor, and the runs of frames where it is too large.
+"""This module measures the orientation error between a take and a sensor, and finds runs of large error.
 
-The error of a frame is the angle of D = q̄_T ∘ q_G ∘ q_I ∘ q̄_L, the turn from the limb of the take to the limb that
-the sensor reports, in the segment's axes (thesis, Eq. 7.16). Its twist is the turn about the limb's long axis, which
-nobody sees in a mesh; its swing is the turn of the long axis itself: cos(e/2) = cos(swing/2) · cos(twist/2).
+The error of a frame is the angle of D = q̄_T ∘ q_G ∘ q_I ∘ q̄_L, the rotation from the limb of the take to the limb
+that the sensor reports, in the segment's axes (thesis, Eq. 7.16). Its twist is the rotation about the limb's long axis,
+hardly visible in a mesh; its swing is the rotation of the long axis itself: cos(e/2) = cos(swing/2) · cos(twist/2).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ I64 = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
 
 TAU_DEG = 45.0
-"""The error above which a frame is wrong, as in the thesis."""
+"""The error in degrees above which a frame counts as wrong, as in the thesis."""
 
 LEAST_AUTO_DEG, AUTO_DEVIATIONS, MAD_TO_SIGMA = 15.0, 4.0, 1.4826
 
@@ -39,7 +39,7 @@ class Errors(NamedTuple):
 
 
 def errors(sensor: F64, track: F64, q_global: F64, q_mount: F64, axis: F64) -> Errors:
-    """Compute the error of each frame, with its swing and its twist (thesis, Eq. 7.16).
+    """Compute the error of each frame, its swing and its twist (thesis, Eq. 7.16).
 
     Parameters
     ----------
@@ -99,9 +99,9 @@ def _errors(sensor: F64, track: F64, q_global: F64, q_mount: F64, axis: F64, out
 
 
 def mount_direction(sensor: F64, directions: F64, q_global: F64) -> F64:
-    """Return the limb's long axis in the sensor's axes, for limbs of which only that axis is known.
+    """Return the limb's long axis in the sensor's axes, for limbs where only the long axis is known.
 
-    It is a weighted mean over the frames, (s²/(s² + e²))² with s = 12° once and 6° six times.
+    It is a weighted mean over the frames, (s²/(s² + e²))² with s = 12° in the first iteration and 6° in six more.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def mount_direction(sensor: F64, directions: F64, q_global: F64) -> F64:
     if not known.any():
         raise ParameterError("sensor and directions", "known together in some frame", "none")
     local = rotate(conjugate(multiply(q_global, sensor[known])), directions[known])
-    # the medoid of frames spread evenly is a start that wrong frames do not move
+    # the medoid of evenly spread frames is an initial value that is robust to wrong frames
     some = local[np.linspace(0, len(local) - 1, min(len(local), 300)).astype(np.int64)]
     apart = np.arccos(np.clip(some @ some.T, -1.0, 1.0))
     found = some[int(np.minimum(apart, math.radians(15.0)).sum(axis=1).argmin())]
@@ -144,7 +144,7 @@ def _unit(vector: F64) -> F64:
 
 
 def direction_errors(sensor: F64, directions: F64, q_global: F64, direction: F64) -> F64:
-    """Compute the angles between a limb's long axis and the one that the sensor reports, where no more is known.
+    """Compute the angles between a limb's long axis and the one that the sensor reports, where only the axis is known.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def direction_errors(sensor: F64, directions: F64, q_global: F64, direction: F64
 
 
 def auto_tau(streams: Iterable[tuple[F64, Flags]]) -> float:
-    """Choose τ by the errors themselves: median + 4 robust standard deviations, but not below 15°.
+    """Choose τ from the errors: median + 4 robust standard deviations, at least 15°.
 
     It fails where half of the frames are wrong.
 
@@ -193,14 +193,14 @@ def auto_tau(streams: Iterable[tuple[F64, Flags]]) -> float:
 
 @dataclass(frozen=True)
 class RunRules:
-    """Rules that make runs of frames above a threshold; all but τ are off by default, as in the thesis.
+    """Rules for runs of frames above a threshold; all but τ are off by default, as in the thesis.
 
     Attributes
     ----------
     tau_deg : float
         A frame is wrong where its error is above τ.
     low_deg : float or None
-        A run grows on both sides while the error is above this; None: it does not grow.
+        A run is extended on both sides while the error is above this; None disables it.
     gap_s : float
         Gaps between runs that are no longer than this are closed.
     min_s : float
@@ -232,7 +232,7 @@ class Run(NamedTuple):
 
 
 def runs(degrees: F64, valid: Flags, rate_hz: float, rules: RunRules) -> list[Run]:
-    """Return the runs of frames that are wrong: above τ, grown, gaps closed, short ones dropped, in this order.
+    """Return the runs of wrong frames: above τ, then extended, gaps closed, and short runs dropped.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def runs(degrees: F64, valid: Flags, rate_hz: float, rules: RunRules) -> list[Ru
     rate_hz : float
         Frames per second.
     rules : RunRules
-        τ and the rest.
+        The thresholds.
 
     Returns
     -------
@@ -255,7 +255,7 @@ def runs(degrees: F64, valid: Flags, rate_hz: float, rules: RunRules) -> list[Ru
     ranges = flagged_ranges(above)
     if rules.low_deg is not None:
         grown = flagged_ranges(counted & (degrees > rules.low_deg))
-        # runs above τ lie in runs above the lower value: those that contain one are kept
+        # runs above τ lie within runs above the lower value, so the latter are kept if they contain one
         holds = np.searchsorted(ranges[:, 0], grown[:, 1]) > np.searchsorted(ranges[:, 0], grown[:, 0])
         ranges = grown[holds]
     if len(ranges) and rules.gap_s > 0.0:
@@ -267,7 +267,7 @@ def runs(degrees: F64, valid: Flags, rate_hz: float, rules: RunRules) -> list[Ru
 
 
 def jump_runs(degrees: F64, jump: Flags) -> list[Run]:
-    """Return the runs of frames in which the take's limb turns faster than anybody; their errors may be NaN."""
+    """Return the runs of frames in which the limb rotates faster than a person can; their errors may be NaN."""
     return [_run(degrees, np.isfinite(degrees), start, stop) for start, stop in flagged_ranges(jump).tolist()]
 
 

@@ -1,4 +1,4 @@
-"""The drift of a sensor's heading: a slow turn about the vertical that the filter without a magnetometer makes."""
+"""This module corrects heading drift: a slow rotation about the vertical of a sensor without a magnetometer."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ SCALE_DEG, FARTHEST_DEG = 6.0, 25.0
 
 @dataclass(frozen=True)
 class HeadingDrift:
-    """A piecewise linear curve of the turn about Z that corrects a sensor's orientations.
+    """A piecewise linear curve of the rotation about Z in degrees that corrects a sensor's orientations.
 
     Attributes
     ----------
     times : float64 array (K,)
-        The knots, seconds of the take; none: no correction.
+        The knots in seconds of the take; without knots there is no correction.
     degrees : float64 array (K,)
-        The turn at each knot.
+        The rotation at each knot.
     """
 
     times: F64
@@ -34,15 +34,15 @@ class HeadingDrift:
 
     @classmethod
     def none(cls) -> HeadingDrift:
-        """Return the curve that corrects nothing."""
+        """Return the curve without any correction."""
         return cls(np.empty(0), np.empty(0))
 
     def at(self, times: F64) -> F64:
-        """Return the turns (T,) in degrees at times of the take; beyond the ends they stay."""
+        """Return the corrections (T,) in degrees at times of the take, constant beyond the first and last knot."""
         return np.interp(times, self.times, self.degrees) if len(self.times) else np.zeros(len(times))
 
     def corrected(self, times: F64, sensor: F64) -> F64:
-        """Return orientations (T, 4) of the sensor, sensor → F_GI, with the drift taken out."""
+        """Return orientations (T, 4) of the sensor, sensor → F_GI, with the drift removed."""
         return multiply(self._turns(times), sensor) if len(self.times) else sensor
 
     def uncorrected(self, times: F64, sensor: F64) -> F64:
@@ -54,7 +54,7 @@ class HeadingDrift:
 
 
 def heading_deg(sensor: F64, track: F64, q_global: F64, q_mount: F64) -> F64:
-    """Return the heading (T,) in degrees, −180 to 180, by which the sensor's orientations would have to turn.
+    """Return the heading error (T,) in degrees, −180 to 180, of the sensor's orientations.
 
     It is 2·atan2(z, w) of q̄_G ∘ q_T ∘ q_L ∘ q̄_I.
     """
@@ -64,19 +64,19 @@ def heading_deg(sensor: F64, track: F64, q_global: F64, q_mount: F64) -> F64:
 
 
 def fit_drift(times: F64, headings: F64) -> HeadingDrift:
-    """Fit a piecewise linear curve to headings, by weights that wrong frames lose.
+    """Fit a piecewise linear curve to headings, reweighted so that wrong frames lose their influence.
 
     Parameters
     ----------
     times : float64 array (T,)
         Seconds of the take, ascending.
     headings : float64 array (T,)
-        Degrees; see `heading_deg`. Those beyond 25° are left out.
+        Degrees; see `heading_deg`. Values beyond 25° are ignored.
 
     Returns
     -------
     HeadingDrift
-        Knots every 20 s, at least two; no correction where no frame is near enough.
+        Knots every 20 s, at least two; no correction if all headings are ignored.
     """
     near = np.abs(headings) <= FARTHEST_DEG
     if not near.any() or not times[-1] > times[0]:
@@ -85,7 +85,7 @@ def fit_drift(times: F64, headings: F64) -> HeadingDrift:
     times, headings = times[near], headings[near]
     left = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, len(knots) - 2)
     share = (times - knots[left]) / (knots[1] - knots[0])
-    # a little stiffness carries the curve over knots that no frame is near to
+    # a small stiffness interpolates over knots without frames nearby
     bend = np.diff(np.eye(len(knots)), 2, axis=0)
     stiff = 1e-6 * len(times) * (bend.T @ bend)
     weights = np.ones(len(times))

@@ -1,10 +1,10 @@
-"""The constant offset of a magnetometer, found from the sensor's own turns.
+"""This module estimates the constant offset of a magnetometer from the sensor's own rotations.
 
-A magnetised case adds a vector to the field that turns with the sensor; it pulls the heading by a degree for each
-hundredth of the field, and differently in each pose. Orientations from gyroscope and accelerometer alone drift slowly
-but know how the sensor turns: with these turns R the readings m fulfil R m = m₀ + R b with the field m₀ and the offset
-b, which is linear in both. Rooms bend the field, too, so that b is believed only as far as the residuals allow: it is
-the most likely one by a normal prior, with as many independent residuals as their correlation over time leaves.
+A magnetised case adds to the field a vector that rotates with the sensor (hard iron); for each hundredth of the field
+it changes the heading by about a degree, differently in each pose. Orientations from gyroscope and accelerometer alone
+drift slowly but follow the sensor's rotations R, with which the readings m fulfil R m = m₀ + R b with the field m₀ and
+the offset b, which is linear in both. Rooms distort the field, too, so b is the maximum a posteriori estimate under a
+normal prior, with the effective number of independent residuals by their correlation over time.
 """
 
 from __future__ import annotations
@@ -18,27 +18,28 @@ from kinedex.ops.inertial.rotations import rotate
 F64 = npt.NDArray[np.float64]
 
 BLOCK_S = 0.1
-"""Readings are averaged over so many seconds."""
+"""Duration in seconds over which readings are averaged."""
 
 PRIOR = 0.01
 """Standard deviation of the offset of a calibrated magnetometer on each axis, as a share of the field."""
 
 LIKELY = 4.0
-"""An offset longer than so many standard deviations shows a magnetometer that is not calibrated: the prior widens."""
+"""Length of an offset in standard deviations from which the magnetometer counts as uncalibrated, and the prior widens.
+"""
 
 LEAST_CORRELATED_S = 1.0
-"""Residuals are taken to be alike for so many seconds at least."""
+"""Least time in seconds over which residuals are taken to be correlated."""
 
 ROUNDS = 6
 OUTLIER = 2.0
-"""Residuals of so many standard deviations have a quarter of the weight."""
+"""Size in standard deviations at which a residual has a quarter of the full weight."""
 
 _MEDIAN_SQUARE = 2.366
-"""The median of the sum of three squared standard normal numbers."""
+"""The median of the sum of squares of three standard normal variables."""
 
 
 def field_offset(rate_hz: float, orientation: F64, mag: F64) -> F64:
-    """Estimate what a magnetometer adds to the field, in its own axes.
+    """Estimate the hard-iron offset of a magnetometer in its own axes.
 
     Parameters
     ----------
@@ -52,7 +53,7 @@ def field_offset(rate_hz: float, orientation: F64, mag: F64) -> F64:
     Returns
     -------
     float64 array (3,)
-        In the unit of the readings; subtracting it calibrates them. Zeros where nothing turns, or no field is read.
+        In the unit of the readings; subtracting it calibrates them. Zeros without rotation or without field readings.
 
     Raises
     ------
@@ -85,7 +86,7 @@ def field_offset(rate_hz: float, orientation: F64, mag: F64) -> F64:
 
 
 def _blocks(orientation: F64, mag: F64, each: int) -> tuple[F64, F64]:
-    """Return means over blocks of samples: of the readings in the world (K, 3), and of the turns (K, 3, 3)."""
+    """Return means over blocks of samples: of the readings in the world (K, 3), and of the rotations (K, 3, 3)."""
     count = len(mag) // each
     rows = [rotate(orientation, mag)] + [rotate(orientation, axis) for axis in np.eye(3)]
     fields, *columns = (values[: count * each].reshape(count, each, 3).mean(axis=1) for values in rows)
@@ -93,7 +94,7 @@ def _blocks(orientation: F64, mag: F64, each: int) -> tuple[F64, F64]:
 
 
 def _correlated(residuals: F64) -> float:
-    """Return the number of neighbouring residuals (K, 3) that count as one, by their correlation until it vanishes."""
+    """Return the correlation length of residuals (K, 3) in samples, summed up to the first zero of the correlation."""
     count = len(residuals)
     spectrum = np.fft.rfft(residuals, 2 * count, axis=0)
     products = np.fft.irfft((spectrum * spectrum.conj()).real.sum(axis=1), 2 * count)[:count]

@@ -1,10 +1,10 @@
-"""The calibration of sensors on limbs: the mount q_L of each and the inertial world q_G (thesis, Section 7.5).
+"""This module calibrates sensors on limbs: the mount q_L of each and the inertial world q_G (thesis, Section 7.5).
 
-The model is q_I = q̄_G ∘ q_T ∘ q_L (Eq. 7.5): q_I sensor → inertial world, q_T segment → the take's world, q_L sensor
-→ segment, q_G inertial world → the take's. The thesis solves it by the method of Park and Martin (Eqs. 7.9 to 7.14),
-which every wrong frame spoils. Here guesses from few frames compete (`hypotheses`), and reweighted fits follow, in
-which wrong frames lose their weight. A fit needs one pass over the frames: the sum of w · (q_Gᵀ A q_L)² over frames,
-with the 4 × 4 matrix A of a frame, depends on them by 136 sums only.
+The model is q_I = q̄_G ∘ q_T ∘ q_L (Eq. 7.5): q_I sensor → inertial world, q_T segment → the take's world, q_L sensor →
+segment, q_G inertial world → the take's. The thesis solves it by the method of Park and Martin (Eqs. 7.9 to 7.14),
+which is not robust to wrong frames. Here the best of many hypotheses from few frames is chosen (`hypotheses`), followed
+by reweighted fits, in which wrong frames lose their weight. A fit needs one pass over the frames: the sum of w · (q_Gᵀ
+A q_L)² over frames, with the 4 × 4 matrix A of a frame, depends on them by 136 sums only.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ INLIER_DEG = 15.0
 
 @dataclass(frozen=True)
 class Stream:
-    """A stream is one sensor in one recording, beside the limb that it is worn on.
+    """A stream of one sensor in one recording, with the orientations of the limb that it is worn on.
 
     Attributes
     ----------
@@ -80,11 +80,11 @@ class Options:
     shared : bool
         All streams have one inertial world q_G, which needs a magnetometer; else each stream has its own.
     vertical_known : bool
-        The take's Y axis is gravity's vertical, so that q_G is a turn about it; else all of q_G is fitted.
+        The take's Y axis is gravity's vertical, so that q_G is a rotation about it; else all of q_G is fitted.
     drift : bool
         The heading of each stream drifts slowly, and is corrected.
     seed : int
-        The seed of the guesses.
+        The seed of the random hypotheses.
     """
 
     shared: bool = True
@@ -106,7 +106,7 @@ class StreamFit:
     frames : int
         The frames that were fitted.
     inliers : float
-        The share of them with an error below 15°.
+        The share of these frames with an error below 15°.
     median_deg : float
         The median error of those.
     observability : float
@@ -114,9 +114,9 @@ class StreamFit:
     tilt_deg : float
         The angle between the inertial world's vertical and the take's; 0 where the vertical is known.
     refused : str
-        The reason for which the mount cannot be found; empty where it is.
+        The reason why the mount cannot be determined; empty if it can.
     warning : str
-        What makes the result doubtful; empty where nothing does.
+        The reason why the result is doubtful; empty if it is not.
     """
 
     q_global: F64
@@ -140,7 +140,7 @@ class _Fit(NamedTuple):
 
 
 class _Held(NamedTuple):
-    """Rotations that are given: q_G of all streams, and q_L by the position of the mount."""
+    """Rotations that are given and not fitted: q_G of all streams, and q_L by the index of the mount."""
 
     world: F64 | None
     mounts: Mapping[int, F64]
@@ -153,14 +153,14 @@ def calibrate(
     mounts: Mapping[str, F64] | None = None,
     world: F64 | None = None,
 ) -> list[StreamFit]:
-    """Find the mounts and the inertial worlds of streams that one wearing of sensors has.
+    """Find the mounts and the inertial worlds of the streams of one session of wearing sensors.
 
     Parameters
     ----------
     streams : sequence of Stream
-        All takes of a wearing, or one take. Streams of one limb share q_L.
+        The streams of all takes of a session, or of one take. Streams of one limb share q_L.
     options : Options
-        What is assumed.
+        The assumptions.
     mounts : mapping of str to float64 array (4,), optional
         q_L of limbs that is known from another take; the others are fitted.
     world : float64 array (4,), optional
@@ -169,7 +169,7 @@ def calibrate(
     Returns
     -------
     list of StreamFit
-        One for each stream; `refused` tells where the movements do not determine the mount.
+        One for each stream; `refused` is set where the movements do not determine the mount.
 
     Raises
     ------
@@ -214,7 +214,7 @@ def _known_frames(stream: Stream) -> I64:
 def _units(
     streams: Sequence[Stream], parts: Sequence[tuple[F64, F64]], limbs: Sequence[str], shared: bool
 ) -> tuple[list[Unit], list[int]]:
-    """Lay the frames of streams with the same mount and world end to end; return the unit of each stream, too."""
+    """Concatenate the frames of streams with the same mount and world; also return the unit of each stream."""
     keys = [(limbs.index(stream.limb), 0 if shared else s) for s, stream in enumerate(streams)]
     units = []
     for key in sorted(set(keys)):
@@ -225,7 +225,7 @@ def _units(
 
 
 def _start(units: Sequence[Unit], options: Options, held: _Held) -> _Fit:
-    """Find the first q_G of each world and q_L of each mount, by guesses that compete."""
+    """Find initial values of q_G for each world and q_L for each mount, as the best of many hypotheses."""
     spread = [unit.spread() for unit in units]
     worlds = np.tile([1.0, 0.0, 0.0, 0.0], (1 + max(unit.world for unit in units), 1))
     mounts = np.tile([1.0, 0.0, 0.0, 0.0], (1 + max(unit.mount for unit in units), 1))
@@ -245,7 +245,7 @@ def _start(units: Sequence[Unit], options: Options, held: _Held) -> _Fit:
 
 
 def _guesses(units: Sequence[Unit], given: Sequence[F64 | None], options: Options, world: F64 | None) -> F64:
-    """Return the guesses (C, 4) of one q_G from all units that share it."""
+    """Return hypotheses (C, 4) of one q_G from all units that share it."""
     if world is not None:
         return world[None]
     parts = [
@@ -255,21 +255,21 @@ def _guesses(units: Sequence[Unit], given: Sequence[F64 | None], options: Option
         for unit, mount in zip(units, given, strict=True)
     ]
     guesses = np.unique(np.concatenate(parts), axis=0)
-    # where nothing turns about two axes, the limbs are refused; any world serves until then
+    # without rotations about two axes the limbs are refused later; any world serves until then
     return guesses if len(guesses) else UPRIGHT[:1]
 
 
 def _reconcile(
     units: Sequence[Unit], spread: Sequence[Unit], worlds: F64, mounts: F64, options: Options, held: _Held
 ) -> None:
-    """Choose one mount for units that share it and have worlds of their own: the one that costs all of them least."""
+    """Choose one mount for units that share it but have different worlds: the one of least total cost."""
     for mount in range(len(mounts)):
         members = [i for i, unit in enumerate(units) if unit.mount == mount]
         if len(members) < 2 or mount in held.mounts:
             continue
         least = math.inf
         for i in members:
-            # the mount that this unit alone suggests
+            # the mount that this unit alone would give
             _, (guess,), _ = best_world([spread[i]], [1], worlds[units[i].world][None], [None])
             found = [
                 best_world(
@@ -288,7 +288,7 @@ def _reconcile(
 
 
 def _reweighted(units: Sequence[Unit], start: _Fit, vertical_known: bool, held: _Held) -> _Fit:
-    """Fit all rotations again and again, with weights by the errors before."""
+    """Refit all rotations repeatedly, with weights from the errors of the previous fit."""
     worlds, mounts = start.worlds.copy(), start.mounts.copy()
     weights = [np.empty(len(unit.sensor)) for unit in units]
     for scale in SCALES_DEG:
@@ -301,7 +301,7 @@ def _reweighted(units: Sequence[Unit], start: _Fit, vertical_known: bool, held: 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _sums(sensor: F64, track: F64, world: F64, mount: F64, scale_deg: float, weights: F64, out: F64) -> None:
-    """Sum w A ⊗ A over frames, with q_Gᵀ A q_L the real part of the frame's turn between q_G ∘ q_I and q_T ∘ q_L."""
+    """Sum w A ⊗ A over frames, with q_Gᵀ A q_L the real part of the rotation between q_G ∘ q_I and q_T ∘ q_L."""
     degrees = 2.0 * 180.0 / math.pi
     square = scale_deg * scale_deg
     upper = np.zeros((16, 16))
@@ -309,7 +309,7 @@ def _sums(sensor: F64, track: F64, world: F64, mount: F64, scale_deg: float, wei
     for k in range(len(sensor)):
         a, b, c, d = row(sensor, k)
         w, x, y, z = row(track, k)
-        # the derivatives of q_G ∘ q_I by the parts of q_G, and of q_T ∘ q_L by those of q_L
+        # the derivatives of q_G ∘ q_I by the components of q_G, and of q_T ∘ q_L by those of q_L
         left = ((a, b, c, d), (-b, a, -d, c), (-c, d, a, -b), (-d, -c, b, a))
         right = ((w, x, y, z), (-x, w, z, -y), (-y, -z, w, x), (-z, y, -x, w))
         for i in range(4):
@@ -336,7 +336,7 @@ def _sums(sensor: F64, track: F64, world: F64, mount: F64, scale_deg: float, wei
 
 
 def _alternate(units: Sequence[Unit], sums: F64, worlds: F64, mounts: F64, vertical_known: bool, held: _Held) -> None:
-    """Fit q_G and q_L in turn, each the first eigenvector with the other one fixed, until no q_L moves."""
+    """Fit q_G and q_L alternately, each as the first eigenvector with the other one fixed, until q_L converges."""
     # (i, j), (k, l) → (i, k), (j, l): one product with the other rotation's squares then gives a 4 × 4 matrix
     by_mount = sums.reshape(-1, 4, 4, 4, 4).transpose(0, 1, 3, 2, 4).reshape(-1, 16, 16)
     by_world = np.ascontiguousarray(by_mount.transpose(0, 2, 1))
@@ -354,7 +354,7 @@ def _alternate(units: Sequence[Unit], sums: F64, worlds: F64, mounts: F64, verti
 
 
 def _first_eigenvectors(sums: F64, others: F64, group: I64, groups: int, upright: bool) -> F64:
-    """Return the first eigenvectors (groups, 4) of the units' matrices, summed by group; in the upright plane alone."""
+    """Return the first eigenvectors (groups, 4) of the units' matrices, summed by group; if `upright`, in its plane."""
     squares = (others[:, :, None] * others[:, None, :]).reshape(-1, 16, 1)
     each = (sums @ squares).reshape(-1, 4, 4)
     total = np.zeros((groups, 4, 4))
@@ -365,7 +365,7 @@ def _first_eigenvectors(sums: F64, others: F64, group: I64, groups: int, upright
 
 
 def _drift_on_top(drift: HeadingDrift, times: F64, part: tuple[F64, F64], fit: _Fit, unit: Unit) -> HeadingDrift:
-    """Return the drift of a stream with what is left of it after the last correction added."""
+    """Return the drift of a stream, with the remaining drift after the last correction added to it."""
     left = fit_drift(times, heading_deg(*part, fit.worlds[unit.world], fit.mounts[unit.mount]))
     if not len(left.times) or not len(drift.times):
         return left if len(left.times) else drift
@@ -382,7 +382,7 @@ def _results(
     options: Options,
     held: _Held,
 ) -> list[StreamFit]:
-    """Judge a fit: the errors of each stream, and what its movements determine."""
+    """Assess a fit: the errors of each stream, and whether its movements determine the mount."""
     takes = {limb: {stream.take for stream in streams if stream.limb == limb} for limb in {s.limb for s in streams}}
     values = least_eigenvalues(units, fit.worlds, fit.weights, options.vertical_known)
     level = least_eigenvalues(units, fit.worlds, fit.weights, True)

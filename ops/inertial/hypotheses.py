@@ -1,7 +1,7 @@
-"""First guesses of a calibration, which wrong frames do not move: many from few frames each, and the best of them.
+"""This module finds robust initial values of a calibration: many hypotheses from few frames each, and the best of them.
 
 A *unit* is the frames of one limb whose sensor has one mount and one inertial world: one sensor in one recording, or in
-several with `shared`. Only frames spread evenly are compared, at most `MOST_FRAMES` of each unit.
+several with `shared`. Hypotheses are compared on evenly spread frames, at most `MOST_FRAMES` of each unit.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ F64 = npt.NDArray[np.float64]
 
 MOST_FRAMES, TRIPLES = 300, 300
 LEAST_CROSS = 0.02
-"""Two turns of a limb are about different axes where the cross product of their rotation vectors is longer."""
+"""Length of the cross product of two rotation vectors above which their axes count as different."""
 
 BEST = 5
-"""The number of guesses of each unit that compete over all units with the same inertial world."""
+"""The number of hypotheses of each unit that are compared over all units with the same inertial world."""
 
 EVERY = 6
-"""A mount is guessed at every sixth of the frames that are compared."""
+"""Step of the compared frames from which a mount is computed as a hypothesis."""
 
 CLIP_DEG = 15.0
-"""Errors count at most so much: a wrong frame costs the same, however wrong it is."""
+"""Error in degrees at which errors are clipped, so that wrong frames cost the same, however wrong they are."""
 
 UPRIGHT = np.stack([Z_TO_Y, multiply(Z_TO_Y, np.array([0.0, 0.0, 0.0, 1.0]))])
-"""The plane (2, 4) of the quaternions that map Z to Y, which q_G is one of where the vertical is known."""
+"""The plane (2, 4) of quaternions that map Z to Y, which contains q_G where the vertical is known."""
 
 
 class Unit(NamedTuple):
@@ -45,7 +45,7 @@ class Unit(NamedTuple):
     sensor, track : float64 array (n, 4)
         Orientations of the sensor and of the limb, all of them known.
     mount, world : int
-        The positions of its q_L and its q_G among those of the calibration.
+        The indices of its q_L and its q_G among those of the calibration.
     """
 
     sensor: F64
@@ -63,7 +63,7 @@ class Unit(NamedTuple):
 
 
 def upright(q: F64) -> F64:
-    """Return the nearest rotations (..., 4) that map Z to Y; a rotation at right angles to all of them becomes one."""
+    """Return the nearest rotations (..., 4) that map Z to Y; a rotation orthogonal to all of them becomes one."""
     shares = q @ UPRIGHT.T
     length = np.sqrt(np.einsum("...a,...a->...", shares, shares))[..., None]
     lost = length < 1e-9
@@ -72,21 +72,21 @@ def upright(q: F64) -> F64:
 
 
 def world_guesses(unit: Unit, vertical_known: bool, seed: int) -> F64:
-    """Guess q_G from a unit: the best of many triples of frames, and turns about the vertical where it is known.
+    """Return hypotheses of q_G from a unit: the best from triples of frames, and rotations about a known vertical.
 
     Parameters
     ----------
     unit : Unit
         Spread frames.
     vertical_known : bool
-        Whether Z of the inertial world is Y of the take's.
+        True if Z of the inertial world is Y of the take's.
     seed : int
-        The same seed draws the same triples.
+        The seed of the random triples.
 
     Returns
     -------
     float64 array (C, 4)
-        None where the vertical is not known and no triple has turns about two axes.
+        The hypotheses; C is 0 if the vertical is unknown and no triple has rotations about two axes.
     """
     s, t, u = np.random.default_rng(seed).integers(0, len(unit.sensor), (3, TRIPLES))
     own, other = _turns(unit.sensor, s, t, u), _turns(unit.track, s, t, u)
@@ -115,7 +115,7 @@ def _turns(stream: F64, s: npt.NDArray[np.int64], t: npt.NDArray[np.int64], u: n
 
 
 def _alignment(own: F64, other: F64) -> F64:
-    """Return the rotations (H, 4) that best turn pairs of vectors (2, H, 3) into others; never a reflection."""
+    """Return the proper rotations (H, 4) that best align pairs of vectors (2, H, 3) with others."""
     left, _, right = np.linalg.svd(np.einsum("pha,phb->hab", other, own))
     left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
     return from_matrix(left @ right)
@@ -124,7 +124,7 @@ def _alignment(own: F64, other: F64) -> F64:
 def best_world(
     units: Sequence[Unit], frames: Sequence[int], guesses: F64, held: Sequence[F64 | None]
 ) -> tuple[F64, F64, float]:
-    """Let guesses of q_G compete over all units that share it.
+    """Choose the best of several hypotheses of q_G over all units that share it.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def best_world(
 
 
 def worlds_of_mount(unit: Unit, mount: F64, vertical_known: bool) -> F64:
-    """Return guesses (C, 4) of q_G from single frames of a unit whose mount is known."""
+    """Return hypotheses (C, 4) of q_G from single frames of a unit whose mount is known."""
     some = slice(None, None, EVERY)
     worlds = multiply(multiply(unit.track[some], mount), conjugate(unit.sensor[some]))
     return upright(worlds) if vertical_known else worlds
@@ -181,7 +181,7 @@ def _pair_costs(sensor: F64, track: F64, worlds: F64, mounts: F64, costs: F64) -
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _mount_costs(sensor: F64, track: F64, worlds: F64, mounts: F64, costs: F64) -> None:
-    """Find for each q_G the mount of a single frame that has the least mean clipped distance to those of all."""
+    """Find for each q_G the single-frame mount that has the least mean clipped distance to those of all frames."""
     degrees = 2.0 * 180.0 / math.pi
     near = math.cos(0.5 * CLIP_DEG * math.pi / 180.0)
     count = len(sensor)

@@ -1,8 +1,8 @@
-"""Errors of a tracker that are put into the orientations of limbs, and annotators who mark them, both simulated.
+"""This module injects simulated tracking errors into limb orientations, and simulates annotators who mark them.
 
-Five kinds are equally likely: `drift` (a linear turn to 60 to 140 degrees about a random axis), `subtle` (to 25 to 60
-degrees), `twist` (60 to 180 degrees about the long axis, in and out within 0.1 s), `swap` (the limb of the other side)
-and `freeze` (the orientation of the first frame).
+Five kinds are equally likely: `drift` (a rotation that grows linearly to 60 to 140 degrees about a random axis),
+`subtle` (to 25 to 60 degrees), `twist` (60 to 180 degrees about the long axis, in and out within 0.1 s), `swap` (the
+limb of the other side) and `freeze` (the orientation of the first frame).
 """
 
 from __future__ import annotations
@@ -23,14 +23,15 @@ KINDS = ("drift", "subtle", "twist", "swap", "freeze")
 DRIFT_DEG, SUBTLE_DEG, TWIST_DEG = (60.0, 140.0), (25.0, 60.0), (60.0, 180.0)
 TWIST_S = 0.1
 FIRST_S, LENGTH_S, BETWEEN_S = (0.5, 2.5), (0.5, 3.0), (2.0, 6.0)
-"""Seconds before the first error, of each, and from the end of one to the next."""
+"""Ranges in seconds: before the first error, of the length of each, and from the end of one to the next."""
 
 LABEL_DEG = 20.0
-"""Frames that are wrong by this or more are labelled."""
+"""Error in degrees from which frames are labelled as wrong."""
 
 THRESHOLD_DEG, ONSET_S, MISSES = (15.0, 30.0), 0.2, 0.05
-"""Simulated annotators see errors above a threshold of their own, with onset and end off by so many seconds (standard
-deviation), and miss this share of them."""
+"""Range of the simulated annotators' thresholds in degrees, standard deviation of their onsets and ends in seconds, and
+the share of errors that they miss.
+"""
 
 
 @dataclass(frozen=True)
@@ -81,12 +82,12 @@ def error_times(frames: int, rate_hz: float, random: np.random.Generator) -> lis
 def inject(
     orientation: F64, rate_hz: float, axis: F64, random: np.random.Generator, other_side: F64 | None = None
 ) -> tuple[F64, list[InjectedError]]:
-    """Put errors into the orientations of a limb.
+    """Inject errors into the orientations of a limb.
 
     Parameters
     ----------
     orientation : float64 array (T, 4)
-        Unit quaternions w x y z, segment → world; NaN where they are not known, and they stay so.
+        Unit quaternions w x y z, segment → world; NaN where they are not known, which is kept.
     rate_hz : float
         Frames per second.
     axis : float64 array (3,)
@@ -94,8 +95,8 @@ def inject(
     random : Generator
         Random numbers; the same state gives the same errors.
     other_side : float64 array (T, 4), optional
-        What the limb of the other side would be in this limb's frame, see `as_other_side`; no limbs are swapped
-        without it.
+        Orientations of the other side's limb in this limb's frame, see `as_other_side`; without them there are no
+        `swap` errors.
 
     Returns
     -------
@@ -133,7 +134,8 @@ def inject(
 def as_other_side(other: F64, other_axis: F64, axis: F64) -> F64:
     """Return the orientations (T, 4) of the other side's limb in the frame of this one.
 
-    The frames of two limbs need not be alike: the shortest turn from this limb's long axis to the other's joins them.
+    The frames of two limbs may differ; they are aligned by the shortest rotation from this limb's long axis to the
+    other's.
 
     Parameters
     ----------
@@ -153,14 +155,14 @@ def as_other_side(other: F64, other_axis: F64, axis: F64) -> F64:
 
 
 def labelled_runs(truth: F64, broken: F64, threshold_deg: float = LABEL_DEG) -> list[tuple[int, int]]:
-    """Return the runs [start, stop) of frames in which orientations are off by a threshold or more.
+    """Return the runs [start, stop) of frames whose orientation error is at least a threshold.
 
     Parameters
     ----------
     truth, broken : float64 array (T, 4)
-        Orientations before and after.
+        Orientations without and with errors.
     threshold_deg : float, optional
-        Degrees; 20 unless given.
+        The threshold in degrees.
     """
     known = np.isfinite(truth).all(axis=1) & np.isfinite(broken).all(axis=1)
     wrong = np.zeros(len(truth), np.bool_)
@@ -177,7 +179,7 @@ def annotate(
     Parameters
     ----------
     truth, broken : float64 array (T, 4)
-        Orientations before and after.
+        Orientations without and with errors.
     rate_hz : float
         Frames per second.
     threshold_deg : float
@@ -201,7 +203,7 @@ def own_threshold(random: np.random.Generator) -> float:
 
 
 def _joined(runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Return runs in order, those that touch or overlap as one."""
+    """Return runs in order, with those that touch or overlap merged."""
     found: list[tuple[int, int]] = []
     for start, stop in sorted(runs):
         if found and start <= found[-1][1]:
@@ -218,6 +220,6 @@ def _random_axis(random: np.random.Generator) -> F64:
 
 
 def _plateau(frames: int, rate_hz: float) -> F64:
-    """Return shares (T,) from 0 to 1 and back, each within 0.1 s."""
+    """Return weights (T,) that rise from 0 to 1 and fall back, each within 0.1 s."""
     ramp = np.arange(1, frames + 1) / max(1.0, TWIST_S * rate_hz)
     return np.minimum(np.minimum(ramp, ramp[::-1]), 1.0)

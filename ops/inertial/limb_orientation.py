@@ -1,4 +1,4 @@
-"""Orientations of limbs: of markers on a segment, of the joints of a hinge, and frames in which a solver jumped.
+"""This module computes limb orientations from markers or from hinge joints, and finds frames of solver jumps.
 
 The basis of an orientation is one of `full` (a node's rotation, or three or more markers of a segment), `hinge` (the
 long axis and the plane of the neighbouring joint) and `none` (the long axis alone).
@@ -21,31 +21,32 @@ Bool = npt.NDArray[np.bool_]
 FULL, HINGE, NONE = "full", "hinge", "none"
 
 LEAST_SPREAD_M = 0.02
-"""Markers whose second singular value is below this lie on a line, or nearly: they do not fix a turn about it."""
+"""Second singular value in metres below which markers are nearly collinear and leave one rotation undetermined.
+"""
 
 LEAST_BEND_DEG = 15.0
-"""A hinge that bends less than this does not fix its plane."""
+"""Angle in degrees below which the bend of a hinge does not determine its plane."""
 
 FASTEST_DEG_S = 2500.0
-"""A turn that is faster is a jump of the solver."""
+"""Rotation speed in degrees per second above which the solver has jumped."""
 
 SHAPE_ROUNDS = 5
 
 
 @dataclass(frozen=True, eq=False)
 class SegmentFit:
-    """The orientation of a segment by its markers.
+    """The orientation of a segment, fitted to its markers.
 
     Attributes
     ----------
     orientation : float64 array (T, 4)
         Unit quaternions w x y z from the median shape to the world; NaN in invalid frames.
     valid : bool array (T,)
-        The frames in which the markers that are seen fix the orientation.
+        The frames in which the visible markers determine the orientation.
     rms_m : float64 array (T,)
-        Root mean square distance of the markers to the turned shape; NaN in invalid frames.
+        Root mean square distance of the markers to the rotated shape; NaN in invalid frames.
     shape : float64 array (M, 3)
-        The median shape about its centre, turned as in the first whole frame.
+        The median shape about its centre, oriented as in the first complete frame.
     spread_m : float
         Its second singular value.
     """
@@ -60,7 +61,8 @@ class SegmentFit:
 def segment_orientation(markers: F64) -> SegmentFit:
     """Return the orientation of a rigid segment by Kabsch's fit of its markers to their median shape.
 
-    All frames are aligned to the first whole one, the median of each marker makes the next shape, five times.
+    All frames are aligned to the first complete one, and the median of each marker gives the next shape; this is
+    repeated five times.
 
     Parameters
     ----------
@@ -107,7 +109,7 @@ def segment_orientation(markers: F64) -> SegmentFit:
 
 
 def _aligned(shape: F64, places: F64, seen: Bool) -> tuple[F64, F64, F64]:
-    """Return the turns (T, 3, 3) from a shape to frames, and the centres of the seen markers in both."""
+    """Return the rotations (T, 3, 3) from a shape to frames, and the centres of the visible markers in both."""
     count = seen.sum(axis=1)[:, None]
     middle = (places * seen[..., None]).sum(axis=1) / count
     centre = np.einsum("tm,ma->ta", seen.astype(np.float64), shape) / count
@@ -124,14 +126,14 @@ def _spread(shape: F64) -> float:
 
 
 def _fixes(shape: F64, seen: Bool) -> Bool:
-    """Return the frames whose seen markers lie off one line."""
+    """Return a mask of the frames whose visible markers are not collinear, so that they determine the rotation."""
     patterns, of = np.unique(seen, axis=0, return_inverse=True)
     good = np.array([one.sum() >= 3 and _spread(shape[one]) >= LEAST_SPREAD_M for one in patterns])
     return good[of.reshape(-1)]
 
 
 def unit_direction(near: F64, far: F64) -> F64:
-    """Return the directions (T, 3) from near to far joints (T, 3); NaN where they are unknown or in one place."""
+    """Return the unit directions (T, 3) from near to far joints (T, 3); NaN where unknown or of length 0."""
     way = far - near
     length = np.linalg.norm(way, axis=1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -140,10 +142,11 @@ def unit_direction(near: F64, far: F64) -> F64:
 
 
 def hinge_orientation(near: F64, far: F64, bend: F64, beyond: bool) -> tuple[F64, Bool]:
-    """Return the orientation of a limb by its long axis and the plane of a hinge.
+    """Return the orientation of a limb from its long axis and the plane of a hinge.
 
     X of the segment is the long axis and Z the normal of the plane. Where the hinge bends less than 15°, the last good
-    normal is carried on by the shortest turn of the long axis; before the first good frame it is carried backwards.
+    normal is propagated by the shortest rotation of the long axis; before the first good frame it is propagated
+    backwards.
 
     Parameters
     ----------
@@ -170,7 +173,7 @@ def hinge_orientation(near: F64, far: F64, bend: F64, beyond: bool) -> tuple[F64
     cosine = np.einsum("ta,ta->t", axis, other)
     with np.errstate(invalid="ignore"):
         good = np.arctan2(sine, cosine) >= np.deg2rad(LEAST_BEND_DEG)
-        good &= sine > 1e-6  # a limb folded onto itself has no plane
+        good &= sine > 1e-6  # a limb folded onto itself does not determine a plane
         normal = normal / np.where(sine > 0, sine, 1.0)[:, None]
     valid = np.isfinite(axis).all(axis=1) & good.any()
     orientation = np.full((len(near), 4), np.nan)
@@ -186,7 +189,7 @@ def hinge_orientation(near: F64, far: F64, bend: F64, beyond: bool) -> tuple[F64
 
 @njit(cache=True, nogil=True)
 def _carry(axis: F64, valid: Bool, good: Bool, normal: F64) -> None:
-    """Fill the normals of frames that are not good by turns of the axis, forwards and then backwards."""
+    """Fill in the normals of frames that are not good by rotations of the axis, forwards and then backwards."""
     frames = len(axis)
     first = -1
     last = -1
@@ -209,7 +212,7 @@ def _carry(axis: F64, valid: Bool, good: Bool, normal: F64) -> None:
 
 @njit(cache=True, nogil=True)
 def _turn_along(before: F64, after: F64, vector: F64, out: F64) -> None:
-    """Turn a vector by the shortest turn from one unit vector to another, and make it normal to the second."""
+    """Rotate a vector by the shortest rotation between two unit vectors, and make it orthogonal to the second."""
     cx = before[1] * after[2] - before[2] * after[1]
     cy = before[2] * after[0] - before[0] * after[2]
     cz = before[0] * after[1] - before[1] * after[0]
@@ -219,7 +222,7 @@ def _turn_along(before: F64, after: F64, vector: F64, out: F64) -> None:
         x = cosine * vector[0] + cy * vector[2] - cz * vector[1] + share * cx
         y = cosine * vector[1] + cz * vector[0] - cx * vector[2] + share * cy
         z = cosine * vector[2] + cx * vector[1] - cy * vector[0] + share * cz
-    else:  # half a turn about the normal itself
+    else:  # for opposite vectors: half a turn about the normal itself
         x, y, z = vector[0], vector[1], vector[2]
     along = x * after[0] + y * after[1] + z * after[2]
     x, y, z = x - along * after[0], y - along * after[1], z - along * after[2]
@@ -228,7 +231,7 @@ def _turn_along(before: F64, after: F64, vector: F64, out: F64) -> None:
 
 
 def long_axis(orientation: F64, direction: F64) -> F64:
-    """Return the long axis of a limb in its own frame, the median over a take.
+    """Return the long axis of a limb in its own frame, as the median over a take.
 
     Parameters
     ----------
@@ -252,16 +255,16 @@ def long_axis(orientation: F64, direction: F64) -> F64:
 
 
 def jumps(orientation: F64, rate_hz: float, fastest_deg_s: float = FASTEST_DEG_S) -> Bool:
-    """Return the frames at both ends of a turn that is too fast for a person: the solver has jumped there.
+    """Return the frames at both ends of a rotation that is too fast for a person, where the solver has jumped.
 
     Parameters
     ----------
     orientation : float64 array (T, 4)
-        Unit quaternions w x y z; NaN where they are not known, and turns over such frames are not judged.
+        Unit quaternions w x y z; NaN where they are not known; rotations across such frames are ignored.
     rate_hz : float
         Frames per second.
     fastest_deg_s : float, optional
-        The greatest speed of a turn, 2,500 degrees a second by default.
+        The greatest speed of rotation in degrees per second.
     """
     if rate_hz <= 0:
         raise ParameterError("rate_hz", "positive", rate_hz)

@@ -1,6 +1,6 @@
-"""A Butterworth filter of order 2 that runs forth and back, so that nothing is delayed.
+"""This module has a zero-phase Butterworth filter of order 2, which runs forwards and backwards.
 
-It gives the numbers of scipy's `butter` and `sosfiltfilt`, whose module takes longer to import than a take to filter.
+Its results are those of scipy's `butter` and `sosfiltfilt`; importing these takes longer than filtering a take.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from kinedex.ops.errors import ParameterError
 F64 = npt.NDArray[np.float64]
 
 LEAST_PADDING = 9
-"""Values that both ends are continued by unless given, turned about the end."""
+"""Default number of values by which both ends are extended, by odd (point) reflection."""
 
 
 def lowpass(values: F64, rate_hz: float, cutoff_hz: float, padding: int = LEAST_PADDING) -> F64:
-    """Return values without what is faster than a frequency.
+    """Return values filtered by a zero-phase low-pass.
 
     Parameters
     ----------
@@ -29,9 +29,9 @@ def lowpass(values: F64, rate_hz: float, cutoff_hz: float, padding: int = LEAST_
     rate_hz : float
         Values per second.
     cutoff_hz : float
-        The frequency that is halved in amplitude, forth and back together; below half of the rate.
+        The frequency whose amplitude is halved by both passes together; below half of the rate.
     padding : int, optional
-        Values by which both ends are continued; fewer than T.
+        Number of values by which both ends are extended; less than T.
 
     Returns
     -------
@@ -56,7 +56,7 @@ def lowpass(values: F64, rate_hz: float, cutoff_hz: float, padding: int = LEAST_
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _forth_and_back(values: F64, warped: float) -> None:
-    """Filter each column in place, forth and then back, as if it had always had its first value before."""
+    """Filter each column in place, forwards and then backwards, as if its first value had always been there before."""
     square = warped * warped
     scale = 1.0 / (1.0 + math.sqrt(2.0) * warped + square)
     b0, b1, b2 = square * scale, 2.0 * square * scale, square * scale

@@ -1,6 +1,6 @@
-"""Errors of real inertial sensors: noise, biases, scales, range, resolution, gaps, clocks, magnets and soft tissue.
+"""This module simulates errors of inertial sensors: noise, bias, scale, range, resolution, gaps, clocks and magnets.
 
-Whatever a grade does not name is 0, and a grade without any error leaves the ideal readings as they are.
+It includes soft tissue. Errors that a grade does not set are 0, and a grade without any error keeps the ideal readings.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
 SOFT_TISSUE_HZ = 3.0
-"""Skin and muscle move below this frequency."""
+"""Frequency in Hz below which skin and muscle move."""
 
 CHANNELS = ("acc", "gyr", "mag")
 
 
 @dataclass(frozen=True)
 class ChannelErrors:
-    """The errors of one kind of reading, in its SI unit or µT, alike and independent on three axes.
+    """The errors of one kind of reading, in SI units or µT, equal in size and independent on three axes.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class ChannelErrors:
     walk : float
         Walk of the bias, in units per square root of a second.
     scale : float
-        Standard deviation of the factors' errors, as a share.
+        Standard deviation of the scale factors' relative errors.
     axis_deg : float
         Standard deviation of the angles between the axes and those of the case, in degrees.
     range : float
@@ -63,20 +63,20 @@ class ChannelErrors:
 
 @dataclass(frozen=True)
 class Grade:
-    """The errors of a kind of sensor and of how it is worn.
+    """The errors of a kind of sensor and of its attachment.
 
     Attributes
     ----------
     acc, gyr, mag : ChannelErrors
         In m/s², rad/s and µT.
     gaps_per_minute, gap_s : float
-        Losses of samples in a minute, and the longest one in seconds.
+        Number of gaps per minute, and the longest gap in seconds.
     clock_offset_s, clock_ppm : float
         Largest offset of the clock in seconds, and standard deviation of its drift in parts per million.
     magnets_per_minute, magnet_ut, magnet_s : float
-        Passages of a magnet in a minute, the strength of its field in µT, and its duration in seconds.
+        Number of passing magnets per minute, the strength of its field in µT, and its duration in seconds.
     soft_tissue_deg : float
-        Root mean square turn of the sensor against the bone, in degrees.
+        Root mean square rotation of the sensor relative to the bone, in degrees.
     """
 
     acc: ChannelErrors = field(default_factory=ChannelErrors)
@@ -124,30 +124,30 @@ class Clock:
     ppm: float = 0.0
 
     def of_take(self, seconds: F64) -> F64:
-        """Return the sensor's times of a take's times."""
+        """Convert times of the take to times of the sensor."""
         return seconds * (1.0 + 1e-6 * self.ppm) + self.offset_s
 
     def to_take(self, seconds: F64) -> F64:
-        """Return the take's times of a sensor's times."""
+        """Convert times of the sensor to times of the take."""
         return (seconds - self.offset_s) / (1.0 + 1e-6 * self.ppm)
 
 
 def generator(seed: int, *names: str) -> np.random.Generator:
-    """Return the random numbers of a seed and names, such as those of a take and a sensor."""
+    """Return a random generator that is seeded by a number and names, such as those of a take and a sensor."""
     if seed < 0:
         raise ParameterError("seed", "at least 0", seed)
     return np.random.default_rng(np.random.SeedSequence([seed, *(zlib.crc32(name.encode()) for name in names)]))
 
 
 def random_mount(random: np.random.Generator) -> F64:
-    """Return a turn (4,) of which all are equally likely."""
+    """Return a uniformly distributed random rotation (4,)."""
     q = random.standard_normal(4)
     q = q / np.linalg.norm(q)
     return -q if q[0] < 0 else q
 
 
 def random_clock(grade: Grade, random: np.random.Generator) -> Clock:
-    """Return a clock of a grade: its offset is evenly spread up to the largest one, its drift is normal."""
+    """Draw a clock of a grade: its offset is uniform up to the largest one, its drift is normal."""
     offset_s = random.uniform(-grade.clock_offset_s, grade.clock_offset_s)
     return Clock(float(offset_s), float(grade.clock_ppm * random.standard_normal()))
 
@@ -188,7 +188,7 @@ def measured(motion: SensorMotion, grade: Grade, field_ut: F64, random: np.rando
 def with_errors(values: F64, errors: ChannelErrors, rate_hz: float, random: np.random.Generator) -> tuple[F64, Bool]:
     """Return readings (N, 3) with the errors of a channel, and the samples beyond its range.
 
-    Scale and axes come first, then bias and noise, range and resolution last.
+    Scale and axis errors are applied first, then bias and noise, then range and resolution.
     """
     count = len(values)
     scale, angles, bias = (random.standard_normal(shape) for shape in ((3,), (3, 3), (3,)))
@@ -211,18 +211,18 @@ def with_errors(values: F64, errors: ChannelErrors, rate_hz: float, random: np.r
 
 
 def soft_tissue(count: int, rate_hz: float, degrees: float, random: np.random.Generator) -> F64:
-    """Return smooth turns (N, 4) of a sensor against the bone, of a root mean square angle."""
+    """Return smooth random rotations (N, 4) of a sensor relative to the bone, with a given root mean square angle."""
     if not degrees:
         return np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
     return exp(np.radians(degrees) * smooth_noise(count, rate_hz, SOFT_TISSUE_HZ, random) / np.sqrt(3.0))
 
 
 def smooth_noise(count: int, rate_hz: float, cutoff_hz: float, random: np.random.Generator) -> F64:
-    """Return three smooth random curves (N, 3) below a frequency; their variance over many of them is 1."""
+    """Return three smooth random curves (N, 3) below a cutoff frequency, with an expected variance of 1."""
     ahead = int(np.ceil(2.0 * rate_hz / cutoff_hz))
     white = random.standard_normal((count + 2 * ahead, 3))
     curves = smooth(white, rate_hz, cutoff_hz)
-    # the filter runs forth and back: each curve is white noise with the weights of its answer to an impulse
+    # the filter runs forwards and backwards: each curve is white noise convolved with its impulse response
     impulse = np.zeros((2 * ahead + 1, 1))
     impulse[ahead] = 1.0
     weights = smooth(impulse, rate_hz, cutoff_hz)
@@ -231,7 +231,7 @@ def smooth_noise(count: int, rate_hz: float, cutoff_hz: float, random: np.random
 
 
 def magnets(count: int, rate_hz: float, grade: Grade, random: np.random.Generator) -> F64:
-    """Return the fields (N, 3) in µT of magnets that pass, in F_GI: bells of random directions."""
+    """Return the fields (N, 3) in µT of passing magnets in F_GI, as bell curves in random directions."""
     fields = np.zeros((count, 3))
     if not (grade.magnets_per_minute and grade.magnet_ut and grade.magnet_s):
         return fields
@@ -245,7 +245,7 @@ def magnets(count: int, rate_hz: float, grade: Grade, random: np.random.Generato
 
 
 def gaps(count: int, rate_hz: float, grade: Grade, random: np.random.Generator) -> Bool:
-    """Return the samples (N,) that are lost; gaps are evenly spread up to the longest one."""
+    """Return a mask (N,) of the lost samples; the lengths of gaps are uniform up to the longest one."""
     lost = np.zeros(count, np.bool_)
     if grade.gaps_per_minute and grade.gap_s:
         for _ in range(int(random.poisson(grade.gaps_per_minute * count / rate_hz / 60.0))):
