@@ -1,7 +1,7 @@
-"""Kernels that are compiled before they are needed: a list of calls, each with the types of its arguments.
+"""This module reads the list of kernels to compile ahead of use: calls with the types of their arguments.
 
-A line of the list reads like a call: `kinedex.ops.bits.unpack(array(uint64, 2, C), int64)`. Kernels that only kernels
-call are not in it, as they are compiled with those that call them.
+A line of the list reads like a call: `kinedex.ops.bits.unpack(array(uint64, 2, C), int64)`. Kernels that are called
+only by other kernels are not in it, as they are compiled with their callers.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ LIST = Path(__file__).parent / "kernels.txt"
 
 
 def listed_calls() -> list[str]:
-    """Return the calls of the list, in the order in which the first search and the demo need them."""
+    """Return the calls of the list, in the order in which the first search and the demo use them."""
     lines = LIST.read_text(encoding="utf-8").splitlines()
     return [line for line in lines if line and not line.startswith("#")]
 
 
 def compile_call(text: str) -> None:
-    """Compile the kernel of a line of the list, or load it from the cache; its errors are those of `parse_call`."""
+    """Compile the kernel of a line of the list, or load it from the cache; errors are those of `parse_call`."""
     kernel, kinds = parse_call(text)
-    if hasattr(kernel, "compile"):  # else kernels run as plain Python
+    if hasattr(kernel, "compile"):  # without numba's JIT, kernels run as plain Python
         kernel.compile(kinds)
 
 
@@ -54,12 +54,12 @@ def parse_call(text: str) -> tuple[Any, tuple[Any, ...]]:
 
 
 def call_text(function: Any, kinds: Sequence[Any]) -> str:
-    """Return the line of the list for a compiled function and the types of its arguments.
+    """Return the list's line for a compiled function and the types of its arguments.
 
     Raises
     ------
     ValueError
-        A type has no words here.
+        A type has no notation in the list.
     """
     return f"{function.__module__}.{function.__qualname__}({', '.join(map(_text, kinds))})"
 
@@ -73,7 +73,7 @@ def _object(path: str) -> Any:
 
 
 def _text(kind: Any) -> str:
-    """Return the words of a type of numba."""
+    """Return the list's notation of a numba type."""
     from numba import types
 
     if isinstance(kind, types.Array) and kind.aligned:
@@ -94,7 +94,7 @@ def _text(kind: Any) -> str:
 
 
 def _type(node: ast.expr) -> Any:
-    """Return the type of numba that words stand for."""
+    """Return the numba type of a notation in the list."""
     from numba import types
 
     if isinstance(node, ast.Name):

@@ -1,8 +1,8 @@
-"""Compiled kernels are loaded from their files without what numba needs only to compile.
+"""This module lets numba load compiled kernels from its cache without the modules that it needs only to compile.
 
-Before numba loads a kernel it imports and registers all that it can compile: numpy's functions, BLAS of SciPy, strings,
-lists, random numbers. That takes longer than to import numba, and a kernel that has been compiled needs none of it. A
-kernel that has not makes numba load everything then, as always.
+Before numba loads a kernel, it imports and registers everything that it can compile: numpy's functions, BLAS of SciPy,
+strings, lists, random numbers. This takes longer than importing numba, and a compiled kernel needs none of it. If a
+kernel is not yet compiled, numba loads everything as usual.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _CACHING = "numba.core.caching"
 
 
 def load_kernels_alone(name: str) -> None:
-    """Make numba load the kernels of a package alone, from when numba is imported; others are loaded as always.
+    """Make numba load the cached kernels of a package by the short way; other kernels are loaded as usual.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def load_kernels_alone(name: str) -> None:
 
 
 def _change(caching: ModuleType, name: str) -> None:
-    """Replace how kernels are read from files, where numba has the parts that it is made of."""
+    """Replace numba's function that reads cached kernels, if numba has the parts that the replacement needs."""
     cache = caching.FunctionCache
     if not (hasattr(cache, "_load_overload") and hasattr(cache, "_guard_against_spurious_io_errors")):
         return
@@ -43,7 +43,7 @@ def _change(caching: ModuleType, name: str) -> None:
             return load_as_always(self, signature, context)
         from numba.core.runtime import rtsys
 
-        rtsys.initialize(context)  # kernels allocate arrays by it
+        rtsys.initialize(context)  # kernels need this to allocate arrays
         with self._guard_against_spurious_io_errors():
             return self._load_overload(signature, context)
 
@@ -51,7 +51,7 @@ def _change(caching: ModuleType, name: str) -> None:
 
 
 class _Finder:
-    """Finds numba's module of caches once, as others do, and changes it after it is loaded."""
+    """An import hook that finds numba's caching module once, as usual, and patches it after it is loaded."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -59,7 +59,7 @@ class _Finder:
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the specification of the module of caches; None for any other."""
+        """Return the import specification of numba's caching module; None for any other module."""
         if fullname != _CACHING or self not in sys.meta_path:
             return None
         sys.meta_path.remove(self)

@@ -1,9 +1,9 @@
-"""Known features: what templates and keyframes ask of a take whose body lacks joints.
+"""This module handles known features: how templates and keyframes apply to a take whose body lacks joints.
 
-A mask with the bits of a word states which features a take knows. An unknown feature is 0 in its words, and that 0 is
-no evidence: entries of templates and keyframes on it are wildcards for this take, and where too few entries are left,
-template or query are not applied to it at all. The kernels know nothing of masks: takes of the same mask are searched
-together, by templates and queries that are restricted to it.
+A mask with the bits of a word marks the features that are known in a take. An unknown feature is 0 in its words, which
+is not evidence: entries of templates and keyframes for this feature are wildcards for the take, and if too few entries
+are left, the template or query is not applied to it. The kernels do not use masks: takes with the same mask are
+searched together, by templates and queries that are restricted to it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy.typing as npt
 from kinedex.ops.words import NO_WORD, U64
 
 LEAST_KNOWN = 0.6
-"""Templates and queries are not applied to a take that knows a smaller share of their fixed entries."""
+"""Least share of known fixed entries for which a template or query is applied to a take."""
 
 
 def known_share(masks: Iterable[int], known: int) -> float:
@@ -35,26 +35,26 @@ def known_share(masks: Iterable[int], known: int) -> float:
 
 
 def is_applied(masks: Iterable[int], known: int) -> bool:
-    """Return True where enough of the fixed entries are known, see `known_share` and `LEAST_KNOWN`."""
+    """Return True if enough of the fixed entries are known, see `known_share` and `LEAST_KNOWN`."""
     return known_share(masks, known) >= LEAST_KNOWN
 
 
 def known_bits(known: int, features: int) -> npt.NDArray[np.bool_]:
-    """Return which of f features are known, bool (f,)."""
+    """Return a mask of the known features among f features, bool (f,)."""
     return np.array([known >> bit & 1 for bit in range(features)], np.bool_)
 
 
 def compacted(words: U64, known: int, features: int) -> U64:
-    """Return words of the known features alone, in their order, shifted together.
+    """Return words of the known features only, with their bits moved together in order.
 
     Parameters
     ----------
     words : uint64 array (L,)
-        Whole words; `NO_WORD` stays.
+        Complete words; `NO_WORD` is kept.
     known : int
         The mask of the known features.
     features : int
-        The number of features of whole words.
+        The number of features of complete words.
     """
     result = np.zeros(len(words), np.uint64)
     for place, bit in enumerate(np.flatnonzero(known_bits(known, features)).tolist()):

@@ -1,4 +1,4 @@
-"""Paths of this machine: addresses with a scheme, such as s3://bucket/takes, are refused wherever a path is given."""
+"""This module refuses addresses with a scheme, such as s3://bucket/takes, where a local path is required."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from kinedex.ops.errors import KinedexError
 _TEXT = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
 
 _PATH = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):[/\\]+(.*)", re.DOTALL)
-"""The same where a path object has made one slash of two; a single letter is a drive of Windows."""
+"""The same pattern for path objects, which merge two slashes; a single letter is a Windows drive."""
 
 
 def refuse_addresses(value: object) -> None:
-    """Refuse a text or path that is an address with a scheme, also within lists, mappings and tuples.
+    """Raise an error if a text or path is an address with a scheme, also within lists, mappings and tuples.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ def refuse_addresses(value: object) -> None:
     Raises
     ------
     KinedexError
-        The value is such an address, and not a path of this machine.
+        The value is such an address and not a local path.
     """
     if isinstance(value, str | os.PathLike):
         text = os.fspath(value)

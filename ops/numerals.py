@@ -1,6 +1,6 @@
-"""Numerals in text: compiled loops that make numbers of bytes, and find the ends of tokens and lines.
+"""These kernels parse numbers in text, and find the ends of tokens and lines.
 
-None of them keeps an array, so that nothing counts references to the text at every byte (`_nrt`).
+None of them stores a reference to an array, which avoids reference counting at every byte (`_nrt`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _POWERS = np.array([10.0**i for i in range(23)])  # one multiplication or divisi
 _TENS = np.array([10**i for i in range(8)])
 
 unsigned = np.uint64
-"""Makes an index unsigned: one that might be negative costs a check and an addition at every byte."""
+"""Convert an index to unsigned: a signed one costs a check for negative values and an addition at every byte."""
 
 NEWLINE, RETURN, SPACE, TAB, HASH = 10, 13, 32, 9, 35
 PLUS, MINUS, DOT, ZERO, NINE = 43, 45, 46, 48, 57
@@ -33,7 +33,7 @@ _PAIRS, _FOURS, _EIGHT = np.uint64(0x00FF_00FF_00FF_00FF), np.uint64(0x0000_FFFF
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _eight(data: U8, pos: int) -> np.uint64:
-    """Return eight bytes, the first one lowest; compilers make one instruction of it."""
+    """Return eight bytes as a number, the first byte lowest; compilers make one instruction of it."""
     at = unsigned(pos)
     low = unsigned(data[at]) | unsigned(data[at + unsigned(1)]) << _8 | unsigned(data[at + unsigned(2)]) << _16
     low |= unsigned(data[at + unsigned(3)]) << unsigned(24)
@@ -44,19 +44,20 @@ def _eight(data: U8, pos: int) -> np.uint64:
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _before_blank(eight: np.uint64) -> int:
-    """Return the number of bytes before the first that no token has; 8 where all eight are of one."""
+    """Return the number of bytes before the first blank or end of line; 8 if there is none."""
     return lowest_bit(~(((eight & _REST) + _TO_TOP_FROM_33) | eight) & _TOPS) >> 3
 
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _digits(eight: np.uint64) -> int:
-    """Return the number of digits at the beginning of eight bytes, from each of which that of a 0 is taken."""
-    return lowest_bit(((eight + _TO_TOP_FROM_10) | eight) & _TOPS) >> 3  # only behind another byte may this be wrong
+    """Return the number of leading digits of eight bytes from which the code of "0" was subtracted."""
+    # can be wrong only after the first byte that is no digit
+    return lowest_bit(((eight + _TO_TOP_FROM_10) | eight) & _TOPS) >> 3
 
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _whole(eight: np.uint64, digits: int) -> np.int64:
-    """Return the number that the first 0 to 7 digits make: neighbours are joined to pairs, to fours, to eight."""
+    """Return the number made of the first 0 to 7 digits, by combining digits to pairs, fours and eight."""
     eight = (eight << (_56 - _8 * unsigned(digits))) << _8
     eight = (eight * _10 + (eight >> _8)) & _PAIRS
     eight = (eight * _100 + (eight >> _16)) & _FOURS
@@ -65,10 +66,10 @@ def _whole(eight: np.uint64, digits: int) -> np.int64:
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _plain_number(data: U8, pos: int) -> tuple[float, int]:
-    """Return a number such as -29.3102, with at most seven digits on either side, and the position after it, or −1.
+    """Parse a number such as -29.3102, with at most seven digits on either side; return it and its end, or −1.
 
-    The text goes on for 18 bytes at least. The end of the token is found by itself: the processor begins with the next
-    one, while it still works on the digits of this.
+    At least 18 more bytes of text must follow. The end of the token is computed independently of the digits, so that
+    the processor can begin with the next token in parallel.
     """
     first, second = _before_blank(_eight(data, pos)), _before_blank(_eight(data, pos + 8))
     stop = pos + first + (second & -(first >> 3))
@@ -93,7 +94,7 @@ def _plain_number(data: U8, pos: int) -> tuple[float, int]:
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def read_number(data: U8, pos: int, end: int) -> tuple[float, int, int]:
-    """Read a number at pos.
+    """Parse the number at `pos`, with a fast path for plain numbers.
 
     Returns
     -------
@@ -112,7 +113,7 @@ def read_number(data: U8, pos: int, end: int) -> tuple[float, int, int]:
 
 @njit(cache=True, nogil=True, _nrt=False)
 def _any_number(data: U8, pos: int, end: int) -> tuple[float, int, int]:
-    """Read a number at pos.
+    """Parse the number at `pos` in any notation.
 
     Returns
     -------
@@ -151,7 +152,7 @@ def _any_number(data: U8, pos: int, end: int) -> tuple[float, int, int]:
     value = float(mantissa)
     status = 0
     if digits > 18 or mantissa > _EXACT or (mantissa > 0 and (exponent < -22 or exponent > 22)):
-        status = 2  # the mantissa of more than 18 digits may have overflowed: only the text itself is exact
+        status = 2  # a mantissa of more than 18 digits may have overflowed, so the text must be converted exactly
     elif mantissa == 0:
         pass
     elif exponent < 0:
@@ -163,7 +164,7 @@ def _any_number(data: U8, pos: int, end: int) -> tuple[float, int, int]:
 
 @njit(cache=True, nogil=True, _nrt=False)
 def _exponent(data: U8, pos: int, end: int) -> tuple[int, int]:
-    """Read "e-05" at pos, up to the end of the token; return the power and the position behind it, or −1."""
+    """Parse an exponent such as "e-05" up to the end of the token; return it and the position after it, or −1."""
     if data[unsigned(pos)] != 101 and data[unsigned(pos)] != 69:
         return 0, -1
     pos += 1
@@ -200,7 +201,7 @@ def token_end(data: U8, pos: int, end: int) -> int:
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def skip_blanks(data: U8, pos: int, end: int) -> int:
-    """Return the position of the next byte that is no blank."""
+    """Return the position of the next byte that is not blank."""
     while pos < end and (data[unsigned(pos)] == SPACE or data[unsigned(pos)] == TAB):
         pos += 1
     return pos

@@ -1,6 +1,6 @@
-"""Order statistics of values in kernels, by Hoare's selection.
+"""These kernels compute order statistics by Hoare's selection.
 
-They compile in a fraction of the time that `np.sort`, `np.median` and `np.percentile` take, and need no sorted copy.
+They compile much faster than `np.sort`, `np.median` and `np.percentile`, and need no sorted copy.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ F64 = npt.NDArray[np.float64]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def order_statistic(values: F64, rank: int) -> float:
-    """Return the value of a rank, and move values about.
+    """Return the value of a rank; the values are reordered.
 
     Parameters
     ----------
     values : float64 array (n,)
-        Values, which end in another order. NaN ranks above all numbers.
+        The values, which are reordered in place. NaN ranks above all numbers.
     rank : int
         The rank, from 0 for the least value to n − 1.
 
     Returns
     -------
     float
-        The value that a sorted copy has at this place.
+        The value at this index of a sorted copy.
     """
     low, high = 0, len(values) - 1
     place = 0
@@ -62,7 +62,7 @@ def order_statistic(values: F64, rank: int) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def median(values: F64) -> float:
-    """Return the median of at least one value, and move values about."""
+    """Return the median of at least one value; the values are reordered."""
     count = len(values)
     lower = order_statistic(values, (count - 1) // 2)
     return lower if count % 2 else 0.5 * (lower + order_statistic(values, count // 2))
@@ -70,7 +70,7 @@ def median(values: F64) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def percentile(values: F64, percent: float) -> float:
-    """Return a percentile of at least one value, linear between ranks, and move values about."""
+    """Return a percentile of at least one value, interpolated linearly; the values are reordered."""
     place = 1.0 + (len(values) - 1) * (percent / 100.0)
     rank = math.floor(place)
     share = place - rank

@@ -1,4 +1,4 @@
-"""Packages of optional extras: they are imported when something needs them, with an error that says what to install."""
+"""This module imports packages of optional extras on demand, with an error that names the extra to install."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class MissingPackageError(KinedexError):
 
 
 def extra_package(name: str, package: str, purpose: str, extra: str) -> ModuleType:
-    """Import a module of a package that belongs to an optional extra.
+    """Import a module of an optional package; if it is missing, the error names the extra to install.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ def extra_package(name: str, package: str, purpose: str, extra: str) -> ModuleTy
     package : str
         The package as people install it, such as scipy.
     purpose : str
-        A plural or clause that needs it, which begins the message: "a map of an archive needs".
+        The plural or clause with which the error message begins: "a map of an archive needs".
     extra : str
         The extra of kinedex that installs it.
 

@@ -1,4 +1,4 @@
-"""A measure of how far the movements of a take determine a sensor's mount, and the message where they do not."""
+"""This module measures how well a take's movements determine a sensor's mount, and words the messages if they do not."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from kinedex.ops.inertial.rotations import conjugate, matrix, multiply
 F64 = npt.NDArray[np.float64]
 
 REFUSED, DOUBTFUL = 0.002, 0.02
-"""Least eigenvalues below which a mount is refused, and below which it is doubtful."""
+"""Least eigenvalue below which a mount is refused, and below which it is doubtful."""
 
 TILTED_DEG, FEW = 3.0, 0.4
-"""A larger tilt of q_G is warned of, and a smaller share of frames that fit."""
+"""Tilt of q_G in degrees above which there is a warning, and share of fitting frames below which there is one."""
 
 
 def least_eigenvalues(units: Sequence[Unit], worlds: F64, weights: Sequence[F64], vertical_known: bool) -> list[float]:
     """Compute the least eigenvalue of each mount's normal matrix, divided by the weights' sum.
 
-    The unknowns are small turns of q_L and of each q_G that its units have; the row of a frame is [R(q̄_T ∘ q_G), −1].
-    With one q_G it is 1 − |M|₂, M the weighted mean of R(q̄_T ∘ q_G); with the vertical known, 1 − |M z|.
+    The unknowns are small rotations of q_L and of each q_G that its units have; the row of a frame is [R(q̄_T ∘ q_G),
+    −1]. With one q_G it is 1 − |M|₂, M the weighted mean of R(q̄_T ∘ q_G); with the vertical known, 1 − |M z|.
 
     Parameters
     ----------
@@ -35,12 +35,12 @@ def least_eigenvalues(units: Sequence[Unit], worlds: F64, weights: Sequence[F64]
     weights : sequence of float64 array (n,)
         The weights of each unit's frames.
     vertical_known : bool
-        Whether q_G can only turn about Z.
+        True if q_G can only rotate about Z.
 
     Returns
     -------
     list of float
-        One value for each mount, 0 to 1; 0 where a direction is free.
+        One value for each mount, 0 to 1; 0 where a direction is undetermined.
     """
     values = []
     for mount in range(1 + max(unit.mount for unit in units)):
@@ -60,7 +60,7 @@ def least_eigenvalues(units: Sequence[Unit], worlds: F64, weights: Sequence[F64]
 
 
 def refusal(limb: str, value: float, level: float, vertical_known: bool, several: bool) -> str:
-    """Return the reason to refuse a limb's mount, with ways out; empty where its movements suffice.
+    """Return the reason to refuse a limb's mount, with remedies; empty if its movements suffice.
 
     Parameters
     ----------
@@ -71,9 +71,9 @@ def refusal(limb: str, value: float, level: float, vertical_known: bool, several
     level : float
         The least eigenvalue with the vertical known.
     vertical_known : bool
-        Whether the vertical is known already.
+        True if the vertical is already known.
     several : bool
-        Whether several takes were calibrated together already.
+        True if several takes were already calibrated together.
     """
     if value >= REFUSED:
         return ""
@@ -88,7 +88,7 @@ def refusal(limb: str, value: float, level: float, vertical_known: bool, several
 
 
 def warning(limb: str, value: float, tilt_deg: float, inliers: float) -> str:
-    """Return the reasons that make a limb's mount doubtful; empty where nothing does.
+    """Return the reasons why a limb's mount is doubtful; empty if it is not.
 
     Parameters
     ----------

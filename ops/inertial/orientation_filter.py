@@ -1,4 +1,4 @@
-"""Orientations of sensors from their raw readings, by the filter VQF (Laidig and Seel 2023), which users install."""
+"""This module estimates sensor orientations from raw readings by the filter VQF (Laidig and Seel 2023), an extra."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from kinedex.ops.inertial.rotations import exp, multiply, rotate
 F64 = npt.NDArray[np.float64]
 
 TO_NORTH_WEST_UP = exp(np.array([0.0, 0.0, -0.5 * np.pi]))
-"""The turn from east-north-up to the inertial world F_GI: X magnetic north, Y west, Z up."""
+"""The rotation from east-north-up to the inertial world F_GI: X magnetic north, Y west, Z up."""
 
 SETTINGS = {"magNewMinGyr": 0.0}
-"""By default the filter learns the field's strength only in sensors that turn by 20°/s. A shank that hardly moves then
-has no magnetometer, and its heading drifts as the gyroscope does."""
+"""Settings of VQF. By default it learns the field's strength only while the sensor rotates by 20°/s or more. For a
+shank that hardly moves the magnetometer is then ignored, and the heading drifts with the gyroscope.
+"""
 
 
 def estimate(rate_hz: float, acc: F64, gyr: F64, mag: F64 | None = None) -> F64:
-    """Estimate the orientations of a sensor from its readings, looking forward and backward in time.
+    """Estimate the orientations of a sensor from its readings by a filter that runs forwards and backwards in time.
 
     Parameters
     ----------
@@ -62,7 +63,7 @@ def estimate(rate_hz: float, acc: F64, gyr: F64, mag: F64 | None = None) -> F64:
 
 
 def estimate_calibrated(rate_hz: float, acc: F64, gyr: F64, mag: F64) -> tuple[F64, F64]:
-    """Estimate the orientations of a sensor whose magnetometer may have a constant offset, which is taken out first.
+    """Estimate the orientations of a sensor after removing a constant offset of its magnetometer.
 
     Parameters
     ----------
@@ -81,7 +82,7 @@ def estimate_calibrated(rate_hz: float, acc: F64, gyr: F64, mag: F64) -> tuple[F
 
 
 def field_axis(quaternions: F64, mag: F64) -> str:
-    """Find the world that a file's orientations are in by the mean direction of the magnetic field in it.
+    """Return the axes of the world of a file's orientations, judged by the mean direction of the magnetic field.
 
     Parameters
     ----------

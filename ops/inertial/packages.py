@@ -1,4 +1,4 @@
-"""Packages that only sensors need, and that users install as the extra `kinedex[imu]`."""
+"""This module imports the optional packages for sensors, the extra `kinedex[imu]`."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ __all__ = ["MissingPackageError", "imu_package"]
 
 
 def imu_package(name: str, purpose: str) -> ModuleType:
-    """Import a package of the extra.
+    """Import a module of a package of the extra `kinedex[imu]`.
 
     Parameters
     ----------
     name : str
         The module, such as scipy.signal.
     purpose : str
-        What needs it, which begins the message.
+        The plural or clause that needs it, with which the error message begins.
 
     Raises
     ------
     MissingPackageError
-        It is not installed.
+        The package is not installed.
     """
     return extra_package(name, name.partition(".")[0], purpose, "imu")

@@ -1,4 +1,4 @@
-"""Products of quaternions for compiled loops: four numbers in, a tuple of four out."""
+"""These kernels multiply quaternions as tuples of four numbers, for use in compiled loops."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Quaternion = tuple[float, float, float, float]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def product(p: Quaternion, q: Quaternion) -> Quaternion:
-    """Return p ∘ q."""
+    """Return the product p ∘ q."""
     a, b, c, d = p
     w, x, y, z = q
     return (
@@ -27,7 +27,7 @@ def product(p: Quaternion, q: Quaternion) -> Quaternion:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def inverse_product(p: Quaternion, q: Quaternion) -> Quaternion:
-    """Return p̄ ∘ q."""
+    """Return p̄ ∘ q, with the conjugate of p."""
     a, b, c, d = p
     w, x, y, z = q
     return (
@@ -40,7 +40,7 @@ def inverse_product(p: Quaternion, q: Quaternion) -> Quaternion:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def product_inverse(p: Quaternion, q: Quaternion) -> Quaternion:
-    """Return p ∘ q̄."""
+    """Return p ∘ q̄, with the conjugate of q."""
     a, b, c, d = p
     w, x, y, z = q
     return (
@@ -53,7 +53,7 @@ def product_inverse(p: Quaternion, q: Quaternion) -> Quaternion:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def row(stream: F64, k: int) -> Quaternion:
-    """Return one quaternion of a stream (T, 4)."""
+    """Return the quaternion in row k of a stream (T, 4)."""
     return stream[k, 0], stream[k, 1], stream[k, 2], stream[k, 3]
 
 

@@ -1,4 +1,4 @@
-"""Readings of a sensor against each other: gravity, angular velocities and orientations, rest, and missing samples."""
+"""This module checks a sensor's readings against each other: gravity, rates, orientations, rest, missing samples."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _REST_SPREAD = 0.02
 
 
 def typical_length(vectors: F64) -> float:
-    """Return the median length of vectors (T, 3) without those that are NaN; NaN where all are."""
+    """Return the median length of vectors (T, 3), ignoring NaN; NaN if all are NaN."""
     lengths = np.linalg.norm(vectors, axis=1)
     known = np.isfinite(lengths)
     return float(np.median(lengths[known])) if known.any() else float("nan")
 
 
 def compare_with_orientation(times: F64, gyr: F64, quaternions: F64) -> tuple[float, float, float]:
-    """Compare angular velocities with those of the orientations beside them.
+    """Compare angular velocities with those computed from the orientations.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def compare_with_orientation(times: F64, gyr: F64, quaternions: F64) -> tuple[fl
 
 
 def compare_with_gravity(times: F64, acc: F64, gyr: F64) -> tuple[float, float, float]:
-    """Compare the turning of gravity in the sensor's axes with what angular velocities make of it.
+    """Compare the rotation of gravity in the sensor's axes with the one predicted from angular velocities.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def compare_with_gravity(times: F64, acc: F64, gyr: F64) -> tuple[float, float, 
     -------
     tuple[float, float, float]
         The correlation of both; the ratio, which is about 1 for radians per second and 57 for degrees; and the root
-        mean square of the turning in radians per second. NaN where fewer than 10 samples are known.
+        mean square of gravity's rotation in radians per second. NaN where fewer than 10 samples are known.
     """
     width = max(1, round(_SMOOTH_S / max(float(np.median(np.diff(times))), 1e-6))) if len(times) > 1 else 1
     if len(times) < 2 * width + 10:
@@ -74,7 +74,7 @@ def compare_with_gravity(times: F64, acc: F64, gyr: F64) -> tuple[float, float, 
 
 
 def _between(gyr: F64) -> F64:
-    """Return the angular velocities (T − 1, 3) in the middle between samples (T, 3)."""
+    """Return the angular velocities (T − 1, 3) at the midpoints between samples (T, 3)."""
     return 0.5 * (gyr[1:] + gyr[:-1])
 
 
@@ -89,7 +89,7 @@ def _compared(first: F64, second: F64) -> tuple[float, float, float]:
     if known.sum() < 10:
         return float("nan"), float("nan"), float("nan")
     x, y = first[known], second[known]
-    # a few samples of a disturbed stream can be larger than all others together
+    # a few samples of a disturbed stream can outweigh all others together
     lengths = np.linalg.norm(y, axis=1)
     most = float(np.quantile(lengths, 0.99))
     y = y * np.divide(most, lengths, out=np.ones_like(lengths), where=lengths > most)[:, None]
@@ -116,7 +116,7 @@ def rests(
     acc, gyr : float64 array (T, 3) or None
         Specific force in m/s², angular velocity in rad/s.
     shortest_s : float
-        Shorter intervals are none.
+        Shorter intervals are ignored.
 
     Returns
     -------
@@ -140,7 +140,7 @@ def rests(
 
 
 def bridge(times: F64, values: F64, longest_gap_s: float) -> F64:
-    """Interpolate missing samples between known ones that are near to each other.
+    """Interpolate missing samples between known samples that are close in time.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def bridge(times: F64, values: F64, longest_gap_s: float) -> F64:
     values : float64 array (T, 3) or (T, 4)
         Vectors, or unit quaternions; a row with a NaN is missing.
     longest_gap_s : float
-        Seconds between two known samples beyond which nothing between them is known.
+        The longest time in seconds between two known samples over which is interpolated.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Rotations as unit quaternions w x y z, and streams of them over time.
+"""This module computes with rotations as unit quaternions w x y z, and with streams of them over time.
 
 A quaternion maps a local frame to a global one: `rotate(q, v)` is the global vector of a local v. `multiply(p, q)`
 applies q first. Signs do not matter: q and −q are the same rotation.
@@ -16,16 +16,16 @@ F64 = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 Z_TO_Y = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
-"""The turn from a world with Z up to the take's with Y up."""
+"""The rotation from a world with Z up to the take's with Y up."""
 
 LONGEST_GAP_S = 0.05
-"""Between samples that are farther apart than this, nothing is interpolated."""
+"""The longest time in seconds between samples over which is interpolated."""
 
-_SMALL = 1e-12  # the length of the imaginary part below which a rotation vector is twice that part
+_SMALL = 1e-12  # length of the imaginary part below which the rotation vector is taken as twice that part
 
 
 def multiply(p: F64, q: F64) -> F64:
-    """Return p ∘ q, the rotation that turns by q first and by p then.
+    """Return p ∘ q, the rotation by q followed by the rotation by p.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def conjugate(q: F64) -> F64:
 
 
 def rotate(q: F64, v: F64) -> F64:
-    """Turn vectors by rotations.
+    """Rotate vectors by unit quaternions.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def rotate(q: F64, v: F64) -> F64:
 
 
 def exp(v: F64) -> F64:
-    """Return the rotations (..., 4) by |v| radians about v (..., 3)."""
+    """Return the unit quaternions (..., 4) of rotation vectors v (..., 3) in radians."""
     v = np.asarray(v, np.float64)
     angle = np.sqrt(np.einsum("...a,...a->...", v, v))[..., None]
     # sinc is sin(πx)/(πx), and 1 at 0
@@ -84,8 +84,8 @@ def exp(v: F64) -> F64:
 def log(q: F64) -> F64:
     """Return the rotation vectors (..., 3) in radians, at most π long, of unit quaternions (..., 4).
 
-    Thesis, Eq. 7.10, with the sign that it lacks: without it a quaternion with a negative real part gives the long way
-    round.
+    Thesis, Eq. 7.10, with a sign that is missing there: without it, a quaternion with a negative real part gives an
+    angle above π.
     """
     q = np.where(q[..., :1] < 0.0, -q, q)
     imaginary = q[..., 1:]
@@ -117,7 +117,7 @@ def from_matrix(matrices: F64) -> F64:
 
 
 def continuous(q: F64) -> F64:
-    """Return a stream (T, 4) with signs such that neighbours lie in the same half of the sphere; NaN frames stay."""
+    """Return a stream (T, 4) with signs chosen such that consecutive quaternions have a non-negative dot product."""
     known = np.flatnonzero(np.isfinite(q).all(axis=1))
     turned = np.array(q, np.float64)
     if len(known) > 1:
@@ -128,7 +128,7 @@ def continuous(q: F64) -> F64:
 
 
 def interpolate(times: F64, quaternions: F64, at: F64, longest_gap_s: float = LONGEST_GAP_S) -> tuple[F64, Flags]:
-    """Interpolate a stream at other times, along the shorter arc.
+    """Interpolate a stream of quaternions at other times, along the shorter arc.
 
     Parameters
     ----------
@@ -139,12 +139,12 @@ def interpolate(times: F64, quaternions: F64, at: F64, longest_gap_s: float = LO
     at : float64 array (N,)
         The wanted times in seconds.
     longest_gap_s : float
-        Seconds between two known samples beyond which nothing between them is known.
+        The longest time in seconds between two known samples over which is interpolated.
 
     Returns
     -------
     tuple[float64 array (N, 4), bool array (N,)]
-        The quaternions, and whether each is known; NaN where it is not: outside the stream and in gaps.
+        The quaternions, NaN outside the stream and in gaps, and a mask of those that are known.
 
     Raises
     ------
@@ -171,7 +171,7 @@ def interpolate(times: F64, quaternions: F64, at: F64, longest_gap_s: float = LO
 
 
 def angular_speed(times: F64, quaternions: F64) -> tuple[F64, F64]:
-    """Return the speeds of turning between neighbouring frames.
+    """Return the angular speeds between consecutive frames.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ def angular_speed(times: F64, quaternions: F64) -> tuple[F64, F64]:
     Returns
     -------
     tuple[float64 array (T − 1,), float64 array (T − 1,)]
-        The times in the middle between two frames, and radians per second; NaN beside an unknown frame.
+        The midpoint times between frames, and radians per second; NaN next to an unknown frame.
     """
     turns = log(multiply(conjugate(quaternions[:-1]), quaternions[1:]))
     steps = np.diff(times)

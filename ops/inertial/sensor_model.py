@@ -1,4 +1,4 @@
-"""Readings of an ideal inertial sensor on a limb: turn rates, specific force, magnetic field (thesis, Appendix A).
+"""This module simulates an ideal inertial sensor on a limb: rates, specific force and field (thesis, Appendix A).
 
 The inertial world F_GI has X to magnetic north, Y to the west and Z up; the world of a take has Y up. Rates are those
 of the sensor's own axes. Algorithm 5 of the thesis, Im(q_k ∘ q̄_{k−1}), gives rates in global axes; Eq. A.22 is one
@@ -24,13 +24,13 @@ GRAVITY = np.array([0.0, 0.0, 9.81])
 """The reading of an accelerometer at rest in F_GI, in m/s²."""
 
 FIELD_UT, INCLINATION_DEG = 48.255, 64.883
-"""The magnetic field in Saarbrücken (thesis, A.1): strength in µT, and degrees below the horizon."""
+"""The magnetic field in Saarbrücken (thesis, A.1): strength in µT, and inclination in degrees below the horizon."""
 
 CUTOFF_HZ = 15.0
-"""Places and turns of takes are smoothed at this frequency before they are differentiated."""
+"""Frequency in Hz at which positions and rotations of takes are smoothed before they are differentiated."""
 
 LEAST_SAMPLES = 8
-"""A quintic spline and a filter need so many samples."""
+"""The least number of samples for a quintic spline and a filter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class SensorMotion:
     orientation : float64 array (N, 4)
         Unit quaternions w x y z, sensor → F_GI.
     acceleration : float64 array (N, 3)
-        Second derivative of the sensor's place, in m/s², in F_GI.
+        Second derivative of the sensor's position, in m/s², in F_GI.
     """
 
     rate_hz: float
@@ -53,7 +53,7 @@ class SensorMotion:
 
 
 def world_turn(heading_deg: float) -> F64:
-    """Return q_G, the turn (4,) from F_GI to a take's world with Y up, with a heading about the vertical."""
+    """Return q_G, the rotation (4,) from F_GI to a take's world with Y up, for a heading about the vertical."""
     return multiply(Z_TO_Y, exp(np.array([0.0, 0.0, np.radians(heading_deg)])))
 
 
@@ -90,9 +90,9 @@ def sensor_motion(
     lever: F64 | None = None,
     cutoff_hz: float = CUTOFF_HZ,
 ) -> SensorMotion:
-    """Return the motion of a sensor that sits on a limb.
+    """Return the motion of a sensor that is mounted on a limb.
 
-    Places are smoothed and interpolated by a quintic spline, turns by a spline of rotations.
+    Positions are smoothed and interpolated by a quintic spline, orientations by a spline of rotations.
 
     Parameters
     ----------
@@ -111,7 +111,8 @@ def sensor_motion(
     lever : float64 array (3,), optional
         From the point to the sensor, in metres and in the segment's axes.
     cutoff_hz : float, optional
-        Frequency at which places and turns are smoothed; no smoothing where the rate is not above twice of it.
+        Frequency in Hz at which positions and orientations are smoothed; no smoothing if the rate is not above twice
+        the frequency.
 
     Raises
     ------
@@ -142,16 +143,16 @@ def sensor_motion(
 
 
 def _interpolated_turns(times: F64, turned: F64, at: F64) -> F64:
-    """Return rotations by a spline with continuous angular accelerations, w x y z."""
+    """Return rotations (N, 4) w x y z, interpolated by a spline with continuous angular accelerations."""
     transform = _scipy("spatial.transform")
     spline = transform.RotationSpline(times, transform.Rotation.from_quat(turned[:, [1, 2, 3, 0]]))
     return np.asarray(spline(at).as_quat(), np.float64)[:, [3, 0, 1, 2]]
 
 
 def smooth(values: F64, rate_hz: float, cutoff_hz: float) -> F64:
-    """Return values (T, K) without what is faster than a frequency: a Butterworth filter of order 2, forth and back.
+    """Return values (T, K), smoothed by a zero-phase Butterworth filter of order 2.
 
-    Values stay as they are where the rate is not above twice the frequency, or fewer than 8 are given.
+    Values are returned unchanged if the rate is not above twice the frequency, or if there are fewer than 8.
     """
     if cutoff_hz >= 0.5 * rate_hz or len(values) < LEAST_SAMPLES:
         return values
@@ -160,10 +161,9 @@ def smooth(values: F64, rate_hz: float, cutoff_hz: float) -> F64:
 
 
 def turn_rates(orientation: F64, rate_hz: float) -> F64:
-    """Return what a gyroscope reads: the turn since the sample before, over the time between, in the sensor's axes.
+    """Return a gyroscope's readings: the rotation since the previous sample over the time step, in sensor axes.
 
-    Integrating the rates gives the orientations back; differences centred on a sample would put a filter half a sample
-    ahead.
+    Integrating the rates reproduces the orientations; with central differences, a filter would be half a sample ahead.
 
     Parameters
     ----------
@@ -183,17 +183,17 @@ def turn_rates(orientation: F64, rate_hz: float) -> F64:
 
 
 def specific_force(orientation: F64, acceleration: F64) -> F64:
-    """Return what an accelerometer reads (N, 3) in m/s²: acceleration in F_GI and gravity's reaction, in its axes."""
+    """Return an accelerometer's readings (N, 3) in m/s²: acceleration plus gravity's reaction, in sensor axes."""
     return rotate(conjugate(orientation), acceleration + GRAVITY)
 
 
 def field_in_sensor(orientation: F64, field: F64) -> F64:
-    """Return a field in F_GI, (3,) or (N, 3), in the axes of a sensor (N, 3)."""
+    """Return a field (3,) or (N, 3), given in F_GI, in the axes of a sensor, (N, 3)."""
     return rotate(conjugate(orientation), np.broadcast_to(field, (len(orientation), 3)))
 
 
 def centred_acceleration(position: F64, rate_hz: float) -> F64:
-    """Return second differences (N, 3) of places (N, 3), centred on each sample; at the ends those beside it."""
+    """Return central second differences (N, 3) of positions (N, 3); both ends repeat their neighbour."""
     found = np.empty_like(position)
     found[1:-1] = (position[2:] - 2.0 * position[1:-1] + position[:-2]) * rate_hz**2
     found[0], found[-1] = found[1], found[-2]

@@ -1,8 +1,8 @@
-"""The clock of a sensor recording against that of a take: t_sensor = t_take + offset + ppm · 10⁻⁶ · t_take.
+"""This module finds the offset and drift of a sensor's clock: t_sensor = t_take + offset + ppm · 10⁻⁶ · t_take.
 
-The thesis correlates magnitudes of accelerations (Section 7.6.1). Here angular speeds are correlated first: neither the
-worlds of take and sensor nor the sensor's place on the limb change them, and they need no second derivative. After a
-first calibration, the offset with the least orientation errors is searched near that one; that offset counts.
+The thesis correlates magnitudes of accelerations (Section 7.6.1). Here angular speeds are correlated first: they do not
+depend on the worlds of take and sensor or on the sensor's position on the limb, and need no second derivative. After a
+first calibration, the final offset is the one near it with the least orientation errors.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ LEAST_OVERLAP_S, OVERLAP_SHARE, VARIANCE_SHARE = 3.0, 0.5, 0.1
 LEAST_CORRELATION, RIVAL_S, RIVAL_SHARE = 0.3, 0.25, 0.95
 
 CLIP_DEG = 10.0
-"""Errors count at most so much in the fine search."""
+"""Error in degrees at which errors are clipped in the fine search."""
 
 COARSE_S, COARSE_STEP_S, FINE_S, FINE_STEP_S = 0.1, 0.01, 0.01, 0.001
 WINDOW_S, WINDOW_STEP_S = 30.0, 15.0
 MOST_FRAMES = 20_000
-"""The fine search compares at most so many frames of each limb, spread evenly."""
+"""The most frames of each limb, evenly spread, that the fine search compares."""
 
-_STILL = 1e-12  # a sum of squares (rad/s)² below which nothing moves
+_STILL = 1e-12  # a sum of squares in (rad/s)² below which there is no motion
 
 
 class Speeds(NamedTuple):
-    """The angular speeds of one limb by the take, and by its sensor.
+    """The angular speeds of one limb in the take and of its sensor.
 
     Attributes
     ----------
@@ -57,18 +57,18 @@ class Speeds(NamedTuple):
 
 
 class TimeOffset(NamedTuple):
-    """An offset by correlation, and how sure it is.
+    """A time offset by correlation, with measures of its reliability.
 
     Attributes
     ----------
     offset_s : float
-        What is added to a take's time to get the sensor's; NaN where no lag counts.
+        The sensor's time minus the take's time; NaN if no lag is admissible.
     correlation : float
-        The correlation at the peak, −1 to 1; NaN where no lag counts.
+        The correlation at the peak, −1 to 1; NaN if no lag is admissible.
     next_best : float
         The largest correlation 0.25 s or farther from the peak; NaN where there is none.
     refused : str
-        The reason not to believe it; empty where there is none.
+        The reason why the offset is not reliable; empty if it is.
     """
 
     offset_s: float
@@ -78,14 +78,14 @@ class TimeOffset(NamedTuple):
 
 
 class Fine(NamedTuple):
-    """The errors of one limb as a function of the offset: what its sensor should read at each frame, and what it read.
+    """Predicted and measured orientations of one limb's sensor, for the errors at any offset in the fine search.
 
     Attributes
     ----------
     take_times : float64 array (T,)
         Seconds of the take, ascending.
     predicted : float64 array (T, 4)
-        q̄_G ∘ q_T ∘ q_L of valid frames, with the sensor's heading drift put in.
+        q̄_G ∘ q_T ∘ q_L of valid frames, with the sensor's heading drift included.
     sensor_times : float64 array (N,)
         Seconds of the sensor's clock, ascending.
     sensor : float64 array (N, 4)
@@ -123,19 +123,19 @@ def sensor_speed(times: F64, gyr: F64 | None, orientation: F64 | None) -> tuple[
 
 
 def find(limbs: Sequence[Speeds], longest_s: float | None = None) -> TimeOffset:
-    """Find the offset at which the angular speeds of all limbs together correlate most.
+    """Find the offset that maximises the joint correlation of the angular speeds of all limbs.
 
     Parameters
     ----------
     limbs : sequence of Speeds
         The limbs of one take and one recording, whose sensors share a clock.
     longest_s : float, optional
-        Offsets beyond ± this are excluded, also from the comparison with the next best.
+        The greatest absolute offset in seconds; others are excluded, also as next best.
 
     Returns
     -------
     TimeOffset
-        `refused` tells why an offset is not to be believed.
+        The offset; `refused` is set if it is not reliable.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def find(limbs: Sequence[Speeds], longest_s: float | None = None) -> TimeOffset:
 
 
 def _limb_curve(limb: Speeds) -> tuple[int, F64] | None:
-    """Return the first lag, in samples, and the correlation at each lag of one limb; None where speeds are unknown."""
+    """Return the first lag in samples and the correlation at each lag of one limb; None if speeds are unknown."""
     known = np.isfinite(limb.sensor)
     if known.sum() < 2 or np.isfinite(limb.take).sum() < 2:
         return None
@@ -177,12 +177,12 @@ def _limb_curve(limb: Speeds) -> tuple[int, F64] | None:
 
 
 def _filtered(times: F64, speeds: F64, highest: float) -> tuple[int, F64]:
-    """Return speeds, clipped and smoothed, on a grid of 200 Hz through time 0, and the number of the first sample."""
+    """Return speeds, clipped and smoothed, on a grid of 200 Hz through time 0, and the index of the first sample."""
     known = np.isfinite(speeds) & np.isfinite(times)
     times, speeds = times[known], np.minimum(speeds[known], highest)
     start, stop = math.ceil(times[0] * RATE_HZ), math.floor(times[-1] * RATE_HZ)
     grid = np.interp(np.arange(start, stop + 1) / RATE_HZ, times, speeds)
-    if len(grid) <= LEAST_PADDING:  # shorter than any overlap
+    if len(grid) <= LEAST_PADDING:  # shorter than any admissible overlap
         return start, np.empty(0)
     return start, lowpass(grid, RATE_HZ, CUTOFF_HZ)
 
@@ -226,7 +226,7 @@ def correlation(take: F64, sensor: F64) -> F64:
 
 
 def _fast_length(least: int) -> int:
-    """Return the smallest product of twos, threes and fives that is not less: transforms of such lengths are fast."""
+    """Return the smallest product of twos, threes and fives that is at least `least`, as FFTs of such lengths are fast."""
     best = 1 << max(0, least - 1).bit_length()
     odd = 1
     while odd < best:
@@ -246,7 +246,7 @@ def _window_sums(values: F64, first: npt.NDArray[np.int64], last: npt.NDArray[np
 
 
 def _peak(lags: F64, curve: F64) -> TimeOffset:
-    """Find the peak of a correlation, and judge it."""
+    """Find the peak of a correlation curve, and judge its reliability."""
     best = int(curve.argmax())
     top = float(curve[best])
     if top <= -1.0:
@@ -274,7 +274,7 @@ def _peak(lags: F64, curve: F64) -> TimeOffset:
 
 
 def _vertex(curve: F64, best: int) -> float:
-    """Return the place of a parabola's vertex through a value and its neighbours, in samples from the value."""
+    """Return the vertex of the parabola through a value and its neighbours, in samples relative to the value."""
     if not 0 < best < len(curve) - 1:
         return 0.0
     before, top, after = curve[best - 1 : best + 2].tolist()
@@ -283,7 +283,7 @@ def _vertex(curve: F64, best: int) -> float:
 
 
 def refine(limbs: Sequence[Fine], offset_s: float, ppm: float = 0.0) -> float:
-    """Search the offset with the least orientation errors within 0.1 s of a first one, to parts of a millisecond.
+    """Search the offset with the least orientation errors within 0.1 s of a first one, to fractions of a millisecond.
 
     Parameters
     ----------
@@ -305,7 +305,7 @@ def refine(limbs: Sequence[Fine], offset_s: float, ppm: float = 0.0) -> float:
     def cost(offset: float) -> float:
         parts = [_clipped_cost(*limb, offset, ppm, LONGEST_GAP_S) for limb in spread]
         frames = sum(count for _, count in parts)
-        # frames that fall out of the recording must not pay: the mean, not the sum
+        # the mean, not the sum: frames that fall outside the recording must not lower the cost
         return sum(total for total, _ in parts) / frames if frames else math.inf
 
     for reach, step in ((COARSE_S, COARSE_STEP_S), (FINE_S, FINE_STEP_S)):
@@ -314,7 +314,7 @@ def refine(limbs: Sequence[Fine], offset_s: float, ppm: float = 0.0) -> float:
 
 
 def _least(cost: Callable[[float], float], middle: float, reach: float, step: float) -> float:
-    """Return the offset of the least cost on a grid about the middle, by a parabola through the least value."""
+    """Return the offset of least cost on a grid about the middle, refined by a parabola through the least value."""
     count = round(reach / step)
     offsets = middle + step * np.arange(-count, count + 1)
     costs = np.array([cost(float(offset)) for offset in offsets])
@@ -325,7 +325,7 @@ def _least(cost: Callable[[float], float], middle: float, reach: float, step: fl
 
 
 def _spread(limb: Fine, most: int) -> Fine:
-    """Return a limb with at most so many frames, spread evenly, as arrays for the kernel."""
+    """Return a limb with at most `most` frames, spread evenly, as contiguous arrays for the kernel."""
     frames = np.linspace(0, len(limb.take_times) - 1, min(len(limb.take_times), most)).astype(np.int64)
     return Fine(
         limb.take_times[frames],
@@ -336,7 +336,7 @@ def _spread(limb: Fine, most: int) -> Fine:
 
 
 def find_drift(limbs: Sequence[Fine], offset_s: float) -> tuple[float, float]:
-    """Find offset and drift of a clock: the fine search in windows, and a robust line through their offsets.
+    """Find the offset and drift of a clock by a robust line through the offsets of the fine search in windows.
 
     Parameters
     ----------
@@ -371,7 +371,7 @@ def _window(limb: Fine, start: float, stop: float) -> Fine:
 
 
 def _robust_line(x: F64, y: F64) -> tuple[float, float]:
-    """Return slope and value at 0 of the line with the median slope of all pairs, and the median value (Theil, Sen)."""
+    """Return the slope and intercept of a Theil–Sen line: the median slope of all pairs, and the median intercept."""
     i, j = np.triu_indices(len(x), 1)
     apart = x[j] - x[i]
     slope = float(np.median((y[j] - y[i])[apart > 0.0] / apart[apart > 0.0])) if (apart > 0.0).any() else 0.0
@@ -382,7 +382,7 @@ def _robust_line(x: F64, y: F64) -> tuple[float, float]:
 def _clipped_cost(
     take_times: F64, predicted: F64, times: F64, sensor: F64, offset: float, ppm: float, longest_gap: float
 ) -> tuple[float, int]:
-    """Sum the squares of clipped errors, in degrees, over the frames that fall into the recording; count these, too."""
+    """Return the sum of squared clipped errors in degrees, and the number of frames within the recording."""
     total, frames, k = 0.0, 0, 0
     count = len(times)
     for i in range(len(take_times)):

@@ -1,11 +1,12 @@
-"""The offset of a clock by least squares on whitened orientation errors, the last digit of the fine search.
+"""This module refines a clock offset by least squares on whitened orientation errors, after the fine search.
 
-What a sensor reads and what the take predicts differ by a small turn r in each frame: noise n, and what is still wrong
-of the offset (δ times the sensor's angular velocity ω), of the sensor's heading and of its mount, all linear,
+The sensor's orientation and the take's prediction differ by a small rotation r in each frame: noise n, and the
+remaining errors of the offset (δ times the sensor's angular velocity ω), of the sensor's heading and of its mount, all
+linear,
     r(t) = −δ ω(t) + ψ R(t)ᵀz + a + n(t).
-The noise of trackers and of skin is smooth: neighbouring frames are off alike, and plain least squares mistake slow
-noise for a delay. An autoregressive model of n is fitted to the residuals, what it does not predict is white, and least
-squares on that are the best linear estimate.
+The noise of trackers and of skin is smooth: errors of neighbouring frames are correlated, and ordinary least squares
+mistake slow noise for a delay. An autoregressive model of n is fitted to the residuals; its innovations are white, and
+least squares on them give the best linear estimate.
 """
 
 from __future__ import annotations
@@ -25,30 +26,30 @@ I64 = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
 
 ORDER = 5
-"""Frames before a frame that its noise is predicted from."""
+"""The order of the autoregressive noise model, in frames."""
 
 CUT, CUT_DEG = 3.5, 15.0
-"""Frames are wrong whose error is larger than so many robust standard deviations of an axis, or so many degrees."""
+"""Errors of wrong frames exceed the first, in robust standard deviations of an axis, or the second, in degrees."""
 
 OUTLIER = 2.0
-"""Whitened errors of so many standard deviations have a quarter of the weight."""
+"""Whitened error in standard deviations at which a frame has a quarter of the full weight."""
 
 HALF_STEP_S = 0.01
-"""Angular velocities are differences over twice this time."""
+"""Half of the time step, in seconds, over which angular velocities are computed by differences."""
 
 FARTHEST_S, STILL_S = 0.02, 2e-5
-"""An offset that moves farther is not believed; the search ends where it moves by less."""
+"""Change of the offset in seconds beyond which the result is discarded, and below which the search ends."""
 
 ROUNDS, WEIGHTINGS = 4, 6
 MOST_FRAMES, BLOCK = 6_000, 300
-"""At most so many frames of each limb are compared, in blocks that are spread evenly."""
+"""The most frames of each limb that are compared, and the length of the evenly spread blocks that they come in."""
 
-_AXIS_SCALE = 2.366  # median of the sum of three squared standard normal numbers
+_AXIS_SCALE = 2.366  # the median of the sum of squares of three standard normal variables
 RIDGE, WORST_CONDITION = 1e-9, 1e12
 
 
 class _Rows(NamedTuple):
-    """One limb: the residual turn of each frame (n, 3), its design (n, 3, columns), and how many frames it follows."""
+    """The rows of one limb: residual rotations (n, 3), design (n, 3, columns), and counts of preceding frames (n,)."""
 
     residuals: F64
     design: F64
@@ -98,13 +99,13 @@ def whitened_offset(
 
 
 def _improved(limb: Fine, turns: F64) -> Fine:
-    """Return a limb with its heading and mount turned by what was found."""
+    """Return a limb with its heading and mount corrected by the solution."""
     heading = exp(np.array([0.0, 0.0, turns[0]]))
     return limb._replace(predicted=multiply(multiply(heading, limb.predicted), exp(turns[1:])))
 
 
 def _blocks(limb: Fine) -> Fine:
-    """Return a limb with blocks of its frames, spread evenly, where it has too many."""
+    """Return a limb reduced to evenly spread blocks of its frames, if it has too many."""
     count = len(limb.take_times)
     if count <= MOST_FRAMES:
         return limb
@@ -114,7 +115,7 @@ def _blocks(limb: Fine) -> Fine:
 
 
 def _rows(limb: Fine, offset_s: float, ppm: float, drifts: bool) -> _Rows | None:
-    """Return what is fitted of a limb, its wrong frames left out; None where too few frames follow each other."""
+    """Return the rows of a limb's least squares problem without wrong frames; None if too few frames are consecutive."""
     at = limb.take_times * (1.0 + 1e-6 * ppm) + offset_s
     read, known = interpolate(limb.sensor_times, limb.sensor, at)
     before, known_before = interpolate(limb.sensor_times, limb.sensor, at - HALF_STEP_S)
@@ -141,7 +142,7 @@ def _rows(limb: Fine, offset_s: float, ppm: float, drifts: bool) -> _Rows | None
 
 
 def _follows(times: F64) -> I64:
-    """Return the number of frames (n,) that each frame follows without a gap."""
+    """Return for each frame (n,) the number of frames before it without a gap."""
     steps = np.diff(times)
     starts = (
         np.concatenate([[0], np.flatnonzero(steps > 1.5 * np.median(steps)) + 1]) if len(steps) else np.zeros(1, int)
@@ -151,7 +152,7 @@ def _follows(times: F64) -> I64:
 
 
 def _solve(rows: Sequence[_Rows], shared: int) -> list[F64] | None:
-    """Solve the weighted least squares of whitened rows for each limb's columns, of which the first are shared by all.
+    """Solve the weighted least squares of whitened rows for each limb; the first columns are shared by all limbs.
 
     Returns None where the shared ones are not determined.
     """
@@ -164,7 +165,7 @@ def _solve(rows: Sequence[_Rows], shared: int) -> list[F64] | None:
         variance = max(float(np.median(np.concatenate(squares))) / _AXIS_SCALE, 1e-30)
         roots = [1.0 / (1.0 + square / (3.0 * OUTLIER**2 * variance)) for square in squares]
         sums = [_sums(*own, root) for own, root in zip(white, roots, strict=True)]
-        # what belongs to one limb alone is eliminated first
+        # the unknowns of single limbs are eliminated first (Schur complement)
         gains = [np.linalg.solve(normal[shared:, shared:], normal[shared:, :shared]) for normal, _ in sums]
         normal = sum(
             own[:shared, :shared] - own[:shared, shared:] @ gain for (own, _), gain in zip(sums, gains, strict=True)
@@ -181,13 +182,13 @@ def _solve(rows: Sequence[_Rows], shared: int) -> list[F64] | None:
 
 
 def _sums(residuals: F64, design: F64, roots: F64) -> tuple[F64, F64]:
-    """Return the normal equations of one limb; a ridge holds what its movements leave free."""
+    """Return the normal equations of one limb, with a ridge for what its movements leave undetermined."""
     x = (roots[:, None, None] * design).reshape(-1, design.shape[2])
     return x.T @ x + RIDGE * len(x) * np.eye(x.shape[1]), x.T @ (roots[:, None] * residuals).reshape(-1)
 
 
 def _noise_model(rows: Sequence[_Rows]) -> F64:
-    """Fit the autoregressive model (ORDER,) that predicts a residual from those before, alike on all axes and limbs."""
+    """Fit the autoregressive coefficients (ORDER,) that predict a residual, the same for all axes and limbs."""
     products, counts = np.zeros(ORDER + 1), np.zeros(ORDER + 1)
     for one in rows:
         noise = one.residuals - one.residuals.mean(axis=0)
@@ -197,13 +198,13 @@ def _noise_model(rows: Sequence[_Rows]) -> F64:
             counts[lag] += len(behind)
     covariances = products / np.maximum(counts, 1.0)
     lags = np.abs(np.arange(ORDER)[:, None] - np.arange(ORDER))
-    # a little white noise keeps the equations of very smooth residuals regular
+    # a little white noise keeps the equations regular for very smooth residuals
     normal = covariances[lags] + 1e-4 * max(covariances[0], 1e-30) * np.eye(ORDER)
     return np.asarray(np.linalg.solve(normal, covariances[1:]), np.float64)
 
 
 def _whitened(values: F64, follows: I64, model: F64) -> F64:
-    """Return what the model does not predict, of the frames that follow enough others."""
+    """Return the innovations, what the model does not predict, of frames with enough consecutive predecessors."""
     frames = np.flatnonzero(follows >= len(model))
     found = values[frames].copy()
     for lag, share in enumerate(model, 1):

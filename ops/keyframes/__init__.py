@@ -1,1 +1,1 @@
-"""Learning keyframe queries from examples (thesis, Chapter 4)."""
+"""This package learns keyframe queries from examples (thesis, Chapter 4)."""

@@ -1,4 +1,4 @@
-"""The consensus of many runs: one query of the keyframes that recur most (thesis, Section 4.4 and Figure 4.2)."""
+"""This module combines many runs into one query of their recurring keyframes (thesis, Section 4.4 and Figure 4.2)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ AtLeast = Literal["median", "best"]
 
 AGREEMENTS = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 """Shares of the keyframes at a place that must fix an entry for the consensus to fix it. Each is tried, and the fittest
-consensus is taken, since the thesis does not specify how many runs must agree."""
+consensus is used, since the thesis does not specify how many runs must agree.
+"""
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class Consensus:
 
 
 def agreement_matrix(queries: Sequence[Individual], columns: int, features: int) -> F64:
-    """Add up the keyframes of many queries at their template columns (thesis, Figure 4.2 a).
+    """Return the mean of many queries' keyframes at each template column (thesis, Figure 4.2 a).
 
     Parameters
     ----------
@@ -109,7 +110,7 @@ def recurring_keyframes(
     while free.any() and len(found) < wanted:
         near = np.abs(positions[:, None] - positions[None, :]) <= tolerance
         votes = (near & free[None, :]).sum(axis=1) * free
-        # of equally frequent places the leftmost
+        # ties go to the leftmost of equally frequent places
         centre = min(np.flatnonzero(votes == votes.max()), key=lambda i: int(positions[i]))
         group = near[centre] & free
         free &= ~group
@@ -122,7 +123,7 @@ def recurring_keyframes(
 def _majority(
     masks: npt.NDArray[np.uint64], values: npt.NDArray[np.uint64], share: float, features: int
 ) -> tuple[int, int]:
-    """Return mask and value of the entries that a share of the keyframes fixes to the same value."""
+    """Return mask and value of the entries that at least a share of the keyframes fixes to the same value."""
     fixed, ones = bits(masks, features), bits(values, features)
     on = ones.sum(axis=0)
     off = (fixed - ones).sum(axis=0)
@@ -154,7 +155,7 @@ def find_consensus(
     seed: int | tuple[int, ...],
     at_least: AtLeast = "median",
 ) -> Consensus:
-    """Make one query of many runs: the keyframes that recur most, with gaps tuned by mutations.
+    """Combine many runs into one query of the recurring keyframes, with gaps tuned by mutations.
 
     Parameters
     ----------
@@ -195,7 +196,7 @@ def find_consensus(
         if query is None or query.key() in tried:
             continue
         tried.add(query.key())
-        # where no gaps could rank high enough, they are not tuned
+        # gaps are only tuned where they could raise the rank far enough
         most = rank_bound(task, query, settings) + 1e-9
         if most < wanted or (tuned is not None and most <= tuned[1].rank):
             continue

@@ -1,11 +1,11 @@
-"""The fitness of individuals on training clips: the clips with a hit, found on bitmaps of frames (thesis, Section 4.2).
+"""This module computes the fitness of queries on training clips, using bitmaps of frames (thesis, Section 4.2).
 
-A clip counts as retrieved if the query has one hit in it, so hits are never made. The frames that match a keyframe are
-a bitmap; a gap [low, high] moves and widens the frames reached so far; and where bits remain after the last keyframe,
-the clip is retrieved. Each clip begins in a word of memory of its own (a lane), so a clip of up to 64 frames is one
-word, and nothing moves from one clip into the next. Bitmaps of keyframes stay in a cache: a query that was changed in
-one keyframe costs one new bitmap. A search of bit slices finds ranges, which cost more than the fitness needs
-(`docs/decisions/0002-bit-slices.md`).
+A clip counts as retrieved if the query has at least one hit in it, so hits need not be listed. The frames that match a
+keyframe are a bitmap; a gap [low, high] moves and widens the frames reached so far; and where bits remain after the
+last keyframe, the clip is retrieved. Each clip begins in a word of memory of its own (a lane), so a clip of up to 64
+frames is one word, and nothing moves from one clip into the next. Bitmaps of keyframes are cached, so a query that was
+changed in one keyframe needs one new bitmap. A search of bit slices would find ranges of frames, at a higher cost than
+the fitness needs (`docs/decisions/0002-bit-slices.md`).
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ Bool = npt.NDArray[np.bool_]
 
 _LANE = 64
 CACHED_BITMAPS = 256
-"""The number of bitmaps of keyframes that stay in memory; it exceeds the keyframes of any one query."""
+"""The number of cached bitmaps of keyframes, more than any query has keyframes."""
 
 INNER = {"cache": True, "nogil": True, "no_cpython_wrapper": True}
-"""Options for kernels that only other kernels call: without a wrapper for Python they are a sixth faster."""
+"""Options for kernels that are called only by other kernels: without a Python wrapper they are a sixth faster."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class TrainingFrames:
 
 
 def training_frames(clips: Sequence[U64], features: int, steady: Sequence[int] | None = None) -> TrainingFrames:
-    """Lay clips out as bitmaps.
+    """Pack clips into bitmaps of frames.
 
     Parameters
     ----------
@@ -65,9 +65,9 @@ def training_frames(clips: Sequence[U64], features: int, steady: Sequence[int] |
     features : int
         The number of features f.
     steady : sequence of int, optional
-        How strictly each clip is judged: a feature counts as on (or off) in a frame only where it is so from n frames
-        before to n frames after, and the ends of a clip continue as they are. 0 unless given. Examples that match only
-        just then do not match, so a query that still finds them does so with some room.
+        The strictness n for each clip, 0 by default: a feature counts as on (or off) in a frame only if it is so from n
+        frames before to n frames after, where the first and last frame of a clip are repeated. Then a query only finds
+        examples that it matches with some tolerance.
 
     Returns
     -------
@@ -103,7 +103,7 @@ def training_frames(clips: Sequence[U64], features: int, steady: Sequence[int] |
 
 
 def _eroded(rows: Bool, steady: int) -> Bool:
-    """Return where each row holds from `steady` frames before to `steady` frames after; its ends continue."""
+    """Return a mask that is True where each row is from `steady` frames before to `steady` frames after; ends repeat."""
     if not steady:
         return rows
     padded = np.pad(rows, ((0, 0), (steady, steady)), mode="edge")
@@ -113,12 +113,12 @@ def _eroded(rows: Bool, steady: int) -> Bool:
 
 
 def _packed(frames: Bool) -> U64:
-    """Return rows of frames as lanes of 64 bits."""
+    """Pack rows of frames into lanes of 64 bits."""
     return np.packbits(frames, axis=-1, bitorder="little").view("<u8").astype(np.uint64)
 
 
 class Workspace(NamedTuple):
-    """The arrays that the kernels write to.
+    """The arrays that the fitness kernels write to.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ class Workspace(NamedTuple):
 
 
 def new_workspace(frames: TrainingFrames, keyframes: int) -> Workspace:
-    """Return a workspace for queries of up to so many keyframes on these clips."""
+    """Allocate a workspace for queries of up to `keyframes` keyframes on these clips."""
     lanes = np.arange(len(frames.valid))
     return Workspace(
         np.zeros((CACHED_BITMAPS, len(frames.valid)), np.uint64),
@@ -174,7 +174,7 @@ def new_workspace(frames: TrainingFrames, keyframes: int) -> Workspace:
 
 @njit(cache=True, nogil=True)
 def fitness_of(found, wrong, wanted, beta):  # type: ignore[no-untyped-def]
-    """Return F_beta from numbers of clips (thesis, Eq. 4.9 to 4.11), and 0 where nothing of the class is found."""
+    """Return F_beta from numbers of clips (thesis, Eq. 4.9 to 4.11), 0 if none of the class is found."""
     if found == 0:
         return 0.0
     square = beta * beta
@@ -183,7 +183,7 @@ def fitness_of(found, wrong, wanted, beta):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def find_bitmaps(on, off, valid, masks, values, count, space):  # type: ignore[no-untyped-def]
-    """Write the place of the bitmap of keyframe k to space.slots[k]; make the bitmaps that are not cached."""
+    """Write the cache slot of each keyframe k to space.slots[k], computing the bitmaps that are not cached."""
     most = len(space.masks)
     for k in range(count):
         slot = -1
@@ -201,7 +201,7 @@ def find_bitmaps(on, off, valid, masks, values, count, space):  # type: ignore[n
 
 @njit(**INNER)
 def _free_slot(k, space):  # type: ignore[no-untyped-def]
-    """Return the place of the oldest bitmap that no earlier keyframe of the same query uses."""
+    """Return the slot of the oldest bitmap that no earlier keyframe of the same query uses."""
     while True:
         slot = space.made[0] % len(space.masks)
         space.made[0] += 1
@@ -215,7 +215,7 @@ def _free_slot(k, space):  # type: ignore[no-untyped-def]
 
 @njit(**INNER)
 def _bitmap(on, off, valid, mask, value, out):  # type: ignore[no-untyped-def]
-    """Write the frames that match a keyframe."""
+    """Write the bitmap of the frames that match a keyframe."""
     one = np.uint64(1)
     for i in range(len(valid)):
         out[i] = valid[i]
@@ -229,7 +229,7 @@ def _bitmap(on, off, valid, mask, value, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def retrieve(count, strict_lows, strict_highs, lows, highs, first, positives, space):  # type: ignore[no-untyped-def]
-    """Write to space.hit[t] whether clip t has a hit; positive clips are judged under the strict gaps."""
+    """Write to space.hit[t] True if clip t has a hit; positive clips are tested with the strict gaps."""
     middle, end = first[positives], first[-1]
     _reach(space, count, strict_lows, strict_highs, 0, middle)
     _reach(space, count, lows, highs, middle, end)
@@ -242,9 +242,9 @@ def retrieve(count, strict_lows, strict_highs, lows, highs, first, positives, sp
 
 @njit(**INNER)
 def _reach(space, count, lows, highs, begin, end):  # type: ignore[no-untyped-def]
-    """Leave in space.reached[0] the frames of lanes [begin, end) where a hit of the query ends.
+    """Write to space.reached[0] the frames in lanes [begin, end) where a hit of the query ends.
 
-    All lanes advance together, in loops without branches: one clip after the other would take ten times as long.
+    All lanes are processed together in loops without branches; one clip after the other would take ten times as long.
     """
     here, other, place = space.reached[0], space.reached[1], space.place
     most = 0
@@ -281,7 +281,7 @@ def _move(source, target, place, begin, end, frames, keep):  # type: ignore[no-u
     """Move the bits of lanes to later frames of the same clip; the bits of `keep` also stay where they are."""
     whole = frames // 64
     part = np.uint64(frames % 64)
-    rest = np.uint64(63) - part  # and one more: a word cannot be shifted by 64
+    rest = np.uint64(63) - part  # plus one more below, as a word cannot be shifted by 64 bits
     one, back = np.uint64(1), np.uint64(whole)
     edge = min(begin + whole + 1, end)
     for i in range(begin, edge):

@@ -1,4 +1,4 @@
-"""The genetic algorithm that learns a keyframe query from positive and negative clips (thesis, Algorithm 3)."""
+"""This module has the genetic algorithm that learns a keyframe query from clips (thesis, Algorithm 3)."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from kinedex.ops.words import I64, U64
 F64 = npt.NDArray[np.float64]
 
 BETA = 2.0
-"""The number of times that recall weighs as much as precision in the fitness (thesis, Eq. 4.11)."""
+"""The weight of recall relative to precision in the fitness (thesis, Eq. 4.11)."""
 
 
 def evolve(task: TrainingTask, settings: EvolutionSettings, seed: int | tuple[int, ...]) -> LearningRun:
@@ -72,7 +72,7 @@ def evolve(task: TrainingTask, settings: EvolutionSettings, seed: int | tuple[in
 
 
 def random_search(task: TrainingTask, settings: EvolutionSettings, seed: int | tuple[int, ...]) -> LearningRun:
-    """Draw as many initial individuals as a run makes individuals in all, and return the fittest (Algorithm 2 alone).
+    """Draw as many initial individuals as a run evaluates, and return the fittest (Algorithm 2 alone), as a baseline.
 
     Parameters
     ----------
@@ -89,10 +89,10 @@ def random_search(task: TrainingTask, settings: EvolutionSettings, seed: int | t
 def tune_gaps(
     task: TrainingTask, query: Individual, settings: EvolutionSettings, seed: int | tuple[int, ...]
 ) -> LearningRun:
-    """Optimise the gaps of a query by the mutations of the genetic algorithm (thesis, Section 4.4).
+    """Optimise the gaps of a query by random mutations (thesis, Section 4.4).
 
-    One mutation is tried at a time, and kept unless it ranks lower. As many are tried as a run makes offspring, and
-    none where the query has no gap. The history has a row for as many trials as a generation has offspring.
+    One mutation is tried at a time, and kept unless it ranks lower. The number of trials is that of a run's offspring,
+    and 0 if the query has no gap. The history has one row for each group of trials of a generation's size.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def tune_gaps(
 
 
 def evaluate(task: TrainingTask, query: Individual, settings: EvolutionSettings) -> tuple[float, float, float, float]:
-    """Return the numbers of positive and of negative clips that a query retrieves, its fitness, and its rank."""
+    """Return the numbers of positive and negative clips that a query retrieves, its fitness, and its rank."""
     population = new_population(1, len(query))
     _set_row(population, 0, query)
     space = new_workspace(task.frames, len(query))
@@ -129,7 +129,7 @@ def evaluate(task: TrainingTask, query: Individual, settings: EvolutionSettings)
 
 
 def rank_bound(task: TrainingTask, query: Individual, settings: EvolutionSettings) -> float:
-    """Return the rank of a query with perfect fitness and gaps of one length, which no other gaps can exceed."""
+    """Return an upper bound of a query's rank over all gaps: that of perfect fitness and gaps without slack."""
     outside = (int(query.positions[0]) + len(task.masks) - 1 - int(query.positions[-1])) / len(task.masks)
     return 1.0 - settings.parsimony * query.fixed - settings.outside_cost * outside
 
@@ -182,7 +182,7 @@ def _fitness_settings(settings: EvolutionSettings, task: TrainingTask) -> _Fitne
 
 
 def _learning_run(population: Population, row: int, history: F64, evaluated: int) -> LearningRun:
-    """Return the individual of a row as the outcome of a run."""
+    """Return the individual of a row as the result of a run."""
     count = int(population.counts[row])
     query = Individual(
         population.masks[row, :count].copy(),
@@ -210,7 +210,7 @@ def _set_row(population: Population, row: int, query: Individual) -> None:
 
 @njit(cache=True, nogil=True)
 def _evolve(rng, population, clips, columns, space, history, sizes, operators, criteria):  # type: ignore[no-untyped-def]
-    """Evolve a population; return the row of the best individual, and the number of individuals evaluated."""
+    """Evolve a population, and return the row of the best individual and the number of evaluated individuals."""
     size, parents, generations = sizes
     rows, most = population.masks.shape
     order = np.arange(rows)
@@ -239,8 +239,8 @@ def _evolve(rng, population, clips, columns, space, history, sizes, operators, c
 
 @njit(cache=True, nogil=True)
 def _tune(rng, population, rows, clips, space, history, tries, criteria):  # type: ignore[no-untyped-def]
-    """Improve the gaps of the first row by mutations in the second."""
-    # rows come in an array: with a literal number in a call, numba would compile the called kernel once for each
+    """Improve the gaps of the first row by mutations that are tried in the second row."""
+    # rows come in an array: for literal arguments, numba would compile the called kernel once per value
     best, changed, one = rows[0], rows[1], len(rows) - 1
     _evaluate(population, best, clips, space, criteria)
     for generation in range(len(history)):
@@ -256,7 +256,7 @@ def _tune(rng, population, rows, clips, space, history, tries, criteria):  # typ
 
 @njit(**INNER)
 def _evaluate_new(population, order, place, clips, space, criteria):  # type: ignore[no-untyped-def]
-    """Evaluate the individual at a place of the order, unless an equal one stands before it; return 1 if it was."""
+    """Evaluate an individual unless an equal one precedes it in the order; return 1 if it was evaluated."""
     row = order[place]
     for before in range(place):
         if _equal(population, order[before], row, criteria.outside_cost > 0.0):
@@ -269,12 +269,12 @@ def _evaluate_new(population, order, place, clips, space, criteria):  # type: ig
 
 @njit(**INNER)
 def _equal(population, one, other, placed):  # type: ignore[no-untyped-def]
-    """Return whether two individuals are equal, in the columns of their outer keyframes too if `placed`."""
+    """Return True if two individuals are equal, in the columns of their outer keyframes too if `placed`."""
     count = population.counts[one]
     if count != population.counts[other]:
         return False
     if placed:
-        # the same query from other columns leaves another part of the template outside, so it ranks differently
+        # the same query from other columns leaves out another part of the template, so its rank differs
         last = count - 1
         if population.positions[one, 0] != population.positions[other, 0]:
             return False
@@ -297,12 +297,12 @@ def _equal(population, one, other, placed):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _evaluate(population, row, clips, space, criteria):  # type: ignore[no-untyped-def]
-    """Write the results of an individual: clips retrieved, fitness, and rank."""
+    """Evaluate an individual, and write the clips retrieved, its fitness, and its rank."""
     count = population.counts[row]
     lows, highs = population.lows[row], population.highs[row]
     find_bitmaps(clips.on, clips.off, clips.valid, population.masks[row], population.values[row], count, space)
     for k in range(count - 1):
-        # a positive clip must be retrieved even if it were slower or faster by this much
+        # a positive clip must be retrieved even if it were slower or faster by the tempo tolerance
         space.lows[k] = int(np.ceil(lows[k] * (1.0 + criteria.tempo) - 1e-9))
         space.highs[k] = int(np.floor(highs[k] / (1.0 + criteria.tempo) + 1e-9))
     retrieve(count, space.lows, space.highs, lows, highs, clips.first, clips.positives, space)
@@ -329,7 +329,7 @@ def _evaluate(population, row, clips, space, criteria):  # type: ignore[no-untyp
 
 @njit(**INNER)
 def _sort(order, population, begin, end):  # type: ignore[no-untyped-def]
-    """Sort by rank, by insertion from `begin`; the rows before it are in order, and older ones precede equal ones."""
+    """Sort by rank by insertion, starting from `begin`; the rows before it are sorted, and ties keep older ones first."""
     for place in range(begin, end):
         row = order[place]
         rank = population.results[row, 3]

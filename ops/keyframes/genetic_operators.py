@@ -1,7 +1,7 @@
-"""The genetic operators on individuals: initialisation, selection, recombination, mutation (thesis, Sections 4.3, 4.4).
+"""This module has the genetic operators: initialisation, selection, recombination, mutation (thesis, 4.3 and 4.4).
 
-An individual is a row of arrays. All operators work in place and allocate nothing; random numbers come from the
-generator that they are given.
+An individual is a row of arrays. All operators work in place without allocating; random numbers come from the generator
+that is passed in.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from kinedex.ops.keyframes.fitness import INNER
 from kinedex.ops.words import I64, U64
 
 GAP_STEP = 0.5
-"""The largest change of an end of a gap by a mutation, as a share of the spacing."""
+"""The largest change of either end of a gap by a mutation, relative to the spacing of columns."""
 
 
 class Population(NamedTuple):
@@ -72,7 +72,7 @@ class OperatorSettings(NamedTuple):
     Parameters
     ----------
     mean, deviation : float
-        Of the number of keyframes of an initial individual.
+        Mean and standard deviation of the number of keyframes of an initial individual.
     least : int
         The least number of keyframes.
     tolerance : float
@@ -82,7 +82,7 @@ class OperatorSettings(NamedTuple):
     open_share : float
         The largest share of a keyframe's entries that a generalisation opens at once.
     keyframe_odds, entry_odds : float
-        The probabilities of a mutation of keyframes and of one of entries; the others change gaps.
+        The probabilities that a mutation changes keyframes, and that it changes entries; other mutations change gaps.
     """
 
     mean: float = 3.0
@@ -96,7 +96,7 @@ class OperatorSettings(NamedTuple):
 
 
 def new_population(rows: int, most: int) -> Population:
-    """Return room for so many individuals of up to so many keyframes."""
+    """Allocate a population of the given number of individuals and of most keyframes."""
     shape = (rows, most)
     bits, numbers = np.uint64, np.int64
     return Population(
@@ -124,12 +124,12 @@ def draw_individual(rng, population, row, columns, settings, spare):  # type: ig
 
 @njit(**INNER)
 def _draw_gap(rng, population, row, k, settings):  # type: ignore[no-untyped-def]
-    """Draw the gap between two keyframes around the spacing of their columns."""
+    """Draw the gap between two keyframes around the spacing of their columns, at random."""
     spacing = population.positions[row, k + 1] - population.positions[row, k]
     middle = spacing * settings.centre
     low = middle - np.round(0.5 * spacing * rng.random() * settings.tolerance)
     high = middle + np.round(0.5 * spacing * rng.random() * settings.tolerance)
-    # half a spacing may lie between two frames; the range holds the whole frames inside
+    # half a spacing may be fractional; the range holds the whole frames inside
     population.lows[row, k] = max(0, int(np.ceil(low)))
     population.highs[row, k] = max(population.lows[row, k], int(np.floor(high)))
 
@@ -153,7 +153,7 @@ def _choose(rng, chosen, total, count):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def select_parents(fitness, rows, chosen, offset):  # type: ignore[no-untyped-def]
-    """Select parents by stochastic universal sampling: pointers at equal distances over the fitness (Baker 1987)."""
+    """Select parents by stochastic universal sampling, with equally spaced pointers over the fitness (Baker 1987)."""
     total = 0.0
     for row in rows:
         total += fitness[row]
@@ -173,7 +173,7 @@ def select_parents(fitness, rows, chosen, offset):  # type: ignore[no-untyped-de
 
 @njit(cache=True, nogil=True)
 def crossover(rng, population, one, other, row, settings, spare):  # type: ignore[no-untyped-def]
-    """Recombine two parents: merge some keyframes of each by their columns, and draw gaps (thesis, Figure 4.1 a)."""
+    """Recombine two parents: merge some keyframes of each by their columns, and draw new gaps (thesis, Figure 4.1 a)."""
     population.counts[row] = 0
     for parent in (one, other):
         part = 1 + int(rng.random() * population.counts[parent])
@@ -193,7 +193,7 @@ def crossover(rng, population, one, other, row, settings, spare):  # type: ignor
 
 @njit(**INNER)
 def _insert(population, row, mask, value, position):  # type: ignore[no-untyped-def]
-    """Insert a keyframe by its column, and return its index, or -1 where it is there already or there is no room."""
+    """Insert a keyframe by its column and return its index, or -1 if it is a duplicate or the individual is full."""
     count = population.counts[row]
     for k in range(count):
         same = population.masks[row, k] == mask and population.values[row, k] == value
@@ -216,7 +216,7 @@ def _insert(population, row, mask, value, position):  # type: ignore[no-untyped-
 
 @njit(cache=True, nogil=True)
 def mutate(rng, population, row, columns, settings):  # type: ignore[no-untyped-def]
-    """Apply a random mutation (thesis, Figure 4.1 b); each is as likely as the one that reverses it."""
+    """Apply a random mutation (thesis, Figure 4.1 b); each kind is as likely as its reverse."""
     kind = rng.random()
     first = rng.random() < 0.5
     if kind < settings.keyframe_odds and first:
@@ -231,12 +231,12 @@ def mutate(rng, population, row, columns, settings):  # type: ignore[no-untyped-
 
 @njit(**INNER)
 def _add_keyframe(rng, population, row, columns, settings):  # type: ignore[no-untyped-def]
-    """Insert a random template column."""
+    """Insert a random template column as a keyframe."""
     column = columns.usable[int(rng.random() * len(columns.usable))]
     k = _insert(population, row, columns.masks[column], columns.values[column], column)
     if k < 0:
         return
-    # the gaps on both sides of the new keyframe are drawn anew, the others stay
+    # the gaps on both sides of the new keyframe are redrawn, the others are kept
     last = population.counts[row] - 1
     for j in range(last - 1, k, -1):
         population.lows[row, j] = population.lows[row, j - 1]
@@ -249,14 +249,14 @@ def _add_keyframe(rng, population, row, columns, settings):  # type: ignore[no-u
 
 @njit(**INNER)
 def _remove_keyframe(rng, population, row, least):  # type: ignore[no-untyped-def]
-    """Remove a random keyframe, unless no more than the least number are left."""
+    """Remove a random keyframe, unless only the least number is left."""
     count = population.counts[row]
     if count <= least:
         return
     k = int(rng.random() * count)
     lows, highs = population.lows[row], population.highs[row]
     if 0 < k < count - 1:
-        # the new gap admits what both gaps admitted together
+        # the new gap allows the sum of what both gaps allowed
         lows[k - 1] += lows[k]
         highs[k - 1] += highs[k]
     for j in range(k, count - 2):
@@ -279,7 +279,7 @@ def _change_entries(rng, population, row, allowed, specialise, share):  # type: 
     if not specialise and share > 0.0:
         times += int(rng.random() * share * total)
     for _ in range(times):
-        # a keyframe keeps at least one entry
+        # a keyframe keeps at least one fixed entry
         if total == 0 or (not specialise and total == 1):
             return
         bit = _bit(allowed & ~masks[k] if specialise else masks[k], int(rng.random() * total))
@@ -295,7 +295,7 @@ def _change_entries(rng, population, row, allowed, specialise, share):  # type: 
 
 @njit(**INNER)
 def _bit(bits, number):  # type: ignore[no-untyped-def]
-    """Return the bit of a number, from 0, among those that are set."""
+    """Return the set bit with a given number, counted from 0 among the set bits."""
     for _ in range(number):
         bits &= bits - np.uint64(1)
     return bits & (~bits + np.uint64(1))

@@ -1,4 +1,4 @@
-"""Greedy forward selection of template columns, a simpler learner to compare the genetic algorithm with."""
+"""This module selects template columns greedily, as a baseline for the genetic algorithm."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from kinedex.ops.keyframes.individuals import Individual
 from kinedex.ops.keyframes.training_task import MOST_KEYFRAMES, EvolutionSettings, LearningRun, TrainingTask
 
 TOLERANCES = (0.5, 1.0)
-"""Shares of the spacing by which a new gap may be shorter or longer."""
+"""Tolerances by which a new gap may be shorter or longer, relative to the spacing of columns."""
 
 
 def forward_selection(task: TrainingTask, settings: EvolutionSettings) -> LearningRun:
-    """Select template columns greedily, by the rank that the genetic algorithm uses.
+    """Learn a query by greedy forward selection of template columns, using the rank of the genetic algorithm.
 
     The first column is the one that ranks highest alone. Then the column that raises the rank most is added, with gaps
-    to its neighbours of one of the `TOLERANCES`, until none raises it or there are `MOST_KEYFRAMES`. Of equal columns
-    the leftmost is taken. Nothing is random.
+    to its neighbours of one of the `TOLERANCES`, until none raises it or there are `MOST_KEYFRAMES`. Ties go to the
+    leftmost column. The result is deterministic.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def forward_selection(task: TrainingTask, settings: EvolutionSettings) -> Learni
 
 
 class _Candidate:
-    """Template columns in order, with the tolerances of the gaps between them, and their results on the clips."""
+    """A query under construction: template columns in order, gap tolerances between them, and results on the clips."""
 
     def __init__(
         self, columns: list[int], tolerances: list[float], task: TrainingTask, settings: EvolutionSettings
@@ -63,7 +63,7 @@ class _Candidate:
 
     @property
     def query(self) -> Individual:
-        """The keyframe query of these columns."""
+        """Return the keyframe query of these columns."""
         columns = np.array(self.columns, np.int64)
         spacing = np.diff(columns)
         slack = np.round(spacing * np.array(self.tolerances)).astype(np.int64)
@@ -73,7 +73,7 @@ class _Candidate:
         )  # fmt: skip
 
     def with_column(self, column: int, tolerance: float) -> _Candidate:
-        """Return a candidate with one more column, whose gaps have this tolerance."""
+        """Return a candidate with one more column, whose gaps have the given tolerance."""
         at = sum(before < column for before in self.columns)
         tolerances = list(self.tolerances)
         if 0 < at < len(self.columns):
@@ -83,6 +83,6 @@ class _Candidate:
         return _Candidate([*self.columns[:at], column, *self.columns[at:]], tolerances, self.task, self.settings)
 
     def history_row(self) -> tuple[float, float, float, float]:
-        """Return a row of a history: precision, recall, and twice the fitness."""
+        """Return a row of a history: precision, recall, and the fitness twice (as mean and as best)."""
         precision = self.found / (self.found + self.wrong) if self.found else 0.0
         return precision, self.found / self.task.positives, self.fitness, self.fitness

@@ -1,4 +1,4 @@
-"""Individuals of the genetic algorithm: keyframe queries while they are learned (thesis, Section 4.1)."""
+"""Individuals are keyframe queries while the genetic algorithm learns them (thesis, Section 4.1)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Individual:
     masks, values : uint64 array (K,)
         The keyframes; bit i - 1 is F_i.
     positions : int64 array (K,)
-        Their template columns, never falling.
+        Their template columns, in non-descending order.
     lows, highs : int64 array (K - 1,)
         The admissible gaps in frames, both ends included (thesis, Eq. 4.3 and 4.4).
 
@@ -51,14 +51,14 @@ class Individual:
 
     @property
     def fixed(self) -> int:
-        """The number of entries that the keyframes fix together."""
+        """Return the number of entries that the keyframes fix in total."""
         return int(np.bitwise_count(self.masks).sum())
 
     @property
     def gaps(self) -> list[tuple[int, int]]:
-        """The gaps as pairs (low, high), as searches expect them."""
+        """Return the gaps as pairs (low, high), as searches expect them."""
         return list(zip(self.lows.tolist(), self.highs.tolist(), strict=True))
 
     def key(self) -> tuple[bytes, ...]:
-        """Return a key that is equal for equal individuals."""
+        """Return a hashable key that is equal for equal individuals."""
         return tuple(part.tobytes() for part in (self.masks, self.values, self.positions, self.lows, self.highs))

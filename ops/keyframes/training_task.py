@@ -1,4 +1,4 @@
-"""The task of learning a keyframe query, the settings of the learner, and the outcome of a run (thesis, Chapter 4)."""
+"""This module defines the learner's task and settings, and the result of a run (thesis, Chapter 4)."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from kinedex.ops.words import I64, U64
 F64 = npt.NDArray[np.float64]
 
 PARENTS = 5
-"""r: the number of parents of a generation (thesis, Section 4.4)."""
+"""The number r of parents of a generation (thesis, Section 4.4)."""
 
 OFFSPRING = PARENTS * (PARENTS - 1) // 2
-"""The number of individuals that a generation makes: one for each pair of parents."""
+"""The number of offspring of a generation, one for each pair of parents."""
 
 MOST_KEYFRAMES = 12
 """The largest number of keyframes of any individual, which the thesis does not limit."""
 
 HISTORY_COLUMNS = ("precision", "recall", "fitness", "best")
-"""The columns of a history, with a row for each generation: means over its individuals, and the fitness of the best."""
+"""The columns of a history, which has a row for each generation: means over its individuals, and the best fitness."""
 
 
 @dataclass(frozen=True)
@@ -44,11 +44,11 @@ class EvolutionSettings:
     parsimony, gap_cost : float
         The costs of each fixed entry, and of each frame between the ends of a gap, when individuals are compared.
     outside_cost : float
-        The cost of the share of the template before the first and after the last keyframe, which has to be searched
-        around each hit.
+        The cost of the share of the template that lies before the first or after the last keyframe, as this part has to
+        be searched around each hit.
     tempo : float
-        A positive clip counts as retrieved only if it is so with gaps narrowed by this share, as if it were slower or
-        faster.
+        The share by which gaps are narrowed when positive clips are tested, so that they would also be retrieved at
+        another tempo.
     """
 
     population: int = 50
@@ -62,7 +62,7 @@ class EvolutionSettings:
 
     @property
     def budget(self) -> int:
-        """The number of individuals that a run makes in all."""
+        """Return the number of individuals that a run creates."""
         return self.population + self.generations * OFFSPRING
 
 
@@ -77,7 +77,7 @@ class TrainingTask:
     positives : int
         The number of clips of the class.
     masks, values : uint64 array (N,)
-        The columns of the strictly quantised template, cut down to the features that may be used.
+        The columns of the strictly quantised template, restricted to the features that may be used.
     allowed : int
         These features as a mask, bit i - 1 for F_i.
     """
@@ -90,13 +90,13 @@ class TrainingTask:
 
     @property
     def columns(self) -> I64:
-        """The template columns that fix a feature and so can be keyframes, int64 (n,)."""
+        """Return the template columns that fix a feature and so can become keyframes, int64 (n,)."""
         return np.flatnonzero(self.masks).astype(np.int64)
 
 
 @dataclass(frozen=True)
 class LearningRun:
-    """The outcome of one run of a learner.
+    """The result of one run of a learner.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class LearningRun:
 def make_training_task(
     frames: TrainingFrames, positives: int, template: QuantisedTemplate, allowed: int
 ) -> TrainingTask:
-    """Combine clips and a template into a training task.
+    """Make a training task of clips and a template.
 
     Parameters
     ----------
@@ -154,14 +154,14 @@ def make_training_task(
 
 
 def steady_entries(template: QuantisedTemplate, steady: int) -> QuantisedTemplate:
-    """Turn the entries of a template that are not equal for some columns before and after into wildcards.
+    """Replace template entries by wildcards unless they are equal for some columns before and after.
 
     Parameters
     ----------
     template : QuantisedTemplate
         A template of N columns.
     steady : int
-        The number of columns on either side; beyond its ends a template continues as it is there.
+        The number of columns on either side; beyond its ends the first and last column are repeated.
 
     Returns
     -------

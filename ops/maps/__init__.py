@@ -1,1 +1,1 @@
-"""The map of an archive: numbers of takes and windows, their places in two dimensions, and clusters."""
+"""This package computes the map of an archive: descriptions of takes and windows, a layout in 2D, and clusters."""

@@ -1,7 +1,7 @@
-"""Clusters of a map: groups of points that lie dense, with few points between them (HDBSCAN), and what sets each apart.
+"""This module finds clusters of a map by density (HDBSCAN), and the features that characterise each of them.
 
-R. Campello, D. Moulavi, J. Sander: Density-based clustering based on hierarchical density estimates (2013), by
-scikit-learn.
+R. Campello, D. Moulavi, J. Sander: Density-based clustering based on hierarchical density estimates (2013), implemented
+in scikit-learn.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from kinedex.ops.packages import extra_package
 from kinedex.ops.words import I64
 
 SHARE, LEAST = 160, 8
-"""A cluster has at least one in `SHARE` of the points, and at least `LEAST` (`python -m studies.archive_map`)."""
+"""A cluster has at least 1 / `SHARE` of the points, and at least `LEAST` (`python -m studies.archive_map`)."""
 
 NO_CLUSTER = -1
 
 
 @dataclass(frozen=True)
 class Trait:
-    """A feature that sets a cluster apart.
+    """A feature that distinguishes a cluster from all other points.
 
     Attributes
     ----------
     feature : int
-        Its place among the features, from 0.
+        The index of the feature, from 0.
     share : float
-        The mean share of frames that have it, of the points of the cluster.
+        The mean, over the cluster's points, of the share of frames in which the feature is on.
     rest : float
-        That of all other points.
+        The same mean over all other points.
     """
 
     feature: int
@@ -42,12 +42,12 @@ class Trait:
 
 
 def map_clusters(layout: Layout, least: int | None = None) -> I64:
-    """Return the number of the cluster of each point of a map, from 0, the largest first; -1 for points in none.
+    """Return the cluster of each point of a map, numbered from 0, the largest first; -1 for points in none.
 
     Parameters
     ----------
     layout : Layout
-        A map. Points that were not laid out belong to the cluster of the one that they lie beside.
+        A map. Points that were not laid out get the cluster of the point beside which they were put.
     least : int, optional
         The least number of points of a cluster among those that were laid out; None: one in `SHARE`, and at least
         `LEAST`.
@@ -77,7 +77,7 @@ def map_clusters(layout: Layout, least: int | None = None) -> I64:
 
 
 def outline(places: F32) -> F32:
-    """Return the corners of the convex hull of points, in order; two ends where they have no area.
+    """Return the corners of the convex hull of points, in order; only two points if the hull has no area.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def outline(places: F32) -> F32:
         return places
     try:
         corners: F32 = places[spatial.ConvexHull(places.astype(np.float64)).vertices]
-    except spatial.QhullError:  # they lie on a line
+    except spatial.QhullError:  # the points are collinear
         return places[np.lexsort((places[:, 1], places[:, 0]))[[0, -1]]]
     return corners
 
@@ -101,8 +101,9 @@ def outline(places: F32) -> F32:
 def traits(shares: F64, inside: npt.NDArray[np.bool_], most: int = 3, least: float = 0.1) -> list[Trait]:
     """Return the features by which the points of a cluster differ most from all others.
 
-    The difference of the mean shares is measured in standard deviations of all points: a feature that is on for a
-    fifth of the frames here and never elsewhere says more than one that is on for half of them here, a third elsewhere.
+    The difference of the mean shares is measured in standard deviations of all points: a feature that is on for a fifth
+    of the frames here and never elsewhere is more characteristic than one that is on for half of them here and a third
+    elsewhere.
 
     Parameters
     ----------
@@ -111,7 +112,7 @@ def traits(shares: F64, inside: npt.NDArray[np.bool_], most: int = 3, least: flo
     inside : bool array (P,)
         The points of the cluster.
     most : int, optional
-        At most so many features.
+        The most features to return.
     least : float, optional
         The least difference of the mean shares that counts.
 
@@ -142,14 +143,14 @@ def _means(shares: F64) -> F64:
 
 
 def typical(places: F32, inside: npt.NDArray[np.bool_], count: int = 3) -> I64:
-    """Return the points of a cluster that are nearest to its middle on the map, the nearest first.
+    """Return the points of a cluster that are nearest to its centre on the map, the nearest first.
 
     Parameters
     ----------
     places : float32 array (P, 2)
     inside : bool array (P,)
     count : int, optional
-        How many.
+        The most points to return.
     """
     members = np.flatnonzero(inside)
     middle = np.median(places[members], axis=0)

@@ -1,4 +1,4 @@
-"""Numbers that describe an interval of words: how often each feature holds, and how often it changes."""
+"""This module describes intervals of words by numbers: how often each feature is on, and how often it changes."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from kinedex.ops.words import ALL_KNOWN, I64, NO_WORD, U64
 F64 = npt.NDArray[np.float64]
 
 _FRAMES = 200_000
-"""Frames that are unpacked at a time."""
+"""Number of frames that are unpacked at a time."""
 
 
 def interval_numbers(words: U64, bounds: I64, features: int, known: U64 | None = None) -> F64:
-    """Return for each interval of words the share of frames of each feature, and the root of its changes a frame.
+    """Return for each interval the shares of frames in which features are on, and square roots of their change rates.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def interval_numbers(words: U64, bounds: I64, features: int, known: U64 | None =
 
 
 def _blocks(bounds: I64) -> Iterator[tuple[int, int]]:
-    """Yield ranges of intervals with some `_FRAMES` words each; a longer interval is alone."""
+    """Yield ranges of intervals with about `_FRAMES` words each; a longer interval is alone."""
     first = 0
     while first < len(bounds) - 1:
         last = int(np.searchsorted(bounds, bounds[first] + _FRAMES, side="right")) - 1
@@ -73,11 +73,12 @@ def _blocks(bounds: I64) -> Iterator[tuple[int, int]]:
 
 
 def _fill(numbers: F64, words: U64, bounds: I64, features: int) -> None:
-    """Compute the numbers of intervals whose words lie end to end."""
+    """Compute the numbers of intervals whose words are concatenated."""
     valid = words != NO_WORD
     on = _unpacked(np.where(valid, words, np.uint64(0)), features)
     frames = _sums(valid[:, None], bounds)
-    pair = np.zeros(len(words), bool)  # a frame and the one before it, both valid and of the same interval
+    # True where a frame and the one before it are both valid and in the same interval
+    pair = np.zeros(len(words), bool)
     pair[1:] = valid[1:] & valid[:-1]
     starts = bounds[:-1]
     pair[starts[starts < len(words)]] = False
@@ -90,14 +91,14 @@ def _fill(numbers: F64, words: U64, bounds: I64, features: int) -> None:
 
 
 def _unpacked(words: U64, features: int) -> npt.NDArray[np.uint8]:
-    """Unpack words as `ops.words.bits` does, byte by byte."""
+    """Unpack words to bits as `ops.words.bits` does, but byte by byte."""
     few = -(-features // 8)
     octets = words.astype("<u8").view(np.uint8).reshape(-1, 8)[:, :few]
     return np.unpackbits(octets, axis=1, bitorder="little", count=features)
 
 
 def _sums(values: npt.NDArray[np.uint8] | npt.NDArray[np.bool_], bounds: I64) -> F64:
-    """Return the sums of the rows of each interval; those of an empty one are 0."""
+    """Return the sums of the rows of each interval, 0 for an empty one."""
     found = np.zeros((len(bounds) - 1, values.shape[1]))
     full = np.flatnonzero(np.diff(bounds) > 0)
     if len(full):
@@ -106,7 +107,7 @@ def _sums(values: npt.NDArray[np.uint8] | npt.NDArray[np.bool_], bounds: I64) ->
 
 
 def standardised(numbers: F64) -> F64:
-    """Return columns with mean 0 and standard deviation 1; what is unknown, and columns that do not vary, are 0.
+    """Return columns scaled to mean 0 and standard deviation 1; unknown values and constant columns become 0.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""The layout of a map: places in two dimensions, such that what is alike lies close together (t-SNE).
+"""This module lays out a map in two dimensions, such that similar points lie close together (t-SNE).
 
-L. van der Maaten, G. Hinton: Visualizing data using t-SNE (2008), as approximated by Barnes and Hut, by
-scikit-learn.
+L. van der Maaten, G. Hinton: Visualizing data using t-SNE (2008), with the approximation of Barnes and Hut, as
+implemented in scikit-learn.
 """
 
 from __future__ import annotations
@@ -23,35 +23,35 @@ from kinedex.ops.words import I64
 F32 = npt.NDArray[np.float32]
 
 MOST = 5_000
-"""The most points that t-SNE lays out; the others lie beside the most similar of these."""
+"""The most points that t-SNE lays out; each of the others is put beside the most similar of these."""
 
 PERPLEXITY = 30.0
 ITERATIONS = 1_000
 
 PURPOSE = "a map of an archive needs"
-"""The beginning of the error where scikit-learn is missing."""
+"""The beginning of the error message if scikit-learn is missing."""
 
 _LEAST = 5
-"""Of fewer points, principal components are the map."""
+"""Number of points below which principal components are used instead of t-SNE."""
 
 _GOLDEN = math.pi * (3 - math.sqrt(5))
 
 Progress = Callable[[int, int], None]
-"""Called with steps that are done, and steps in all."""
+"""A callback that is called with the steps done and the steps in total."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The places of P points.
+    """The map positions of P points.
 
     Attributes
     ----------
     places : float32 array (P, 2)
-        Two coordinates without a unit, around 0, at most 1 from it.
+        Two coordinates without unit, from −1 to 1.
     chosen : int64 array (C,)
         The points that were laid out, ascending: all of them, or a random choice.
     nearest : int64 array (P,)
-        For each point the place in `chosen` of itself, or of the chosen point that is most similar to it.
+        For each point the index in `chosen` of the point itself, or of the most similar chosen point.
     """
 
     places: F32
@@ -93,7 +93,7 @@ def map_layout(numbers: F64, *, most: int = MOST, seed: int = 0, progress: Progr
     else:
         chosen = np.sort(np.random.default_rng(seed).choice(count, most, replace=False)).astype(np.int64)
         nearest = _nearest(numbers, chosen)
-    laid = _principal(_laid_out(numbers[chosen], seed, progress))  # turned, so that it is wide rather than high
+    laid = _principal(_laid_out(numbers[chosen], seed, progress))  # rotated, so that it is wide rather than high
     if len(laid):
         laid -= (laid.max(axis=0) + laid.min(axis=0)) / 2
         laid /= max(float(np.abs(laid).max()), 1e-9)
@@ -101,7 +101,7 @@ def map_layout(numbers: F64, *, most: int = MOST, seed: int = 0, progress: Progr
 
 
 def _laid_out(numbers: F64, seed: int, progress: Progress | None) -> F64:
-    """Return two coordinates of each point."""
+    """Return two coordinates of each point by t-SNE, or by principal components if there are few points."""
     manifold = extra_package("sklearn.manifold", "scikit-learn", PURPOSE, "map")
     if len(numbers) < _LEAST or not np.ptp(numbers, axis=0).any():
         return _principal(numbers)
@@ -128,20 +128,20 @@ def _principal(numbers: F64) -> F64:
 
 
 class _Iterations(io.TextIOBase):
-    """A stream that reads progress from what scikit-learn prints: it has no other way to tell of it."""
+    """A text stream that parses progress from the output of scikit-learn, which has no callback for it."""
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
 
     def write(self, text: str) -> int:
-        """Report the iterations that a line of text names."""
+        """Report progress for the iterations that a line of text mentions."""
         for found in re.finditer(r"Iteration (\d+)", text):
             self._progress(min(int(found.group(1)), ITERATIONS), ITERATIONS)
         return len(text)
 
 
 def _nearest(numbers: F64, chosen: I64) -> I64:
-    """Return for each point the place in `chosen` of the point that is nearest to it, itself if it was chosen."""
+    """Return for each point the index in `chosen` of the point nearest to it, which is itself if it was chosen."""
     neighbours = extra_package("sklearn.neighbors", "scikit-learn", PURPOSE, "map")
     search = neighbours.NearestNeighbors(n_neighbors=1, algorithm="brute", n_jobs=1).fit(numbers[chosen])
     found: I64 = search.kneighbors(numbers, return_distance=False)[:, 0].astype(np.int64)
@@ -150,9 +150,9 @@ def _nearest(numbers: F64, chosen: I64) -> I64:
 
 
 def _apart(places: F64, chosen: I64) -> F64:
-    """Put points that share a place on a small spiral around it, so that each can be seen and pointed at."""
+    """Spread points with equal positions on a small spiral, so that each can be seen and pointed at."""
     order = np.ones(len(places), np.int64)
-    order[chosen] = 0  # those that were laid out keep their places
+    order[chosen] = 0  # points that were laid out keep their positions
     keys = np.round(places, 9)
     by_place = np.lexsort((order, keys[:, 1], keys[:, 0]))
     same = (np.diff(keys[by_place], axis=0) == 0).all(axis=1)

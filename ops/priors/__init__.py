@@ -1,1 +1,1 @@
-"""Priors that an archive lends to a track (thesis, Sections 6.3 and 6.4)."""
+"""This package stabilises tracks by priors learned from an archive (thesis, Sections 6.3 and 6.4)."""

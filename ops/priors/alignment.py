@@ -1,4 +1,4 @@
-"""The frames of example clips that go with the columns of their class's template: classical DTW."""
+"""This module aligns example clips with the template of their class by classical DTW."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Allocation: which hit gives priors to a frame, and which frame lends its pose to another one (thesis, 6.4.1)."""
+"""This module assigns to each frame the hit that gives its priors, and the frame whose pose it uses (thesis, 6.4.1)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 LEAST_QUALITY = 0.1
-"""The least quality of a hit, which multiplies the weights of its priors."""
+"""The least quality of a hit; a hit's priors are weighted by its quality."""
 
 POSE, ARCHIVE = "pose", "archive"
 """Kinds of priors besides the constraints of `ops.priors.constraints.CONSTRAINTS`."""
@@ -23,12 +23,12 @@ POSE, ARCHIVE = "pose", "archive"
 
 @dataclass(frozen=True, eq=False)
 class Allocation:
-    """The hit of each frame.
+    """The hit that is assigned to each frame.
 
     Attributes
     ----------
     hits : tuple of Hit
-        Hits in frames of the recording.
+        The hits, in frames of the recording.
     owners : int64 array (T,)
         The hit of least cost that covers each frame, −1 for none.
     columns : int64 array (T,)
@@ -36,7 +36,7 @@ class Allocation:
     qualities : float64 array (H,)
         The quality of each hit.
     lenders : int64 array (T,)
-        The frame that lends its pose to each frame, −1 for none.
+        The frame whose pose serves as a prior for each frame, −1 for none.
     """
 
     hits: tuple[Hit, ...]
@@ -46,17 +46,17 @@ class Allocation:
     lenders: I64
 
     def frames(self, hit: int) -> I64:
-        """Return the frames that a hit gives priors to."""
+        """Return the frames whose priors come from a hit."""
         return np.flatnonzero(self.owners == hit)
 
 
 def allocate(hits: Sequence[Hit], frames: int, threshold: float) -> Allocation:
-    """Give each frame the hit of least cost that covers it, and the frame that lends its pose.
+    """Assign to each frame the hit of least cost that covers it, and the frame whose pose is its prior.
 
     Parameters
     ----------
     hits : sequence of Hit
-        Hits; of equal costs the first counts.
+        The hits; ties go to the first.
     frames : int
         The number of frames T.
     threshold : float
@@ -68,7 +68,8 @@ def allocate(hits: Sequence[Hit], frames: int, threshold: float) -> Allocation:
     """
     owners, columns = np.full(frames, -1, np.int64), np.full(frames, -1, np.int64)
     costs = np.array([hit.cost for hit in hits], np.float64)
-    for place in np.argsort(costs, kind="stable")[::-1].tolist():  # the cheapest is written last
+    # the cheapest hit is written last, so it overwrites the others
+    for place in np.argsort(costs, kind="stable")[::-1].tolist():
         hit = hits[place]
         owners[hit.start : hit.stop] = place
         columns[hit.start : hit.stop] = np.rint(hit.columns).astype(np.int64)
@@ -83,7 +84,7 @@ def allocate(hits: Sequence[Hit], frames: int, threshold: float) -> Allocation:
 
 
 def _source(hits: Sequence[Hit], place: int) -> int:
-    """Return the cheapest hit of the same motion that costs less and does not overlap, −1 for none."""
+    """Return the cheapest hit of the same motion that costs less and does not overlap, −1 if there is none."""
     hit, best = hits[place], -1
     for other, lender in enumerate(hits):
         if lender.motion != hit.motion or not lender.cost < hit.cost:
@@ -95,14 +96,14 @@ def _source(hits: Sequence[Hit], place: int) -> int:
 
 
 def _lenders(hit: Hit, source: Hit) -> I64:
-    """Return for each frame of a hit the frame of another one whose column is nearest, the earliest of equals."""
+    """Return for each frame of a hit the frame of another hit with the nearest column; ties go to the earliest."""
     apart = np.abs(np.rint(source.columns)[None, :] - np.rint(hit.columns)[:, None])
     return source.start + apart.argmin(axis=1)
 
 
 @dataclass(frozen=True)
 class PriorRow:
-    """An interval of frames that got priors of one kind.
+    """An interval of frames that received priors of one kind.
 
     Attributes
     ----------
@@ -123,11 +124,11 @@ class PriorRow:
     cost : float
         The distance of the hit.
     weight : float
-        What the weights of the priors were multiplied by.
+        The factor of the weights of the priors.
     kept : bool
         False for priors that the guard withdrew.
     reason : str
-        Why they were withdrawn; empty where they were kept.
+        The reason why they were withdrawn; empty if they were kept.
     """
 
     round: int
@@ -152,7 +153,7 @@ def prior_rows(
     number: int,
     hit_numbers: Sequence[int],
 ) -> list[PriorRow]:
-    """Return what was allocated in a round, hit by hit.
+    """Return the assigned priors of a round as rows, hit by hit.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The poses of a class: for each column of its template how the example clips turn every node (archive poses)."""
+"""This module computes a class's archive poses: mean and spread of node rotations for each column of its template."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ I64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
 
 LEAST_SEEN_S = 5 / 30
-"""A node's own way is measured where it is seen for so many seconds of a hit at least."""
+"""Least time in seconds that a node must be seen in a hit for the actor's own deviation to be measured."""
 
 FULL_SEEN_S = 0.5
-"""The own way counts in full where a node is seen for so many seconds of a hit."""
+"""Time in seconds of a node seen in a hit from which the actor's own deviation has its full weight."""
 
 
 class PoseTable(NamedTuple):
-    """The turns of nodes in the example clips of a class, for the N columns of its template.
+    """The rotations of nodes in the example clips of a class, for the N columns of its template.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ def pose_table(clips: Sequence[Poses], frames: Sequence[I64]) -> PoseTable:
 
 
 def nearest_rotations(matrices: F64) -> F64:
-    """Return the rotations nearest to matrices (…, 3, 3), by singular values."""
+    """Return the rotations nearest to matrices (…, 3, 3), by singular value decomposition."""
     left, _, right = np.linalg.svd(matrices)
     signs = np.sign(np.linalg.det(left @ right))
     left[..., 2] *= signs[..., None]
@@ -79,7 +79,7 @@ def nearest_rotations(matrices: F64) -> F64:
 
 
 def relative_turns(means: F64, turns: F64) -> F64:
-    """Return log(MᵀR), the rotation vectors (…, 3) from means M to turns R (…, 3, 3), in the frame of the means."""
+    """Return log(MᵀR), the rotation vectors (…, 3) from means M to rotations R (…, 3, 3), in the means' frame."""
     means, turns = np.broadcast_arrays(means, turns)
     vectors = np.empty((means.size // 9, 3))
     _relative(np.ascontiguousarray(means).reshape(-1, 3, 3), np.ascontiguousarray(turns).reshape(-1, 3, 3), vectors)
@@ -101,15 +101,15 @@ def _relative(means: F64, turns: F64, vectors: F64) -> None:
 
 
 class OwnWay(NamedTuple):
-    """The way in which an actor turns each node in a hit, measured where the cameras agree on it.
+    """An actor's own deviation from the archive's rotations in a hit, measured where the cameras agree.
 
     Attributes
     ----------
     turns : float64 array (K, 3, 3)
-        The rotation that follows the mean of the archive; the identity where the node is hardly seen.
+        The rotation to apply after the archive's mean; the identity where the node is hardly seen.
     residuals : float64 array (K, 3)
-        Root mean square of what is left of log(MᵀR) over the frames where the node is seen, in radians; NaN where it
-        is hardly seen.
+        Root mean square of the remaining log(MᵀR) over the frames where the node is seen, in radians; NaN where it is
+        hardly seen.
     seen_s : float64 array (K,)
         The time for which each node is seen, in seconds.
     """
@@ -120,14 +120,14 @@ class OwnWay(NamedTuple):
 
 
 def own_way(means: F64, turns: F64, seen: Bool, rate_hz: float) -> OwnWay:
-    """Measure how an actor differs from the archive in the frames of a hit.
+    """Measure how an actor's rotations deviate from the archive in the frames of a hit.
 
     Parameters
     ----------
     means : float64 array (E, K, 3, 3)
         The archive's rotation of each node in the frames of the hit.
     turns : float64 array (E, K, 3, 3)
-        Those of the track.
+        The track's rotation of each node.
     seen : bool array (E, K)
         The nodes whose keypoints the cameras agree on.
     rate_hz : float
@@ -136,8 +136,8 @@ def own_way(means: F64, turns: F64, seen: Bool, rate_hz: float) -> OwnWay:
     Returns
     -------
     OwnWay
-        The mean of log(MᵀR) over the N frames where a node is seen, times min(1, N / rate / `FULL_SEEN_S`), and
-        nothing below `LEAST_SEEN_S`.
+        The mean of log(MᵀR) over the N frames where a node is seen, times min(1, N / rate / `FULL_SEEN_S`), or the
+        identity below `LEAST_SEEN_S`.
     """
     counts = seen.sum(axis=0)
     enough = counts >= LEAST_SEEN_S * rate_hz - 1e-9

@@ -1,7 +1,7 @@
-"""Logical constraints of motions: regions of templates that are marked, and the terms that they put into a track.
+"""This module derives logical constraints from marked regions of templates, and the terms that they add to a track.
 
 A region is an interval of columns whose entries fix some features (thesis, Section 6.4.1). Where a track passes through
-it, the body is pulled to do as the features state (Section 6.4.2).
+it, the body is pulled towards a pose with these feature values (Section 6.4.2).
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ FEATURES: Mapping[Constraint, Mapping[str, bool]] = {
 """The features of each constraint, without the letter of the side that their names begin with, and their values."""
 
 LEAST_COLUMNS = 3
-"""Runs of fewer columns are not marked by default."""
+"""Least number of columns of a run that is marked by default."""
 
 GROUND_M, FRONT_M, BENT_RAD = 0.03, 0.05, 0.2
-"""Standard deviations of a foot's height, of the way of a hand or foot to the front, and of an elbow's flexion."""
+"""Standard deviations of a foot's height (m), of the forward movement of a hand or foot (m), and of flexion (rad)."""
 
 BENT_AT_RAD = np.pi / 3
-"""The flexion that a bent elbow has at least."""
+"""The least flexion of a bent elbow, in radians."""
 
 GROUND_PERCENTILE = 10.0
-"""A foot stands at this percentile of a joint's own heights over the track."""
+"""Percentile of a joint's heights over the track that is its height when the foot stands."""
 
 FRONT_SPEED: Mapping[Constraint, float] = {"hand_to_front": 1.3, "foot_to_front": 2.0}
-"""Speeds in upper arm lengths a second: the weak thresholds of the features."""
+"""Least speeds of forward movement in upper arm lengths per second: the weak thresholds of the features."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class MarkEdit:
-    """A change of the marks that a template has by itself.
+    """A change to the default marks of a template.
 
     Attributes
     ----------
@@ -105,8 +105,8 @@ def template_marks(
 ) -> tuple[Mark, ...]:
     """Return the marked regions of a template.
 
-    By default these are all runs of `LEAST_COLUMNS` columns or more whose entries fix the features of a constraint. A
-    foot moves to the front in locomotion only: no feature states it.
+    By default these are all runs of `LEAST_COLUMNS` columns or more whose entries fix the features of a constraint.
+    `foot_to_front` is marked in locomotion only, as its features alone do not imply it.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def template_marks(
 def _fixed(
     template: QuantisedTemplate, bits: Mapping[str, int], constraint: Constraint, side: Side, locomotion: bool
 ) -> Bool:
-    """Return the columns whose entries fix the features of a constraint, short runs left out; bool (N,)."""
+    """Return a mask (N,) of the columns whose entries fix the features of a constraint, without short runs."""
     fixed = np.ones(len(template), np.bool_)
     features = {side[0] + name: value for name, value in FEATURES[constraint].items()}
     if not features.keys() <= bits.keys() or (constraint == "foot_to_front" and not locomotion):
@@ -166,7 +166,7 @@ def _runs(marked: Bool) -> list[tuple[int, int]]:
 
 
 class PlacePulls(NamedTuple):
-    """Pulls on places of joints, see `ops.tracking.prior_terms.PriorTerms`; their weights for a quality of 1."""
+    """Pulls on joint positions, see `ops.tracking.prior_terms.PriorTerms`, with weights for a quality of 1."""
 
     frames: I64
     joints: I64
@@ -176,7 +176,7 @@ class PlacePulls(NamedTuple):
 
 
 def ground_pulls(body: ChainBody, positions: F64, standing: Bool, side: Side) -> PlacePulls:
-    """Return the pulls of a foot to the ground, as high as each of its joints is at its lowest (thesis, Eq. 6.7).
+    """Return the pulls of a foot to the ground, at each joint's own lowest height (thesis, Eq. 6.7).
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def ground_pulls(body: ChainBody, positions: F64, standing: Bool, side: Side) ->
 def front_pulls(
     body: ChainBody, poses: Poses, positions: F64, moving: Bool, constraint: Constraint, side: Side, rate_hz: float
 ) -> PlacePulls:
-    """Return the pulls of a hand or foot to the front, where it moves there more slowly than its feature states.
+    """Return the forward pulls of a hand or foot that moves more slowly than its feature requires.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def _pulls(frames: I64, joint: int, directions: F64, targets: F64, sigma_m: floa
 
 
 def joined(parts: Sequence[PlacePulls]) -> PlacePulls:
-    """Return all pulls, by ascending frames; those of one frame in their order."""
+    """Concatenate pulls, sorted by frame; those of one frame keep their order."""
     if not parts:
         none = np.zeros(0, np.int64)
         return PlacePulls(none, none, np.zeros((0, 3)), np.zeros(0), np.zeros(0))
@@ -253,7 +253,7 @@ def joined(parts: Sequence[PlacePulls]) -> PlacePulls:
 
 
 def straight_elbow(body: ChainBody, poses: Poses, bent: Bool, side: Side) -> tuple[int, Bool, F64]:
-    """Return the node of an elbow, the frames where it should be bent and is not, and the turn it is pulled to.
+    """Return the node of an elbow, the frames where it is too straight, and the rotation that it is pulled to.
 
     Parameters
     ----------
@@ -262,7 +262,7 @@ def straight_elbow(body: ChainBody, poses: Poses, bent: Bool, side: Side) -> tup
     poses : Poses
         The poses of the track.
     bent : bool array (T,)
-        The frames where the elbow is bent.
+        The frames where the elbow should be bent.
     side : str
         "left" or "right".
 
@@ -273,7 +273,7 @@ def straight_elbow(body: ChainBody, poses: Poses, bent: Bool, side: Side) -> tup
     straight : bool array (T,)
         The frames with less flexion than `BENT_AT_RAD`.
     target : float64 array (3, 3)
-        The turn of that flexion.
+        The rotation of that flexion.
     """
     node = body.chain.nodes.index(side[0] + "elbow")
     axis = body.chain.axes_of(node)[0]
