@@ -1,4 +1,4 @@
-"""Half-open ranges of frames: int64 arrays of shape (R, 2), one row [start, stop) for each range.
+"""This module computes with half-open ranges of frames: int64 arrays (R, 2), one row [start, stop) for each range.
 
 Ranges count either the frames of one take, or the frames of words that are laid end to end, where take i has the frames
 offsets[i] to offsets[i + 1]. `TakeRanges` holds the ranges of many takes, each in frames of its own take.
@@ -17,12 +17,12 @@ from kinedex.ops.errors import ParameterError
 
 I64 = npt.NDArray[np.int64]
 
-_TAKE_BITS = 32  # takes that are laid end to end without known lengths lie so many bits apart: none is that long
+_TAKE_BITS = 32  # concatenated takes of unknown length are placed this many bits apart; no take is that long
 
 
 @dataclass(frozen=True)
 class TakeRanges:
-    """Ranges of frames of T takes, one take after the other.
+    """The ranges of frames of T takes, one take after the other.
 
     Parameters
     ----------
@@ -40,22 +40,22 @@ class TakeRanges:
 
     @property
     def starts(self) -> I64:
-        """The first frame of each range, int64 (R,), without a copy."""
+        """Return the first frame of each range, int64 (R,), without a copy."""
         return self.ranges[:, 0]
 
     @property
     def stops(self) -> I64:
-        """The frame behind the last one of each range, int64 (R,), without a copy."""
+        """Return the frame after the last one of each range, int64 (R,), without a copy."""
         return self.ranges[:, 1]
 
     @property
     def takes(self) -> I64:
-        """The position of the take of each range, int64 (R,)."""
+        """Return the position of the take of each range, int64 (R,)."""
         return np.repeat(np.arange(len(self), dtype=np.int64), np.diff(self.offsets))
 
     @property
     def frames(self) -> int:
-        """The number of frames in all ranges together."""
+        """Return the total number of frames in all ranges."""
         return int((self.stops - self.starts).sum())
 
     def take(self, index: int) -> I64:
@@ -78,7 +78,7 @@ class TakeRanges:
 
     @classmethod
     def by_take(cls, ranges: I64, offsets: I64) -> TakeRanges:
-        """Divide ranges of words laid end to end by take; the inverse of `end_to_end`.
+        """Divide ranges of concatenated words by take; the inverse of `end_to_end`.
 
         Parameters
         ----------
@@ -93,7 +93,7 @@ class TakeRanges:
 
     @classmethod
     def placed(cls, parts: Sequence[tuple[I64, TakeRanges]], takes: int) -> TakeRanges:
-        """Return the ranges of T takes from those of parts of them; takes that are in no part have none.
+        """Combine the ranges of disjoint subsets of takes into the ranges of T takes; other takes have none.
 
         Parameters
         ----------
@@ -109,7 +109,7 @@ class TakeRanges:
 
     @staticmethod
     def united(several: Sequence[TakeRanges]) -> TakeRanges:
-        """Unite ranges of the same takes; those that overlap or touch become one.
+        """Unite ranges of the same takes, merging those that overlap or touch.
 
         Parameters
         ----------
@@ -132,7 +132,7 @@ class TakeRanges:
 
 
 def checked_ranges(ranges: npt.ArrayLike | None, frames: int) -> I64:
-    """Return ranges as an array without its empty ones, or raise an error where they are not ascending.
+    """Return ranges as an array without empty ranges, and raise an error if they do not ascend.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def checked_ranges(ranges: npt.ArrayLike | None, frames: int) -> I64:
 
 
 def extend_and_unite(ranges: I64, offsets: I64, left: int = 0, right: int = 0) -> I64:
-    """Extend ranges by margins, within their takes, and unite those that then overlap or touch.
+    """Extend ranges by margins within their takes, and merge those that then overlap or touch.
 
     Parameters
     ----------
@@ -195,8 +195,8 @@ def extend_and_unite(ranges: I64, offsets: I64, left: int = 0, right: int = 0) -
 
 @nb.njit(cache=True, nogil=True)
 def _extend_and_unite(ranges: I64, offsets: I64, left: int, right: int, result: I64) -> int:
-    """Fill the ranges that `extend_and_unite` returns, and return their number (kernel)."""
-    take, count, begun = 0, 0, 0  # ranges from `begun` on belong to the take at hand
+    """Fill in the ranges that `extend_and_unite` returns, and return their number (kernel)."""
+    take, count, begun = 0, 0, 0  # ranges from `begun` on belong to the current take
     for i in range(len(ranges)):
         if ranges[i, 0] >= offsets[take + 1]:
             begun = count

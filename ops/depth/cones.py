@@ -117,7 +117,7 @@ class Cones(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """Samples of the surface, see `ConeBody`: cone, position, cosine and sine of the angle, True where the angle is 0."""
+    """Samples of the surface, see `ConeBody`: cone, position, cosine and sine of the angle, True for an angle of 0."""
 
     cones: I64
     places: F64

@@ -226,7 +226,7 @@ def correlation(take: F64, sensor: F64) -> F64:
 
 
 def _fast_length(least: int) -> int:
-    """Return the smallest product of twos, threes and fives that is at least `least`, as FFTs of such lengths are fast."""
+    """Return the smallest product of twos, threes and fives that is at least `least`: FFTs of this length are fast."""
     best = 1 << max(0, least - 1).bit_length()
     odd = 1
     while odd < best:

@@ -115,7 +115,7 @@ def _blocks(limb: Fine) -> Fine:
 
 
 def _rows(limb: Fine, offset_s: float, ppm: float, drifts: bool) -> _Rows | None:
-    """Return the rows of a limb's least squares problem without wrong frames; None if too few frames are consecutive."""
+    """Return the least squares rows of a limb without wrong frames; None if too few frames are consecutive."""
     at = limb.take_times * (1.0 + 1e-6 * ppm) + offset_s
     read, known = interpolate(limb.sensor_times, limb.sensor, at)
     before, known_before = interpolate(limb.sensor_times, limb.sensor, at - HALF_STEP_S)

@@ -103,7 +103,7 @@ def training_frames(clips: Sequence[U64], features: int, steady: Sequence[int] |
 
 
 def _eroded(rows: Bool, steady: int) -> Bool:
-    """Return a mask that is True where each row is from `steady` frames before to `steady` frames after; ends repeat."""
+    """Return a mask that is True where rows are from `steady` frames before to `steady` frames after; ends repeat."""
     if not steady:
         return rows
     padded = np.pad(rows, ((0, 0), (steady, steady)), mode="edge")
@@ -278,7 +278,7 @@ def _reach(space, count, lows, highs, begin, end):  # type: ignore[no-untyped-de
 
 @njit(**INNER)
 def _move(source, target, place, begin, end, frames, keep):  # type: ignore[no-untyped-def]
-    """Move the bits of lanes to later frames of the same clip; the bits of `keep` also stay where they are."""
+    """Shift the bits of lanes to later frames of the same clip; the bits in `keep` are also kept where they are."""
     whole = frames // 64
     part = np.uint64(frames % 64)
     rest = np.uint64(63) - part  # plus one more below, as a word cannot be shifted by 64 bits

@@ -329,7 +329,7 @@ def _evaluate(population, row, clips, space, criteria):  # type: ignore[no-untyp
 
 @njit(**INNER)
 def _sort(order, population, begin, end):  # type: ignore[no-untyped-def]
-    """Sort by rank by insertion, starting from `begin`; the rows before it are sorted, and ties keep older ones first."""
+    """Sort by rank by insertion, starting from `begin`; the rows before it are sorted, and ties stay in order."""
     for place in range(begin, end):
         row = order[place]
         rank = population.results[row, 3]

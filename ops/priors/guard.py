@@ -1,4 +1,4 @@
-"""The guard: the observations judge each hit against the track without priors (not in the thesis)."""
+"""The guard compares each hit's fit to the observations with that of a track without priors (not in the thesis)."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
 GUARD = 1.12
-"""Priors of a hit are withdrawn where a track with them fits this many times as badly (docs/studies.md)."""
+"""Ratio of observation costs, with to without priors, above which a hit's priors are withdrawn (docs/studies.md)."""
 
 LOCAL_GUARD, LOCAL_S = 1.05, 0.5
-"""Archive poses are withdrawn where a track fits this many times as badly over half a second (docs/studies.md)."""
+"""Ratio of costs over a window, in seconds, above which archive poses are withdrawn locally (docs/studies.md)."""
 
 
 def cost_ratios(allocation: Allocation, costs: F64, without: F64) -> F64:
-    """Return how much worse a track fits the observations in the frames of each hit than the track without priors.
+    """Return for each hit the ratio of observation costs of the track with priors to those of the track without.
 
     Parameters
     ----------
@@ -42,25 +42,25 @@ def cost_ratios(allocation: Allocation, costs: F64, without: F64) -> F64:
     """
     if not len(costs) == len(without) == len(allocation.owners):
         raise ParameterError("costs", f"those of {len(allocation.owners)} frames", (len(costs), len(without)))
-    places = allocation.owners + 1  # frames without a hit are in bin 0
+    places = allocation.owners + 1  # frames without a hit are counted in bin 0
     ours, theirs = (np.bincount(places, weights=c, minlength=len(allocation.hits) + 1)[1:] for c in (costs, without))
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(theirs > 0, ours / theirs, np.where(ours > 0, np.inf, 1.0))
 
 
 def allowed_ratios(qualities: F64, guard: float) -> F64:
-    """Return the greatest ratio of each hit that is not withdrawn.
+    """Return the greatest cost ratio at which each hit is still accepted.
 
-    The worse a hit fits its template, the less it may cost: from the guard at a cost of 0 the limit falls to 1 at τ. On
-    takes of known and unknown motion, priors of hits that cost 0.10 to 0.13 did harm from a ratio of 1.03 on, and those
-    of hits below 0.06 helped up to 1.07.
+    The limit falls linearly from `guard` for hits of cost 0 to 1 for hits of cost τ. On takes of known and unknown
+    motion, priors of hits with a cost of 0.10 to 0.13 did harm from a ratio of 1.03 on, and those of hits with a cost
+    below 0.06 helped up to 1.07.
 
     Parameters
     ----------
     qualities : float64 array (H,)
         1 − cost / τ of each hit.
     guard : float
-        The greatest ratio of a hit that costs nothing; infinite for no guard.
+        The greatest ratio of a hit of cost 0; infinite to accept all.
 
     Returns
     -------
@@ -73,10 +73,10 @@ def allowed_ratios(qualities: F64, guard: float) -> F64:
 
 
 def refuted_frames(allocation: Allocation, costs: F64, without: F64, rate_hz: float) -> Bool:
-    """Return the frames around which a track fits the observations worse than the track without priors.
+    """Return the frames around which a track fits the observations worse than the track without priors does.
 
-    A hit may be right as a whole and wrong where a limb fails. Means over `LOCAL_S` are compared, and where ours is
-    more than `LOCAL_GUARD` times the other, as many frames around have no prior.
+    A hit may be right as a whole and wrong in some frames. Moving averages over `LOCAL_S` are compared; where the ratio
+    exceeds `LOCAL_GUARD`, the priors of the frames within the window are withdrawn.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Hits: where a track resembles a motion class, and which column of its template goes with each frame (thesis, 6.3)."""
+"""This module finds hits of motion classes in a track, with the template column of each frame (thesis, 6.3)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ I64 = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Hit:
-    """An essential minimum of distance curves, with its path.
+    """An essential minimum of distance curves, with its warping path.
 
     Attributes
     ----------
@@ -43,10 +43,10 @@ class Hit:
 
 
 def find_hits(templates: Sequence[QuantisedTemplate], words: U64, threshold: float) -> tuple[list[Hit], list[Hit]]:
-    """Find where a take resembles motions (thesis, Eq. 6.5 and 6.6, Section 6.4.1).
+    """Find the intervals of a take that resemble motions (thesis, Eq. 6.5 and 6.6, Section 6.4.1).
 
-    Candidates are the local minima of a distance curve below the threshold; plateau frames count. Essential ones are
-    left by `ops.distances.curve_path.essential_minima`.
+    Candidates are the local minima of a distance curve below the threshold, plateau frames included. They are reduced
+    by `ops.distances.curve_path.essential_minima`.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def find_hits(templates: Sequence[QuantisedTemplate], words: U64, threshold: flo
     hits : list of Hit
         The essential minima of Δ^min, the cheapest first.
     alternatives : list of Hit
-        Those of each curve by itself that are no hits, the cheapest first: other motions that explain the same frames.
+        The essential minima of single curves that are not hits, the cheapest first: other motions for the same frames.
 
     Raises
     ------
@@ -94,13 +94,13 @@ def _candidates(template: QuantisedTemplate, words: U64, motion: int, curve: F64
 
 
 def _essential(hits: Sequence[Hit]) -> list[Hit]:
-    """Return the hits that no cheaper one is close to, the cheapest first."""
+    """Return the hits that have no cheaper hit close by, the cheapest first."""
     starts, ends = (np.array(column, np.int64) for column in ([h.start for h in hits], [h.stop - 1 for h in hits]))
     return [hits[place] for place in essential_minima(starts, ends, np.array([hit.cost for hit in hits])).tolist()]
 
 
 def at_rate(hits: Sequence[Hit], words_rate_hz: float, rate_hz: float, frames: int) -> list[Hit]:
-    """Return hits in the frames of a recording, whose words have another rate; columns are interpolated.
+    """Return hits in frames of a recording whose words have another rate; columns are interpolated.
 
     Parameters
     ----------
@@ -114,14 +114,14 @@ def at_rate(hits: Sequence[Hit], words_rate_hz: float, rate_hz: float, frames: i
     Returns
     -------
     list of Hit
-        As many hits, in their order; a hit covers the recorded frames from its first to its last frame.
+        The same hits in the same order; a hit covers the recorded frames from its first to its last frame.
     """
     step = words_rate_hz / rate_hz
     found = []
     for hit in hits:
         first = int(np.ceil(round(hit.start / step, 9)))
         last = min(int(np.floor(round((hit.stop - 1) / step, 9))), frames - 1)
-        if last < first:  # a recording slower than its words can have no frame within a short hit
+        if last < first:  # a recording slower than its words may have no frame within a short hit
             first = last = min(first, frames - 1)
         columns = np.interp(np.arange(first, last + 1) * step, np.arange(hit.start, hit.stop), hit.columns)
         found.append(Hit(hit.motion, first, last + 1, hit.cost, columns))
@@ -129,7 +129,7 @@ def at_rate(hits: Sequence[Hit], words_rate_hz: float, rate_hz: float, frames: i
 
 
 def cut_to(hits: Sequence[Hit], frames: I64, least: float) -> list[Hit]:
-    """Return the parts of hits that lie in some frames.
+    """Return the parts of hits that lie in the given frames.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A motion: what an archive knows of a class, as far as priors need it."""
+"""A motion is a class of an archive with the data that priors need: template, poses and marks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rounds that stabilise a track by priors: hits, allocation, terms, another track, the guard (thesis, Chapter 6)."""
+"""This module stabilises a track by priors in rounds of hits, allocation, tracking and guard (thesis, Chapter 6)."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ I64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
 
 LOGICAL = "logical"
-"""The kind of priors that stands for all constraints."""
+"""The kind of priors that comprises all constraints."""
 
 KINDS = (LOGICAL, POSE, ARCHIVE)
-"""The kinds of priors: those of the thesis, and the poses of the archive."""
+"""The kinds of priors: those of the thesis, and archive poses."""
 
 FAR_RAD = 0.7
-"""A node that is farther than this from its prior starts from the prior, in radians."""
+"""Angle in radians between a node and its prior above which the tracker starts this node from the prior."""
 
 LEAST_TRIED_S = 5 / 30
-"""Another hit is tried where it covers frames of a withdrawn one for so many seconds at least."""
+"""Least time in seconds that another hit must cover of withdrawn frames to be tried."""
 
 _LOCAL_REASON = f"over {LOCAL_S:g} s the observations fit {LOCAL_GUARD:g} times as badly as without priors, or worse"
 
 _WHOLE_REASON = "with this round's priors all frames together fit the observations worse than before it"
 
 SETTLED_RAD, SETTLED_M = 0.01, 0.01
-"""A round is the last one if no turn and no place has moved by more."""
+"""Greatest change of a rotation in radians and of a position in metres at which the rounds end."""
 
 
 class Track(Protocol):
@@ -50,15 +50,15 @@ class Track(Protocol):
 
     @property
     def poses(self) -> Poses:
-        """The poses."""
+        """Return the poses."""
 
     @property
     def positions(self) -> F64:
-        """The joints (T, J, 3) in metres."""
+        """Return the joint positions (T, J, 3) in metres."""
 
     @property
     def costs(self) -> F64:
-        """The cost of the observations in each frame (T,), which the guard compares."""
+        """Return the cost of the observations in each frame (T,), which the guard compares."""
 
 
 class Tracker(Protocol):
@@ -66,47 +66,47 @@ class Tracker(Protocol):
 
     @property
     def body(self) -> ChainBody:
-        """The body."""
+        """Return the body."""
 
     @property
     def rate_hz(self) -> float:
-        """Frames per second."""
+        """Return the frames per second."""
 
     @property
     def carries_over(self) -> bool:
-        """True where a prior changes later frames too, and can lower the costs, as on silhouettes alone."""
+        """Return True if a prior also changes later frames and can lower their costs, as with silhouettes alone."""
 
     def track(self, start: Poses, priors: PriorTerms | None) -> Track:
-        """Track the recording again from a start, with the terms of priors."""
+        """Track the recording again from initial poses, with the terms of priors."""
 
     def nodes_seen(self, track: Track) -> Bool:
-        """Return the nodes whose keypoints the cameras agree on, bool (T, K)."""
+        """Return a mask (T, K) of the nodes whose keypoints are consistent between cameras."""
 
     def restart(self, poses: Poses, nodes_seen: Bool) -> Poses:
-        """Return poses to start again from, interpolated where nodes are not seen."""
+        """Return initial poses for tracking again, interpolated where nodes are not seen."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of priors.
+    """The settings of stabilisation.
 
     Attributes
     ----------
     kinds : tuple of str
         Kinds of priors, of `KINDS`.
     threshold : float
-        τ > 0: a hit costs less.
+        τ > 0, the cost below which a minimum is a hit.
     rounds : int
         The most rounds.
     guard : float
-        A hit is withdrawn where the track with its priors fits the observations worse than the track without by more
-        than this factor, less for a hit that costs more, see `ops.priors.guard.allowed_ratios`; infinite for no guard.
+        A hit is withdrawn if the observation cost with its priors exceeds that without by more than this factor; the
+        limit is lower for hits of higher cost, see `ops.priors.guard.allowed_ratios`; infinite to disable the guard.
     factors : mapping of str to float
         Factors of the weights of kinds or constraints, 1 by default.
     words_rate_hz : float
         Frames per second of the words.
     attempts : int
-        How often hits of a round are judged; from the second time on other hits take the place of those withdrawn.
+        How often the hits of a round are judged; from the second time on, other hits replace those that were withdrawn.
     """
 
     kinds: tuple[str, ...] = (ARCHIVE,)
@@ -135,7 +135,7 @@ class Settings:
 
     @property
     def weights(self) -> dict[str, float]:
-        """The factor of each kind and constraint that is used."""
+        """Return the factor of each kind and constraint that is used."""
         weights = {}
         for kind in self.kinds:
             for one in CONSTRAINTS if kind == LOGICAL else (kind,):
@@ -150,11 +150,11 @@ class Round:
     Attributes
     ----------
     rows : tuple of PriorRow
-        The priors that it allocated, kept or withdrawn.
+        The allocated priors, kept or withdrawn.
     costs : float64 array (T,)
-        The cost of the observations in each frame after it.
+        The cost of the observations in each frame after the round.
     moved_mm : float64 array (T, J)
-        How far each joint moved in it.
+        The distance in millimetres that each joint moved in the round.
     """
 
     rows: tuple[PriorRow, ...]
@@ -164,16 +164,16 @@ class Round:
 
 @dataclass(frozen=True, eq=False)
 class StabilisedTrack:
-    """A track after all rounds.
+    """The result of stabilisation: the track after all rounds.
 
     Attributes
     ----------
     track : Track
-        The track; the one without priors itself where no prior was left.
+        The track; the track without priors itself if no prior was kept.
     rounds : tuple of Round
-        What each round did.
+        The priors and results of each round.
     moved_mm : float64 array (T, J)
-        How far each joint is from the track without priors.
+        The distance of each joint from the track without priors, in millimetres.
     """
 
     track: Track
@@ -188,18 +188,18 @@ def stabilise(
     motions: Sequence[Motion],
     settings: Settings | None = None,
 ) -> StabilisedTrack:
-    """Stabilise a track by priors of an archive.
+    """Stabilise a track by priors learned from an archive.
 
     Parameters
     ----------
     tracker : Tracker
         The tracker with its observations.
     without : Track
-        The track without priors; that of a whole take has been restarted.
+        The track without priors; for a complete take, after its restart.
     words : callable
         Returns the words of a track, uint64 (L,), at the rate of the settings; their first frame is that of the track.
     motions : sequence of Motion
-        What the archive knows.
+        The motions of the archive.
     settings : Settings, optional
         The settings.
 
@@ -209,8 +209,8 @@ def stabilise(
 
     Notes
     -----
-    Where priors carry over to frames that no hit covers, the guard judges a round as a whole too: one that raises the
-    sum of the costs of all frames is undone, and is the last.
+    Where priors also affect frames that no hit covers, the guard also judges each round as a whole: a round that raises
+    the total cost is undone and ends the iteration.
     """
     chosen = settings or Settings()
     current, rounds = without, []
@@ -229,11 +229,11 @@ def _round(
     tracker: Tracker, before: Track, without: Track, words: Callable[[Track], U64], motions: Sequence[Motion],
     settings: Settings, number: int,
 ) -> tuple[Track, list[PriorRow]]:  # fmt: skip
-    """Run one round; return its track and what it allocated.
+    """Run one round, and return its track and the allocated priors.
 
-    Hits that the observations refute are withdrawn, and other hits that explain their frames are tried in their place.
-    Where all hits stand, archive poses are withdrawn from the frames that refute them. The last attempt has only what
-    stood, and is not judged again.
+    Hits that contradict the observations are withdrawn, and other hits for the same frames are tried instead. If all
+    hits are accepted, archive poses are withdrawn from single frames that contradict them. The last attempt only has
+    accepted priors, and is not judged again.
     """
     frames, weights = len(before.costs), settings.weights
     state = state_of(tracker, before)
@@ -278,7 +278,7 @@ def _round(
 
 
 def _cut(hits: Sequence[Hit], numbers: Sequence[int], frames: I64, least: float) -> tuple[list[Hit], list[int]]:
-    """Return the parts of hits that lie in some frames, and the number of each hit."""
+    """Return the parts of hits that lie in the given frames, with the number of each hit."""
     found = [(part, number) for hit, number in zip(hits, numbers, strict=True) for part in cut_to([hit], frames, least)]
     return [part for part, _ in found], [number for _, number in found]
 
@@ -288,16 +288,16 @@ def _reason(ratio: float, limit: float) -> str:
 
 
 def state_of(tracker: Tracker, track: Track) -> TrackState:
-    """Return a track as the state that priors are allocated to."""
+    """Return a track in the form in which priors are allocated to it."""
     positions = np.ascontiguousarray(np.moveaxis(track.positions, 0, 2))
     return TrackState(tracker.body, track.poses, positions, tracker.nodes_seen(track), tracker.rate_hz)
 
 
 def round_start(tracker: Tracker, state: TrackState, terms: PriorTerms) -> Poses:
-    """Return the start of a round: the track before it, and the priors where it is not to be trusted.
+    """Return the initial poses of a round: the track before it, with priors where the track is unreliable.
 
-    A node with an archive or pose prior starts from it where it is not seen, where it is farther than `FAR_RAD` from
-    it, or where neither hip is seen; other nodes are interpolated where they are not seen, as in a restart.
+    A node with an archive or pose prior starts from the prior where the node is not seen or differs by more than
+    `FAR_RAD`, or where neither hip is seen; other nodes are interpolated where they are not seen, as in a restart.
 
     Parameters
     ----------
@@ -310,7 +310,7 @@ def round_start(tracker: Tracker, state: TrackState, terms: PriorTerms) -> Poses
     """
     hips = [state.body.chain.nodes.index(name) for name in ("lhip", "rhip")]
     lost = np.flatnonzero(~state.nodes_seen[:, hips].any(axis=1))
-    given = (terms.turn_weights > 0).all(axis=2)  # a constraint weighs one axis of an elbow alone
+    given = (terms.turn_weights > 0).all(axis=2)  # a constraint has weight on only one axis, that of an elbow
     apart = np.zeros(given.shape)
     apart[given] = np.linalg.norm(relative_turns(terms.turn_targets[given], state.poses.turns[given]), axis=1)
     moved = ~state.nodes_seen | (apart > FAR_RAD)
@@ -326,7 +326,7 @@ def _moved_mm(before: Track, after: Track) -> F64:
 
 
 def _settled(before: Track, after: Track) -> bool:
-    """Return True where no turn and no place moved by more than `SETTLED_RAD` and `SETTLED_M`."""
+    """Return True if no rotation or position changed by more than `SETTLED_RAD` and `SETTLED_M`."""
     turned = np.linalg.norm(relative_turns(before.poses.turns, after.poses.turns), axis=-1)
     return bool(
         turned.max(initial=0.0) <= SETTLED_RAD

@@ -1,4 +1,4 @@
-"""From allocations to the terms that a tracker adds to its energy (thesis, Sections 6.4.2 and 6.4.3)."""
+"""This module turns allocations into terms that a tracker adds to its energy (thesis, Sections 6.4.2 and 6.4.3)."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ I64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
 
 POSE_RAD = 0.15
-"""Standard deviation of a turn about the one that a prior gives, besides the spread of the archive, in radians."""
+"""Standard deviation in radians of a rotation about its prior, in addition to the spread of the archive."""
 
 SEEN_SHARE = 0.3
-"""The share of its weight with which the archive pulls a node that the cameras agree on."""
+"""Factor of the archive's weight for nodes whose keypoints are consistent between cameras."""
 
 SPREAD_S = 1 / 3
-"""The spread of the archive counts as much as what is left of a node that is seen for so many seconds of a hit."""
+"""Time in seconds of a seen node whose residuals have the same weight as the spread of the archive."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrackState:
-    """A track that priors are allocated to.
+    """A track in the form in which priors are allocated to it.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class TrackState:
     positions : float64 array (J, 3, T)
         Its joints in metres, Y up.
     nodes_seen : bool array (T, K)
-        The nodes whose keypoints the cameras agree on.
+        The nodes whose keypoints are consistent between cameras.
     rate_hz : float
         Frames per second.
     """
@@ -66,7 +66,7 @@ class TrackState:
 def make_terms(
     state: TrackState, allocation: Allocation, motions: Sequence[Motion], weights: Mapping[str, float]
 ) -> PriorTerms:
-    """Turn an allocation into terms; all of them are constants of the round.
+    """Return the terms of an allocation; all of them are constant during the round.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def make_terms(
 def _add_archive(
     terms: PriorTerms, state: TrackState, allocation: Allocation, motions: Sequence[Motion], place: int, weight: float
 ) -> None:
-    """Add the archive's turns, in the actor's own way, and tilts to the frames of a hit."""
+    """Add the archive's rotations, corrected by the actor's own deviation, and tilts to the frames of a hit."""
     table = motions[allocation.hits[place].motion].poses
     assert table is not None
     frames = allocation.frames(place)
@@ -114,18 +114,18 @@ def _add_archive(
 
 
 def actual_variance(spreads: F64, residuals: F64, seen_s: F64) -> F64:
-    """Return the variance of turns about those of the archive, from the archive and from the hit itself.
+    """Return the variance of rotations about those of the archive, from the archive's spread and the hit's residuals.
 
-    Where the cameras agree on a node, they show how well the hit fits it: the variances of the archive and of what is
-    left there are averaged, with the weights `SPREAD_S` and the time for which the node is seen. So a hit of another
-    class pulls less, and so does a limb that everybody moves in another way.
+    Where the cameras are consistent for a node, they show how well the hit fits it: the variances of the archive and of
+    the residuals are averaged, with the weights `SPREAD_S` and the time for which the node is seen. So hits of a wrong
+    class pull less, and so do limbs that people move in different ways.
 
     Parameters
     ----------
     spreads : float64 array (E, K, 3)
         The spread in the archive in each frame, in radians.
     residuals : float64 array (K, 3)
-        Root mean square of what is left, in radians; NaN where a node is hardly seen.
+        Root mean square of the residuals, in radians; NaN where a node is hardly seen.
     seen_s : float64 array (K,)
         The time for which each node is seen, in seconds.
     """
@@ -135,7 +135,7 @@ def actual_variance(spreads: F64, residuals: F64, seen_s: F64) -> F64:
 
 
 def _add_lent(terms: PriorTerms, state: TrackState, allocation: Allocation, frames: I64, weight: float) -> None:
-    """Add the turns and tilts of frames that lend their poses."""
+    """Add as priors the rotations and tilts of the frames whose poses are borrowed."""
     lent = state.poses.turns[allocation.lenders[frames]]
     quality = weight * allocation.qualities[allocation.owners[frames]] / POSE_RAD**2
     terms.turn_targets[frames, 1:] = lent[:, 1:]
@@ -151,8 +151,9 @@ def _with_constraints(
     motions: Sequence[Motion],
     weights: Mapping[str, float],
 ) -> PriorTerms:
-    """Return terms together with those of the marked regions that the track passes through."""
-    quality = np.append(allocation.qualities, 0.0)[allocation.owners]  # −1 is the last place
+    """Return the terms with those of the marked regions that the track passes through added."""
+    # index −1, of frames without a hit, selects the appended 0
+    quality = np.append(allocation.qualities, 0.0)[allocation.owners]
     pulls: list[PlacePulls] = []
     regions: dict[tuple[Constraint, Side], Bool] = {}
     for place, hit in enumerate(allocation.hits):

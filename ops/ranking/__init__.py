@@ -1,1 +1,1 @@
-"""Ranking: the places in an archive where a template fits best, found exactly without computing all of them."""
+"""This package finds the intervals of an archive that fit a template best, exactly, without computing all distances."""

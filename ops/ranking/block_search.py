@@ -1,7 +1,7 @@
-"""The best hits of a template, found block by block in the order of the coarse bounds.
+"""This module finds the best hits of a template block by block, in the order of coarse lower bounds.
 
-Where a few hits are asked for, most blocks that may hold one below some threshold hold none that is good enough. Finer
-bounds of all of them would cost more than the sums of those few that are reached.
+If only a few hits are requested, most blocks that may contain a hit below the threshold are never needed. Finer bounds
+of all blocks would cost more than the exact sums of the few blocks that are needed.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from kinedex.ops.words import U64
 
 @nb.njit(cache=True, nogil=True)
 def gather_blocks(blocks: I64, sums: U8, ranges: I64, takes: I64, columns: int) -> I64:
-    """Gather blocks that are close to each other in groups that share most of their work (kernel).
+    """Group blocks that are close to each other, so that they share most of their work (kernel).
 
     Parameters
     ----------
     blocks : int64 array (B,)
         The blocks to search, ascending.
     sums : uint8 array
-        The coarse sum of every block there is.
+        The coarse sum of every block.
     ranges : int64 array (R, 2)
         The ranges that paths must not leave, see `ops.ranges.checked_ranges`.
     takes : int64 array (R,)
@@ -39,7 +39,7 @@ def gather_blocks(blocks: I64, sums: U8, ranges: I64, takes: I64, columns: int) 
     Returns
     -------
     int64 array (G, 6)
-        Of each group its half-open range of frames, the range that it lies in, its take, and the least sum.
+        For each group its half-open range of frames, the index of its range, its take, and the least sum.
     """
     groups = np.empty((len(blocks) + len(ranges), 6), np.int64)
     count, place, known = 0, 0, -1
@@ -70,8 +70,8 @@ def select_from_blocks(
     """Select hits below a threshold, the best first, until there are enough or none is left (kernel).
 
     Groups and minima wait in one heap, as in `ops.ranking.hit_selection.select_best`: a group by its least sum, which
-    is a lower bound, and a minimum by its cost. The minima of a group are found when it is reached. Their numbers are
-    those of their frames, the frames of all groups counted one after the other.
+    is a lower bound, and a minimum by its cost. The minima of a group are found when it is reached. Minima are numbered
+    by their frames, counted over all groups in order.
 
     Parameters
     ----------
@@ -84,9 +84,9 @@ def select_from_blocks(
     unit : float
         The distance that a unit of the sums stands for.
     order : int64 array (T,)
-        The places of takes among equal hits.
+        The rank of each take among hits of equal cost.
     most : int
-        The number of hits that is enough.
+        The number of hits at which the selection ends.
 
     Returns
     -------
@@ -102,7 +102,7 @@ def select_from_blocks(
     hits = make_selection(most, len(order))
     exact, starts = np.empty(numbers[len(groups)]), np.empty(numbers[len(groups)], np.int64)
     group_of = np.empty(numbers[len(groups)], np.int64)
-    limit = threshold * columns * (1 + 1e-9)  # rounding does not make the cost of a hit greater than this
+    limit = threshold * columns * (1 + 1e-9)  # upper limit of a hit's cost, with a margin for rounding
     computed = 0
     while len(heap) > 0 and hits.found[0] < most:
         _, known, _, number = heapq.heappop(heap)
@@ -115,7 +115,7 @@ def select_from_blocks(
         start, stop = not_excluded(start, stop, hits, take)
         if start == stop:
             continue
-        # A minimum is decided by its neighbours.
+        # Whether a frame is a minimum depends on its neighbours.
         low, high = max(start - 1, opens), min(stop + 1, closes)
         begin = max(low - 2 * (columns - 1), opens)
         computed += high - begin
@@ -135,7 +135,7 @@ def select_from_blocks(
 
 @nb.njit(cache=True, nogil=True)
 def not_excluded(start: int, stop: int, hits: Selection, take: int) -> tuple[int, int]:
-    """Shorten a half-open range by the frames at both sides that a selected hit of the take excludes (kernel)."""
+    """Shorten a half-open range by the frames at both ends that a selected hit of the take excludes (kernel)."""
     while start < stop and excluded(hits, take, 0, start, False):
         start += 1
     while stop > start and excluded(hits, take, 0, stop - 1, False):
@@ -145,7 +145,7 @@ def not_excluded(start: int, stop: int, hits: Selection, take: int) -> tuple[int
 
 @nb.njit(cache=True, nogil=True)
 def group_heap(groups: I64, unit: float, order: I64) -> tuple[Heap, I64, int]:
-    """Make a heap of groups by their bounds (kernel).
+    """Make a heap of groups, ordered by their bounds (kernel).
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The kernels of ranking: groups of candidates by their bounds, minima by their costs, the best selected first."""
+"""These kernels select the best hits from groups of candidates, ordered by bounds and then by exact costs."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ from kinedex.ops.distances.window_sums import make_window, path_start, sum_windo
 from kinedex.ops.words import U64
 
 KEYS = 1e9
-"""Costs are compared as whole billionths: those that are closer are equal, and the earlier frame comes first."""
+"""Factor from costs to integer keys: costs that agree to a billionth are equal, and the earlier frame comes first."""
 
 Heap = list[tuple[np.int64, np.int64, np.int64, np.int64]]
-"""Of each entry its key, 0 for a bound or 1 for a cost, the place of its take among equal hits, and its number. Of
-equal keys a bound comes before a cost: what it stands for may have to be selected first."""
+"""Heap entries: the key, 0 for a bound or 1 for a cost, the rank of the take among equal hits, and the number. At equal
+keys a bound precedes a cost, since the group may contain a minimum that has to be selected first.
+"""
 
 
 class Selection(NamedTuple):
-    """Hits that are selected, the best first, with room for H of them.
+    """Selected hits, the best first, in arrays with a capacity of H.
 
     Parameters
     ----------
@@ -48,18 +49,18 @@ class Selection(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """Frames that can be minima of a distance curve, or stand beside such, in groups that are computed together.
+    """Candidate frames for minima of a distance curve and their neighbours, in groups that are computed together.
 
     Parameters
     ----------
     frames : int64 array (C,)
         Ascending frames, see `ops.distances.pruning.possible_minima`.
     possible : bool array (C,)
-        Whether each can be a minimum.
+        True for frames that can be minima, False for neighbours.
     groups : int64 array (G + 1,)
         Group g has the candidates groups[g] to groups[g + 1] - 1.
     range_starts, takes : int64 array (C,)
-        Of each candidate the first frame of its range, and its take.
+        For each candidate the first frame of its range, and its take.
     """
 
     frames: I64
@@ -71,7 +72,7 @@ class Candidates(NamedTuple):
 
 @nb.njit(cache=True, nogil=True)
 def make_selection(most: int, takes: int) -> Selection:
-    """Make an empty selection with room for so many hits (kernel)."""
+    """Make an empty selection with the given capacity (kernel)."""
     return Selection(
         np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most), np.full(takes, -1, np.int64),
         np.empty(most, np.int64), np.zeros(1, np.int64),
@@ -85,8 +86,8 @@ def select_best(
 ) -> Selection:  # fmt: skip
     """Select hits, the best first, until there are enough or none is left (kernel).
 
-    A minimum is decided by its neighbours. Where one of these is in another group, as where a motionless interval is
-    divided, it is computed here too.
+    A minimum depends on its neighbours. If a neighbour is in another group, as where a motionless interval is divided,
+    it is computed here too.
 
     Parameters
     ----------
@@ -100,9 +101,9 @@ def select_best(
         The distance that a unit stands for.
     candidates : Candidates
     order : int64 array (T,)
-        The places of takes among equal hits.
+        The rank of each take among hits of equal cost.
     most : int
-        The number of hits that is enough.
+        The number of hits at which the selection ends.
     """
     frames, possible, groups, range_starts, takes = candidates
     columns = len(template.values)
@@ -127,7 +128,7 @@ def select_best(
         low, high = with_neighbours(candidates, first, stop)
         begin = max(frames[low] - 2 * (columns - 1), range_starts[first])
         found = sums[: frames[high - 1] + 1 - frames[low]]
-        # A path that has the least units costs less than these and N more; dearer ones are of no interest.
+        # The path of least units costs less than these plus N units; costlier paths need not be computed.
         limit = (most_units + columns + 1) * unit * columns
         sum_window(vocabulary, codes, template, begin, frames[low], found, limit, window)
         found /= columns
@@ -155,7 +156,7 @@ def add_hit(hits: Selection, start: int, end: int, cost: float, take: int) -> No
 
 @nb.njit(cache=True, nogil=True)
 def excluded(hits: Selection, take: int, start: int, end: int, start_known: bool) -> bool:
-    """Return whether a selected hit of the same take excludes a hit: by its end, or by its start if known (kernel)."""
+    """Return True if a selected hit of the same take excludes a hit, by its end, or by its start if known (kernel)."""
     starts, ends, _, newest, older, _ = hits
     hit = newest[take]
     while hit >= 0:
@@ -172,7 +173,7 @@ def excluded(hits: Selection, take: int, start: int, end: int, start_known: bool
 
 @nb.njit(cache=True, nogil=True)
 def units_left(units: U16, candidates: Candidates, first: int, stop: int, hits: Selection, take: int) -> int:
-    """Return the most units of those in a group that can be minima; −1 where all are excluded (kernel)."""
+    """Return the greatest units among possible minima of a group that are not excluded, −1 if none is left (kernel)."""
     frames, possible, _, _, _ = candidates
     left, most = False, 0
     for i in range(first, stop):
@@ -184,7 +185,7 @@ def units_left(units: U16, candidates: Candidates, first: int, stop: int, hits: 
 
 @nb.njit(cache=True, nogil=True)
 def with_neighbours(candidates: Candidates, first: int, stop: int) -> tuple[int, int]:
-    """Widen a group by the candidate on each side that is the next frame of the same range (kernel)."""
+    """Extend a group by the candidate on each side if that is the next frame of the same range (kernel)."""
     frames, begins = candidates.frames, candidates.range_starts
     low, high = first, stop
     if first > 0 and begins[first - 1] == begins[first] and frames[first - 1] == frames[first] - 1:
@@ -196,16 +197,16 @@ def with_neighbours(candidates: Candidates, first: int, stop: int) -> tuple[int,
 
 @nb.njit(cache=True, nogil=True)
 def is_least(frames: I64, distances: F64, low: int, i: int, threshold: float) -> bool:
-    """Return whether a candidate is below the threshold and not above its neighbours (kernel).
+    """Return True if a candidate is below the threshold and not above its neighbours (kernel).
 
-    A frame beside it that is no candidate is provably dearer.
+    A neighbouring frame that is no candidate has a provably greater cost.
 
     Parameters
     ----------
     frames : int64 array (C,)
         The frames of candidates.
     distances : float64 array
-        Those of the frames from the candidate `low` on.
+        The distances of the frames from the candidate `low` on.
     low, i : int
         The numbers of candidates.
     threshold : float
@@ -221,7 +222,7 @@ def is_least(frames: I64, distances: F64, low: int, i: int, threshold: float) ->
 
 @nb.njit(cache=True, nogil=True)
 def group_heap(units: U16, unit: float, candidates: Candidates, order: I64) -> Heap:
-    """Make a heap of groups by the least bound in each (kernel)."""
+    """Make a heap of groups, ordered by the least bound in each (kernel)."""
     frames, possible, groups, _, takes = candidates
     heap = [(np.int64(0), np.int64(0), np.int64(0), np.int64(0))]
     heap.pop()

@@ -1,4 +1,4 @@
-"""Ranking: the places of an archive where a template fits best, each place once (thesis, Section 3.6.3)."""
+"""This module ranks the intervals of an archive by how well a template fits them (thesis, Section 3.6.3)."""
 
 from __future__ import annotations
 
@@ -20,16 +20,17 @@ from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import TakeWords
 
 _MARGIN = 0.12
-"""The share of τ by which the best hits are searched for beyond their coarse bounds, which are that much too low at
-times."""
+"""Share of τ by which the search threshold of the best hits exceeds their coarse bounds, which can be that much too
+low.
+"""
 
 _BLOCK = 1024
-"""The most neighbouring frames, as in a motionless interval, whose costs are computed together."""
+"""The most neighbouring frames, as in a motionless interval, that are computed together."""
 
 
 @dataclass(frozen=True)
 class Hits:
-    """The best places for a template, the best first.
+    """The intervals that fit a template best, the best first.
 
     Parameters
     ----------
@@ -42,11 +43,11 @@ class Hits:
     frames : int
         The number of frames of the takes or ranges.
     computed : int
-        The number of frames in which more than the coarse bound was computed column by column, a bound in 16 bits (see
-        `ops.distances.pruning.FineBound`) or sums for the best hits, those that lead in to others included; frames that
-        were computed twice count twice.
+        The number of frames for which more than the coarse bound was computed column by column: a bound in 16 bits (see
+        `ops.distances.pruning.FineBound`) or sums for the best hits, lead-in frames included; frames that were computed
+        twice count twice.
     bounded : bool
-        Whether the coarse bound was computed, without which nothing is skipped.
+        True if the coarse bound was computed, without which nothing is skipped.
     """
 
     takes: I64
@@ -63,7 +64,7 @@ class Hits:
 
 @dataclass(frozen=True)
 class _Archive:
-    """Words to rank, checked.
+    """The words to rank, after their arguments were checked.
 
     Parameters
     ----------
@@ -74,7 +75,7 @@ class _Archive:
     takes : int64 array (R,)
         The take of each range.
     order : int64 array (T,)
-        The places of takes among equal hits.
+        The rank of each take among hits of equal cost.
     """
 
     words: TakeWords
@@ -98,20 +99,21 @@ def rank(
     coarse: CoarseBound | None = None,
     order: I64 | None = None,
 ) -> Hits:
-    """Rank the hits of a template: local minima of its distance curve below a threshold, the best first.
+    """Rank the hits of a template, the local minima of its distance curve below a threshold, the best first.
 
     A selected hit of m frames excludes those in its take that end within 0.5 m before to 0.1 m after its end or start
     within 0.1 m before to 0.5 m after its start. Costs closer than 1e-9 are equal; of equal hits that of the first take
     comes first (in `order`), and within it the one that ends first.
 
-    The hits are those of the whole curve in float64 (`tests/oracles/ranking.py` computes them that way). Here minima
-    come with a lower bound (`ops.distances.pruning`); the most promising one is computed, and put back with its true
-    cost; when it is reached again, nothing better is left. Those that a selected hit excludes are never computed.
+    The hits are those of the whole curve in float64 (`tests/oracles/ranking.py` computes them that way). Here
+    candidates are kept in a heap by their lower bounds (`ops.distances.pruning`); the best one is computed and put back
+    with its true cost; when it is reached again, no better one is left. Candidates that a selected hit excludes are
+    never computed.
 
-    Where only the best hits are asked for, they are searched for below a lower threshold first, which the coarse bound
-    suggests, and in the order of that bound alone (`ops.ranking.block_search`). Hits below the lower threshold are the
-    first ones below τ: they come in the order of their costs, and only a better one excludes one. If they are enough,
-    they are the answer; if not, the threshold rises.
+    If only the best hits are requested, they are first searched below a lower threshold, estimated from the coarse
+    bound, and in the order of that bound alone (`ops.ranking.block_search`). Hits below the lower threshold are also
+    the first ones below τ, as hits are selected in the order of cost and excluded only by better ones. If there are not
+    enough of them, the threshold is raised.
 
     Parameters
     ----------
@@ -158,7 +160,7 @@ def rank_together(
 ) -> list[Hits]:
     """Rank the hits of several templates, with one pass over the words for the coarse bounds of all of them.
 
-    The hits are those of `rank` of each.
+    The hits equal those of `rank` for each template.
 
     Parameters
     ----------
@@ -198,13 +200,13 @@ def rank_together(
 def _rank(
     template: QuantisedTemplate, archive: _Archive, threshold: float, most: int | None, coarse: CoarseBound | None
 ) -> Hits:
-    """Return the hits below a threshold, or the best of them; below lower thresholds first."""
+    """Return the hits below a threshold, or the best of them, trying lower thresholds first."""
     computed = 0
     if coarse is not None and most is not None:
         for tau in _rising(coarse, threshold, most, len(template)):
             hits = _best_below(template, archive, tau, most, coarse)
             computed += hits.computed
-            # What is at the threshold, but for the tolerance, may be as good as the last: then this is not the end yet.
+            # Costs within the tolerance of the threshold may tie with the last hit, so they do not count as found yet.
             if len(hits) == most and hits.costs[-1] < tau - 4 * TOLERANCE:
                 return replace(hits, computed=computed)
     hits = _all_below(template, archive, threshold, most, coarse)
@@ -212,7 +214,7 @@ def _rank(
 
 
 def _archive(words: TakeWords, ranges: I64 | None, coded: CodedWords | None, order: I64 | None) -> _Archive:
-    """Check the ranges that paths must not leave, and the places of takes among equal hits."""
+    """Check the ranges that paths must not leave and the ranks of takes, and return the words to rank."""
     whole = np.stack([words.offsets[:-1], words.offsets[1:]], axis=1)
     checked = checked_ranges(whole if ranges is None else ranges, len(words.words))
     takes = np.searchsorted(words.offsets, checked[:, 0], side="right") - 1
@@ -226,9 +228,9 @@ def _archive(words: TakeWords, ranges: I64 | None, coded: CodedWords | None, ord
 
 
 def _rising(coarse: CoarseBound, threshold: float, most: int, columns: int) -> list[float]:
-    """Return thresholds below τ to try first, in their order: the first is likely to be enough.
+    """Return thresholds below τ to try, in ascending order; the first one is likely to give enough hits.
 
-    As many frames as the template has columns hold a hit or two, and their least bound stands for the best of these.
+    An interval of as many frames as the template has columns holds one or two hits; its least bound estimates the best.
     """
     width = max(columns // BLOCK, 1)
     blocks = coarse.sums[: len(coarse.sums) // width * width].reshape(-1, width)
@@ -242,7 +244,7 @@ def _rising(coarse: CoarseBound, threshold: float, most: int, columns: int) -> l
 def _best_below(
     template: QuantisedTemplate, archive: _Archive, threshold: float, most: int, coarse: CoarseBound
 ) -> Hits:
-    """Return the best hits below a threshold, searched for in the order of the coarse bounds."""
+    """Return the best hits below a threshold, found in the order of the coarse bounds."""
     blocks = np.flatnonzero(coarse.blocks_below(threshold))
     groups = gather_blocks(blocks, coarse.sums, archive.ranges, archive.takes, len(template))
     selection, computed = select_from_blocks(
@@ -255,7 +257,7 @@ def _best_below(
 def _all_below(
     template: QuantisedTemplate, archive: _Archive, threshold: float, most: int | None, coarse: CoarseBound | None
 ) -> Hits:
-    """Return the hits below a threshold, all of them or the best, searched for where finer bounds leave any."""
+    """Return all or the best hits below a threshold, computed in the frames that finer bounds leave."""
     coded, ranges, columns = archive.coded, archive.ranges, len(template)
     bound = fine_bound(template, coded, threshold, ranges, coarse)
     frames, possible = possible_minima(bound.units, bound.ranges, bound.slack)
@@ -269,7 +271,7 @@ def _all_below(
 
 
 def _hits(archive: _Archive, selection: Selection, computed: int, *, bounded: bool) -> Hits:
-    """Return selected hits by the frames of their takes."""
+    """Convert selected hits to frames of their takes."""
     found = int(selection.found[0])
     ends = selection.ends[:found]
     takes = (np.searchsorted(archive.words.offsets, ends, side="right") - 1).astype(np.int64)
@@ -279,11 +281,11 @@ def _hits(archive: _Archive, selection: Selection, computed: int, *, bounded: bo
 
 
 def grouped(candidates: I64, ranges: I64, columns: int) -> I64:
-    """Return the groups of candidates that are computed together, in one window.
+    """Return the groups of candidates that are computed together in one window.
 
     The cost of a candidate depends on the 2(N − 1) frames before it, so that candidates close to each other share most
-    of the work. Where candidates are neighbours, as in a motionless interval, they stay together in blocks of `_BLOCK`
-    frames; a window therefore spans so many frames and those before, however long the interval is.
+    of the work. Neighbouring candidates, as in a motionless interval, are grouped in blocks of at most `_BLOCK` frames,
+    so a window spans at most that many frames plus the lead-in, however long the interval is.
 
     Parameters
     ----------
@@ -303,6 +305,6 @@ def grouped(candidates: I64, ranges: I64, columns: int) -> I64:
         return np.zeros(1, np.int64)
     far, other = np.diff(candidates) > columns // 8 + 1, np.diff(ranges) > 0
     far |= np.diff(candidates // (columns + 8)) > 0
-    # Neighbours decide about each other: it is cheaper to have them in one window.
+    # Neighbours are compared with each other, so it is cheaper to have them in one window.
     apart = (far & (np.diff(candidates) > 1)) | other | (np.diff(candidates // _BLOCK) > 0)
     return np.concatenate(([0], np.flatnonzero(apart) + 1, [len(candidates)])).astype(np.int64)

@@ -1,1 +1,1 @@
-"""Keyframe search: runs, inverted lists, bit slices, and the ranges around hits in which templates are matched."""
+"""This package searches keyframes: runs, inverted lists, bit slices, and ranges around hits for templates."""

@@ -1,8 +1,8 @@
-"""Frames of keyframes inside candidate windows: where keyframes are, which frames complete a query, and the ranges.
+"""These kernels search keyframes frame by frame within candidate windows, and collect the ranges of hits.
 
-The n blocks of all windows lie one after the other here, whatever lies between them in the archive: index[i] is the
-number of block i in the bit slices, and follow[i] the number of blocks of its window that come after it. Bitmaps have
-one uint64 for each block.
+The n blocks of all windows are consecutive here, even if they are not in the archive: index[i] is the number of block i
+in the bit slices, and follow[i] the number of blocks of its window that come after it. Bitmaps have one uint64 for each
+block.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ def mark_followed(follow, onward):  # type: ignore[no-untyped-def]
 
 
 GROUP = 128
-"""The number of blocks that are asked for from memory while as many before them are searched."""
+"""The number of blocks that are prefetched from memory while as many blocks before them are searched."""
 
 
 @njit(cache=True, nogil=True)
 def match_all(bits, height, index, granules, at, keyframes, spare, remaining):  # type: ignore[no-untyped-def]
-    """Find the frames of all keyframes, a group of blocks after the other, and return whether each keyframe has any.
+    """Find the frames of all keyframes, group by group of blocks, and return False if a keyframe has none.
 
     Parameters
     ----------
@@ -38,9 +38,9 @@ def match_all(bits, height, index, granules, at, keyframes, spare, remaining):  
     granules : uint8 array (K, b)
         The granules of each keyframe, from block `at` on.
     keyframes : (uint64 array, uint64 array, int64 array, int64 array, int64 array)
-        Keyframe k asks for the words rows[edges[k]] to rows[edges[k + 1]] of a block, flipped by as many flips. After
-        rows, flips and edges come the order in which to look for keyframes, and the words of a block to be fetched
-        from memory beforehand.
+        Keyframe k uses the words rows[edges[k]] to rows[edges[k + 1]] of a block, XORed with the same range of flips.
+        After rows, flips and edges come the order in which to search the keyframes, and the words of a block to
+        prefetch.
     remaining : uint64 array (K, n or more)
         Is filled with the bitmaps of the frames, or in part where a keyframe has none.
 
@@ -69,7 +69,7 @@ def match_all(bits, height, index, granules, at, keyframes, spare, remaining):  
 
 @njit(cache=True, nogil=True)
 def _fetch(bits, height, index, fetched):  # type: ignore[no-untyped-def]
-    """Ask for some words of some blocks from memory."""
+    """Prefetch some words of some blocks from memory."""
     if len(fetched):
         for i in range(len(index)):
             for word in fetched:
@@ -78,7 +78,7 @@ def _fetch(bits, height, index, fetched):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def match(bits, height, index, granules, at, rows, flips, spare, remaining):  # type: ignore[no-untyped-def]
-    """Find the frames of a keyframe, and return whether there are any.
+    """Find the frames of a keyframe, and return True if there are any.
 
     Parameters
     ----------
@@ -93,9 +93,9 @@ def match(bits, height, index, granules, at, rows, flips, spare, remaining):  # 
     at : int
         The first block of `granules`.
     rows : uint64 array (r,)
-        The words of a block that the keyframe asks for, a multiple of four.
+        The words of a block that the keyframe uses, a multiple of four.
     flips : uint64 array (r,)
-        All bits where the keyframe asks for the feature to be off, none where it asks for it to be on.
+        All bits set where the keyframe requires the feature to be off, none where it requires it to be on.
     spare : uint64 array (3, n or more)
         Working memory.
     remaining : uint64 array (n or more,)
@@ -133,14 +133,14 @@ def match(bits, height, index, granules, at, rows, flips, spare, remaining):  # 
 
 @njit(cache=True, nogil=True)
 def complete(here, later, follow, longest, low, high, spare):  # type: ignore[no-untyped-def]
-    """Keep the frames of a keyframe from which one of the next can be reached, and return whether there are any.
+    """Keep the frames of a keyframe from which a frame of the next can be reached, and return True if there are any.
 
-    The later bitmap is widened to the gap [0, high - low] by doubling, then moved by `low`, within windows.
+    The later bitmap is widened to the gap [0, high - low] by doubling, then shifted by `low`, within windows.
 
     Parameters
     ----------
     here, later : uint64 array (n or more,)
-        The frames of the keyframe, which are cut down, and the remaining frames of the next keyframe.
+        The frames of the keyframe, which are reduced in place, and the remaining frames of the next keyframe.
     follow : int32 array (n,)
         The number of blocks that follow each block in its window.
     longest : int
@@ -188,7 +188,7 @@ def complete(here, later, follow, longest, low, high, spare):  # type: ignore[no
 
 @njit(cache=True, nogil=True)
 def _fill(bitmap, follow):  # type: ignore[no-untyped-def]
-    """Set all bits up to the last one of each window, which is what an unbounded gap leads back to."""
+    """Set all bits up to the last set bit of each window, as for an unbounded gap."""
     after = NO_BITS
     for i in range(len(follow) - 1, -1, -1):
         if follow[i] == 0:
@@ -199,7 +199,7 @@ def _fill(bitmap, follow):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _widen(bitmap, size, onward, by):  # type: ignore[no-untyped-def]
-    """Unite a bitmap with itself moved by less than a block to earlier frames of the same window.
+    """Unite a bitmap with itself shifted by less than a block to earlier frames of the same window.
 
     A block reads itself and the next one, which has not been changed yet.
     """
@@ -213,7 +213,7 @@ def _widen(bitmap, size, onward, by):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _move(bitmap, size, moved, follow, by):  # type: ignore[no-untyped-def]
-    """Write a bitmap moved to earlier frames; a block takes bits from later blocks of its own window only."""
+    """Write a bitmap shifted to earlier frames; a block takes bits from later blocks of its own window only."""
     blocks, rest = np.uint64(min(by // BLOCK, size)), np.uint64(by % BLOCK)
     upper, one = np.uint64(BLOCK) - rest, np.uint64(1)
     count, at_least = np.uint64(size), np.int32(by // BLOCK)
@@ -268,7 +268,7 @@ def add_ranges(remaining, index, follow, first, ends, gaps, ranges, n):  # type:
     for hit in range(many):
         block = hits[hit, 0] >> SHIFT
         take = _take_of(ends, index[block])
-        # from here on the axis of positions, where takes lie 2**TAKE_BITS apart
+        # from here on, frames are positions on the axis, where takes lie 2**TAKE_BITS apart
         move = (take << TAKE_BITS) + (index[block] - first[take] - block << SHIFT)
         start, stop = hits[hit, 0] + move, hits[hit, 1] + 1 + move
         if n > 0 and start <= ranges[n - 1, 1]:
@@ -283,7 +283,7 @@ def add_ranges(remaining, index, follow, first, ends, gaps, ranges, n):  # type:
 
 @njit(cache=True, nogil=True)
 def _segments(bitmap, follow, hits):  # type: ignore[no-untyped-def]
-    """Write the segments of a bitmap: of each its first frame, its last, and the last frame of its window."""
+    """Write for each segment of a bitmap its first frame, its last, and the last frame of its window."""
     one = np.uint64(1)
     carry = NO_BITS
     edge = 0
@@ -306,8 +306,8 @@ def _segments(bitmap, follow, hits):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _farthest(bitmap, high, hits, many):  # type: ignore[no-untyped-def]
-    """Move the end of each hit on to the largest remaining frame that the gap admits, in its window."""
-    # `best` is the last such frame found, and frames below `scanned` have been searched; the ends never fall, so no
+    """Advance the end of each hit to the largest remaining frame that the gap allows, in its window."""
+    # `best` is the last such frame found; frames below `scanned` have been searched. The ends are non-decreasing, so no
     # block is searched twice
     best, scanned = 0, 0
     for hit in range(np.uint64(many)):
@@ -326,7 +326,7 @@ def _farthest(bitmap, high, hits, many):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _take_of(ends, block):  # type: ignore[no-untyped-def]
-    """Return the take that has a block: as many takes as have ended before it."""
+    """Return the take that contains a block: the number of takes that end before it."""
     at = block >> SHIFT << 1
     before = ends[at] & ((np.uint64(1) << np.uint64(block & BLOCK - 1)) - np.uint64(1))
     return np.int64(ends[at + 1]) + count_bits(before)
@@ -335,7 +335,7 @@ def _take_of(ends, block):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _doubled(ranges):  # type: ignore[no-untyped-def]
     """Copy ranges into an array twice as long."""
-    # in a loop: the assignment of a slice takes as long to compile as all other kernels of this module
+    # in a loop: a slice assignment would take as long to compile as all other kernels of this module
     larger = np.empty((2 * len(ranges), 2), np.int64)
     for i in range(len(ranges)):
         larger[i, 0], larger[i, 1] = ranges[i, 0], ranges[i, 1]

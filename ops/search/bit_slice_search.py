@@ -1,14 +1,14 @@
-"""Keyframe search on bit slices, 64 frames at a time: the engine that answers the queries of a store.
+"""This module searches keyframes on bit slices, 64 frames at a time; stores answer their queries with it.
 
 The inverted keyframe list of a keyframe, as a bitmap over frames, is the AND of the slices of its features (or of their
 complements where the keyframe wants them off). The frames from which the rest of a query can be completed are the AND
-of that bitmap with the bitmap of the next keyframe, widened by the gap; and widening takes a few shifts. No list is
-merged or sorted, and wildcards cost nothing.
+of that bitmap with the bitmap of the next keyframe, widened by the gap, which takes a few shifts. No lists are merged
+or sorted, and wildcards cost nothing.
 
-All of that is done with the coarse slices first (`ops.search.bit_slice_windows`), an eighth as long: a granule in which
-each feature is as wanted in some frame may hold the keyframe, and one in which a feature never is cannot. What remains
-is searched frame by frame (`ops.search.bit_slice_frames`), in windows as long as the gaps admit: a small part of an
-archive. `ops.search.keyframe_search` finds the same ranges with the lists of the thesis.
+All of that is done with the coarse slices first (`ops.search.bit_slice_windows`), an eighth as long: a granule may
+contain the keyframe only if each feature has the required value in some frame of it. The remaining granules, a small
+part of an archive, are searched frame by frame (`ops.search.bit_slice_frames`), in windows as long as the gaps allow.
+`ops.search.keyframe_search` finds the same ranges with the lists of the thesis.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from kinedex.ops.search.gaps import UNBOUNDED, checked_gaps
 from kinedex.ops.words import I64
 
 CHUNK = 4096
-"""About how many blocks of whole takes are searched together: their bitmaps stay in a processor's nearest cache."""
+"""Approximate number of blocks, of whole takes, that are searched together, so that their bitmaps fit the L1 cache."""
 
 CACHED = 2**20
-"""Slices of more words (8 MiB) are fetched from memory ahead of their use. Smaller ones lie in a processor's cache."""
+"""Number of words of slices (8 MiB) above which they are prefetched, as smaller ones fit a processor's cache."""
 
 LINE = 8
-"""The number of uint64 in a line of a cache."""
+"""The number of uint64 values in a cache line."""
 
 
 def search_slices(
@@ -47,9 +47,9 @@ def search_slices(
 
     Backwards, the bitmap of each keyframe keeps the frames from which the rest of the query can be completed. Forwards,
     the last frame of each remaining start segment is followed to the largest remaining frame that each gap admits, as
-    in `ops.search.keyframe_search.search_lists`. The work is O(K * frames / 512), and O(K * frames / 64) for the
-    windows that remain; nothing recurs. The function writes nothing to the slices and releases the interpreter lock, so
-    threads may search parts of them at the same time.
+    in `ops.search.keyframe_search.search_lists`. The work is O(K * frames / 512), plus O(K * frames / 64) for the
+    remaining windows, without recursion. The function does not write to the slices and releases the interpreter lock,
+    so threads may search parts of them at the same time.
 
     Parameters
     ----------
@@ -90,11 +90,11 @@ def search_slices(
 
 
 def _as_array(bits: list[int], bounds: list[int]) -> I64:
-    """Return masks, values and gaps as one array, which costs less to pass than three."""
+    """Return masks, values and gaps as one array, which is faster to pass to a kernel than three."""
     try:
         return np.array([*bits, *bounds], np.int64)
     except OverflowError:
-        # no gap needs to be longer than UNBOUNDED, and no keyframe has so many bits; the kernel refuses -1
+        # no gap needs to exceed UNBOUNDED, and no keyframe has so many bits; the kernel rejects -1
         small = [bit if 0 <= bit < 2**63 else -1 for bit in bits]
         return np.array([*small, *(max(-1, min(bound, UNBOUNDED)) for bound in bounds)], np.int64)
 
@@ -102,7 +102,7 @@ def _as_array(bits: list[int], bounds: list[int]) -> I64:
 def _query_error(
     slices: BitSlices, masks: Sequence[int], values: Sequence[int], gaps: Sequence[tuple[int, int]]
 ) -> ParameterError:
-    """Return the error of a query that the compiled check has refused, which takes a fraction of the time."""
+    """Return the error for a query that the faster compiled check has rejected."""
     if not masks or len(masks) != len(values):
         return ParameterError("keyframes", "at least one, as many masks as values", (len(masks), len(values)))
     for mask, value in zip(masks, values, strict=True):
@@ -160,7 +160,7 @@ def _search(bits, coarse, first, ends, features, query, begin, end, chunk, cache
 
 @njit(cache=True, nogil=True)
 def _is_valid(features, masks, values, gaps):  # type: ignore[no-untyped-def]
-    """Return whether the keyframes' features exist and the gaps are ranges; cut the gaps to UNBOUNDED."""
+    """Return True if the keyframes' features exist and the gaps are ranges; clip the gaps to UNBOUNDED."""
     for k in range(len(masks)):
         if masks[k] < 0 or masks[k] >> features or values[k] & ~masks[k]:
             return False
@@ -173,7 +173,7 @@ def _is_valid(features, masks, values, gaps):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _chunk_end(first, take, end, chunk):  # type: ignore[no-untyped-def]
-    """Return the end of the takes that fit into a chunk together; there is at least one."""
+    """Return the end of the takes that fit into a chunk together, at least one."""
     low, high = take + 1, end
     while low < high:
         middle = (low + high + 1) // 2
@@ -186,12 +186,12 @@ def _chunk_end(first, take, end, chunk):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _plan(features, masks, values):  # type: ignore[no-untyped-def]
-    """Return the rows that keyframes ask for, and the order in which to look for keyframes.
+    """Return the rows that keyframes need, and the order in which to search the keyframes.
 
-    Keyframe k asks for rows[edges[k]] to rows[edges[k + 1]], with all bits to flip where it wants the feature off, and
-    for the coarse rows beside them. Where it asks for no feature to be on (none is in an invalid frame), the row of
-    valid frames is among them. The rows are filled up to multiples of four. Keyframes that ask for many rows come first
-    in the order, since they are rare; only the speed depends on it.
+    Keyframe k needs rows[edges[k]] to rows[edges[k + 1]], with all bits flipped for features that must be off, and the
+    corresponding coarse rows. If it requires no feature to be on (in invalid frames none is), the row of valid frames
+    is added. The rows are padded to multiples of four. Keyframes with many rows come first in the order, since they are
+    rare; the order affects the speed only.
     """
     count = len(masks)
     room = (features // 4 + 1) * 4 * count
@@ -224,7 +224,7 @@ def _plan(features, masks, values):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _fetched(rows):  # type: ignore[no-untyped-def]
-    """Return about one word for each cache line of a block in which there are rows that keyframes ask for."""
+    """Return about one word for each cache line of a block that contains rows of the keyframes."""
     wanted = NO_BITS
     for row in rows:
         wanted |= np.uint64(1) << row

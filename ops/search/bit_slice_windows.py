@@ -1,9 +1,9 @@
-"""Candidate windows of a keyframe query: runs of whole blocks outside of which no hit can be, found in coarse slices.
+"""These kernels find the candidate windows of a keyframe query, the runs of blocks that may contain hits.
 
 A granule is a few frames (`ops.search.bit_slices.GRANULE`) with one bit in each coarse bitmap. Frame f lies in granule
-floor(f / G), so a gap of low to high frames leads floor(low / G) to ceil(high / G) granules on. Every step here errs to
-one side: a granule that is dropped is in no hit, while one that is kept may be in none, also because gaps may lead into
-the next take here.
+floor(f / G), so a gap of low to high frames leads floor(low / G) to ceil(high / G) granules on. The search is
+conservative: a dropped granule is in no hit, while a kept one may be in none, also because gaps may lead into the next
+take here.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from kinedex.ops.bits import filled_below, highest_bit, lowest_bit
 from kinedex.ops.search.bit_slices import ALL_BITS, BLOCK, GRANULE, GRANULES, NO_BITS, SHIFT
 
 BLOCKS_PER_WORD = BLOCK // GRANULES
-"""The number of blocks whose granules make up a word of a coarse bitmap."""
+"""The number of blocks whose granules fill a word of a coarse bitmap."""
 _BLOCK_BITS = np.uint64(2**GRANULES - 1)
 
 
 @njit(cache=True, nogil=True)
 def coarse_starts(coarse, features, blocks, rows, edges, order, gaps, found, spare):  # type: ignore[no-untyped-def]
-    """Find the granules of some blocks in which a hit may begin, and return whether there are any.
+    """Find the granules of some blocks in which a hit may begin, and return True if there are any.
 
     Parameters
     ----------
@@ -30,11 +30,11 @@ def coarse_starts(coarse, features, blocks, rows, edges, order, gaps, found, spa
     blocks : (int, int)
         The blocks blocks[0] to blocks[1] are searched.
     rows : int64 array
-        Keyframe k asks for the coarse rows rows[edges[k]] to rows[edges[k + 1]], a multiple of four.
+        Keyframe k uses the coarse rows rows[edges[k]] to rows[edges[k + 1]], a multiple of four.
     edges : int64 array (K + 1,)
-        The parts of `rows`.
+        The boundaries of each keyframe's part of `rows`.
     order : int64 array (K,)
-        The order in which the keyframes are looked for.
+        The order in which the keyframes are searched.
     gaps : int64 array (K - 1, 2)
         Admissible gaps in frames.
     found : uint64 array (K, n)
@@ -57,7 +57,7 @@ def coarse_starts(coarse, features, blocks, rows, edges, order, gaps, found, spa
     for k in range(len(order) - 2, -1, -1):
         if not _complete(found[k], found[k + 1], size, spare[0], spare[1], gaps[k, 0], gaps[k, 1]):
             return False
-    # the first and the last word may hold granules of takes that are not searched
+    # the first and the last word may also contain granules of takes that are not searched
     found[0, 0] &= ALL_BITS << np.uint64(begin % BLOCKS_PER_WORD * GRANULES)
     if end % BLOCKS_PER_WORD:
         found[0, size - 1] &= ALL_BITS >> np.uint64((BLOCKS_PER_WORD - end % BLOCKS_PER_WORD) * GRANULES)
@@ -66,7 +66,7 @@ def coarse_starts(coarse, features, blocks, rows, edges, order, gaps, found, spa
 
 @njit(cache=True, nogil=True)
 def _all_rows(coarse, stride, at, size, rows, begin, end, found):  # type: ignore[no-untyped-def]
-    """Intersect four rows at a time, with unsigned indices, which the compiler turns into vector instructions."""
+    """Intersect four rows at a time, with unsigned indices so that the compiler vectorises the loop."""
     count = np.uint64(size)
     for four in range(begin, end, 4):
         one, two = np.uint64(rows[four] * stride + at), np.uint64(rows[four + 1] * stride + at)
@@ -89,7 +89,7 @@ def _all_rows(coarse, stride, at, size, rows, begin, end, found):  # type: ignor
 
 @njit(cache=True, nogil=True)
 def _complete(here, later, size, widened, moved, low, high):  # type: ignore[no-untyped-def]
-    """Keep the granules of a keyframe from which one of the next can be reached; return whether there are any."""
+    """Keep the granules of a keyframe from which one of the next can be reached; return True if there are any."""
     longest = size * BLOCK
     nearest, farthest = low // GRANULE, min((high + GRANULE - 1) // GRANULE, longest)
     if nearest >= longest:
@@ -124,7 +124,7 @@ def _complete(here, later, size, widened, moved, low, high):  # type: ignore[no-
 
 @njit(cache=True, nogil=True)
 def _fill(bitmap, size):  # type: ignore[no-untyped-def]
-    """Set all bits up to the last one, which is what an unbounded gap leads back to."""
+    """Set all bits up to the last set bit, as for an unbounded gap."""
     after = NO_BITS
     for i in range(size - 1, -1, -1):
         bitmap[i] = after | filled_below(bitmap[i])
@@ -133,7 +133,7 @@ def _fill(bitmap, size):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _widen(bitmap, size, by):  # type: ignore[no-untyped-def]
-    """Unite a bitmap with itself moved by less than a word; a word reads itself and the next, not changed yet."""
+    """Unite a bitmap with itself shifted by less than a word; a word reads itself and the next, not yet changed."""
     end, one = np.uint64(size - 1), np.uint64(1)
     by = np.uint64(by)
     upper = np.uint64(BLOCK) - by
@@ -144,7 +144,7 @@ def _widen(bitmap, size, by):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _move(bitmap, size, moved, by):  # type: ignore[no-untyped-def]
-    """Write a bitmap moved to earlier granules."""
+    """Write a bitmap shifted to earlier granules."""
     words, rest = np.uint64(min(by // BLOCK, size)), np.uint64(by % BLOCK)
     upper, one, count = np.uint64(BLOCK) - rest, np.uint64(1), np.uint64(size)
     if rest == NO_BITS:
@@ -161,7 +161,7 @@ def _move(bitmap, size, moved, by):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def windows(found, ends, blocks, span, index, follow):  # type: ignore[no-untyped-def]
-    """Collect the blocks in which all hits lie: from the granules in which hits may begin, as far as the gaps lead.
+    """Collect the blocks that contain all hits: from granules in which hits may begin, as far as the gaps reach.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ def windows(found, ends, blocks, span, index, follow):  # type: ignore[no-untype
             stop = block + 1 + _within_take(ends, block, frame + span >> SHIFT)
             after = max(after, block)
             many = max(stop - after, 0)
-            # without a branch for one block or two, which no processor foresees in a large archive
+            # one or two blocks are handled without a branch, as it would be mispredicted in a large archive
             index[n], index[n + 1] = after, after + 1
             for more in range(2, many):
                 index[n + more] = after + more
@@ -221,7 +221,7 @@ def _is_last(ends, block):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _within_take(ends, block, many):  # type: ignore[no-untyped-def]
-    """Return the number of blocks of its take that follow a block, at most `many`."""
+    """Return the number of blocks of the same take that follow a block, at most `many`."""
     at = block >> SHIFT << 1
     word = ends[at] >> np.uint64(block & BLOCK - 1)
     if word:

@@ -1,7 +1,8 @@
-"""Bit slices: the words of an archive as one bitmap per feature, with 64 frames in a word of memory.
+"""Bit slices store the words of an archive as one bitmap per feature, with 64 frames in each uint64.
 
-Each take begins in a block of its own (64 frames, one uint64) and ends with at least one spare frame, so that nothing
-of two takes ever touches. A coarse copy has one bit for every 8 frames. `ops.search.bit_slice_search` searches both.
+Each take begins in a block of its own (64 frames, one uint64) and ends with at least one spare frame, so that segments
+of different takes never touch. A coarse copy has one bit for every 8 frames. `ops.search.bit_slice_search` searches
+both.
 """
 
 from __future__ import annotations
@@ -21,12 +22,13 @@ I32 = npt.NDArray[np.int32]
 BLOCK = 64
 """The number of frames in a block."""
 SHIFT = 6
-"""A frame number shifted right by so many bits is a block number."""
+"""The shift that converts a frame number to a block number."""
 GRANULE = 8
-"""The number of frames in a granule, which has one bit of the coarse copy. It was chosen by measurement: with 16 the
-copy is half as large, but twice as many blocks have to be searched."""
+"""The number of frames in a granule, which has one bit of the coarse copy. It was chosen by measurement: with 16, the
+copy is half as large, but twice as many blocks have to be searched.
+"""
 GRANULES = BLOCK // GRANULE
-"""The number of granules in a block: as many as a byte has bits, so that those of one block can be read as a byte."""
+"""The number of granules in a block: 8, so that those of one block form a byte."""
 
 _VALID = MOST_FEATURES
 _VALID_BIT = np.uint64(1 << _VALID)
@@ -44,7 +46,7 @@ class BitSlices:
     ----------
     bits : uint64 array (B * (f + 1),)
         Block after block: bit j of word n of a block is feature F_(n + 1) in its frame j. The last word of a block
-        marks the valid frames; no feature is on in the others. What is read together lies together.
+        marks the valid frames; no feature is on in the others. This order keeps data adjacent that is read together.
     coarse : uint64 array ((2 f + 1) * ceil(B / 8),)
         Row after row, bitmaps over granules of 8 frames (`GRANULE`); block b has the bits 8 b to 8 b + 8 of a row. Row
         n marks where F_(n + 1) is on in some frame of the granule, row f + n where it is off in some valid frame, and
@@ -72,7 +74,7 @@ class BitSlices:
             raise ParameterError("bits", f"{self.features + 1} for each of the blocks", self.bits.shape)
         if self.coarse.shape != ((2 * self.features + 1) * coarse_words(blocks),):
             raise ParameterError("coarse", f"{2 * self.features + 1} rows over all blocks", self.coarse.shape)
-        # arrays in memory are made read-only as well: for writable ones the kernels would be compiled a second time
+        # arrays in memory are made read-only too, as kernels would be compiled a second time for writable ones
         for array in self.arrays.values():
             array.flags.writeable = False
 
@@ -81,21 +83,21 @@ class BitSlices:
 
     @property
     def arrays(self) -> dict[str, npt.NDArray[np.generic]]:
-        """The arrays by name, so that `BitSlices(**arrays, features=f)` is equal."""
+        """Return the arrays by name, such that `BitSlices(**arrays, features=f)` is equal."""
         return {name: getattr(self, name) for name in ("bits", "coarse", "first", "frames", "left")}
 
     @property
     def bytes(self) -> int:
-        """The memory that the arrays take, in bytes."""
+        """Return the size of the arrays in bytes."""
         return sum(array.nbytes for array in self.arrays.values())
 
     @cached_property
     def ends(self) -> U64:
-        """The last blocks of all takes as pairs, uint64 (2 * ceil(B / 64),).
+        """Return the last blocks of all takes as pairs of words, uint64 (2 * ceil(B / 64),).
 
         The first of a pair is a word of the bitmap that marks these blocks, the second the number of takes that end
-        before it. A search asks which take a block has, and how many blocks follow in it, of blocks that lie anywhere:
-        this array stays in a processor's cache where `first` and `left` do not.
+        before it. A search looks up the take of arbitrary blocks and the number of blocks that follow in it: this array
+        fits a processor's cache where `first` and `left` do not.
         """
         marked = np.zeros(-(-len(self.left) // BLOCK) * BLOCK, np.bool_)
         marked[self.first[1:] - 1] = True
@@ -107,12 +109,12 @@ class BitSlices:
 
     @property
     def rows(self) -> U64:
-        """A bitmap over all blocks for each feature, and that of the valid frames, uint64 (f + 1, B)."""
+        """Return a bitmap over all blocks for each feature, and one of the valid frames, uint64 (f + 1, B)."""
         return self.bits.reshape(-1, self.features + 1).T
 
     @property
     def granules(self) -> npt.NDArray[np.uint8]:
-        """The coarse copy by blocks, uint8 (2 f + 1, B or more), with zeros after the last block."""
+        """Return the coarse copy by blocks, uint8 (2 f + 1, B or more), with zeros after the last block."""
         little = self.coarse.reshape(2 * self.features + 1, -1).astype("<u8", copy=False)
         return little.view(np.uint8)
 
@@ -123,7 +125,7 @@ def coarse_words(blocks: int) -> int:
 
 
 def slice_words(words: U64, offsets: I64, features: int) -> BitSlices:
-    """Slice the words of takes by feature.
+    """Convert the words of takes to bit slices.
 
     Parameters
     ----------
@@ -161,7 +163,7 @@ def slice_words(words: U64, offsets: I64, features: int) -> BitSlices:
 
 
 def unsliced_words(slices: BitSlices, takes: I64, starts: I64, words: U64, ranges: I64 | None = None) -> None:
-    """Write the words of some takes, which `slice_words` has sliced, into an array.
+    """Write the words of some takes of bit slices into an array; the inverse of `slice_words`.
 
     Parameters
     ----------
@@ -170,16 +172,16 @@ def unsliced_words(slices: BitSlices, takes: I64, starts: I64, words: U64, range
     takes : int64 array (S,)
         The takes, as positions among those of the slices.
     starts : int64 array (S,)
-        The place of the first word of each take in the array.
+        The index of the first word of each take in the array.
     words : uint64 array (N,)
-        The array; `NO_WORD` is written for an invalid frame, and what belongs to none of the takes is left as it is.
+        The array; `NO_WORD` is written for an invalid frame, and other elements are left unchanged.
     ranges : int64 array (R, 2), optional
-        Half-open ranges of places in the array, ascending and disjoint; other words may be left as they are. None: all.
+        Half-open ranges of indices of the array, ascending and disjoint; other words may be left unchanged. None: all.
 
     Raises
     ------
     ParameterError
-        If a take is not there, or does not fit the array at its place.
+        If a take does not exist, or does not fit into the array at its index.
     """
     if len(takes) and not 0 <= takes.min() <= takes.max() < len(slices):
         raise ParameterError("takes", f"from 0 to {len(slices) - 1}", takes[:4].tolist())
@@ -189,7 +191,7 @@ def unsliced_words(slices: BitSlices, takes: I64, starts: I64, words: U64, range
     if len(takes) and int(stops.max()) > len(words):
         raise ParameterError("words", f"long enough for {len(takes)} takes", len(words))
     wanted = np.stack([starts, stops], axis=1) if ranges is None else np.ascontiguousarray(ranges, np.int64)
-    # not in the kernel: for numba's own search, it would load SciPy with the kernel
+    # outside the kernel: numba's version of searchsorted would load SciPy with the kernel
     nearest = np.searchsorted(wanted[:, 1], starts, side="right")
     _unslice(slices.bits, slices.first, slices.frames, slices.features, takes, starts, wanted, nearest, words)
 
@@ -262,8 +264,8 @@ def _slice(words, offsets, first, features, bits, coarse):  # type: ignore[no-un
 def _coarsened(bits):  # type: ignore[no-untyped-def]
     """Return one bit for each granule that has any bit set.
 
-    The bits of a granule are folded onto its lowest one, and these are gathered at the top by a product in which no two
-    terms fall on one place.
+    The bits of a granule are folded onto its lowest one, and these are gathered in the top byte by a multiplication
+    without carries.
     """
     width = GRANULE // 2
     while width:

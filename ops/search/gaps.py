@@ -1,4 +1,4 @@
-"""Gaps between keyframes: ranges of frames, or a distance and a stiffness (thesis, Sections 3.4 and 4.1)."""
+"""This module converts gaps between keyframes: ranges of frames, or distance and stiffness (thesis, 3.4 and 4.1)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ UNBOUNDED = 2**31 - 1
 
 
 def gap_bounds(distance: int, stiffness: float) -> tuple[int, int]:
-    """Return the admissible gap of a distance and a stiffness (thesis, Eq. 3.3, 4.5 and 4.6).
+    """Return the admissible gap for a distance and a stiffness (thesis, Eq. 3.3, 4.5 and 4.6).
 
     Products are rounded to 1e-9 first: in plain float64, floor(7 / 0.07) is 99.
 
@@ -48,7 +48,7 @@ def gap_bounds(distance: int, stiffness: float) -> tuple[int, int]:
 
 
 def nominal_gap(low: int, high: int) -> tuple[float, float]:
-    """Return the distance and the stiffness of a gap given as a range (thesis, Eq. 4.7 and 4.8).
+    """Return the distance and the stiffness of a gap that is given as a range (thesis, Eq. 4.7 and 4.8).
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def nominal_gap(low: int, high: int) -> tuple[float, float]:
     -------
     (float, float)
         Distance sqrt(low high) and stiffness sqrt(low / high); (inf, 0) without an upper bound; and (0, 1) for the gap
-        [0, 0], where the equation divides zero by zero and only the same frame is admitted.
+        [0, 0], where the equation would divide zero by zero and only the same frame is allowed.
     """
     _check_gap(low, high)
     if high >= UNBOUNDED:

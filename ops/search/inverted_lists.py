@@ -1,4 +1,4 @@
-"""Inverted lists: for every word of a feature set its runs, in order of take and start (thesis, Section 3.3)."""
+"""An inverted list of a word holds its runs, in order of take and start (thesis, Section 3.3)."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from kinedex.ops.words import I64, MOST_FEATURES, NO_WORD, U64, cut
 I32 = npt.NDArray[np.int32]
 
 MOST_COUNTED = 18
-"""Up to this many features, a table with an entry for every possible word (2 MB) fits into the caches, and the runs are
-put in their places in one pass. With more features the runs are sorted."""
+"""The most features for which a table with an entry for every possible word (2 MB) fits into the caches, so that runs
+are placed by counting in one pass. With more features the runs are sorted.
+"""
 
 
 class InvertedLists(NamedTuple):
@@ -61,17 +62,17 @@ class InvertedLists(NamedTuple):
 
     @property
     def runs(self) -> I64:
-        """The number of runs of each word, int64 (V,)."""
+        """Return the number of runs of each word, int64 (V,)."""
         return np.diff(self.offsets)
 
     @property
     def frames(self) -> I64:
-        """The number of frames of each word, int64 (V,)."""
+        """Return the number of frames of each word, int64 (V,)."""
         ends = np.concatenate([[0], np.cumsum(self.length, dtype=np.int64)])
         return np.diff(ends[self.offsets])
 
     def matching(self, mask: int, value: int) -> I64:
-        """Return the indices of the words that a keyframe stands for, those with ``word & mask == value``.
+        """Return the indices of the words that a keyframe matches, those with ``word & mask == value``.
 
         Raises
         ------
@@ -84,7 +85,7 @@ class InvertedLists(NamedTuple):
 
 
 def inverted_lists(words: U64, offsets: I64, first_feature: int, features: int) -> InvertedLists:
-    """Cut the words of many takes down to one feature set, and make the inverted list of each of its words.
+    """Reduce the words of many takes to one feature set, and make the inverted list of each of its words.
 
     Parameters
     ----------
@@ -147,13 +148,13 @@ def _count(words: U64, offsets: I64, shift: np.uint64, mask: np.uint64, counts: 
 def _place(
     words: U64, offsets: I64, shift: np.uint64, mask: np.uint64, cursor: I64, take: I32, start: I32, length: I32
 ) -> None:
-    """Write each run to its list; cursor[w] is where the next run of word w belongs."""
+    """Write each run to its list; cursor[w] is the index of the next run of word w."""
     for t in range(len(offsets) - 1):
         first = offsets[t]
         before = NO_WORD
         begun = first
         for i in range(first, offsets[t + 1] + 1):
-            # one step past the end of the take there is no word, which ends the last run
+            # one step past the end of the take ends the last run
             word = NO_WORD
             if i < offsets[t + 1] and words[i] != NO_WORD:
                 word = (words[i] >> shift) & mask

@@ -1,7 +1,7 @@
-"""Keyframe search over inverted keyframe lists, as the thesis describes it (Sections 3.4 and 3.5).
+"""This module searches keyframes with inverted keyframe lists, as the thesis does (Sections 3.4 and 3.5).
 
-The names of the thesis are found here as follows; frames count from 0 and stops are exclusive, where the thesis counts
-from 1 and includes both ends.
+The symbols of the thesis correspond to these names; frames count from 0 and stops are exclusive, where the thesis
+counts from 1 and includes both ends.
 
     L(v)              the inverted list of a word            `ops.search.inverted_lists`
     Λ_k               inverted keyframe list, Eq. 3.4 to 3.6 `keyframe_list`
@@ -54,16 +54,16 @@ def keyframe_list(lists: InvertedLists, mask: int, value: int) -> I64:
     """
     words = lists.matching(mask, value)
     counts = lists.runs[words]
-    # the runs of word i are lists.offsets[i] .. lists.offsets[i + 1]
+    # the runs of word i have the indices lists.offsets[i] to lists.offsets[i + 1] - 1
     skipped = np.repeat(lists.offsets[words] - (np.cumsum(counts) - counts), counts)
     chosen = skipped + np.arange(len(skipped))
     starts = to_axis(lists.take[chosen], lists.start[chosen])
-    # runs are disjoint, so starts and stops that are sorted apart still belong together
+    # runs are disjoint, so starts and stops still match after sorting them separately
     return _joined(np.stack([np.sort(starts), np.sort(starts + lists.length[chosen])], axis=1))
 
 
 def completable_frames(lists: Sequence[I64], gaps: Sequence[tuple[int, int]]) -> list[I64]:
-    """Keep of each keyframe list the frames from which the rest of the query can be completed.
+    """Reduce each keyframe list to the frames from which the rest of the query can be completed.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def completable_frames(lists: Sequence[I64], gaps: Sequence[tuple[int, int]]) ->
     bounds = checked_gaps(gaps, len(lists))
     remaining = [lists[-1]]
     for segments, (low, high) in zip(reversed(lists[:-1]), bounds[::-1].tolist(), strict=True):
-        # frame n reaches the frames n + low to n + high: the admissible range of Eq. 3.11, seen from its far end
+        # frame n reaches the frames n + low to n + high: Eq. 3.11, solved for the earlier frame
         reaching = _joined(remaining[-1] - np.array([high, low]))
         remaining.append(_intersection(segments, reaching))
     return remaining[::-1]
@@ -98,7 +98,7 @@ def search_lists(lists: Sequence[I64], gaps: Sequence[tuple[int, int]]) -> I64:
     """Return the union of all hit relevant ranges of a keyframe query (thesis, Section 3.5, Algorithm 1).
 
     A hit is a sequence of frames that meets the keyframes under the gaps (Eq. 3.2 and 3.3). The farthest end of a hit,
-    E(n), never falls as its first frame n rises. So the hits that begin in a segment [s, e] cover exactly [s, E(e)],
+    E(n), does not decrease with its first frame n. So the hits that begin in a segment [s, e] cover exactly [s, E(e)],
     and E(e) is found by going from e to the largest completable frame that each gap admits.
 
     Parameters
@@ -128,7 +128,7 @@ def search_lists(lists: Sequence[I64], gaps: Sequence[tuple[int, int]]) -> I64:
 
 
 def _joined(segments: I64) -> I64:
-    """Unite neighbours that overlap or touch, of segments whose starts ascend and whose stops never fall."""
+    """Merge overlapping or touching neighbours in segments whose starts ascend and whose stops do not decrease."""
     apart = segments[1:, 0] > segments[:-1, 1]
     edge = np.ones(min(len(segments), 1), np.bool_)
     starts, stops = np.concatenate([edge, apart]), np.concatenate([apart, edge])

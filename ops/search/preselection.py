@@ -1,4 +1,4 @@
-"""Preselection for templates: margins around the hits of a keyframe query, and the columns that its keyframes fit."""
+"""This module computes margins around the hits of a keyframe query, and the template columns of its keyframes."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from kinedex.ops.search.gaps import UNBOUNDED
 from kinedex.ops.words import I64
 
 _COST_UNIT = 2**40
-"""Costs are compared as whole numbers of this unit, so that ties are ties and not a matter of rounding."""
+"""Unit to which costs are rounded as integers, so that ties do not depend on rounding errors."""
 
 
 def template_margins(first: int, last: int, columns: int, stiffness: float) -> tuple[int, int]:
-    """Return the margins by which a template may reach beyond a hit of its keyframe query.
+    """Return the margins by which a template may extend beyond a hit of its keyframe query.
 
     A query covers the motion from its first to its last keyframe (thesis, Section 5.3). The template's columns before
     and after these take as many frames as the query's softest gap allows, but no more than a warping path can (two
@@ -56,7 +56,7 @@ def fit_keyframes(
     values: npt.NDArray[np.bool_],
     gaps: Sequence[tuple[int, int]],
 ) -> tuple[int, ...]:
-    """Find the template columns at which the keyframes of a query fit best under its gaps.
+    """Find the template columns that fit the keyframes of a query best under its gaps.
 
     The cost of a keyframe in a column is the mean of |template - value| over its fixed entries: the share of those that
     mismatch, where a wildcard counts half.
@@ -75,8 +75,8 @@ def fit_keyframes(
     Returns
     -------
     tuple of int
-        The cheapest columns p_1 <= ... <= p_K with admissible gaps, or in any order-preserving place where no gaps are
-        admissible. Of equally cheap placements the leftmost is taken, by the first keyframe first.
+        The cheapest columns p_1 <= ... <= p_K with admissible gaps, or in any ascending order if there are none with
+        admissible gaps. Ties go to the leftmost columns, compared from the first keyframe on.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def fit_keyframes(
 
 
 def _cheapest(costs: I64, gaps: Sequence[tuple[int, int]]) -> list[int] | None:
-    """Return the cheapest admissible columns by dynamic programming from the last keyframe back, or None."""
+    """Return the cheapest admissible columns by dynamic programming from the last keyframe backwards, or None."""
     count, columns = costs.shape
     never = np.iinfo(np.int64).max // 2
     best = costs[-1]

@@ -1,4 +1,4 @@
-"""Keyframes proposed from an example: the poses by which it stands out, by the word counts of an archive."""
+"""This module proposes keyframes from an example: its poses that are rare in an archive, by word counts."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.words import ALL_KNOWN, I64, NO_WORD, U64
 
 MOST_FEATURES_FIXED = 6
-"""The most features that a proposed keyframe fixes; the others stay open, which makes it general."""
+"""The most features that a proposed keyframe fixes; the others are wildcards, so that it stays general."""
 
 RARE_ENOUGH = 0.01
-"""A keyframe that matches at most this share of the archive's frames gets no further features."""
+"""Share of the archive's frames at which a keyframe is rare enough to get no further features."""
 
 WORTH_FIXING = 0.8
-"""A feature is fixed only if at most this share of the frames that match without it match with it."""
+"""A feature is only fixed if the keyframe then matches at most this share of the frames that it matched before."""
 
 _STEADY = 1
-"""A feature is fixed only if it does not change in so many frames on either side."""
+"""Number of frames on either side in which a feature must not change to be fixed."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class SetCounts:
     count : int
         The number of features of the set.
     words : uint64 array (V,)
-        Words cut down to the set.
+        Words reduced to the set.
     frames : int64 array (V,)
         The frames of each word.
     """
@@ -67,11 +67,11 @@ class Pose:
 
 
 def propose_poses(clip: U64, counts: Sequence[SetCounts], most: int, known: int = int(ALL_KNOWN)) -> list[Pose]:
-    """Choose the keyframes by which an example stands out from an archive.
+    """Choose the keyframes that best distinguish an example from an archive.
 
-    In every run of the example a pose is made: feature by feature, the one that leaves the fewest of the archive's
-    frames, among those that are steady there. Then the poses are chosen whose shares have the smallest product, in
-    order, no two neighbours equal, and no two closer than half of what an even spacing would be.
+    For every run of the example a pose is built greedily, adding the steady feature that leaves the fewest of the
+    archive's frames. Then the sequence of poses with the smallest product of shares is chosen, such that no two
+    neighbours are equal or closer than half of an even spacing.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def propose_poses(clip: U64, counts: Sequence[SetCounts], most: int, known: int 
     most : int
         The largest number of keyframes, at least 1.
     known : int
-        The mask of the features that the example knows, with the bits of a word; no pose fixes another one.
+        The mask of the features that are known in the example; poses fix only these.
 
     Returns
     -------
@@ -108,7 +108,7 @@ def propose_poses(clip: U64, counts: Sequence[SetCounts], most: int, known: int 
 
 
 def _pose(clip: U64, frame: int, counts: Sequence[SetCounts], unknown: int) -> Pose:
-    """Return the pose of one frame: its rarest steady features, chosen greedily."""
+    """Return the pose of one frame with its rarest steady features, chosen greedily."""
     around = clip[max(frame - _STEADY, 0) : frame + _STEADY + 1]
     around = around[around != NO_WORD]
     changing = int(np.bitwise_or.reduce(around ^ clip[frame])) | unknown

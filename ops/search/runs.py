@@ -1,4 +1,4 @@
-"""Runs: maximal intervals of frames of one take with the same word, or in which the same feature is on."""
+"""This module finds runs: maximal intervals of frames of a take with the same word, or in which a feature is on."""
 
 from __future__ import annotations
 
@@ -54,12 +54,12 @@ class FeatureRuns(NamedTuple):
 
 
 def word_runs(words: U64, offsets: I64) -> WordRuns:
-    """Cut the words of many takes into runs, the entries of inverted lists (thesis, Section 3.3).
+    """Divide the words of many takes into runs, the entries of inverted lists (thesis, Section 3.3).
 
     Parameters
     ----------
     words : uint64 array (N,)
-        The words of T takes, laid end to end, possibly cut down to one feature set by `ops.words.cut`. `NO_WORD` stands
+        The words of T takes, laid end to end, possibly reduced to one feature set by `ops.words.cut`. `NO_WORD` stands
         for an invalid frame.
     offsets : int64 array (T + 1,)
         Take i has the words offsets[i] to offsets[i + 1]. Takes may be empty.
@@ -176,12 +176,12 @@ def _count_feature_runs(words: U64, offsets: I64, mask: np.uint64, counts: I64) 
 def _fill_feature_runs(
     words: U64, offsets: I64, mask: np.uint64, cursor: I64, take: I32, start: I32, stop: I32
 ) -> None:
-    # every feature writes to a part of its own, so the runs come out sorted by feature
+    # every feature writes to its own part, so the runs are sorted by feature
     for t in range(len(offsets) - 1):
         first = offsets[t]
         before = np.uint64(0)
         for i in range(first, offsets[t + 1] + 1):
-            # one step past the take's end everything is off
+            # one step past the take's end all features are off
             now = words[i] & mask if i < offsets[t + 1] and words[i] != NO_WORD else np.uint64(0)
             changed = now ^ before
             while changed:

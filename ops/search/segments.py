@@ -1,4 +1,4 @@
-"""Segments of frames on one axis for a whole archive.
+"""This module represents segments of frames on one axis for a whole archive.
 
 Every frame of an archive has one position on an int64 axis, ``take_index << 32 | frame``. A list of segments is an
 int64 array (n, 2) of half-open ranges of positions, ascending, neither overlapping nor touching (thesis, Eq. 3.5 and
@@ -19,7 +19,7 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.words import I64
 
 TAKE_BITS = 32
-"""The takes of the axis lie 2**TAKE_BITS positions apart."""
+"""Base-2 logarithm of the distance between takes on the axis."""
 
 _MAX_FRAMES = 2**31
 
@@ -54,6 +54,6 @@ def to_axis(take_index: npt.ArrayLike, frame: npt.ArrayLike) -> I64:
 
 
 def from_axis(segments: I64) -> tuple[I64, I64]:
-    """Return the take indices, int64 (n,), and the ranges of frames, int64 (n, 2), of segments of the axis."""
+    """Return the take indices, int64 (n,), and the frame ranges, int64 (n, 2), of segments of the axis."""
     takes = segments[:, 0] >> TAKE_BITS
     return takes, segments - (takes << TAKE_BITS)[:, None]

@@ -1,1 +1,1 @@
-"""Simulated recordings of motion: cameras around a scene, keypoints of a detector, and its failures."""
+"""This package simulates recordings of motion: cameras, keypoint detections and their failures, and depth images."""

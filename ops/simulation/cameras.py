@@ -1,4 +1,4 @@
-"""Cameras that stand evenly around a scene and look at its middle."""
+"""This module places cameras evenly around a scene, looking at its centre."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ F64 = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CameraRing:
-    """A ring of equal cameras.
+    """A ring of identical cameras.
 
     Attributes
     ----------
     count : int
         Number of cameras, 1 or more.
     distance_m : float
-        Distance of the ring from the outermost place of the root, in metres.
+        Distance of the ring from the outermost position of the root, in metres.
     height_m : float
         Height of the cameras above the floor, in metres.
     aim_m : float
@@ -55,13 +55,13 @@ class CameraRing:
 
     @property
     def matrix(self) -> F64:
-        """The matrix (3, 3) of each camera, in pixels."""
+        """Return the camera matrix (3, 3), in pixels, that all cameras share."""
         width, height = self.size
         return np.array([[self.focal_px, 0.0, width / 2], [0.0, self.focal_px, height / 2], [0.0, 0.0, 1.0]])
 
 
 def ring_of_cameras(ring: CameraRing, roots: F64, floor_m: float, generator: np.random.Generator) -> tuple[F64, F64]:
-    """Place cameras evenly around the middle of a take, the first in a random direction.
+    """Place cameras evenly around the centre of a take, the first in a random direction.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The surface of a body before a simulated depth camera: round cones with clothes on them."""
+"""This module models the body surface in front of a simulated depth camera: round cones with clothes."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 REFERENCE_HEIGHT_M = 1.70
-"""The standing height of the body that radii are given for."""
+"""The standing height in metres of the body for which radii are given."""
 
 
 @dataclass(frozen=True, eq=False)
 class Clothes:
-    """Clothes are bumps of the surface.
+    """Clothes modelled as bumps of the surface.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Clothes:
 
 @dataclass(frozen=True, eq=False)
 class Flesh:
-    """C round cones on the joints of a body, before sizes are drawn.
+    """C round cones on the joints of a body, before a person's sizes are drawn.
 
     The end e of cone c lies at Σ weights[c, e, j] · joint j + forward_m[c, e] · facing; the second end lies beyond_m[c]
     metres on in the direction from the joint beyond[c, 0] to the joint beyond[c, 1].
@@ -54,7 +54,7 @@ class Flesh:
     weights : float64 array (C, 2, 24)
         Weights of the joints, in the order of `JOINTS`.
     forward_m : float64 array (C, 2)
-        Metres in front of these places; negative behind them.
+        Metres in front of these positions; negative behind them.
     beyond : int64 array (C, 2)
         Two joints.
     beyond_m : float64 array (C,)
@@ -81,7 +81,7 @@ class Flesh:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Sizes and bumps of C cones of one person, in metres.
+    """The sizes and bumps of the C cones of one person, in metres.
 
     Attributes
     ----------
@@ -100,13 +100,13 @@ class Surface:
 
     @property
     def step(self) -> float:
-        """The part of a distance that a ray may safely go on by: 0.9, and less where folds are steep."""
+        """Return the factor of a distance by which a ray may safely advance: 0.9, and less where folds are steep."""
         steepest = float((self.folds[:, 0] * self.folds[:, 1]).max(initial=0.0))
         return 0.9 / (1.0 + steepest)
 
 
 def draw_surface(flesh: Flesh, height_m: float, generator: np.random.Generator) -> Surface:
-    """Draw the sizes of a person's parts and the phases of his clothes.
+    """Draw the sizes of a person's body parts and the phases of the clothes.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def draw_surface(flesh: Flesh, height_m: float, generator: np.random.Generator) 
 def facing(joints: F64) -> F64:
     """Return the horizontal unit vectors (…, 3) that bodies face, from joints (…, 24, 3) with Y up.
 
-    They lie across the line from the right to the left shoulder and hip; 0 where a body has no such direction.
+    They are perpendicular to the lines from the right to the left shoulder and hip; 0 where there is no such direction.
     """
     at = {name: joints[..., JOINTS.index(name), :] for name in ("lshoulder", "rshoulder", "lhip", "rhip")}
     across = (at["lshoulder"] - at["rshoulder"]) + (at["lhip"] - at["rhip"])

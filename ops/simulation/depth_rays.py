@@ -1,7 +1,7 @@
-"""Depth of cones along the rays of a camera, by ray marching.
+"""This module computes the depth of cones along the rays of a camera by ray marching.
 
-Places are in the axes of the camera: x right, y down, z forward, in metres. A ray goes through 0 and (a, b, 1), and its
-depth is z.
+Positions are in the axes of the camera: x right, y down, z forward, in metres. A ray goes through the origin and (a, b,
+1), and its depth is z.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ I64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
 
 HIT_M = 0.001
-"""A ray ends where the surface is nearer than this."""
+"""Distance in metres from the surface at which a ray ends."""
 
 SHADOW_M = 0.01
-"""Light that ends less than this before a point does reach it."""
+"""Tolerance in metres of shadows: light that ends less than this before a point does reach it."""
 
 _NEAREST_M = 0.05
-"""A cone that comes nearer to the plane of the camera than this may be anywhere in the image."""
+"""Depth in metres below which a cone may project anywhere in the image."""
 
 
 class ConeRays:
-    """Rays of a camera that looks at cones, with the arrays that they need.
+    """Casts rays of a camera at cones, with preallocated arrays.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class ConeRays:
         return image
 
     def shadow(self, ends: F64, depth: F64, baseline_m: float) -> Bool:
-        """Return the pixels (H, W) whose points a projector does not reach past the cones.
+        """Return a mask (H, W) of the pixels whose points lie in the shadow of cones from a projector.
 
         Parameters
         ----------
@@ -83,7 +83,7 @@ class ConeRays:
 
 @njit(cache=True)
 def _bound(ends: F64, radii: F64, margin: F64, view: F64, boxes: F64) -> None:
-    """Bound each cone by columns, rows and depths: u0, u1, v0, v1, z0, z1."""
+    """Compute the bounds of each cone in columns, rows and depths: u0, u1, v0, v1, z0, z1."""
     focal = view[0]
     for c in range(len(ends)):
         z0, z1 = np.inf, -np.inf
@@ -148,7 +148,7 @@ def _march(
 
 @njit(cache=True)
 def _row_cones(boxes: F64, v: int, row: I64) -> int:
-    """List the cones that may be seen in a row."""
+    """List the cones that may be visible in a row, and return their number."""
     count = 0
     for c in range(len(boxes)):
         if boxes[c, 2] <= v <= boxes[c, 3]:
@@ -159,7 +159,7 @@ def _row_cones(boxes: F64, v: int, row: I64) -> int:
 
 @njit(cache=True)
 def _column_cones(boxes: F64, row: I64, in_row: int, u: float, listed: I64) -> tuple[int, float, float]:
-    """List the cones of a row that may be seen in a column, and return the depths between which they are."""
+    """List the cones of a row that may be visible in a column; return their number and least and greatest depth."""
     count, begin, end = 0, np.inf, -np.inf
     for i in range(in_row):
         c = row[i]
@@ -189,7 +189,7 @@ def _render(ends: F64, radii: F64, folds: F64, bumps: F64, view: F64, boxes: F64
 def _shade(
     ends: F64, radii: F64, folds: F64, bumps: F64, view: F64, boxes: F64, depth: F64, baseline: float, hidden: Bool
 ) -> None:  # fmt: skip
-    """Mark the pixels whose points are in the shadow of cones, whose ends are in the axes of the projector."""
+    """Mark the pixels whose points are in the shadow of cones; the ends are given in the projector's axes."""
     height, width = depth.shape
     row, listed = np.empty(len(ends), np.int64), np.empty(len(ends), np.int64)
     for v in range(height):

@@ -1,4 +1,4 @@
-"""A room with a floor, a wall and a person before a level depth camera."""
+"""This module simulates a room with a floor, a wall and a person in front of a level depth camera."""
 
 from __future__ import annotations
 
@@ -19,33 +19,33 @@ U16 = npt.NDArray[np.uint16]
 Bool = npt.NDArray[np.bool_]
 
 TOES_M = 0.03
-"""Height above the floor of the 5th percentile of the lower toes."""
+"""Height in metres above the floor of the 5th percentile of the lower toes' height."""
 
 EYE_M, DISTANCE_M, STEP_M, MOST_STEPS = 1.1, 3.0, 0.25, 20
 LEAST_DEPTH_M, WALL_M = 0.8, 1.5
 BORDER_PX = (6.0, 6.0, 8.0, 4.0)
-"""Pixels between the joints and the image's left, right, upper and lower border."""
+"""Least distance in pixels of the joints from the image's left, right, upper and lower border."""
 
 EMPTY_FRAMES = 15
-"""The background is the median of as many frames of the empty room."""
+"""Number of frames of the empty room whose median is the background."""
 
 
 def on_floor(joints: F64) -> F64:
-    """Lower or lift a take (T, 24, 3), so that its feet stand on the floor at Y = 0."""
+    """Shift a take (T, 24, 3) vertically so that its feet stand on the floor at Y = 0."""
     toes = joints[:, [JOINTS.index("ltoes"), JOINTS.index("rtoes")], 1].min(axis=1)
     return joints - np.array([0.0, np.percentile(toes, 5) - TOES_M, 0.0])
 
 
 @dataclass(frozen=True, eq=False)
 class CameraPlace:
-    """The place of a level camera.
+    """The position and orientation of a level camera.
 
     Attributes
     ----------
     rotation : float64 array (3, 3)
         From the world to the camera: x_camera = rotation · (x_world − place).
     place : float64 array (3,)
-        Its place in metres, Y up.
+        Its position in metres, Y up.
     outside : bool array (T,)
         The frames with a joint outside the image or its border, or nearer than 0.8 m.
     """
@@ -55,15 +55,15 @@ class CameraPlace:
     outside: Bool
 
     def seen(self, points: F64) -> F64:
-        """Return points (…, 3) in the axes of the camera."""
+        """Transform points (…, 3) to the axes of the camera."""
         found: F64 = (points - self.place) @ self.rotation.T
         return found
 
 
 def place_camera(sensor: DepthSensor, joints: F64, azimuth: float = 0.0) -> CameraPlace:
-    """Place a level camera before a take, whose mean facing it looks against.
+    """Place a level camera in front of a take, looking against the person's mean facing direction.
 
-    It is moved back until every joint is inside the image, by 5 m at most.
+    It is moved back, by at most 5 m, until every joint is inside the image.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def place_camera(sensor: DepthSensor, joints: F64, azimuth: float = 0.0) -> Came
     joints : float64 array (T, 24, 3)
         The take in metres, Y up, with the floor at Y = 0.
     azimuth : float, optional
-        The camera stands as many radians about Y to the person's left of the mean facing.
+        The angle in radians about Y from the mean facing direction to the camera, towards the person's left.
     """
     if not len(joints) or not np.isfinite(joints).all():
         raise ParameterError("joints", "finite in all frames, of which there is one or more", joints.shape)
@@ -93,7 +93,7 @@ def place_camera(sensor: DepthSensor, joints: F64, azimuth: float = 0.0) -> Came
 
 
 def _outside(sensor: DepthSensor, seen: F64) -> Bool:
-    """Return the frames (T,) with a joint that is near, or outside the image or its border."""
+    """Return a mask (T,) of the frames with a joint that is too near, or outside the image or its border."""
     (width, height), (cx, cy) = sensor.size, sensor.centre
     left, right, upper, lower = BORDER_PX
     near = seen[..., 2] < LEAST_DEPTH_M
@@ -105,7 +105,7 @@ def _outside(sensor: DepthSensor, seen: F64) -> Bool:
 
 
 class DepthScene:
-    """A take in a room, filmed by a depth camera; the same arguments and calls give the same bytes.
+    """A take in a room, recorded by a depth camera; the same arguments and calls give identical bytes.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class DepthScene:
     flesh : Flesh
         The cones of the body.
     disturbance : Disturbance
-        Errors beside those of the sensor.
+        Errors in addition to those of the sensor.
     joints : float64 array (T, 24, 3)
         The take in metres, Y up; `on_floor` puts it on the floor at Y = 0.
     height_m : float
@@ -140,12 +140,12 @@ class DepthScene:
         return len(self._ends)
 
     def true_depth(self, frame: int) -> tuple[F64, Bool]:
-        """Return the true depth (H, W) of a frame in metres, and the pixels (H, W) of the body."""
+        """Return the true depth (H, W) of a frame in metres, and a mask (H, W) of the body's pixels."""
         body = self._rays.depth(self._ends[frame])
         return np.minimum(body, self._room), body < self._room
 
     def background(self) -> U16:
-        """Return the depth (H, W) of the empty room in millimetres, the median of several frames."""
+        """Return the depth (H, W) of the empty room in millimetres, as the median of several frames."""
         nothing = np.zeros(self._room.shape, np.bool_)
         frames = [
             measured(self.sensor, self._room, nothing, nothing, self._disturbance, self._generator)
@@ -163,7 +163,7 @@ class DepthScene:
 
 
 def _room(sensor: DepthSensor, eye_m: float, wall_m: float) -> F64:
-    """Return the depth (H, W) of a floor and a wall."""
+    """Return the depth (H, W) in metres of a floor and a wall."""
     down = (np.arange(sensor.size[1]) - sensor.centre[1]) / sensor.focal_px
     floor = np.divide(eye_m, down, out=np.full_like(down, np.inf), where=down > 0)
     return np.repeat(np.minimum(floor, wall_m)[:, None], sensor.size[0], axis=1)
