@@ -1,4 +1,4 @@
-"""Numbers in motion-capture text: compiled loops over bytes."""
+"""These kernels parse the numbers of motion-capture text files."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ U8 = npt.NDArray[np.uint8]
 Text = bytes | bytearray | memoryview
 
 OK, BAD_NUMBER, TOO_FEW, TOO_MANY, UNKNOWN_NAME, TWICE, MISSING, NOT_NEXT, NO_FRAME, FULL = range(10)
-"""The faults that `parse_frames` and `parse_rows` report: see `Fault`."""
+"""The error codes of `parse_frames` and `parse_rows`, see `Fault`."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """The first fault of a text.
+    """The first syntax error of a text.
 
     Parameters
     ----------
     code : int
-        One of BAD_NUMBER … FULL, the last for a text with more rows than there is room for.
+        One of BAD_NUMBER … FULL, the last for a text with more rows than `out` can hold.
     line : int
         The line, from 1.
     start, stop : int
-        The bytes or the index that it concerns, depending on the code.
+        The byte range or the index of the error, depending on the code.
     """
 
     code: int
@@ -56,7 +56,7 @@ class Fault:
 
 @njit(inline="always")
 def _note_slow(slow, slows, row, column, pos, after, line):  # type: ignore[no-untyped-def]
-    # Note a number that needs exact conversion, where there is room; return how many there are then.
+    # Record a number that needs exact conversion if there is space; return the new count.
     if slows < len(slow):
         slow[slows, 0], slow[slows, 1], slow[slows, 2], slow[slows, 3] = row, column, pos, after
         slow[slows, 4] = line
@@ -65,7 +65,7 @@ def _note_slow(slow, slows, row, column, pos, after, line):  # type: ignore[no-u
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _name_end(data: U8, pos: int, end: int, names: U8, start: int, stop: int) -> int:
-    """Return the position after a name that is names[start:stop]; −1 where another one is at pos."""
+    """Return the position after the name names[start:stop] at `pos`; −1 if another name is there."""
     size = stop - start
     if pos + size > end or (pos + size < end and data[unsigned(pos + size)] > SPACE):
         return -1
@@ -77,7 +77,7 @@ def _name_end(data: U8, pos: int, end: int, names: U8, start: int, stop: int) ->
 
 @njit(cache=True, nogil=True, _nrt=False)
 def _find_name(data: U8, pos: int, end: int, names: U8, offsets: I64) -> int:
-    """Return the index of the name at pos; −1 where it is none of them."""
+    """Return the index of the name at `pos`; −1 if it is none of them."""
     for i in range(len(offsets) - 1):
         if _name_end(data, pos, end, names, offsets[unsigned(i)], offsets[unsigned(i + 1)]) >= 0:
             return i
@@ -96,9 +96,9 @@ def _first_absent(seen: I64, frame: int) -> int:
 def _parse_frames(
     data: U8, pos: int, line: int, names: U8, offsets: I64, columns: I64, seen: I64, out: F64, slow: I64
 ) -> tuple[int, int, int, int, int, int, int]:
-    """Return (code, line, fault start, fault stop, frames, first number, numbers that need exact conversion)."""
+    """Return (code, line, fault start, fault stop, frames, first frame number, count of numbers to convert exactly)."""
     end, count = len(data), len(offsets) - 1
-    seen[:] = -1  # the frame in which each name was seen last
+    seen[:] = -1  # the last frame in which each name was seen
     frame, first, number, present, guess, slows = -1, 0, 0, 0, 0, 0
     while pos < end:
         pos = skip_blanks(data, pos, end)
@@ -126,7 +126,7 @@ def _parse_frames(
             if frame < 0:
                 return NO_FRAME, line, pos, token_end(data, pos, end), 0, first, slows
             name, stop = guess, _name_end(data, pos, end, names, offsets[unsigned(guess)], offsets[unsigned(guess + 1)])
-            if stop < 0:  # not the name behind the one before, as in nearly every file
+            if stop < 0:  # the name does not follow the one before in order, as names nearly always do
                 name, stop = _find_name(data, pos, end, names, offsets), token_end(data, pos, end)
             if name < 0:
                 return UNKNOWN_NAME, line, pos, stop, frame, first, slows
@@ -158,9 +158,9 @@ def _parse_frames(
 
 @njit(cache=True, nogil=True, _nrt=False)
 def _count_rows(data: U8, pos: int, numbered: bool) -> tuple[int, int]:
-    """Return the numbers of rows and of lines that begin with a blank behind a byte.
+    """Return the numbers of rows and of indented lines from a byte on.
 
-    Sums of 128 bytes fit into a byte, so that the processor takes dozens of bytes at once.
+    Counts over 128 bytes fit into a byte, so that the loop vectorises over dozens of bytes.
     """
     end, rows, indented = len(data), 0, 0
     for start in range(pos + 1, end, 128):
@@ -237,7 +237,7 @@ def _row_starts(data: U8, pos: int, numbered: bool, out: I64) -> None:
 
 
 def row_starts(data: Text, start: int, numbered: bool) -> I64:
-    """Return the bytes at which the lines begin that `count_rows` counts.
+    """Return the byte offsets of the lines that `count_rows` counts.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ def row_starts(data: Text, start: int, numbered: bool) -> I64:
     Returns
     -------
     int64 array (rows,)
-        Places in `data`, ascending; blanks at the beginning of a line belong to it.
+        Offsets in `data`, ascending; blanks at the beginning of a line belong to it.
     """
     found = np.empty(count_rows(data, start, numbered), np.int64)
     _row_starts(np.frombuffer(data, dtype=np.uint8), start, numbered, found)
@@ -260,7 +260,7 @@ def row_starts(data: Text, start: int, numbered: bool) -> I64:
 
 @lru_cache(maxsize=16)
 def _named_columns(names: tuple[str, ...], widths: tuple[int, ...]) -> tuple[U8, I64, I64]:
-    """Return the letters of all names, and where each name and its columns begin and end."""
+    """Return the bytes of all names, and the offsets of each name and of its columns."""
     encoded = [name.encode("latin-1") for name in names]
     offsets = np.cumsum([0, *(len(name) for name in encoded)]).astype(np.int64)
     columns = np.cumsum([0, *widths]).astype(np.int64)
@@ -288,7 +288,7 @@ def parse_frames(
     widths : list of int
         The number of values of each row.
     out : float64 array (at least frames, sum of widths), optional
-        Where the numbers are put; memory of their own by default.
+        The array to fill; a new one by default.
 
     Returns
     -------
@@ -323,7 +323,7 @@ def parse_frames(
 
 @njit(cache=True, nogil=True, _nrt=False)
 def _parse_rows(data: U8, pos: int, line: int, out: F64, slow: I64) -> tuple[int, int, int, int, int, int]:
-    """Return (code, line, fault start, fault stop, rows, numbers that need exact conversion)."""
+    """Return (code, line, fault start, fault stop, rows, count of numbers to convert exactly)."""
     end = len(data)
     columns = out.shape[1]
     row, slows = 0, 0
@@ -356,7 +356,7 @@ def _parse_rows(data: U8, pos: int, line: int, out: F64, slow: I64) -> tuple[int
 
 
 def parse_rows(data: Text, start: int, line: int, columns: int, out: F64 | None = None) -> tuple[F64, Fault | None]:
-    """Parse lines of equally many numbers, the body of a BVH file.
+    """Parse lines with equal counts of numbers, the body of a BVH file.
 
     Blank lines and lines that begin with # are skipped.
 
@@ -371,7 +371,7 @@ def parse_rows(data: Text, start: int, line: int, columns: int, out: F64 | None 
     columns : int
         The number of values of a line, at least one.
     out : float64 array (at least rows, columns), optional
-        Where the numbers are put; memory of their own by default.
+        The array to fill; a new one by default.
 
     Returns
     -------
@@ -390,7 +390,7 @@ def parse_rows(data: Text, start: int, line: int, columns: int, out: F64 | None 
         raise ParameterError("columns", "at least 1", columns)
     array = np.frombuffer(data, dtype=np.uint8)
     if out is None:
-        # A number takes a byte and a space at least, so that no count of lines can ask for more than a few file sizes.
+        # A number takes at least a digit and a space, so the memory is limited to a few times the file size.
         out = np.empty((min(count_rows(data, start, False), (len(data) - start) // (2 * columns) + 1), columns))
     slow = np.empty((1024, 5), dtype=np.int64)
     while True:
@@ -405,7 +405,7 @@ def parse_rows(data: Text, start: int, line: int, columns: int, out: F64 | None 
 
 
 def _convert_exactly(data: Text, out: F64, slow: I64) -> Fault | None:
-    """Fill in the numbers that the kernel could not round itself; return a fault where one is out of range."""
+    """Fill in the numbers that need exact conversion; return a fault if one is out of range."""
     if not len(slow):
         return None
     whole = bytes(data)

@@ -1,4 +1,4 @@
-"""Work that may be withdrawn: long computations ask from time to time whether anybody still waits for their result."""
+"""This module cancels long computations, which check from time to time whether their result is still needed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from kinedex.ops.errors import KinedexError
 
 
 class WithdrawnError(KinedexError):
-    """Nobody waits for the result any more."""
+    """The computation was cancelled, since its result is no longer needed."""
 
 
 def _never() -> bool:
@@ -22,12 +22,12 @@ _is_withdrawn: ContextVar[Callable[[], bool]] = ContextVar("is_withdrawn", defau
 
 @contextmanager
 def withdrawn_when(test: Callable[[], bool]) -> Iterator[None]:
-    """Let the work of this context end once a test is true.
+    """Cancel the work of this context once a test returns True.
 
     Parameters
     ----------
     test : callable
-        It is called from the threads of the work, often; the context of a thread is that of who has started it.
+        A function that is called often, from the threads of the work; threads inherit the context of their starter.
 
     Examples
     --------
@@ -47,6 +47,6 @@ def withdrawn_when(test: Callable[[], bool]) -> Iterator[None]:
 
 
 def check_withdrawn() -> None:
-    """Raise a WithdrawnError if nobody waits for the result of this context any more."""
+    """Raise a WithdrawnError if the work of this context was cancelled."""
     if _is_withdrawn.get()():
         raise WithdrawnError("the work was withdrawn: nobody waits for its result")

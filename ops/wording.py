@@ -1,4 +1,4 @@
-"""Counts, lists of names, values and lengths of time in words, for the terminal, pages and remarks."""
+"""This module formats counts, lists of names, values and durations as text for the terminal, pages and messages."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ _MOST = 8
 
 
 def few(names: Sequence[str]) -> str:
-    """Return the names, or the first eight and the number of the others."""
+    """Return the names as text; of many, the first eight and the number of the others."""
     return ", ".join(names[:_MOST]) + (f" and {len(names) - _MOST} more" if len(names) > _MOST else "")
 
 
 def digits(value: float | None) -> str:
-    """Return a value with two digits, or a dash where there is none."""
+    """Return a value with two digits, or a dash for None."""
     return "–" if value is None or math.isnan(value) else f"{value:.2f}"
 
 
@@ -24,7 +24,7 @@ def counted(number: int, noun: str, plural: str | None = None) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Return a length of time in the two largest units that it has: "40 s", "3 min 20 s", "2 h 5 min"."""
+    """Return a duration in its two largest units: "40 s", "3 min 20 s", "2 h 5 min"."""
     whole = max(1, round(seconds))
     if whole < 60:
         return f"{whole} s"

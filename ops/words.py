@@ -1,4 +1,4 @@
-"""Words: the bit vectors of frames, and the words of many takes laid end to end."""
+"""Words are the bit vectors of frames, one bit per feature; this module packs, unpacks and stores them."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ U64 = npt.NDArray[np.uint64]
 I64 = npt.NDArray[np.int64]
 
 NO_WORD = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
-"""Stands in the place of the word of an invalid frame, of which nothing is known: it takes part in no run, no template
-and no hit. A word has at most 63 features, so none equals it, and `cut` leaves it as it is. In Parquet it is null."""
+"""The word of an invalid frame, which takes part in no run, no template and no hit. Other words have at most 63
+features, so none equals it, and `cut` keeps it. In Parquet it is null.
+"""
 
 MOST_FEATURES = 63
 """The most features a word can have."""
@@ -37,7 +38,7 @@ class TakeWords:
         Bit i − 1 is feature F_i; `NO_WORD` where the frame is invalid.
     known : uint64 array (T,), optional
         The mask of the features that each take has the joints for, with the bits of a word. The other bits are 0 in its
-        words and state nothing. None: every take knows all features.
+        words, which carries no information. None: all features are known in every take.
 
     Raises
     ------
@@ -67,21 +68,21 @@ class TakeWords:
 
     @property
     def frames(self) -> I64:
-        """The number of frames of each take, int64 (T,)."""
+        """Return the number of frames of each take, int64 (T,)."""
         return np.diff(self.offsets)
 
     @property
     def masks(self) -> list[int]:
-        """The different masks of known features, the largest first; `ALL_KNOWN` alone where no take lacks any."""
+        """Return the different masks of known features, the largest first; only `ALL_KNOWN` if no take lacks any."""
         return [int(ALL_KNOWN)] if self.known is None else np.unique(self.known)[::-1].tolist()
 
     @property
     def best_known(self) -> U64:
-        """The words of the takes that know all features, or of all takes where none does."""
+        """Return the words of the takes with all features known, or of all takes if there are none."""
         return self.knowing(int(ALL_KNOWN))[1].words if int(ALL_KNOWN) in self.masks else self.words
 
     def knowing(self, mask: int) -> tuple[I64, TakeWords]:
-        """Return the takes whose known features are those of a mask, all of one kind, so that the mask goes.
+        """Return the takes whose known features equal a mask, with words that no longer carry masks.
 
         Parameters
         ----------
@@ -106,7 +107,7 @@ class TakeWords:
 
 
 def cut(words: U64, first_feature: int, features: int) -> U64:
-    """Cut words down to one feature set, shifted down to bit 0.
+    """Extract the bits of one feature set from words, shifted down to bit 0.
 
     Parameters
     ----------
@@ -133,7 +134,7 @@ def cut(words: U64, first_feature: int, features: int) -> U64:
 
 
 def bits(words: U64, features: int) -> npt.NDArray[np.uint8]:
-    """Unpack words into a feature matrix.
+    """Unpack words to a feature matrix.
 
     Parameters
     ----------
@@ -151,7 +152,7 @@ def bits(words: U64, features: int) -> npt.NDArray[np.uint8]:
 
 
 def pack(matrix: npt.NDArray[np.bool_] | npt.NDArray[np.uint8]) -> U64:
-    """Pack a feature matrix into words; the inverse of `bits`.
+    """Pack a feature matrix to words; the inverse of `bits`.
 
     Parameters
     ----------

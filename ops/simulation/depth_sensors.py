@@ -1,4 +1,4 @@
-"""Measurements of depth sensors: true depth with noise, flying pixels and holes."""
+"""This module simulates measurements of depth sensors: true depth with noise, flying pixels and holes."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ U16 = npt.NDArray[np.uint16]
 Bool = npt.NDArray[np.bool_]
 
 EDGE_M = 0.20
-"""A pixel lies on an edge where the depths of its 3 × 3 window differ by more than this."""
+"""Difference of depths in metres within a 3 × 3 window above which its pixel lies on an edge."""
 
 BASELINE_M = 0.075
-"""Distance of the projector of structured light to the right of the camera."""
+"""Distance in metres of a structured-light projector to the right of the camera."""
 
 UNIT_M = 0.001
-"""Depth is rounded to this."""
+"""Unit in metres to which depth is rounded."""
 
 _FLYING, _EDGE_HOLES, _HOLES = 0.5, 0.3, 0.001
 _DISPARITY_SD_PX, _SUBPIXELS, _REFERENCE_FOCAL_PX = 0.07, 8, 580.0
-_LARGEST = 65_534  # 65,535 means on many cameras that nothing was measured
+_LARGEST = 65_534  # 65,535 is excluded, as many cameras use it for a missing measurement
 
 
 @dataclass(frozen=True)
 class DepthSensor:
-    """A depth camera without distortion, whose axis goes through the middle of its images.
+    """A depth camera without distortion, whose optical axis passes through the image centre.
 
     Attributes
     ----------
     kind : str
-        tof measures the time of flight, structured finds a projected pattern.
+        "tof" for time of flight, "structured" for structured light.
     size : tuple of (int, int)
         Width and height of its images in pixels.
     focal_px : float
@@ -49,12 +49,12 @@ class DepthSensor:
 
     @property
     def centre(self) -> tuple[float, float]:
-        """Column and row of the optical axis."""
+        """Return the column and row of the optical axis."""
         return (self.size[0] - 1) / 2, (self.size[1] - 1) / 2
 
     @property
     def matrix(self) -> F64:
-        """The matrix (3, 3) of the camera in pixels."""
+        """Return the matrix (3, 3) of the camera in pixels."""
         return np.array([[self.focal_px, 0.0, self.centre[0]], [0.0, self.focal_px, self.centre[1]], [0.0, 0.0, 1.0]])
 
 
@@ -63,12 +63,12 @@ SENSORS = {
     "tof_small": DepthSensor("tof", (176, 144), 206.0),
     "structured": DepthSensor("structured", (320, 240), 285.6),
 }
-"""The cameras that are simulated, by name."""
+"""The simulated cameras, by name."""
 
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Errors beside those of the sensor, as dark or shiny clothes and warm electronics make them.
+    """Errors in addition to those of the sensor, as caused by dark or shiny clothes and warm electronics.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Disturbance:
     correlation : float
         Part of the variance of the noise that a pixel shares with its 3 × 3 window, from 0 to 1.
     ripple_m, ripple_length_m : float
-        Height and length of a wave of the measured depth over the true one, in metres.
+        Amplitude and wavelength of a systematic depth error that is periodic in the true depth, in metres.
     dropouts : float
         Share of the pixels of the body where nothing is measured.
     """
@@ -100,7 +100,7 @@ class Disturbance:
 def measured(
     sensor: DepthSensor, depth: F64, body: Bool, shadow: Bool, disturbance: Disturbance, generator: np.random.Generator
 ) -> U16:
-    """Draw what a sensor measures.
+    """Simulate a measurement of a sensor.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def measured(
     body : bool array (H, W)
         The pixels of the body.
     shadow : bool array (H, W)
-        The pixels that the projector does not reach; they are holes of structured light.
+        The pixels that the projector does not reach, which are holes with structured light.
     disturbance : Disturbance
         Further errors.
     generator : numpy.random.Generator
@@ -120,7 +120,7 @@ def measured(
     Returns
     -------
     uint16 array (H, W)
-        Depth in millimetres; 0 where nothing was measured, or the depth is no number of 16 bits.
+        Depth in millimetres; 0 where nothing was measured, or the depth does not fit 16 bits.
     """
     noise = _noise(depth.shape, disturbance.correlation, generator)
     if disturbance.noise != 1.0:
@@ -141,7 +141,7 @@ def measured(
 
 
 def _noise(shape: tuple[int, ...], correlation: float, generator: np.random.Generator) -> F64:
-    """Draw normal noise of standard deviation 1, some of which neighbours share."""
+    """Draw normal noise of standard deviation 1 with correlated neighbours."""
     noise = generator.standard_normal(shape)
     if correlation > 0.0:
         height, width = shape
@@ -154,7 +154,7 @@ def _noise(shape: tuple[int, ...], correlation: float, generator: np.random.Gene
 def _flight(
     sensor: DepthSensor, depth: F64, noise: F64, near: F64, far: F64, edge: Bool, generator: np.random.Generator
 ) -> tuple[F64, Bool]:
-    """Return what time of flight gives: noise, and at edges pixels that fly between near and far."""
+    """Return a time-of-flight measurement: depth with noise, and flying pixels between near and far at edges."""
     values = depth + noise * (0.004 + 0.0015 * depth**2)
     flying, share = generator.random((2, int(edge.sum())))
     mixed = near[edge] + share * (far[edge] - near[edge])
@@ -165,7 +165,7 @@ def _flight(
 def _pattern(
     sensor: DepthSensor, depth: F64, noise: F64, near: F64, far: F64, edge: Bool, generator: np.random.Generator
 ) -> tuple[F64, Bool]:
-    """Return what structured light gives: disparity with noise, in parts of a pixel, and holes."""
+    """Return a structured-light measurement: depth from noisy disparity, quantised to subpixels, and holes."""
     scale = BASELINE_M * sensor.focal_px
     part = sensor.focal_px / (_SUBPIXELS * _REFERENCE_FOCAL_PX)
     disparity = np.rint((scale / depth + _DISPARITY_SD_PX * noise) / part) * part
@@ -175,7 +175,7 @@ def _pattern(
 
 
 def window_range(depth: F64) -> tuple[F64, F64]:
-    """Return the least and the greatest depth (H, W) in the 3 × 3 window of each pixel, which ends at the border."""
+    """Return the least and greatest depth (H, W) in the 3 × 3 window of each pixel, cropped at the border."""
     near, far = np.empty_like(depth), np.empty_like(depth)
     _window_range(depth, near, far)
     return near, far

@@ -1,4 +1,4 @@
-"""Failures of a detector: intervals in which cameras are blank, or limbs are reported in a wrong place."""
+"""This module simulates failures of a keypoint detector: cameras without output, and misplaced limbs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ OCCLUDED_CONFIDENCE, STUCK_CONFIDENCE = (0.25, 0.6), 0.6
 
 @dataclass(frozen=True)
 class FailureRate:
-    """The number and the length of failures.
+    """The frequency and duration of failures.
 
     Attributes
     ----------
@@ -58,12 +58,12 @@ class FailureRate:
 
 
 LONG = FailureRate(shortest_s=1.2, longest_s=2.2)
-"""Failures that last long."""
+"""The rate of long failures."""
 
 
 @dataclass(frozen=True, eq=False)
 class Limbs:
-    """The keypoints of limbs; the two sides of a pair name the same keypoints in the same order.
+    """The keypoints of limbs, in the same order on both sides.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Limbs:
     legs: tuple[I64, I64]
 
     def named(self, limb: str) -> I64:
-        """Return the keypoints of a limb that move when it does: without the hip."""
+        """Return the keypoints of a limb that are displaced by a failure, without the hip."""
         side = "lr".index(limb[0])
         return self.arms[side] if limb[1:] == "arm" else self.legs[side][1:]
 
@@ -87,7 +87,7 @@ LIMBS = ("larm", "rarm", "lleg", "rleg")
 
 @dataclass(frozen=True)
 class Failure:
-    """An interval [start, stop) of frames in which tracking fails.
+    """A failure of the detector in the frames [start, stop).
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class Failure:
     limb : str
         One of `LIMBS`, "legs" for both, "body" for all keypoints.
     cameras : tuple of int
-        The cameras that report it.
+        The cameras in which it occurs.
     """
 
     start: int
@@ -124,12 +124,12 @@ def draw_failures(
     cameras : int
         Number of cameras, V.
     generator : numpy.random.Generator
-        Draws kind, limb, length, start and cameras, each evenly.
+        Draws kind, limb, length, start and cameras, each uniformly.
 
     Returns
     -------
     list of Failure
-        The failures by start. A single camera fails in no other way than being blank.
+        The failures, sorted by start. With a single camera, only "views" occurs.
     """
     half = max(1, cameras // 2)
     counts = {
@@ -164,16 +164,16 @@ def with_failures(
     limbs : Limbs
         The keypoints of limbs.
     pixels : float64 array (T, V, P, 2)
-        Places in the images.
+        Positions in the images.
     confidence : float64 array (T, V, P)
         Their confidence.
     generator : numpy.random.Generator
-        Draws where limbs are reported.
+        Draws the false positions of limbs.
 
     Returns
     -------
     pixels : float64 array (T, V, P, 2)
-        The places with failures.
+        The positions with failures.
     confidence : float64 array (T, V, P)
         Their confidence.
     """

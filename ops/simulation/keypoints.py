@@ -1,4 +1,4 @@
-"""Keypoints as a detector reports them: places that are slightly off, noise, confidence and outliers."""
+"""This module simulates the keypoints of a detector: systematic offsets, noise, confidence and outliers."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ F64 = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Detector:
-    """The errors of a detector of keypoints.
+    """The error model of a keypoint detector.
 
     Attributes
     ----------
     offset_m : float
-        Standard deviation per axis of the place that a keypoint has in its segment, in metres; it is the same in all
-        frames of a take.
+        Standard deviation per axis of a keypoint's offset from its true point, in metres; the offset is fixed in the
+        segment and constant over a take.
     noise_px : float
         Standard deviation per axis of the noise, in pixels.
     correlation : float
-        Correlation of the noise of neighbouring frames: a process AR(1).
+        Correlation of the noise of consecutive frames, an AR(1) process.
     confidence, confidence_sd : float
         Mean and standard deviation of the confidence, which is clipped to [0.5, 1].
     outliers : float
-        Share of keypoints that are far off.
+        Share of keypoints that are outliers.
     outlier_px : float
-        Standard deviation per axis of their error, in pixels; their confidence is drawn evenly from [0.3, 0.9].
+        Standard deviation per axis of their error, in pixels; their confidence is uniform in [0.3, 0.9].
 
     Raises
     ------
@@ -64,23 +64,23 @@ def segment_offsets(detector: Detector, points: int, generator: np.random.Genera
 
 
 def detected_keypoints(detector: Detector, pixels: F64, generator: np.random.Generator) -> tuple[F64, F64]:
-    """Draw what a detector reports of keypoints.
+    """Draw the keypoints that a detector reports.
 
     Parameters
     ----------
     detector : Detector
         The errors.
     pixels : float64 array (T, V, P, 2)
-        The true places in the images; NaN for points behind a camera.
+        The true positions in the images; NaN for points behind a camera.
     generator : numpy.random.Generator
         Draws noise, outliers and confidence.
 
     Returns
     -------
     pixels : float64 array (T, V, P, 2)
-        The reported places.
+        The reported positions.
     confidence : float64 array (T, V, P)
-        Their confidence, above 0; `outside_hidden` sets what no image shows to 0.
+        Their confidence, above 0; `outside_hidden` sets that of keypoints outside the image to 0.
     """
     shape = pixels.shape[:3]
     noise = generator.normal(0.0, 1.0, (*shape, 2))
@@ -96,12 +96,12 @@ def detected_keypoints(detector: Detector, pixels: F64, generator: np.random.Gen
 
 
 def outside_hidden(pixels: F64, confidence: F64, size: tuple[int, int]) -> tuple[F64, F64]:
-    """Hide keypoints outside the image.
+    """Set keypoints outside the image, and their confidence, to 0.
 
     Parameters
     ----------
     pixels : float64 array (T, V, P, 2)
-        Places in the images; NaN where there is none.
+        Positions in the images; NaN where there is none.
     confidence : float64 array (T, V, P)
         Their confidence.
     size : tuple of (int, int)
@@ -110,9 +110,9 @@ def outside_hidden(pixels: F64, confidence: F64, size: tuple[int, int]) -> tuple
     Returns
     -------
     pixels : float64 array (T, V, P, 2)
-        The places, 0 where nothing is seen.
+        The positions, 0 where the keypoint is not visible.
     confidence : float64 array (T, V, P)
-        The confidence, 0 where nothing is seen.
+        The confidence, 0 where the keypoint is not visible.
     """
     inside = ((pixels >= 0.0) & (pixels < np.array(size, np.float64))).all(axis=-1)  # false for NaN
     seen = inside & (confidence > 0.0)

@@ -1,4 +1,4 @@
-"""A simulated recording of a take: its cameras, its keypoints, and the failures in them."""
+"""This module simulates a recording of a take: its cameras, its keypoints, and the failures in them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ F64 = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Setup:
-    """A setup holds what a recording is made with.
+    """The parameters of a simulated recording.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class Setup:
     detector : Detector
         The errors of keypoints.
     failures : FailureRate
-        Where tracking fails.
+        The frequency and duration of detector failures.
     """
 
     ring: CameraRing = field(default_factory=CameraRing)
@@ -64,7 +64,7 @@ class SimulatedRecording:
 
 
 def take_generators(seed: int, name: str) -> list[np.random.Generator]:
-    """Return the random numbers of a take: for cameras, keypoints, and failures, each apart."""
+    """Return three independent random generators of a take, for cameras, keypoints, and failures."""
     return [np.random.default_rng(one) for one in np.random.SeedSequence([seed, zlib.crc32(name.encode())]).spawn(3)]
 
 
@@ -77,14 +77,14 @@ def simulated_recording(
     rate_hz: float,
     generators: Sequence[np.random.Generator],
 ) -> SimulatedRecording:
-    """Film a take.
+    """Simulate a camera recording of a take.
 
     Parameters
     ----------
     setup : Setup
         Cameras, errors and failures.
     body : ChainBody
-        The body of the take, whose chain is fitted to it: the turns of its nodes carry the keypoints.
+        The body of the take. Its chain is fitted to the take, and the keypoints move with its nodes.
     positions : float64 array (J, 3, T)
         Joints of the take in metres, Y up, in the order of the chain.
     points : BodyPoints
@@ -104,7 +104,7 @@ def simulated_recording(
     Raises
     ------
     ParameterError
-        The take has no frame, or one with a place that is not finite.
+        The take has no frame, or one with a position that is not finite.
     """
     if positions.shape[2] == 0 or not np.isfinite(positions).all():
         raise ParameterError("positions", "finite in all frames, of which there is one or more", positions.shape)
@@ -125,7 +125,7 @@ def simulated_recording(
 
 
 def keypoint_places(body: ChainBody, positions: F64, points: BodyPoints, offsets: F64) -> F64:
-    """Compute the places of keypoints.
+    """Compute the positions of keypoints.
 
     Parameters
     ----------
@@ -134,14 +134,14 @@ def keypoint_places(body: ChainBody, positions: F64, points: BodyPoints, offsets
     positions : float64 array (J, 3, T)
         Its joints in metres.
     points : BodyPoints
-        P keypoints: a joint, or a place in the frame of a node.
+        P keypoints: a joint, or a position in the frame of a node.
     offsets : float64 array (P, 3)
-        What is added in the frame of the node, in metres.
+        Offset of each keypoint in the frame of its node, in metres.
 
     Returns
     -------
     float64 array (T, P, 3)
-        The places in metres.
+        The positions in metres.
     """
     turned = forward(body, fit_poses(body, positions))[1]
     centres = positions[list(body.chain.centres)]

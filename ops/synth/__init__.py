@@ -1,1 +1,1 @@
-"""The synthetic archive: an articulated body, the motions it knows, and the actors who perform them."""
+"""This package generates the synthetic archive: an articulated body, motion classes, and actors who perform them."""

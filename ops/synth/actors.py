@@ -1,4 +1,4 @@
-"""The actors of the synthetic archive, with their proportions and their manner of moving."""
+"""This module defines the actors of the synthetic archive by their proportions and their manner of moving."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ _NAMES = ("al", "bo", "cy", "di", "ed", "fi", "gu", "ha", "io", "jo", "ka", "lu"
 
 @dataclass(frozen=True)
 class Actor:
-    """One actor: a body, a way to stand, and how steadily motions are repeated.
+    """An actor: body proportions, posture, and variation between repetitions.
 
     Attributes
     ----------
     tempo, range : float
         Factors on speed and size of every motion.
     unsteady : float
-        Relative spread of both between repetitions.
+        Relative standard deviation of both between repetitions.
     loose : float
-        Spread in seconds by which a hand, the trunk or the head is early or late.
+        Standard deviation in seconds of the timing of a hand, the trunk or the head.
     careless : float
-        Spread of places that hands go to, in arm lengths.
+        Standard deviation of the targets of hands, in arm lengths.
     manner : float
         Factor on the variation of a motion between repetitions.
     restless : float
@@ -64,18 +64,18 @@ class Actor:
     over_toes: float
 
     def habit(self, what: str, low: float, high: float) -> float:
-        """Return this actor's lasting preference in a matter, between two values."""
+        """Return this actor's constant preference for some property, between two values."""
         rng = np.random.default_rng([self.seed, zlib.crc32(what.encode())])
         return float(rng.uniform(low, high))
 
     def likes(self, what: str, *choices: str, steady: float, rng: np.random.Generator) -> str:
-        """Return the manner in which this actor does something, another than the habitual one with 1 − steady."""
+        """Return one of several ways to do something, with probability `steady` the actor's usual one."""
         usual = choices[int(self.habit(what, 0.0, len(choices) - 1e-9))]
         return usual if rng.random() < steady else choices[int(rng.integers(len(choices)))]
 
 
 def actor_name(number: int) -> str:
-    """Return the two letters of the actor with this number, from 0."""
+    """Return the two-letter name of the actor with this number, counted from 0."""
     if number < len(_NAMES):
         return _NAMES[number]
     every = [a + b for a in "abcdefghijklmnopqrstuvwxyz" for b in "abcdefghijklmnopqrstuvwxyz"]
@@ -83,14 +83,14 @@ def actor_name(number: int) -> str:
 
 
 def cast(number: int, seed: int) -> Actor:
-    """Draw the actor with this number, from 0; the same seed gives the same actor."""
+    """Draw the actor with this number, counted from 0; the same seed gives the same actor."""
     rng = np.random.default_rng([seed, 7, number])
     size = float(np.clip(rng.normal(1.0, 0.055), 0.87, 1.13))
     scale = {part: size * float(rng.normal(1.0, 0.03)) for part in ("leg", "foot", "spine", "arm", "shoulder", "hip")}
     body = build_body(
         scale, splay=float(rng.uniform(16, 22)), palm=float(rng.uniform(25, 35)), asymmetry=float(rng.normal(0, 0.01))
     )
-    # A tall body swings slower; temper adds the rest. Drawn in strata, so that few actors differ already.
+    # Tall bodies move more slowly; a random factor adds to this. It is stratified, so that even a few actors differ.
     strata = (number * 0.381966 + rng.uniform(0.0, 0.25)) % 1.0
     tempo = (1.16 - 0.32 * strata) / size**0.5
     return Actor(

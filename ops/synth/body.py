@@ -1,4 +1,4 @@
-"""The synthetic body: bones as an Acclaim skeleton has them, in the proportions of one actor."""
+"""This module defines the synthetic body: the bones of an Acclaim skeleton in the proportions of one actor."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ PARENTS: dict[str, str] = {
     "rfingers": "rhand",
     "rthumb": "rwrist",
 }
-"""Parent of every bone, in the order in which the bones are numbered; parents come first."""
+"""The parent of every bone, in the order in which the bones are numbered; parents come first."""
 
 _DOFS = {
     "femur": "rx ry rz",
@@ -60,7 +60,7 @@ _DOFS = {
 SPINE = ("lowerback", "upperback", "thorax")
 NECK = ("lowerneck", "upperneck", "head")
 
-# Limb lengths in metres of an actor of size 1; hip is the way from the root to a hip joint.
+# Limb lengths in metres of an actor of size 1; "hip" is the offset from the root to a hip joint.
 _LENGTHS = {
     "hipjoint": 0.150,
     "femur": 0.412,
@@ -98,7 +98,7 @@ FOOT_SLOPE = math.radians(37.0)
 
 @dataclass(frozen=True)
 class Bone:
-    """One bone: rest direction (unit) and length in metres, axis angles in degrees (XYZ), free rotations."""
+    """A bone: rest direction (unit vector), length in metres, axis angles in degrees (XYZ) and degrees of freedom."""
 
     name: str
     parent: str

@@ -1,9 +1,10 @@
-"""The channels a motion is written in: pelvis, feet, spine, head and hands instead of joint angles.
+"""This module defines the channels in which motions are written: pelvis, feet, spine, head and hands, not joint angles.
 
 Lengths of pelvis and feet are in leg lengths of the actor, those of the hands in arm lengths, angles in degrees,
 so that one motion fits every body.
 
-- px py pz: the pelvis in the room; py counts from upright standing. yaw (left is positive), pitch (forwards), roll (to
+- px py pz: the pelvis in the world; py is relative to upright standing. yaw (left is positive), pitch (forwards), roll
+(to
   the right).
 - per foot (l, r): x y z of the ball of the foot in the room (of the ankle, where free = 1), yaw, pitch (heel up), knee
   (turned outwards), free (0: the foot holds its angle in the room, 1: it hangs from the shin).
@@ -31,7 +32,7 @@ CHANNELS: tuple[str, ...] = (
 )
 INDEX: dict[str, int] = {name: i for i, name in enumerate(CHANNELS)}
 
-# Channels that move together: what one body part does is early or late as a whole.
+# Channels of one body part share their timing errors, so that the part is early or late as a whole.
 GROUP: dict[str, str] = dict.fromkeys(PELVIS, "pelvis")
 GROUP |= {side + part: side + "foot" for side in "lr" for part in FOOT}
 GROUP |= dict.fromkeys(TRUNK, "trunk") | dict.fromkeys(HEAD, "head")

@@ -1,4 +1,4 @@
-"""Gymnastics: squats, jumping jacks, arm circles, cartwheels."""
+"""This module writes gymnastic motions: squats, jumping jacks, arm circles, cartwheels."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from kinedex.ops.synth.score import Score
 
 
 def squat(score: Score, times: int) -> list[float]:
-    """Bend the knees deeply some times, with the arms held out in front.
+    """Write deep squats, with the arms held out in front.
 
     Returns
     -------
@@ -46,7 +46,7 @@ def squat(score: Score, times: int) -> list[float]:
 
 
 def elbow_to_knee(score: Score, times: int) -> list[float]:
-    """With the hands at the head, bring each elbow to the knee of the other side, left knee first.
+    """Write elbow-to-knee exercises: with the hands at the head, each elbow meets the opposite knee, left knee first.
 
     Returns
     -------
@@ -89,7 +89,7 @@ def _raise_knee(score: Score, side: str) -> None:
 
 
 def jumping_jack(score: Score, times: int) -> list[float]:
-    """Jump with the legs apart and the arms up, and back again, some times.
+    """Write jumping jacks: jumps with the legs apart and the arms up, and back.
 
     Returns
     -------
@@ -140,7 +140,7 @@ def _jump_sideways(score: Score, start: float, span: float, width: float, high: 
 
 
 def arm_circles(score: Score, times: int) -> list[float]:
-    """Turn the stretched right arm backwards some times, with the feet apart and the left hand at the hip.
+    """Write backward circles of the stretched right arm, with the feet apart and the left hand at the hip.
 
     Returns
     -------
@@ -162,7 +162,7 @@ def arm_circles(score: Score, times: int) -> list[float]:
         for i in range(1, points + 1):
             angle = 2 * math.pi * i / points
             ahead, height = math.sin(angle) * radius, -math.cos(angle) * radius
-            # Behind the body the arm passes further out than in front of it.
+            # Behind the body the arm passes farther outwards than in front of it.
             place = (out - 0.35 * min(ahead / radius, 0.0), height, ahead * (0.62 if ahead < 0 else 1.0))
             score.hand("r", (i - 1) / points * span, i / points * span, *place)
         score.hand("l", 0.0, span, 0.05, -0.55, 0.03, swivel=60.0)
@@ -178,7 +178,7 @@ def arm_circles(score: Score, times: int) -> list[float]:
 
 
 def _straddle(score: Score, width: float, span: float) -> None:
-    """Step so far apart with both feet, one after the other."""
+    """Write two steps that put the feet apart to a straddle of the given width."""
     for side, sign, begin, end in (("l", 1.0, 0.0, 0.6), ("r", -1.0, 0.45, 1.0)):
         score.step(
             side, begin * span, end * span, sign * width, score.about(0.0, 0.02), lift=0.05, heel=10.0, strike=0.0
@@ -186,7 +186,7 @@ def _straddle(score: Score, width: float, span: float) -> None:
 
 
 def cartwheel(score: Score) -> None:
-    """Turn a wheel to the left over the hands."""
+    """Write a cartwheel to the left."""
     score.begin("wheel")
     actor = score.actor
     prepare, span, end = score.beat(0.55), score.beat(1.25), score.beat(0.5)
@@ -213,10 +213,10 @@ def cartwheel(score: Score) -> None:
 
 
 def _wheel_point(score: Score, start: float, stop: float, u: float, far: float, straddle: float, bent: float) -> None:
-    """Write one moment of the turning body: the pelvis on its arc, free legs straddled in its frame."""
+    """Write the keys of one moment of a cartwheel: the pelvis on its arc, with straddled legs in its frame."""
     turned = 360.0 * (u - math.sin(2 * math.pi * u) / (2 * math.pi) * 0.35)
     over = math.radians(turned)
-    # Upside down the pelvis stands on trunk and arms instead of legs.
+    # Upside down the pelvis is supported by trunk and arms instead of legs.
     height = -0.06 - 0.10 * math.sin(over) ** 2 + 0.38 * (1 - math.cos(over)) / 2
     x = 0.2 + far * u
     score.pelvis(start, stop, x, 0.0, 0.0, roll=-turned, py=height)
@@ -238,5 +238,5 @@ def _wheel_point(score: Score, start: float, stop: float, u: float, far: float, 
             x_room, z_room = score.room(0.2 + far + sign * 0.30, 0.0)
             ball = {"x": x_room, "z": z_room, "y": 0.0, "free": 0.0, "pitch": 0.0}
             score.move(start, stop, **{side + name: value for name, value in ball.items()})
-    # The hands stay above the head; on the floor they stay where they are.
+    # The hands stay above the head; on the floor they are fixed in the world.
     score.hands(start, stop, 0.2, 0.93, 0.1 * math.sin(over))

@@ -1,4 +1,4 @@
-"""Motions between levels: sitting, standing up, lying down, getting up, reaching high and low."""
+"""This module writes motions between levels: sitting, standing up, lying down, getting up, reaching high and low."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from kinedex.ops.synth.score import Score
 
 
 def sit_down(score: Score) -> None:
-    """Sit down on a chair that stands behind, with the arms folded."""
+    """Write sitting down on a chair behind the body, with folded arms."""
     score.begin("sit")
     actor = score.actor
     down, settle = score.beat(0.80), score.beat(0.6)
@@ -24,14 +24,14 @@ def sit_down(score: Score) -> None:
 
 
 def _fold_arms(score: Score, start: float, stop: float) -> None:
-    """Fold the arms in front of the chest."""
+    """Write folding the arms in front of the chest."""
     high = score.actor.habit("fold", -0.36, -0.20)
     score.hand("l", start, stop, -0.30, high - 0.04, 0.34)
     score.hand("r", start, stop, -0.26, high + 0.04, 0.38)
 
 
 def sit(score: Score, seconds: float) -> None:
-    """Sit for a while and look around."""
+    """Write sitting and looking around for some seconds."""
     score.begin()
     t = 0.0
     while t < seconds:
@@ -42,7 +42,7 @@ def sit(score: Score, seconds: float) -> None:
 
 
 def stand_up(score: Score) -> None:
-    """Stand up from a chair, with the arms folded."""
+    """Write standing up from a chair, with folded arms."""
     score.begin("stand")
     actor = score.actor
     ready, up = score.beat(0.5), score.beat(0.95)
@@ -56,7 +56,7 @@ def stand_up(score: Score) -> None:
 
 
 def lie_down(score: Score) -> None:
-    """Go down on one knee, sit down on the floor over one hand, and lie down on the back."""
+    """Write lying down: onto one knee, sitting on the floor over one hand, and lying on the back."""
     score.begin("lie")
     actor = score.actor
     side = "r" if actor.habit("lie.side", 0.0, 1.0) < 0.75 else "l"
@@ -94,14 +94,14 @@ def lie_down(score: Score) -> None:
 
 
 def _ball(score: Score, side: str, start: float, stop: float, x: float, z: float) -> None:
-    """Slide a foot over the floor to a place given from the anchor, and put it down flat."""
+    """Slide a foot over the floor to a position relative to the anchor, and put it down flat."""
     room_x, room_z = score.room(x, z)
     flat = {"x": room_x, "z": room_z, "y": 0.0, "free": 0.0, "pitch": 6.0, "knee": 14.0}
     score.move(start, stop, **{side + name: value for name, value in flat.items()})
 
 
 def get_up(score: Score) -> None:
-    """Sit up from lying on the back, turn over one hand onto one knee, and stand up."""
+    """Write getting up from the back: sitting up, turning over one hand onto one knee, and standing up."""
     score.begin("up")
     actor = score.actor
     side = "r" if actor.habit("up.side", 0.0, 1.0) < 0.75 else "l"
@@ -109,7 +109,7 @@ def get_up(score: Score) -> None:
     other = "l" if side == "r" else "r"
     width = actor.stance
     sit_up, tuck, kneel, rise = (score.beat(t) for t in (0.95, 0.75, 0.9, 1.0))
-    # Whoever lies has his feet in front of the place where he is going to stand.
+    # The feet of a lying body are in front of its later standing position.
     score.hands(0.0, 0.5 * sit_up, 0.3, -0.7, score.about(0.2, 0.1))
     score.move(0.0, sit_up, pitch=-12.0, bend=score.vary(36.0), nod=-4.0)
     t = sit_up
@@ -132,7 +132,7 @@ def get_up(score: Score) -> None:
 
 
 def grab_high(score: Score) -> None:
-    """Take a box from a high shelf with both hands and hold it in front of the chest."""
+    """Write taking a box from a high shelf with both hands and holding it in front of the chest."""
     score.begin("grab")
     actor = score.actor
     reach, hold, take, lower = score.beat(0.70), score.beat(0.30), score.beat(0.55), score.beat(0.40)
@@ -162,7 +162,7 @@ def grab_high(score: Score) -> None:
 
 
 def deposit_floor(score: Score) -> None:
-    """Put something down on the floor in front with both hands."""
+    """Write putting something down on the floor in front with both hands."""
     score.begin("deposit")
     actor = score.actor
     down, hold, up = score.beat(0.75), score.beat(0.55), score.beat(0.75)

@@ -1,4 +1,4 @@
-"""Motions that go somewhere: walking, jogging, spinning, hopping."""
+"""This module writes locomotion: walking, jogging, turning, spinning and hopping."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from kinedex.ops.synth.score import Score
 
 @dataclass(frozen=True)
 class Gait:
-    """The parameters of a gait: lengths in leg lengths, times in seconds, angles in degrees.
+    """The parameters of a gait, with lengths in leg lengths, times in seconds and angles in degrees.
 
     Attributes
     ----------
     seconds : float
-        From one step to the next.
+        Time from one step to the next.
     stride : float
-        Distance that a step gains on the last one.
+        Distance between successive foot placements.
     swing : float
         Time that a foot spends in the air, in steps.
     lift : float
@@ -68,7 +68,7 @@ JOG = Gait(
 
 
 def go(score: Score, gait: Gait, first: str, steps: int, curve: float = 0.0) -> list[float]:
-    """Walk some steps, and stand still at the end.
+    """Write some steps of a gait, and standing still at the end.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def _stride(
     ahead: float,
     sink: float,
 ) -> None:
-    """Write one step: the foot that swings, the pelvis over the foot that stands, arms and trunk against them."""
+    """Write one step: the swinging foot, the pelvis over the standing foot, and arms and trunk in opposition."""
     outwards = 1.0 if side == "l" else -1.0
     sine, cosine = math.sin(math.radians(heading)), math.cos(math.radians(heading))
     narrow = gait.narrow * outwards
@@ -133,7 +133,7 @@ def _stride(
     score.step(
         side, begin, begin + gait.swing * span, *land, yaw=heading, lift=gait.lift, heel=gait.heel, strike=gait.strike
     )
-    # At landing the pelvis is half a step behind the foot that lands, and over the other foot in between.
+    # At landing the pelvis is half a step behind the landing foot; in mid-stance it is over the standing foot.
     behind = 0.52 * ahead
     sway = -0.35 * narrow
     px, pz = x + (ahead - behind) * sine + sway * cosine * 0.3, z + (ahead - behind) * cosine - sway * sine * 0.3
@@ -148,7 +148,7 @@ def _stride(
 
 
 def _swing_arms(score: Score, gait: Gait, side: str, span: float, outwards: float) -> None:
-    """Swing the arms against the legs, and the shoulders against the hips."""
+    """Write arms that swing opposite to the legs, and shoulders opposite to the hips."""
     actor = score.actor
     other = "r" if side == "l" else "l"
     swing = gait.arms * actor.swing * score.size
@@ -165,7 +165,7 @@ def _swing_arms(score: Score, gait: Gait, side: str, span: float, outwards: floa
 
 
 def _close(score: Score, gait: Gait, side: str, span: float, place: tuple[float, float], heading: float) -> None:
-    """Bring the feet together and come to rest."""
+    """Write bringing the feet together and coming to rest."""
     outwards = 1.0 if side == "l" else -1.0
     sine, cosine = math.sin(math.radians(heading)), math.cos(math.radians(heading))
     width = score.actor.stance * outwards * score.about(1.0, 0.12)
@@ -179,7 +179,7 @@ def _close(score: Score, gait: Gait, side: str, span: float, place: tuple[float,
 
 
 def spin(score: Score) -> None:
-    """Turn once around to the left, with the arms stretched out."""
+    """Write one full turn to the left, with the arms stretched out."""
     score.begin("spin")
     actor = score.actor
     rise = score.beat(0.45)
@@ -193,14 +193,14 @@ def spin(score: Score) -> None:
 
 
 def turn(score: Score, degrees: float, seconds: float = 0.46, arms: tuple[float, float, float] | None = None) -> None:
-    """Turn on the spot by some steps, to the left where the angle is positive.
+    """Write a turn on the spot in several steps, to the left for positive angles.
 
     Parameters
     ----------
     seconds : float
         Duration of a step, seconds.
     arms : tuple[float, float, float] or None
-        Position at which the hands are held; by default they hang.
+        Position at which the hands are held; None for hanging hands.
     """
     score.begin()
     first, second = ("l", "r") if degrees > 0 else ("r", "l")
@@ -220,7 +220,7 @@ def turn(score: Score, degrees: float, seconds: float = 0.46, arms: tuple[float,
 def _turning_step(
     score: Score, side: str, span: float, goal: float, over: float, lead: float, arms: tuple[float, float, float] | None
 ) -> None:
-    """Put one foot down in its new direction `goal`, and turn the pelvis to `over`; the head leads."""
+    """Write a step that puts one foot down in the direction `goal` and turns the pelvis to `over`; the head leads."""
     actor = score.actor
     sign = 1.0 if side == "l" else -1.0
     angle, turned = math.radians(goal), math.radians(over)
@@ -243,7 +243,7 @@ def _hanging(score: Score, ahead: float) -> tuple[float, float, float]:
 
 
 def hop(score: Score, ahead: float = 0.6) -> None:
-    """Hop forwards on both legs once."""
+    """Write one hop forwards on both legs."""
     score.begin("hop")
     actor = score.actor
     down, up, land = score.beat(0.36), score.beat(0.40), score.beat(0.42)

@@ -1,4 +1,4 @@
-"""The motion classes of the synthetic archive, by name."""
+"""This module lists the motion classes of the synthetic archive."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Span = tuple[float, float]
 
 @dataclass(frozen=True)
 class Motion:
-    """A subclass, with its performance as an example clip and its performance in a long take.
+    """A motion subclass, with the functions that write it as an example clip and within a long take.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class Motion:
     example, scene : Callable[[Score], Span]
         Functions that write the motion and return begin and end of the label, in seconds.
     before, after : str
-        Posture at the begin and at the end: "stand", "sit" or "lie".
+        Posture at the start and at the end: "stand", "sit" or "lie".
     """
 
     name: str
@@ -39,7 +39,7 @@ class Motion:
 
 
 def _once(write: Callable[[Score], None]) -> Callable[[Score], Span]:
-    """Perform a motion that is not repeated."""
+    """Return a function that performs a motion once and returns its start and end."""
 
     def perform(score: Score) -> Span:
         begin = score.now
@@ -50,7 +50,7 @@ def _once(write: Callable[[Score], None]) -> Callable[[Score], Span]:
 
 
 def _some_of(write: Callable[[Score, int], list[float]], times: int) -> Callable[[Score], Span]:
-    """Perform a motion more often than that, and cut so many repetitions out."""
+    """Return a function that performs a motion with extra repetitions and returns the range of `times` of them."""
 
     def perform(score: Score) -> Span:
         before, behind = (int(value) for value in score.rng.integers(0, 2, size=2))
@@ -61,7 +61,7 @@ def _some_of(write: Callable[[Score, int], list[float]], times: int) -> Callable
 
 
 def _all_of(write: Callable[[Score, int], list[float]], least: int, most: int) -> Callable[[Score], Span]:
-    """Perform a motion several times, from standing to standing."""
+    """Return a function that performs a random number of repetitions, from standing to standing."""
 
     def perform(score: Score) -> Span:
         begin = score.now
@@ -72,7 +72,7 @@ def _all_of(write: Callable[[Score, int], list[float]], least: int, most: int) -
 
 
 def _cut_from_gait(style: gait.Gait, first: str, steps: int) -> Callable[[Score], Span]:
-    """Go, and cut out so many steps from one that this foot begins."""
+    """Return a function that performs a gait and returns the range of `steps` steps that begin with foot `first`."""
 
     def perform(score: Score) -> Span:
         lead = int(score.rng.integers(2, 4))
@@ -84,7 +84,7 @@ def _cut_from_gait(style: gait.Gait, first: str, steps: int) -> Callable[[Score]
 
 
 def _go_somewhere(style: gait.Gait, first: str, least: int, most: int) -> Callable[[Score], Span]:
-    """Go so many steps, from standing to standing, on a curve that leads back to the middle of the room."""
+    """Return a function that performs an even number of steps, from standing to standing, back towards the centre."""
 
     def perform(score: Score) -> Span:
         steps = 2 * int(score.rng.integers(least, most + 1))
@@ -147,4 +147,4 @@ MOTIONS: tuple[Motion, ...] = (
     _single("lieDown", 4.3, floor.lie_down, after="lie"),
     _single("getUp", 3.6, floor.get_up, before="lie"),
 )
-"""All subclasses, in the order in which they are written."""
+"""All motion subclasses, in the order in which they are written to the archive."""

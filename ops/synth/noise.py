@@ -1,4 +1,4 @@
-"""Coloured noise: the body never rests, and the cameras never see it quite as it is."""
+"""This module adds coloured noise: body sway, and the errors of a capture system."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from kinedex.ops.synth.body import F64
 from kinedex.ops.synth.channels import CHANNELS
 
-# Sway of the channels: spread in their own units (leg lengths, arm lengths, degrees).
+# Standard deviations of the sway of channels in their own units (leg lengths, arm lengths, degrees).
 _SWAY = {
     "px": 0.008, "py": 0.004, "pz": 0.010, "yaw": 1.2, "pitch": 1.0, "roll": 0.7,
     "bend": 2.4, "side": 1.6, "twist": 3.2, "nod": 2.5, "look": 4.0, "tilt": 1.5,
@@ -18,13 +18,14 @@ _SWAY = {
 def coloured(
     rng: np.random.Generator, frames: int, columns: int, rate_hz: float, corner_hz: float, slope: float
 ) -> F64:
-    """Draw noise of unit spread whose amplitude is flat up to a corner and falls as a power of the frequency beyond.
+    """Draw noise of unit variance whose spectrum is flat up to a corner frequency and falls by a power law above it.
 
     Returns
     -------
     float64 array (frames, columns)
     """
-    size = frames + round(2 * rate_hz)  # longer than asked for, so that the end knows nothing of the beginning
+    # longer than requested, so that the end is not correlated with the start (the noise is periodic)
+    size = frames + round(2 * rate_hz)
     spectrum = np.fft.rfft(rng.standard_normal((columns, size)), axis=1)
     frequency = np.fft.rfftfreq(size, 1 / rate_hz)
     gain = 1.0 / (1.0 + (frequency / corner_hz) ** slope)
@@ -35,7 +36,7 @@ def coloured(
 
 
 def sway(rng: np.random.Generator, channels: F64, rate_hz: float, amount: float) -> F64:
-    """Add the sway and the unrest of a living body to channels; feet stay where they are."""
+    """Add the sway and small movements of a living body to channels; the feet are not changed."""
     result = channels.copy()
     names = [name for name in CHANNELS if _spread(name) > 0]
     slow = coloured(rng, len(channels), len(names), rate_hz, 0.35, 2.0)
@@ -50,7 +51,7 @@ def _spread(name: str) -> float:
 
 
 def capture(rng: np.random.Generator, angles: F64, rate_hz: float, amount: float) -> F64:
-    """Add what a capture system adds to angles: slow drift and fine jitter; the root moves by millimetres."""
+    """Add the errors of a capture system to angles: slow drift and fine jitter; the root moves by millimetres."""
     drift = coloured(rng, len(angles), angles.shape[1], rate_hz, 0.15, 2.0)
     jitter = coloured(rng, len(angles), angles.shape[1], rate_hz, 5.0, 2.0)
     noise = amount * (0.45 * drift + 0.07 * jitter)

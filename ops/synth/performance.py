@@ -1,4 +1,4 @@
-"""Performances: one actor, one clip or one long take, as the angle table of an AMC file."""
+"""This module generates performances, a clip or a long take of one actor, as the angle table of an AMC file."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from kinedex.ops.synth.solve import solve
 RATE_HZ = 120.0
 
 UNASKED = 0.02
-"""Share of a long take in which something unasked happens between the labelled motions."""
+"""Share of a long take with unlabelled filler motions between the labelled ones."""
 HURRY = (0.10, 0.30)
-"""Seconds by which the next thing begins before a motion has come to rest, from and to."""
+"""Range in seconds by which the next motion begins before the last one has come to rest."""
 INTERRUPTED = 0.6
-"""Share of clips whose performer comes out of another movement instead of standing."""
+"""Share of clips that begin out of another movement instead of standing."""
 
 
 @dataclass(frozen=True)
 class Label:
-    """Source frames [start, stop) in which a class is performed."""
+    """A label: source frames [start, stop) in which a class is performed."""
 
     label: str
     start: int
@@ -39,14 +39,14 @@ class Label:
 
 @dataclass(frozen=True)
 class Performance:
-    """An angle table (see ops.synth.solve.columns), metres and degrees, and the labels of what is performed."""
+    """An angle table in metres and degrees (see `ops.synth.solve.columns`), and the labels of its motions."""
 
     angles: F64
     labels: tuple[Label, ...]
 
 
 def motion(name: str) -> Motion:
-    """Return the motion of this subclass."""
+    """Return the motion of the subclass with this name."""
     for known in MOTIONS:
         if known.name == name:
             return known
@@ -54,7 +54,7 @@ def motion(name: str) -> Motion:
 
 
 def perform_clip(actor: Actor, name: str, number: int, seed: int) -> Performance:
-    """Perform one motion once, cut out as an editor would.
+    """Generate a clip of one motion, cut out as an editor would.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def perform_clip(actor: Actor, name: str, number: int, seed: int) -> Performance
     Returns
     -------
     Performance
-        A performance that is labelled from its first to its last frame.
+        The performance, labelled from its first to its last frame.
     """
     rng = np.random.default_rng([seed, 11, actor.seed % 1000, zlib.crc32(name.encode()), number])
     what = motion(name)
@@ -87,7 +87,7 @@ def perform_clip(actor: Actor, name: str, number: int, seed: int) -> Performance
 
 
 def perform_take(actor: Actor, seconds: float, number: int, seed: int) -> Performance:
-    """Perform motions one after the other until the time is over, with something else in between.
+    """Generate a take of motions one after the other, with fillers in between, of at least a given duration.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def perform_take(actor: Actor, seconds: float, number: int, seed: int) -> Perfor
     spans: list[tuple[Motion, float, float]] = []
     while score.now < seconds:
         if not pool:
-            # Every motion has its turn before one comes again, in an order of its own.
+            # Every motion is performed once, in random order, before any is repeated.
             pool = [MOTIONS[i] for i in rng.permutation(len(MOTIONS)) if MOTIONS[i].before == "stand"]
         if unasked < UNASKED * score.now:
             unasked += _pause(score)
@@ -149,7 +149,7 @@ def _wait(score: Score, seconds: float) -> None:
 
 
 def _pause(score: Score) -> float:
-    """Do this or that until the next labelled motion; return how long it took, seconds."""
+    """Write filler motions until the next labelled motion; return their duration in seconds."""
     begin = score.now
     fill(score)
     score.hurry(_overlap(score.rng))
@@ -157,7 +157,7 @@ def _pause(score: Score) -> float:
 
 
 def _perform(score: Score, what: Motion, spans: list[tuple[Motion, float, float]]) -> None:
-    """Perform a labelled motion; the next thing begins before it has quite come to rest."""
+    """Write a labelled motion, and let the next one begin slightly before it has come to rest."""
     begin, end = what.scene(score)
     score.hurry(_overlap(score.rng))
     spans.append((what, begin, min(end, score.now)))
@@ -174,7 +174,7 @@ def _captured(score: Score, rng: np.random.Generator) -> F64:
 
 
 def _as_cut(rng: np.random.Generator, begin: float, end: float, frames: int) -> tuple[int, int]:
-    """Return the frames an editor takes from begin to end: a little early or late."""
+    """Return the frames that an editor would cut out from begin to end, slightly early or late at random."""
     start = round((begin + float(rng.normal(0.0, 0.05))) * RATE_HZ)
     stop = round((end + float(rng.normal(0.0, 0.06))) * RATE_HZ)
     start = min(max(start, 0), frames - 1)

@@ -1,4 +1,4 @@
-"""Stacks of rotation matrices about the axes of the body, and back to Acclaim angles."""
+"""This module converts between stacks of rotation matrices and Acclaim angles."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ F64 = npt.NDArray[np.float64]
 
 
 def about(axis: str, radians: F64 | float) -> F64:
-    """Return the rotations about x, y or z by these angles, (…, 3, 3)."""
+    """Return the rotations (…, 3, 3) about x, y or z by angles in radians."""
     angle = np.asarray(radians, dtype=np.float64)
     i, j, k = {"x": (0, 1, 2), "y": (1, 2, 0), "z": (2, 0, 1)}[axis]
     result = np.zeros((*angle.shape, 3, 3))
@@ -29,16 +29,16 @@ def xyz_angles(rotations: F64) -> F64:
 
 
 def apply(rotations: F64, vectors: F64) -> F64:
-    """Turn vectors by rotations: (T, 3, 3) and (3,) or (T, 3) to (T, 3)."""
+    """Rotate vectors (3,) or (T, 3) by rotations (T, 3, 3) to vectors (T, 3)."""
     return (rotations * vectors[..., None, :]).sum(axis=-1)
 
 
 def apply_inverse(rotations: F64, vectors: F64) -> F64:
-    """Turn vectors by the inverse rotations, (T, 3)."""
+    """Rotate vectors by the inverse rotations, (T, 3)."""
     return (rotations * vectors[..., :, None]).sum(axis=-2)
 
 
 def unit(vectors: F64) -> F64:
-    """Return vectors of length one in the same direction, (T, 3); a zero vector stays zero."""
+    """Return vectors (T, 3) normalised to length 1; a zero vector stays zero."""
     length = np.sqrt((vectors * vectors).sum(axis=-1, keepdims=True))
     return vectors / np.maximum(length, 1e-12)

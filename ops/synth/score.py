@@ -1,4 +1,4 @@
-"""A score describes a performance by keys on channels, and evaluates them to curves."""
+"""A score describes a performance by keyframes on channels, which are evaluated to smooth curves."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from kinedex.ops.synth.body import F64
 from kinedex.ops.synth.channels import CHANNELS, GROUP, INDEX
 
 _SHORTEST = 0.035
-"""Keys of one channel that come closer than this, in seconds, would ask for more speed than muscles have."""
+"""Least time in seconds between two keys of a channel, as closer keys would require implausible speeds."""
 
-# How far trunk, head and hands are off in a repetition: spreads in the channels' own units.
+# Standard deviations between repetitions of the trunk, head and hands, in the channels' own units.
 _OFF = {
     "bend": 7.0, "side": 5.0, "twist": 12.0, "nod": 6.0, "look": 8.0, "tilt": 2.5, "pitch": 2.5, "roll": 1.2,
     "lhx": 0.04, "lhy": 0.03, "lhz": 0.05, "lswivel": 10.0, "lhroll": 15.0,
@@ -22,11 +22,11 @@ _OFF = {
 
 
 class Score:
-    """Keys on channels, written from left to right by the motions of one performer.
+    """The keys of one performance on all channels, which motions append in order of time.
 
-    `now` is where the next motion begins, in seconds. Motions are written relative to an anchor: the place
-    between the feet and the way they point when the motion begins; so a performance goes on wherever the last
-    motion ended.
+    `now` is the time in seconds at which the next motion begins. Motions are written relative to an anchor, the
+    midpoint between the feet and their direction when the motion begins, so each motion continues where the last one
+    ended.
     """
 
     def __init__(self, actor: Actor, rng: np.random.Generator) -> None:
@@ -38,7 +38,7 @@ class Score:
         self.keys: list[list[tuple[float, float]]] = [[(0.0, 0.0)] for _ in CHANNELS]
         self.late: dict[str, float] = {}
         self.manner: dict[str, float] = {}
-        self.wound = 0.0  # full turns of the roll so far, degrees: who turned a wheel stands upright at 360
+        self.wound = 0.0  # full turns of the roll so far, in degrees: after a cartwheel the body stands upright at 360
         self.anchor = (0.0, 0.0, 0.0)
         width = actor.stance
         self.place(lx=width, rx=-width, lyaw=actor.toes_out, ryaw=-actor.toes_out, lknee=4.0, rknee=4.0)
@@ -46,12 +46,12 @@ class Score:
 
     # ---- variation ----------------------------------------------------------------------------------------
     def begin(self, what: str = "") -> None:
-        """Begin a motion: put the anchor where the performer stands, draw how this repetition is done.
+        """Begin a motion: set the anchor to the actor's position, and draw the variation of this repetition.
 
         Parameters
         ----------
         what : str
-            The motion's name; a performer keeps part of the manner from one repetition to the next.
+            The motion's name; part of the variation is constant for an actor and motion.
         """
         self.anchor = self.standing()
         actor = self.actor
@@ -62,35 +62,35 @@ class Score:
         self.manner = {name: self._manner(what, name) for name in _OFF}
 
     def _manner(self, what: str, name: str) -> float:
-        """Return how far a channel is off in this repetition: most of it habit, some of it chance."""
+        """Return the offset of a channel in this repetition: mostly the actor's habit, partly random."""
         spread = _OFF[name] * self.actor.manner
         lasting = self.actor.habit(f"{what}.{name}", -1.7, 1.7) if what else 0.0
         return spread * (0.9 * lasting + 0.6 * float(self.rng.normal()))
 
     def beat(self, seconds: float) -> float:
-        """Return how long this performer takes for what takes others so many seconds."""
+        """Return the duration of a movement for this actor, at random about a given standard duration."""
         return seconds / self.pace * math.exp(self.rng.normal(0.0, 0.6 * self.actor.unsteady))
 
     def vary(self, value: float, spread: float = 0.12) -> float:
-        """Return a value as it comes out in this repetition."""
+        """Return a value with the actor's scale and a relative random variation."""
         return value * self.size * (1.0 + self.rng.normal(0.0, spread))
 
     def about(self, value: float, spread: float) -> float:
-        """Return a value that is off by some amount, in its own unit."""
+        """Return a value with an absolute random variation, in its own unit."""
         return value + float(self.rng.normal(0.0, spread))
 
     # ---- keys ---------------------------------------------------------------------------------------------
     def value(self, name: str) -> float:
-        """Return the last value that was written for a channel."""
+        """Return the last value that was written to a channel."""
         return self.keys[INDEX[name]][-1][1]
 
     def place(self, **targets: float) -> None:
-        """Set channels at the current time, without a movement."""
+        """Set channels at the current time, without interpolation from earlier values."""
         for name, value in targets.items():
             self._put(name, self.now, value)
 
     def move(self, start: float, stop: float, **targets: float) -> None:
-        """Move channels to their targets between two times, seconds from `now`; what flows on does not stop."""
+        """Move channels to targets between two times, in seconds from `now`; ongoing movements are continued."""
         for name, target in targets.items():
             value = target + self.manner.get(name, 0.0) + (self.wound if name == "roll" else 0.0)
             late = self.late.get(GROUP[name], 0.0)
@@ -103,7 +103,7 @@ class Score:
             self._put(name, self.now + stop + late, value)
 
     def _interrupt(self, name: str, time: float) -> None:
-        """Give up the movement that is under way: what comes next goes on from where it has got to."""
+        """Cut off an ongoing movement at a time, so that the next one continues from the value reached."""
         keys = self.keys[INDEX[name]]
         while len(keys) > 2 and keys[-2][0] + _SHORTEST >= time:
             keys.pop()
@@ -124,20 +124,20 @@ class Score:
 
     # ---- places -------------------------------------------------------------------------------------------
     def standing(self) -> tuple[float, float, float]:
-        """Return the middle between the feet and the way they point: x, z in leg lengths, yaw in degrees."""
+        """Return the midpoint between the feet, x and z in leg lengths, and their direction, yaw in degrees."""
         x = (self.value("lx") + self.value("rx")) / 2
         z = (self.value("lz") + self.value("rz")) / 2
         yaw = (self.value("lyaw") + self.value("ryaw")) / 2
         return x, z, yaw
 
     def room(self, x: float, z: float) -> tuple[float, float]:
-        """Turn a place to the left of and in front of the anchor into a place in the room."""
+        """Convert a position to the left of (x) and in front of (z) the anchor to world coordinates."""
         ox, oz, yaw = self.anchor
         s, c = math.sin(math.radians(yaw)), math.cos(math.radians(yaw))
         return ox + x * c + z * s, oz - x * s + z * c
 
     def pelvis(self, start: float, stop: float, x: float, z: float, yaw: float | None = None, **others: float) -> None:
-        """Move the pelvis over a place given from the anchor; yaw counts from the anchor too."""
+        """Move the pelvis over a position relative to the anchor; yaw is also relative to the anchor."""
         px, pz = self.room(x, z + self.actor.over_toes)
         if yaw is not None:
             others["yaw"] = self.anchor[2] + yaw
@@ -147,7 +147,7 @@ class Score:
         self, side: str, start: float, stop: float, x: float, z: float, yaw: float = 0.0, lift: float = 0.08,
         heel: float = 30.0, strike: float = -12.0,
     ) -> None:  # fmt: skip
-        """Lift a foot and put it down at a place given from the anchor: heel first where `strike` is negative."""
+        """Lift a foot and put it down at a position relative to the anchor, heel first for a negative `strike`."""
         fx, fz = self.room(x, z)
         out = self.actor.toes_out if side == "l" else -self.actor.toes_out
         span = stop - start
@@ -161,7 +161,7 @@ class Score:
 
     # ---- poses --------------------------------------------------------------------------------------------
     def rest(self, side: str) -> dict[str, float]:
-        """Return where the hand of one side hangs when it has nothing to do, a little different each time."""
+        """Return the position of the relaxed hanging hand of one side, with a small random variation."""
         actor = self.actor
         place = {
             "hx": self.about(actor.hang_out, 0.03), "hy": self.about(-actor.hang_down, 0.015),
@@ -171,7 +171,7 @@ class Score:
         return {side + name: value for name, value in place.items()}
 
     def rest_trunk(self) -> dict[str, float]:
-        """Return how the trunk and the head are held in standing."""
+        """Return the posture of trunk and head in standing."""
         actor = self.actor
         return {
             "bend": self.about(actor.stoop, 2.0), "side": self.about(actor.lean, 1.0), "twist": self.about(0.0, 2.0),
@@ -179,23 +179,23 @@ class Score:
         }  # fmt: skip
 
     def relax(self, start: float, stop: float, *parts: str) -> None:
-        """Let arms ("l", "r"), trunk ("trunk") or all of them go back to standing."""
+        """Move arms ("l", "r"), trunk ("trunk"), or all of them without arguments, back to the standing posture."""
         for part in parts or ("l", "r", "trunk"):
             self.move(start, stop, **(self.rest_trunk() if part == "trunk" else self.rest(part)))
 
     def hand(self, side: str, start: float, stop: float, x: float, y: float, z: float, **others: float) -> None:
-        """Move a hand to a place seen from its shoulder, in arm lengths: outwards, up, forwards."""
+        """Move a hand to a position relative to its shoulder, in arm lengths: outwards, up, forwards."""
         spread = self.actor.careless
         targets = {"hx": self.about(x, spread), "hy": self.about(y, spread), "hz": self.about(z, spread)} | others
         self.move(start, stop, **{side + name: value for name, value in targets.items()})
 
     def hands(self, start: float, stop: float, x: float, y: float, z: float, **others: float) -> None:
-        """Move both hands to mirrored places."""
+        """Move both hands to mirrored positions."""
         for side in "lr":
             self.hand(side, start, stop, x, y, z, **others)
 
     def stand(self, start: float, stop: float, *parts: str) -> None:
-        """Go back to upright standing over the feet."""
+        """Move back to upright standing over the feet."""
         x, z, yaw = self.standing()
         s, c = math.sin(math.radians(yaw)), math.cos(math.radians(yaw))
         over = self.actor.over_toes
@@ -206,16 +206,16 @@ class Score:
         self.relax(start, stop, *parts)
 
     def hurry(self, seconds: float) -> None:
-        """Begin the next motion so many seconds before the last one has come to rest."""
+        """Move `now` back, so that the next motion begins before the last one has come to rest."""
         self.now -= seconds
 
     def after(self, seconds: float) -> None:
-        """Let time pass: the next motion begins so many seconds later."""
+        """Move `now` forward, so that the next motion begins later."""
         self.now += seconds
 
 
 def curves(score: Score, rate_hz: float, stop: float) -> F64:
-    """Evaluate all keys: monotone cubic curves, rounded off where they meet.
+    """Evaluate all keys to monotone cubic curves, smoothed where they meet.
 
     Parameters
     ----------
@@ -239,7 +239,7 @@ def curves(score: Score, rate_hz: float, stop: float) -> F64:
 
 
 def _monotone(knots: F64, values: F64, times: F64) -> F64:
-    """Cubic interpolation that never overshoots (Fritsch and Carlson); constant outside the knots."""
+    """Interpolate by monotone cubics without overshoot (Fritsch and Carlson); constant outside the knots."""
     if len(knots) == 1:
         return np.full(len(times), values[0])
     gaps = np.diff(knots)
@@ -260,7 +260,7 @@ def _monotone(knots: F64, values: F64, times: F64) -> F64:
 
 
 def _rounded(curves: F64, sigma: float) -> F64:
-    """Smooth curves by a Gaussian of so many frames; values that rest stay where they rest."""
+    """Smooth curves by a Gaussian with a standard deviation in frames; constant parts are not changed."""
     width = math.ceil(3 * sigma)
     weights = np.exp(-0.5 * (np.arange(-width, width + 1) / sigma) ** 2)
     weights /= weights.sum()

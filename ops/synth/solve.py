@@ -1,4 +1,4 @@
-"""Inverse kinematics from channels to Acclaim angles, with two-bone chains for legs and arms."""
+"""This module does inverse kinematics from channels to Acclaim angles, with two-bone chains for legs and arms."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from kinedex.ops.synth.rotations import about, apply, apply_inverse, unit, xyz_a
 _SPINE_SHARES = (0.40, 0.32, 0.28)
 _REACH = 0.995
 _STRETCH = 0.99
-_CLEARANCE = 0.018  # metres that every bone's end stays above the floor
+_CLEARANCE = 0.018  # metres of height that every bone's end keeps above the floor
 
 
 def columns(body: Body) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    """Return the columns of an angle table: the root's six numbers, then every movable bone's dofs."""
+    """Return the columns of an angle table: the root's six values, then the degrees of freedom of movable bones."""
     root = ("root", ("tx", "ty", "tz", "rx", "ry", "rz"))
     return (root, *((bone.name, bone.dofs) for bone in body.bones if bone.dofs))
 
 
 class _Pose:
-    """Global rotations (T, 3, 3) and far ends (T, 3) of the bones solved so far, and their angles."""
+    """The global rotations (T, 3, 3), far ends (T, 3) and angles of the bones that are solved so far."""
 
     def __init__(self, body: Body, channels: F64) -> None:
         self.body = body
@@ -43,11 +43,11 @@ class _Pose:
         return np.stack([self.of(name) for name in names], axis=1)
 
     def follow(self, name: str) -> None:
-        """Hang a bone without angles of its own on its parent."""
+        """Add a bone without degrees of freedom, which takes its parent's rotation."""
         self._finish(name, self.rotation[PARENTS[name]])
 
     def turn(self, name: str, angles: F64) -> None:
-        """Turn a bone by the angles of its dofs, radians (T, number of dofs)."""
+        """Rotate a bone by the angles of its degrees of freedom, in radians, (T, number of them)."""
         bone = self.body.bone(name)
         axis = euler(bone.axis, "XYZ")
         local = np.broadcast_to(np.eye(3), (len(angles), 3, 3))
@@ -57,7 +57,7 @@ class _Pose:
         self._finish(name, self.rotation[PARENTS[name]] @ (axis @ local @ axis.T))
 
     def point_to(self, name: str, rotation: F64) -> None:
-        """Give a bone with three dofs this global rotation."""
+        """Set the global rotation of a bone with three degrees of freedom."""
         axis = euler(self.body.bone(name).axis, "XYZ")
         parent = self.rotation[PARENTS[name]]
         local = axis.T @ (np.swapaxes(parent, 1, 2) @ rotation) @ axis
@@ -71,19 +71,20 @@ class _Pose:
 
 
 def solve(body: Body, channels: F64) -> F64:
-    """Turn channels into the angle table of an AMC file.
+    """Convert channels to the angle table of an AMC file.
 
     Parameters
     ----------
     body : Body
         The actor's skeleton.
     channels : float64 array (T, channels)
-        See ops.synth.channels.
+        The channels, see `ops.synth.channels`.
 
     Returns
     -------
     float64 array (T, n)
-        One column per root number and dof in the order of `columns`: root position in metres, angles in degrees.
+        One column per root value and degree of freedom, in the order of `columns`: root position in metres, angles in
+        degrees.
     """
     pose = _Pose(body, channels)
     root = pose.point("px", "py", "pz") * body.leg
@@ -113,7 +114,7 @@ def _foot_frame(pose: _Pose, side: str) -> F64:
 
 
 def _ankle(pose: _Pose, side: str) -> F64:
-    """Return where the ankle should be: above the ball of a foot on the floor, at the channel of a free one."""
+    """Return the target of the ankle: above the ball of a foot on the floor, or at the channels of a free foot."""
     place = pose.point(side + "x", side + "y", side + "z") * pose.body.leg
     slope = np.array([0.0, -math.sin(FOOT_SLOPE), math.cos(FOOT_SLOPE)]) * pose.body.bone(side + "foot").length
     free = pose.of(side + "free")[:, None]
@@ -123,7 +124,7 @@ def _ankle(pose: _Pose, side: str) -> F64:
 
 
 def _sink(body: Body, pose: _Pose, root: F64, turned: F64) -> F64:
-    """Return how far the pelvis must give way so that feet on the floor stay there, metres (T,)."""
+    """Return the displacement of the pelvis that keeps feet on the floor within reach, in metres (T,)."""
     sink = np.zeros(len(root))
     for side in "lr":
         hip = root + apply(turned, _hip_offset(body, side))
@@ -137,7 +138,7 @@ def _sink(body: Body, pose: _Pose, root: F64, turned: F64) -> F64:
 
 
 def _calm(values: F64) -> F64:
-    """Smooth an envelope so that it stays above its values."""
+    """Smooth an envelope such that it stays above its values."""
     width = 6
     padded = np.pad(values, width, mode="edge")
     highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * width + 1).max(axis=1)
@@ -145,17 +146,17 @@ def _calm(values: F64) -> F64:
 
 
 def _averaged(values: F64, width: int) -> F64:
-    """Smooth a curve by a bell of so many frames to both sides."""
+    """Smooth a curve by a bell-shaped window of the given half-width in frames."""
     weights = np.hanning(2 * width + 3)[1:-1]
     padded = np.pad(values, width, mode="edge")
     return np.convolve(padded, weights / weights.sum(), mode="valid")
 
 
 def _two_bones(pose: _Pose, upper: str, lower: float, goal: F64, bend_towards: F64) -> tuple[F64, F64, F64]:
-    """Solve a chain of two bones: the upper bone's direction (T, 3), the hinge's axis (T, 3), the flexion (T,).
+    """Solve a chain of two bones: the upper bone's direction (T, 3), the hinge's axis (T, 3), and the flexion (T,).
 
-    `lower` is the length of the second bone, `goal` the way from the first joint to the end of the chain, and
-    the joint between the bones bends out towards `bend_towards`.
+    `lower` is the length of the second bone, `goal` the vector from the first joint to the end of the chain, and the
+    joint between the bones bends towards `bend_towards`.
     """
     length = pose.body.bone(upper).length
     distance = np.sqrt((goal * goal).sum(axis=1))
@@ -170,7 +171,7 @@ def _two_bones(pose: _Pose, upper: str, lower: float, goal: F64, bend_towards: F
 
 
 def _soft_limit(values: F64, limit: float) -> F64:
-    """Bend values smoothly below a limit; far below it they stay what they are."""
+    """Compress values smoothly below a limit; values far below it are almost unchanged."""
     knee = 0.04 * limit
     over = values - (limit - knee)
     return np.where(over > 0, limit - knee * np.exp(-np.maximum(over, 0) / knee), values)
@@ -181,7 +182,7 @@ def _frame(hinge: F64, direction: F64) -> F64:
 
 
 def _aim(pose: _Pose, name: str, hinge: F64, direction: F64) -> None:
-    """Turn a bone so that it points along a direction and its x axis lies along the hinge."""
+    """Rotate a bone so that it points along a direction and its x axis lies along the hinge."""
     bone = pose.body.bone(name)
     rest = _frame(euler(bone.axis, "XYZ")[:, 0], np.array(bone.direction))
     pose.point_to(name, _frame(hinge, direction) @ rest.T)
@@ -201,7 +202,7 @@ def _leg(pose: _Pose, side: str) -> None:
 
 
 def _foot(pose: _Pose, side: str) -> None:
-    """Aim the foot: held in the room or hanging from the shin; the toes stay flat while the ball is on the floor."""
+    """Orient the foot, fixed in the world or relative to the shin; the toes stay flat if the ball is on the ground."""
     bone = pose.body.bone(side + "foot")
     axis = euler(bone.axis, "XYZ")
     free = pose.of(side + "free")[:, None]
@@ -210,7 +211,7 @@ def _foot(pose: _Pose, side: str) -> None:
     rest = axis.T @ np.array(bone.direction)
     hanging = apply(about("x", np.clip(pose.radians(side + "pitch"), -0.5, 0.9) + 0.12), rest)
     wanted = unit(held * (1 - free) + hanging * free)
-    # The foot turns by rx about the ankle's hinge, then by rz about the shin; its rest direction has y < 0.
+    # The foot rotates by rx about the ankle's hinge, then by rz about the shin; its rest direction has y < 0.
     height = np.clip(wanted[:, 2] / math.hypot(rest[1], rest[2]), -1.0, 1.0)
     pitch = math.pi - np.arcsin(height) - math.atan2(rest[2], rest[1])
     pitch = (pitch + math.pi) % (2 * math.pi) - math.pi
@@ -234,7 +235,7 @@ def _arm(pose: _Pose, side: str) -> None:
     body = pose.body
     outwards = 1.0 if side == "l" else -1.0
     target = pose.point(side + "hx", side + "hy", side + "hz")
-    # The shoulder follows a raised or far reaching arm.
+    # The shoulder follows an arm that is raised or reaches far.
     lift = np.clip(target[:, 1], 0.0, 1.0) * 0.20 + 0.01
     ahead = np.clip(target[:, 2], -0.5, 1.0) * 0.10
     pose.turn(side + "clavicle", np.stack([-outwards * ahead, outwards * lift], axis=1))
@@ -250,7 +251,7 @@ def _arm(pose: _Pose, side: str) -> None:
     elbow = unit(elbow - line * (elbow * line).sum(axis=1, keepdims=True))
     swivel = outwards * pose.radians(side + "swivel")[:, None]
     elbow = elbow * np.cos(swivel) + np.cross(line, elbow) * np.sin(swivel)
-    # Where the hand passes the shoulder's blind spot the elbow must swing over, not jump.
+    # Where the hand passes the pole of the shoulder, the elbow must swing over smoothly, without a jump.
     elbow = np.stack([_averaged(elbow[:, i], 14) for i in range(3)], axis=1)
     forearm = body.length(side + "radius", side + "wrist")
     direction, hinge, flexion = _two_bones(pose, side + "humerus", forearm, goal, apply(chest, elbow))

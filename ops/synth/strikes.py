@@ -1,4 +1,4 @@
-"""Motions of one quick limb: kicking, punching, throwing."""
+"""This module writes motions of one quick limb: kicking, punching, throwing."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def _sign(side: str) -> float:
 
 
 def kick(score: Score, side: str, times: int) -> list[float]:
-    """Kick forwards with one foot some times, with the arms spread for balance.
+    """Write forward kicks with one foot, with the arms spread for balance.
 
     Returns
     -------
@@ -47,7 +47,7 @@ def _kick_once(score: Score, side: str, arms: tuple[float, float]) -> None:
     wind = actor.habit("kick.wind", 0.0, 0.15)
     width = actor.stance
     score.pelvis(0.0, shift, -0.75 * sign * width, 0.0, 0.0, roll=-3.0 * sign, py=-0.03)
-    # The way of the ankle: up in front of the body with a bent knee, out, back, down.
+    # The path of the ankle: up in front of the body with a bent knee, out, back, down.
     _ankle(score, side, 0.3 * shift, shift, sign * width, 0.21 + 0.2 * wind, -wind - 0.1, free=1.0, pitch=25.0)
     t = shift
     _ankle(score, side, t, t + chamber, 0.7 * sign * width, 0.62 * height + 0.08, 0.25)
@@ -66,7 +66,7 @@ def _kick_once(score: Score, side: str, arms: tuple[float, float]) -> None:
 
 
 def _ankle(score: Score, side: str, start: float, stop: float, x: float, y: float, z: float, **others: float) -> None:
-    """Move a lifted foot to a place given from the anchor."""
+    """Move a lifted foot to a position relative to the anchor."""
     room_x, room_z = score.room(x, z)
     targets = {"x": room_x, "y": y, "z": room_z} | others
     score.move(start, stop, **{side + name: value for name, value in targets.items()})
@@ -77,7 +77,7 @@ def _kick_arms(score: Score, arms: tuple[float, float], start: float, stop: floa
 
 
 def punch(score: Score, side: str, times: int) -> list[float]:
-    """Punch straight forwards with one fist some times, out of a guard.
+    """Write straight forward punches with one fist, out of a guard.
 
     Returns
     -------
@@ -127,7 +127,7 @@ def _punch_once(score: Score, side: str, guard: float) -> None:
 
 
 def throw(score: Score) -> None:
-    """Throw a ball forwards over the head with both hands, stepping out with one foot."""
+    """Write an overhead throw of a ball with both hands, stepping out with one foot."""
     score.begin("throw")
     actor = score.actor
     lift, wind, strike, follow, back = (score.beat(t) for t in (0.40, 0.50, 0.26, 0.30, 0.50))

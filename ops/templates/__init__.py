@@ -1,1 +1,1 @@
-"""Motion templates: learned by warping and averaging, mirrored, joined, compared."""
+"""This package learns motion templates by warping and averaging, and mirrors, joins and compares them."""

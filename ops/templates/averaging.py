@@ -1,4 +1,4 @@
-"""A round of learning: the templates of a class are warped onto each other, averaged and rebalanced."""
+"""This module does one round of template learning: templates are warped onto each other, averaged and rebalanced."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ I64 = npt.NDArray[np.int64]
 U8 = npt.NDArray[np.uint8]
 
 TOLERANCE = 1e-9
-_HEAVY = 1.5 - TOLERANCE  # averaging leaves 1.4999999999999998 where 1.5 is meant
+_HEAVY = 1.5 - TOLERANCE  # averaging can give 1.4999999999999998 for 1.5
 _LIGHT = 0.75 - TOLERANCE
 
 
 @dataclass(frozen=True)
 class Soft:
-    """The rules of soft templates: columns are float64 (N, f), the share of the clips' weight that has a 1.
+    """The operations of soft templates: columns are float64 (N, f), the weighted share of clips with the feature on.
 
     Parameters
     ----------
@@ -43,14 +43,14 @@ class Soft:
     feature_weights: F64
 
     def start(self, words: U64) -> Columns:
-        """Return the columns of a clip."""
+        """Return the columns of a single clip."""
         return bits(words, len(self.feature_weights)).astype(np.float64)
 
     def align(self, stack: Stack, pairs: I64) -> Paths:
         """Warp pairs of templates, int64 (P, 2), onto each other."""
         if self._counts_bits(stack.columns):
             return Hard(self.feature_weights).align(replace(stack, columns=self._as_hard(stack.columns)), pairs, True)
-        # A feature that never varies, or does not count, adds exactly 0 to every cost.
+        # A feature that never varies, or has weight 0, would add exactly 0 to every cost.
         varies = (stack.columns != stack.columns[0]).any(axis=0) & (self.feature_weights > 0)
         columns = np.ascontiguousarray((stack.columns[:, varies] * self.feature_weights[varies]).T)
         total = float(self.feature_weights.sum())
@@ -59,16 +59,16 @@ class Soft:
         return compact(costs, counts, steps, offsets)
 
     def _counts_bits(self, columns: Columns) -> bool:
-        """Return whether a cost is a number of features, to the last bit: clips as they are, and no weights."""
+        """Return True if costs are exact counts of features: columns of 0 and 1, and weights of 0 and 1."""
         plain = np.isin(self.feature_weights, (0, 1)).all() and ((columns == 0) | (columns == 1)).all()
         return bool(plain)
 
     def _as_hard(self, columns: Columns) -> Columns:
-        """Return columns of 0 and 1 as those of hard templates."""
+        """Convert columns of 0 and 1 to columns of hard templates."""
         return Hard(self.feature_weights).start(pack(columns.astype(np.uint8)))
 
     def average(self, stack: Stack, reference: int, paths: Paths, pair_of: I64, stands_for: int = 1) -> Weighted:
-        """Average the reference and all others warped to it.
+        """Average the reference and all other templates warped to it.
 
         Parameters
         ----------
@@ -90,20 +90,20 @@ class Soft:
         return Weighted(total / weights[:, None], weights / (len(stack) - 1 + stands_for))
 
     def merge(self, left: Columns, right: Columns, left_weight: float, right_weight: float) -> Columns:
-        """Return one column for two neighbours."""
+        """Return the merged column of two neighbours."""
         return (left * left_weight + right * right_weight) / (left_weight + right_weight)
 
     def values(self, columns: Columns) -> F64:
-        """Return the columns as numbers, float64 (N, f)."""
+        """Return the columns as values, float64 (N, f)."""
         return columns.astype(np.float64)
 
 
 @dataclass(frozen=True)
 class Hard:
-    """The rules of hard templates: columns are uint64 (N, 2), the bits that are always 1, and those that are always 0.
+    """The operations of hard templates: columns are uint64 (N, 2), the bits that are always 1, and always 0.
 
-    What two columns agree on is then the bitwise and of both, however many are combined and in what order. A feature
-    of weight 0 counts for no cost; other weights change no zero, and are ignored.
+    The agreement of columns is then their bitwise and, in any number and order. A feature of weight 0 is ignored in
+    costs; other weights are not used, since they would not change which costs are 0.
 
     Parameters
     ----------
@@ -114,12 +114,12 @@ class Hard:
     feature_weights: F64
 
     def start(self, words: U64) -> Columns:
-        """Return the columns of a clip."""
+        """Return the columns of a single clip."""
         every = np.uint64((1 << len(self.feature_weights)) - 1)
         return np.stack([words, ~words & every], axis=1)
 
     def align(self, stack: Stack, pairs: I64, shares: bool = False) -> Paths:
-        """Warp pairs of templates, int64 (P, 2), onto each other; costs are numbers of features, or shares of them."""
+        """Warp pairs of templates, int64 (P, 2), onto each other; costs are counts of contradictions, or shares."""
         counted = np.bitwise_or.reduce(
             (self.feature_weights > 0).astype(np.uint64) << np.arange(len(self.feature_weights), dtype=np.uint64)
         )
@@ -130,7 +130,7 @@ class Hard:
         return compact(costs, counts, steps, offsets)
 
     def average(self, stack: Stack, reference: int, paths: Paths, pair_of: I64, stands_for: int = 1) -> Weighted:
-        """Return what the reference and all others warped to it agree on; see `Soft.average`."""
+        """Return the entries on which the reference and all other templates warped to it agree; see `Soft.average`."""
         first, last = stack.offsets[reference], stack.offsets[reference + 1]
         columns, weights = stack.columns[first:last].copy(), stack.weights[first:last] * stands_for
         add_others(
@@ -140,11 +140,11 @@ class Hard:
         return Weighted(columns, weights / (len(stack) - 1 + stands_for))
 
     def merge(self, left: Columns, right: Columns, left_weight: float, right_weight: float) -> Columns:
-        """Return one column for two neighbours."""
+        """Return the merged column of two neighbours."""
         return left & right
 
     def values(self, columns: Columns) -> F64:
-        """Return the columns as numbers, float64 (N, f): 0, 0.5 and 1."""
+        """Return the columns as values, float64 (N, f): 0, 0.5 and 1."""
         count = len(self.feature_weights)
         ones, zeros = bits(columns[:, 0], count), bits(columns[:, 1], count)
         return (1.0 + ones - zeros) / 2
@@ -154,7 +154,7 @@ Method = Soft | Hard
 
 
 def average_all(method: Method, stack: Stack, paths: Paths, pairs: I64, references: I64) -> list[Weighted]:
-    """Make each of some templates the reference once (thesis, Section 2.3: every one), and rebalance.
+    """Average with each of several templates as the reference (thesis, Section 2.3: all), and rebalance the results.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def average_all(method: Method, stack: Stack, paths: Paths, pairs: I64, referenc
     stack : Stack
         The templates of the round before.
     paths : Paths
-        Those of the pairs.
+        The warping paths of the pairs.
     pairs : int64 array (P, 2)
         The pairs of each reference with all others, the first place before the second.
     references : int64 array (R,)
@@ -180,10 +180,10 @@ def average_all(method: Method, stack: Stack, paths: Paths, pairs: I64, referenc
 
 
 def rebalance(template: Weighted, merge: Callable[[Columns, Columns, float, float], Columns]) -> Weighted:
-    """Bring the column weights back to about 1: expand, contract, expand (diploma thesis, Eq. 3.5).
+    """Restore column weights to about 1 by expanding, contracting, and expanding (diploma thesis, Eq. 3.5).
 
-    A column of weight w ≥ 1.5 becomes round(w) columns of weight w / round(w), half to even. Then, from the
-    left, a column lighter than 0.75 merges with its lighter neighbour (the left one of equals) until none is.
+    A column of weight w ≥ 1.5 becomes round(w) columns of weight w / round(w), rounding half to even. Then, from the
+    left, each column lighter than 0.75 is merged with its lighter neighbour (ties: the left one).
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def _contract(template: Weighted, merge: Callable[[Columns, Columns, float, floa
             continue
         before = weights[place - 1] if place > 0 else np.inf
         after = weights[place + 1] if place + 1 < len(weights) else np.inf
-        place -= before <= after + TOLERANCE  # now the left one of the two that merge
+        place -= before <= after + TOLERANCE  # now the left one of the two columns to merge
         columns[place] = merge(columns[place], columns[place + 1], weights[place], weights[place + 1])
         weights[place] += weights[place + 1]
         del columns[place + 1], weights[place + 1]
@@ -234,9 +234,9 @@ def add_others(
     total: F64 | None, agreed: U64 | None, weights: F64, columns: Columns, column_weights: F64, offsets: I64,
     reference: int, steps: U8, starts: I64, counts: I64, pair_of: I64,
 ) -> None:  # fmt: skip
-    """Add all others, warped, to the weighted sums of a soft reference or to what a hard one agrees on (kernel).
+    """Add all other templates, warped, to a soft reference's weighted sums or a hard one's agreement (kernel).
 
-    It changes `total` or `agreed` (the other one is None), and `weights`, in the order of the templates.
+    It updates `total` or `agreed` (the other one is None), and `weights`, in the order of the templates.
     """
     for other in range(len(offsets) - 1):
         if other == reference:

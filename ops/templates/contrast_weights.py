@@ -1,4 +1,4 @@
-"""Weights of features by which examples that were accepted differ from intervals that were rejected."""
+"""This module weights features by how they distinguish accepted examples from rejected intervals."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ F64 = npt.NDArray[np.float64]
 
 
 def contradicted_shares(template: Template, clips: Sequence[U64], delta: float) -> F64:
-    """Return how much each clip contradicts a template in each feature.
+    """Return the share of each feature's template entries that each clip contradicts.
 
     A clip is aligned with the template by classical DTW of its features with the template's values.
 
@@ -27,7 +27,7 @@ def contradicted_shares(template: Template, clips: Sequence[U64], delta: float) 
     clips : sequence of uint64 array
         The words of C clips; invalid frames are ignored.
     delta : float
-        Values within delta of 0 or 1 are fixed, as in `quantise`; the others are contradicted by nothing.
+        Values within delta of 0 or 1 are fixed, as in `quantise`; the others cannot be contradicted.
 
     Returns
     -------
@@ -52,28 +52,28 @@ def contradicted_shares(template: Template, clips: Sequence[U64], delta: float) 
 
 
 def contrast_weights(template: Template, accepted: Sequence[U64], rejected: Sequence[U64], delta: float) -> F64:
-    """Return weights of features that set accepted examples apart from rejected intervals.
+    """Return feature weights that distinguish accepted examples from rejected intervals.
 
-    A feature is contradicted with some rate by what was accepted and with another by what was rejected. Clips count
-    once each, by the share of the feature's entries that they contradict, and half a clip of either kind is added, so
-    that few clips state little. Where rejected clips contradict a feature more often, its weight is 1 plus the
-    logarithm of the ratio of the odds: if features contradicted independently, costs would then differ by the
-    logarithm of the likelihood ratio, which separates the two best. All other features keep the weight 1: they tell the
-    motion from the rest of an archive, of which rejected intervals, all of them near, say nothing.
+    For each feature, the rates of contradiction by accepted and by rejected clips are compared. Each clip counts once,
+    by the share of the feature's entries that it contradicts, and half a clip of either kind is added for smoothing, so
+    that few clips have little effect. Where rejected clips contradict a feature more often, its weight is 1 plus the
+    logarithm of the ratio of the odds: if features contradicted independently, costs would then differ by the logarithm
+    of the likelihood ratio, which separates the two best. All other features keep the weight 1: they distinguish the
+    motion from the rest of an archive, which rejected intervals, all of them similar to the motion, do not represent.
 
     Parameters
     ----------
     template : Template
         The template of the accepted examples, with f features.
     accepted, rejected : sequence of uint64 array
-        The words of examples, and of intervals that are none.
+        The words of accepted examples, and of rejected intervals.
     delta : float
         Values within delta of 0 or 1 are fixed, as in `quantise`.
 
     Returns
     -------
     float64 array (f,)
-        All 1 where nothing is accepted or nothing is rejected.
+        The weights, all 1 without accepted or without rejected clips.
     """
     if not len(accepted) or not len(rejected):
         return np.ones(template.values.shape[1])
@@ -81,7 +81,7 @@ def contrast_weights(template: Template, accepted: Sequence[U64], rejected: Sequ
     for clips in (rejected, accepted):
         rate = (contradicted_shares(template, clips, delta).sum(axis=0) + 0.5) / (len(clips) + 1)
         odds.append(rate / (1 - rate))
-    # without any contradiction the two rates differ by what is added alone, for different numbers of clips
+    # without contradictions the rates differ only by smoothing, for different numbers of clips
     prior = (0.5 / (len(rejected) + 0.5)) / (0.5 / (len(accepted) + 0.5))
     ratio = odds[0] / odds[1]
     weights: F64 = 1 + np.maximum(0.0, np.log(ratio / max(1.0, prior)))

@@ -1,4 +1,4 @@
-"""Templates made from templates: mirrored, joined, restricted to known features; and the contrast between two."""
+"""This module derives templates from templates: mirrored, joined, restricted to known features, or contrasted."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ WILDCARD = 0.5
 
 @dataclass(frozen=True)
 class Contrast:
-    """Two templates aligned with each other, and where they contradict each other.
+    """Two aligned templates, and the entries in which they contradict each other.
 
     Parameters
     ----------
     path : int64 array (P, 2)
         The columns of the first and the second that are aligned.
     against : int8 array (P, f)
-        1 where the first has on and the second off, −1 the other way round, 0 where they do not contradict each other.
+        1 where the first is on and the second off, −1 for the reverse, 0 where they do not contradict each other.
     compared : bool array (P, f)
-        Whether neither has a wildcard.
+        True where neither has a wildcard.
     """
 
     path: I64
@@ -71,14 +71,14 @@ def adjusted(template: Template, factors: F64, first: int, stop: int) -> Templat
     template : Template
         The template, with N columns and f features.
     factors : float64 array (f,)
-        How much each feature counts compared to before; 0 makes it a wildcard in distance curves.
+        The factor of each feature's weight; 0 makes it a wildcard in distance curves.
     first, stop : int
         The columns to keep, 0 ≤ first < stop ≤ N.
 
     Returns
     -------
     Template
-        Without weights of features where the template has none and all factors are 1.
+        The new template; it has no feature weights if the template has none and all factors are 1.
 
     Raises
     ------
@@ -107,8 +107,8 @@ def adjusted(template: Template, factors: F64, first: int, stop: int) -> Templat
 def joined(templates: Sequence[Template], gap: int) -> Template:
     """Join templates one after the other, with columns of wildcards between two of them (thesis, Figure 3.11 b).
 
-    A path passes through a column in half or in twice the time, so that a gap of so many columns stands for about gap /
-    2 to 2 gap frames of anything.
+    A path may pass through a column at half or twice the speed, so the gap matches about gap / 2 to 2 gap arbitrary
+    frames.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def joined(templates: Sequence[Template], gap: int) -> Template:
 
 
 def consistency(template: Template) -> F64:
-    """Return how much the clips agree about each feature, from 0 (half of them on) to 1 (all alike).
+    """Return the agreement of the clips on each feature, from 0 (half of them on) to 1 (all equal).
 
     It is the mean of |2 v − 1| over the columns, weighted by the columns' weights.
 
@@ -179,7 +179,7 @@ def contrast(first: Template, second: Template, delta: float) -> Contrast:
 
 
 def restricted_template(template: QuantisedTemplate, known: int) -> QuantisedTemplate | None:
-    """Return a template for takes that know some features only.
+    """Return a template for takes in which only some features are known.
 
     Entries on unknown features become wildcards, so that a column's cost is the share of its known entries that a word
     contradicts.
@@ -187,7 +187,7 @@ def restricted_template(template: QuantisedTemplate, known: int) -> QuantisedTem
     Parameters
     ----------
     template : QuantisedTemplate
-        The template for whole bodies.
+        The template for complete bodies.
     known : int
         The mask of the known features, with the bits of a word.
 
@@ -205,7 +205,7 @@ def restricted_template(template: QuantisedTemplate, known: int) -> QuantisedTem
 
 
 def without_unknown(template: Template, known: int) -> Template:
-    """Return a template learned from clips that know some features only: the others have no weight, and wildcards.
+    """Return a template learned from clips in which only some features are known; the others become wildcards.
 
     Parameters
     ----------

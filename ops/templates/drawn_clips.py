@@ -1,4 +1,4 @@
-"""The clips of a large class that a template is averaged from, drawn evenly over actors and lengths."""
+"""This module draws the clips of a large class from which a template is averaged, evenly over actors and lengths."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ I64 = npt.NDArray[np.int64]
 def evenly_drawn(lengths: Sequence[int], actors: Sequence[str], count: int) -> I64:
     """Draw clips evenly over actors, and over the lengths of each actor's clips.
 
-    The clips stand in a row by actor, then by length; of as many equal parts as are wanted, the middle one of each is
-    drawn. An actor has as many of the drawn clips as of all clips, give or take one.
+    The clips are sorted by actor, then by length, and divided into `count` equal parts; the middle clip of each part is
+    drawn. So each actor's share of the drawn clips is that of all clips, up to one clip.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def evenly_drawn(lengths: Sequence[int], actors: Sequence[str], count: int) -> I
     Returns
     -------
     int64 array (min(count, n),)
-        The places of the drawn clips, ascending.
+        The indices of the drawn clips, ascending.
 
     Raises
     ------

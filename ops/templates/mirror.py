@@ -1,4 +1,4 @@
-"""Left and right exchanged: words and template columns with their features in another order."""
+"""This module exchanges left and right in words and template columns by permuting their features."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ I64 = npt.NDArray[np.int64]
 
 
 def rearrange(words: U64, order: I64) -> U64:
-    """Put the bits of words into another order.
+    """Permute the bits of words.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def rearrange(words: U64, order: I64) -> U64:
     if len(order) > MOST_FEATURES or not np.array_equal(np.sort(order), np.arange(len(order))):
         raise ParameterError("order", f"a permutation of at most {MOST_FEATURES} bits", order.tolist())
     moved = np.zeros_like(words)
-    # Bits that move by the same distance move together: a body has a handful of distances.
+    # Bits that move by the same distance are moved together, as there are only a few different distances.
     shifts = np.asarray(order) - np.arange(len(order))
     for shift in np.unique(shifts).tolist():
         mask = np.uint64(sum(1 << i for i in np.flatnonzero(shifts == shift).tolist()))

@@ -1,4 +1,4 @@
-"""The example clip that an interval resembles most, and the frames of the clip that go with those of the interval."""
+"""This module finds the example clip that resembles an interval most, with the matching frames of the clip."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from kinedex.ops.words import NO_WORD, U64, TakeWords
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
-_WORST = 2.0  # above every distance
-_TWICE, _MORE = 2.0, 0.1  # a repetition costs at most twice the best one, and this
+_WORST = 2.0  # above every possible distance
+_TWICE, _MORE = 2.0, 0.1  # the limit of a repetition's cost: a factor of the best cost, and an additional constant
 
 
 @dataclass(frozen=True)
 class NearestClip:
-    """The nearest clip of an interval.
+    """The clip that is nearest to an interval, with the warping path.
 
     Parameters
     ----------
@@ -34,8 +34,8 @@ class NearestClip:
         Its least distance within the interval, as of a template without wildcards; ∞ where the interval is shorter
         than half of every clip.
     frames : int64 array (L,)
-        For each frame of the interval the frame of the clip on the warping path. A clip that fits several times, one
-        after the other, is repeated; its first or last pose stands where none fits.
+        For each frame of the interval the frame of the clip on the warping path. A clip that matches several times in a
+        row is repeated; frames without a match get its first or last frame.
     """
 
     clip: int
@@ -79,7 +79,7 @@ def nearest_clips(clips: Sequence[U64], intervals: Sequence[U64], features: int)
     for clip in np.unique(least.argmin(axis=1)).tolist():
         own = [place for place in range(len(intervals)) if least[place].argmin() == clip]
         short = [place for place in own if not np.isfinite(least[place, clip])]
-        for place in short:  # warped as a whole, since half of no clip has room in it
+        for place in short:  # short intervals are warped as a whole, since no clip fits in half of its length
             costs = [align(word_differences(words, intervals[place], features), *_ones(words, intervals[place])).cost
                      for words in clips]  # fmt: skip
             best = int(np.argmin(costs))
@@ -92,13 +92,13 @@ def nearest_clips(clips: Sequence[U64], intervals: Sequence[U64], features: int)
 
 
 def _as_template(words: U64, features: int) -> QuantisedTemplate:
-    """Return a clip as a template without wildcards; invalid frames fit anything."""
+    """Convert a clip to a template without wildcards; invalid frames match everything."""
     mask = np.where(words == NO_WORD, np.uint64(0), np.uint64((1 << features) - 1))
     return QuantisedTemplate(mask, words & mask)
 
 
 def _matches(template: QuantisedTemplate, intervals: TakeWords) -> dict[int, list[tuple[int, int]]]:
-    """Return the ranges of each interval in which a clip fits, none of which overlap, in their order."""
+    """Return the non-overlapping ranges of each interval that match a clip, in order."""
     hits = rank(template, intervals, _WORST)
     found: dict[int, list[tuple[int, int]]] = {}
     best: dict[int, float] = {}
@@ -114,7 +114,7 @@ def _matches(template: QuantisedTemplate, intervals: TakeWords) -> dict[int, lis
 
 
 def _frames(clip: U64, interval: U64, matches: Sequence[tuple[int, int]], features: int) -> I64:
-    """Return the frame of the clip at each frame of the interval."""
+    """Return the matching frame of the clip for each frame of the interval."""
     frames = np.full(len(interval), -1, np.int64)
     for start, stop in matches or [(0, len(interval))]:
         part = interval[start:stop]
@@ -126,14 +126,14 @@ def _frames(clip: U64, interval: U64, matches: Sequence[tuple[int, int]], featur
 
 
 def word_differences(clip: U64, interval: U64, features: int) -> F64:
-    """Return the share of features that differ between every two frames of two motions.
+    """Return the share of differing features between all pairs of frames of two motions.
 
     Parameters
     ----------
     clip : uint64 array (K,)
-        The words of the one.
+        The words of the first motion.
     interval : uint64 array (L,)
-        The words of the other.
+        The words of the second motion.
     features : int
         The number of features of a word.
 

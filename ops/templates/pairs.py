@@ -1,4 +1,4 @@
-"""Templates in one stack, and their pairs warped onto each other: each path read from both sides."""
+"""This module stacks templates and warps pairs of them; each path is stored as seen from both templates."""
 
 from __future__ import annotations
 
@@ -26,12 +26,13 @@ from kinedex.ops.words import U64
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 U8 = npt.NDArray[np.uint8]
-Columns = npt.NDArray[Any]  # float64 (N, f) of soft templates, uint64 (N, 2) of hard ones; only a method looks inside
+# float64 (N, f) for soft templates, uint64 (N, 2) for hard ones; only a method interprets them
+Columns = npt.NDArray[Any]
 
 
 @dataclass(frozen=True)
 class Weighted:
-    """Columns in a method's own form, with their weights.
+    """Template columns in a method's own representation, with their weights.
 
     Parameters
     ----------
@@ -45,7 +46,7 @@ class Weighted:
 
 @dataclass(frozen=True)
 class Stack:
-    """Templates one after the other: template i has the columns offsets[i] to offsets[i + 1] − 1.
+    """Concatenated templates: template i has the columns offsets[i] to offsets[i + 1] − 1.
 
     Parameters
     ----------
@@ -61,7 +62,7 @@ class Stack:
 
     @classmethod
     def of(cls, templates: Sequence[Weighted]) -> Stack:
-        """Stack templates."""
+        """Concatenate templates to a stack."""
         offsets = np.concatenate(([0], np.cumsum([len(one.weights) for one in templates]))).astype(np.int64)
         columns = np.ascontiguousarray(np.concatenate([one.columns for one in templates]))
         return cls(columns, np.concatenate([one.weights for one in templates]), offsets)
@@ -71,18 +72,18 @@ class Stack:
 
     @property
     def lengths(self) -> I64:
-        """The number of columns of each template."""
+        """Return the number of columns of each template."""
         return np.diff(self.offsets)
 
     def chosen(self, indices: I64) -> Stack:
-        """Return some of the templates, in this order."""
+        """Return a stack of some of the templates, in the given order."""
         pieces = [slice(int(self.offsets[i]), int(self.offsets[i + 1])) for i in indices]
         return Stack.of([Weighted(self.columns[piece], self.weights[piece]) for piece in pieces])
 
 
 @dataclass(frozen=True)
 class Paths:
-    """The warping paths of P pairs of templates, each read from both sides.
+    """The warping paths of P pairs of templates, each stored as seen from both.
 
     Parameters
     ----------
@@ -101,7 +102,7 @@ class Paths:
 
     @classmethod
     def joined(cls, pieces: Sequence[Paths]) -> Paths:
-        """Return the paths of several pieces, one piece after the other."""
+        """Concatenate the paths of several pieces."""
         shifts = np.concatenate(([0], np.cumsum([len(piece.steps) for piece in pieces])))
         return cls(
             np.concatenate([piece.costs for piece in pieces]),
@@ -112,25 +113,25 @@ class Paths:
 
 
 def all_pairs(count: int) -> I64:
-    """Return every pair i < j of that many templates, int64 (P, 2), by i and then j."""
+    """Return all pairs i < j of `count` templates, int64 (P, 2), sorted by i and then j."""
     return np.stack(np.triu_indices(count, 1), axis=1).astype(np.int64)
 
 
 def reference_pairs(count: int, references: I64) -> I64:
-    """Return every pair i < j of that many templates of which one is a reference, int64 (P, 2), by i and then j."""
+    """Return all pairs i < j of `count` templates with at least one reference, int64 (P, 2), sorted by i and then j."""
     pairs = all_pairs(count)
     kept: I64 = pairs[np.isin(pairs, references).any(axis=1)]
     return kept
 
 
 def path_offsets(stack: Stack, pairs: I64) -> I64:
-    """Return where the memory for each pair's two paths begins, int64 (2 P + 1,): no path is longer than K + L − 1."""
+    """Return the memory offsets of each pair's two paths, int64 (2 P + 1,); a path has at most K + L − 1 steps."""
     longest = stack.lengths[pairs].sum(axis=1) - 1
     return np.concatenate(([0], np.cumsum(np.repeat(longest, 2)))).astype(np.int64)
 
 
 def compact(costs: F64, counts: I64, steps: U8, offsets: I64) -> Paths:
-    """Return paths without the memory that they did not need."""
+    """Return the paths in memory without gaps."""
     kept = np.concatenate([steps[start : start + count] for start, count in zip(offsets, counts, strict=False)])
     starts = np.concatenate(([0], np.cumsum(counts)))[:-1]
     return Paths(costs, kept, starts.reshape(-1, 2), counts.reshape(-1, 2))
@@ -140,8 +141,7 @@ def compact(costs: F64, counts: I64, steps: U8, offsets: I64) -> Paths:
 def soft_costs(column: F64, turned: F64, first: int, total: float, out: F64) -> None:
     """Fill in the sum over features of |x − y|, divided by `total`, of one column against others (kernel).
 
-    The sums of four features at a time are added in the features' order: to the last bit they are those of a plain
-    loop.
+    Four features at a time are added in the features' order, so the sums equal those of a plain loop to the last bit.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def soft_costs(column: F64, turned: F64, first: int, total: float, out: F64) -> 
     i = 0
     while i + 4 <= features:
         a, b, c, d = column[i], column[i + 1], column[i + 2], column[i + 3]
-        # A slice of a row of a contiguous array is known to be contiguous: only then the loop vectorises.
+        # A slice of a row of a contiguous array is known to be contiguous, which the compiler needs to vectorise.
         row_a = turned[i][first : first + width]
         row_b = turned[i + 1][first : first + width]
         row_c = turned[i + 2][first : first + width]
@@ -182,9 +182,9 @@ def soft_costs(column: F64, turned: F64, first: int, total: float, out: F64) -> 
 def align_pairs(
     soft: F64 | None, hard: U64 | None, total: float, weights: F64, offsets: I64, pairs: I64, places: I64
 ) -> tuple[F64, I64, U8]:
-    """Align pairs of templates; return costs, path lengths and steps, read from both sides (kernel).
+    """Align pairs of templates; return costs, path lengths, and steps as seen from both templates (kernel).
 
-    The compiler drops the branch of the method whose columns are None.
+    The compiler removes the branch of the method whose columns are None.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Motion templates: what the clips of a class share, learned by warping and averaging (thesis, Section 2.3)."""
+"""This module learns motion templates from the clips of a class by warping and averaging (thesis, Section 2.3)."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ MOST_ROUNDS = 10
 CONVERGED = 0.005
 
 MOST_AVERAGED = 80
-"""Of a class with more clips so many are averaged, drawn evenly over actors and lengths; the rest weighs in at last."""
+"""The most clips that are averaged, drawn evenly over actors and lengths; the other clips of a class are added last."""
 
 REFERENCES = 8
-"""So many of the drawn clips are references, likewise drawn; of a class with at most `MOST_AVERAGED` clips all are."""
+"""Number of references among the drawn clips of a class with more than `MOST_AVERAGED` clips; otherwise all are."""
 
 
 @dataclass(frozen=True)
 class Template:
-    """A motion template of N columns.
+    """A soft or hard motion template of N columns.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Template:
     weights : float64 array (N,)
         The weight of each column, about 1.
     feature_weights : float64 array (f,), optional
-        How much each feature counts in a comparison; None: all alike.
+        The weight of each feature in a comparison; None: all equal.
     """
 
     values: F64
@@ -54,7 +54,7 @@ class Template:
 
     @property
     def unknown(self) -> npt.NDArray[np.bool_]:
-        """Return the features that no clip showed, bool (f,): they have no weight, and wildcards in all columns."""
+        """Return a mask (f,) of the features that no clip showed: they have weight 0, and wildcards in all columns."""
         if self.feature_weights is None:
             return np.zeros(self.values.shape[1], np.bool_)
         unknown: npt.NDArray[np.bool_] = (self.feature_weights == 0) & (self.values == 0.5).all(axis=0)
@@ -63,7 +63,7 @@ class Template:
 
 @dataclass(frozen=True)
 class QuantisedTemplate:
-    """A template of 0, 1 and wildcards, as bits: bit i − 1 belongs to F_i.
+    """A template of 0, 1 and wildcards, stored as bits: bit i − 1 belongs to F_i.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class QuantisedTemplate:
     value : uint64 array (N,)
         Their values; no bit is set outside the mask.
     feature_weights : float64 array (f,), optional
-        How much each feature counts in a distance curve, above 0 wherever the mask has its bit; None: all alike.
+        The weight of each feature in a distance curve, above 0 wherever the mask has its bit; None: all equal.
     """
 
     mask: U64
@@ -96,31 +96,31 @@ class QuantisedTemplate:
 
     @property
     def fixed(self) -> float:
-        """The number of fixed entries of a column, on average."""
+        """Return the mean number of fixed entries of a column."""
         return float(np.bitwise_count(self.mask).mean())
 
     def values(self, features: int) -> F64:
-        """Return the columns as numbers, float64 (N, f): 0, 1, and 0.5 for a wildcard."""
+        """Return the columns as values, float64 (N, f): 0, 1, and 0.5 for a wildcard."""
         fixed, ones = bits(self.mask, features), bits(self.value, features)
         return np.where(fixed == 1, ones, 0.5)
 
 
 @dataclass(frozen=True)
 class Learned:
-    """A template and how it was learned.
+    """A learned template, with a record of the learning.
 
     Parameters
     ----------
     template : Template
         The class template.
     rounds : int
-        How often all templates were averaged.
+        The number of rounds of averaging.
     costs : tuple of float
         The largest DTW cost between two templates, divided by the reference's total weight, before each round and after
-        the last: rounds + 1 numbers (a single one, 0, where there is one clip).
+        the last: rounds + 1 numbers (a single 0 for one clip).
     clip_costs : tuple of float
-        Of each clip the median of its DTW costs to the others, or to the references among them, before the first round,
-        as a share of the entries compared along the path (0 where there is one clip).
+        For each clip the median of its DTW costs to the others, or to the references among them, before the first
+        round, relative to the number of entries compared along the path (0 for one clip).
     """
 
     template: Template
@@ -131,7 +131,7 @@ class Learned:
 
 @dataclass(frozen=True)
 class Piece:
-    """Pairs of templates that one task aligns; the pairs, int64 (P, 2), are places in the stack."""
+    """A task of a worker: pairs of templates to align, int64 (P, 2), as indices of the stack."""
 
     method: Method
     stack: Stack
@@ -139,11 +139,11 @@ class Piece:
 
 
 Spread = Callable[[Callable[[Piece], Paths], Iterable[Piece]], Iterable[Paths]]
-"""Applies a function to all pieces and gives the results in their order: `map`, or an executor's."""
+"""A function that applies a function to all pieces and yields the results in order, such as `map` or an executor's."""
 
 
 Align = Callable[[Stack, I64], Paths]
-"""Aligns pairs of the templates of a stack."""
+"""A function that aligns pairs of the templates of a stack."""
 
 
 def learn_soft(clips: Sequence[U64], features: int) -> Learned:
@@ -180,15 +180,15 @@ def learn(
     pieces: int = 1,
     actors: Sequence[str] | None = None,
 ) -> Learned:
-    """Learn a soft or hard motion template, the alignments of each round divided among workers.
+    """Learn a soft or hard motion template, with the alignments of each round divided among workers.
 
     Soft templates are those of `learn_soft`. Hard templates (diploma thesis, Section 3.3.1, Eq. 3.1 to 3.6) have the
     values 0, 0.5 (a wildcard) and 1; the local cost counts the contradictions. The classical DTW cost between a hard
     template and every one of its clips is 0 (Claim 3.1 in Section 3.3.2 there).
 
-    The work grows with the square of the number of clips up to `MOST_AVERAGED`, and from there on with the number: so
-    many clips are drawn, the first round makes `REFERENCES` of them the reference only, and the others go on as a small
-    class does. Each clip that was not drawn is warped to the result once and weighs in as one clip.
+    The work grows quadratically with the number of clips up to `MOST_AVERAGED`, and linearly beyond. Beyond it, that
+    many clips are drawn, and only `REFERENCES` of them are references in the first round; the later rounds are those of
+    a small class. Each clip that was not drawn is warped to the result once and averaged with the weight of one clip.
 
     Parameters
     ----------
@@ -200,13 +200,14 @@ def learn(
         The number of features f, 1 to 63.
     feature_weights : float64 array (f,), optional
         Not negative and not all 0; None: all features count alike. The soft cost is the weighted mean over the
-        features; the hard cost ignores features of weight 0. The values of a feature are learned whatever its weight.
+        features; the hard cost ignores features of weight 0. The values of features are learned independently of their
+        weights.
     spread : callable
-        The function that applies another one to all pieces of a round, see `Spread`.
+        The function that applies a function to all pieces of a round, see `Spread`.
     pieces : int
-        The number of pieces that a round is divided into. The result depends on neither.
+        The number of pieces into which a round is divided; the result does not depend on it.
     actors : sequence of str, optional
-        The actor of each clip; all the same unless given. They matter only to which clips of a large class are drawn.
+        The actor of each clip; by default all are equal. Actors only affect which clips of a large class are drawn.
 
     Returns
     -------
@@ -237,7 +238,7 @@ def learn(
 
 
 def _drawn(clips: Sequence[U64], actors: Sequence[str] | None) -> tuple[I64, I64]:
-    """Return the places of the clips that are averaged, and of those among them that are references."""
+    """Return the indices of the clips to average, and of the references among these."""
     lengths = [len(clip) for clip in clips]
     who = [""] * len(clips) if actors is None else list(actors)
     drawn = evenly_drawn(lengths, who, MOST_AVERAGED)
@@ -250,7 +251,7 @@ def _drawn(clips: Sequence[U64], actors: Sequence[str] | None) -> tuple[I64, I64
 def _average(
     method: Method, stack: Stack, references: I64, align: Align, compared: float
 ) -> tuple[Weighted, list[float], F64]:
-    """Return the template of the first reference, the largest costs of all rounds, and the cost of each clip."""
+    """Return the template of the first reference, the largest cost of each round, and the cost of each clip."""
     costs: list[float] = []
     clip_costs = np.zeros(len(stack))
     while len(stack) > 1:
@@ -262,7 +263,7 @@ def _average(
             clip_costs = _medians(paths.costs / totals[pairs].mean(axis=1) / compared, pairs, references, len(stack))
         costs.append(largest)
         rounds = len(costs) - 1
-        # The first round always counts: before it, "all alike" would let the first clip stand for the class.
+        # The first round is always done: otherwise, for equal costs, the first clip would be the template of the class.
         unchanged = rounds > 0 and abs(largest - costs[-2]) <= TOLERANCE
         if rounds == MOST_ROUNDS or (rounds > 0 and (largest < CONVERGED or unchanged)):
             break
@@ -273,7 +274,7 @@ def _average(
 
 
 def _weighed_in(method: Method, template: Weighted, count: int, rest: Sequence[U64], align: Align) -> Weighted:
-    """Average a template of so many clips with more clips, each of which is warped to it once, and rebalance."""
+    """Average a template of `count` clips with further clips, each warped to it once, and rebalance."""
     stack = Stack.of([template, *_clips(method, rest)])
     places = np.arange(len(stack))
     pairs = np.stack([np.zeros(len(rest), np.int64), places[1:]], axis=1)
@@ -282,7 +283,7 @@ def _weighed_in(method: Method, template: Weighted, count: int, rest: Sequence[U
 
 
 def _costs_to(method: Method, references: Sequence[U64], clips: Sequence[U64], align: Align, compared: float) -> F64:
-    """Return of each clip the median of its costs to references, as a share of the entries compared."""
+    """Return for each clip the median of its costs to references, relative to the number of entries compared."""
     stack = Stack.of(_clips(method, [*references, *clips]))
     count = len(references)
     pairs = np.stack(np.meshgrid(np.arange(count), np.arange(count, len(stack))), axis=-1).reshape(-1, 2)
@@ -301,7 +302,7 @@ def _totals(stack: Stack) -> F64:
 
 
 def align_piece(piece: Piece) -> Paths:
-    """Align the pairs of a piece; a worker runs this."""
+    """Align the pairs of a piece; called by workers."""
     return piece.method.align(piece.stack, piece.pairs)
 
 
@@ -311,8 +312,8 @@ def quantise(template: Template, delta: float) -> QuantisedTemplate:
     Parameters
     ----------
     template : Template
-        At most 63 features. A feature of weight 0 is a wildcard everywhere; other weights are kept, and a fixed entry
-        counts by them in distance curves.
+        At most 63 features. A feature of weight 0 becomes a wildcard everywhere; other weights are kept, and weight
+        fixed entries in distance curves.
     delta : float
         0 ≤ δ < 0.5; 0 fixes only what does not vary at all. Values are compared with a tolerance of 1e-9.
 
@@ -330,13 +331,13 @@ def quantise(template: Template, delta: float) -> QuantisedTemplate:
     zeros = (template.values <= delta + TOLERANCE) & counts
     value = np.bitwise_or.reduce(ones.astype(np.uint64) << shifts, axis=1)
     mask = np.bitwise_or.reduce((ones | zeros).astype(np.uint64) << shifts, axis=1)
-    # Where all that count count alike, the templates are the same as without weights, and as fast.
+    # Equal weights of all features that count are dropped, which gives the same results and is faster.
     alike = weights is None or len(np.unique(weights[counts])) <= 1
     return QuantisedTemplate(mask, value, None if alike else weights)
 
 
 def _align(method: Method, stack: Stack, pairs: I64, spread: Spread, pieces: int) -> Paths:
-    """Align all pairs, at once or in pieces of about the same work."""
+    """Align all pairs, at once or in pieces of about equal work."""
     if pieces <= 1 or len(pairs) < 2:
         return method.align(stack, pairs)
     work = np.cumsum(stack.lengths[pairs].prod(axis=1))
@@ -349,7 +350,7 @@ def _align(method: Method, stack: Stack, pairs: I64, spread: Spread, pieces: int
 
 
 def _medians(costs: F64, pairs: I64, references: I64, count: int) -> F64:
-    """Return, for each template, the median cost of its pairs with references."""
+    """Return the median cost of each template's pairs with references."""
     is_reference = np.isin(pairs, references)
     return np.array([np.median(costs[((pairs == i) & is_reference[:, ::-1]).any(axis=1)]) for i in range(count)])
 

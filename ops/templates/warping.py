@@ -1,4 +1,4 @@
-"""Classical dynamic time warping of two weighted sequences, with the path; read from either of the two."""
+"""This module does classical dynamic time warping of two weighted sequences, with the path seen from either one."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ I64 = npt.NDArray[np.int64]
 U8 = npt.NDArray[np.uint8]
 
 DIAGONAL, FIRST, SECOND, EITHER = np.uint8(0), np.uint8(1), np.uint8(2), np.uint8(3)
-"""The step that enters a cell: both sequences advance, only the first, only the second; or the last two are equally
-cheap, and then the one is taken in which the sequence advances from whose side the path is read."""
+"""The step that enters a cell: both sequences advance, only the first, only the second; or EITHER where the last two
+are equally cheap, and the sequence advances from which the path is seen.
+"""
 
 BLOCK, MARGIN = 4, 3
-"""Accumulated costs are computed in blocks of so many rows; the last of them is so many columns behind the first."""
+"""Accumulated costs are computed in blocks of `BLOCK` rows; the last row is `MARGIN` columns behind the first."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ def _cells(steps: U8) -> I64:
 
 @nb.njit(cache=True, nogil=True)
 def _accumulate(local_cost: F64, first_weights: F64, second_weights: F64) -> tuple[float, U8]:
-    """Return the cost of the best path and, per cell, the step that enters it (kernel of `align`)."""
+    """Return the cost of the best path and, for each cell, the step that enters it (kernel of `align`)."""
     height, width = local_cost.shape
     entered = np.empty((height, width), np.uint8)
     accumulated, weighted = row_memory(width)
@@ -107,13 +108,13 @@ def _accumulate(local_cost: F64, first_weights: F64, second_weights: F64) -> tup
 
 @nb.njit(cache=True, nogil=True)
 def row_memory(longest: int) -> tuple[F64, F64]:
-    """Return memory for the accumulated and for the weighted costs of a block of rows (kernel)."""
+    """Allocate memory for the accumulated and the weighted costs of a block of rows (kernel)."""
     return np.empty((BLOCK + 1, longest + 2 * MARGIN)), np.zeros((BLOCK, longest + 2 * MARGIN))
 
 
 @nb.njit(cache=True, nogil=True)
 def begin_rows(accumulated: F64) -> None:
-    """Set the row above the first one: every path begins before the first column (kernel)."""
+    """Initialise the row above the first one, where every path begins before the first column (kernel)."""
     accumulated[:, 0] = np.inf
     accumulated[0, :] = np.inf
     accumulated[0, 0] = 0.0
@@ -121,10 +122,10 @@ def begin_rows(accumulated: F64) -> None:
 
 @nb.njit(cache=True, nogil=True)
 def advance_rows(accumulated: F64, weighted: F64, entered: U8) -> None:
-    """Fill up to `BLOCK` rows of accumulated costs and of the steps that enter their cells (kernel).
+    """Fill in up to `BLOCK` rows of accumulated costs and of the steps that enter their cells (kernel).
 
-    A cell depends on the one before it, and a sum and a comparison take as long as ten others that wait for nothing. So
-    four rows advance at once, each of them one column behind the row above.
+    A cell depends on the one before it, and such a dependent sum and comparison take as long as ten independent ones.
+    So four rows are computed together, each one column behind the row above.
 
     Parameters
     ----------
@@ -183,7 +184,7 @@ def trace_back(entered: U8, preferred: np.uint8, steps: U8) -> int:
         FIRST or SECOND, the sequence that the path is read from; a step in which that one alone advances is written as
         FIRST, and its opposite as SECOND.
     steps : uint8 array
-        The results, with room for K + L − 1.
+        The results, of length K + L − 1 or more.
     """
     rows, columns = entered.shape
     swap = preferred == SECOND

@@ -1,1 +1,1 @@
-"""The pose of a kinematic chain from what cameras see (thesis, Section 6.2)."""
+"""This package fits the poses of a kinematic chain to camera observations (thesis, Section 6.2)."""

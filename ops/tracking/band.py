@@ -1,8 +1,8 @@
-"""The Gauss–Newton system of a whole take: blocks of frames and diagonal couplings, and its exact solution.
+"""This module assembles and solves the Gauss–Newton system of a whole take, a band matrix with blocks per frame.
 
-Second differences of places and turns couple a frame with the two before and after it, each parameter only with itself,
-because H takes the derivative of every logarithm as the identity; g has the exact one where it is asked for. So the
-matrix is a band whose half-width is twice the number of parameters. Frames are eliminated one after the other: the
+Second differences of positions and rotations couple a frame with the two before and after it, each parameter only with
+itself, because H takes the derivative of every logarithm as the identity; g uses the exact derivative on request. So
+the matrix is a band whose half-width is twice the number of parameters. Frames are eliminated one after the other: the
 matrix of a frame, of its couplings with the next two, and of what earlier frames left there is a *front*, and the
 Cholesky factorisation of its first rows leaves a smaller matrix for the next frame. Parameters that move no observed
 point stay diagonal in H; each of them is a band of its own of half-width 2, and is solved apart.
@@ -25,21 +25,22 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 LEAST_DAMPING = 1e-6
-"""Added to the diagonal of every system."""
+"""The number added to the diagonal of every system."""
 
-_PANEL = 8  # rows of a front that are subtracted from the others at once
-_FAST = {"contract", "reassoc", "nsz"}  # fused and vectorised sums: the same bytes again on the same machine
+_PANEL = 8  # rows of a front that are subtracted from the others in one pass
+# allow fused and reordered sums for speed; results are reproducible on the same machine
+_FAST = {"contract", "reassoc", "nsz"}
 
 
 class Band(NamedTuple):
-    """The linear system of a take, and room for its solution.
+    """The linear system of a take, with arrays for its solution.
 
     Attributes
     ----------
     smoothness : float64 array (N,)
         Weight of the second differences of each parameter.
     triples : float64 array (T,)
-        1 where a frame, the one before and the one after belong together, else 0.
+        1 where a frame, the one before and the one after are consecutive without a cut, else 0.
     coupled : int64 array (M,)
         The parameters that move observed points, ascending.
     single : int64 array (N − M,)
@@ -65,23 +66,23 @@ class Band(NamedTuple):
 
 
 def make_band(chain: ChainArrays, moving: I64, smoothness: F64, triples: F64) -> Band:
-    """Return an empty system.
+    """Allocate an empty system.
 
     Parameters
     ----------
     chain : ChainArrays
         The body, of K nodes and N parameters.
     moving : int64 array
-        The nodes that observations and priors have points on.
+        The nodes on which observations or priors have points.
     smoothness : float64 array (N,)
         Weight of the second differences of each parameter.
     triples : float64 array (T,)
-        1 where a frame, the one before and the one after belong together, else 0.
+        1 where a frame, the one before and the one after are consecutive without a cut, else 0.
     """
     frames, size = len(triples), PLACES + len(chain.axis_nodes)
     moves = np.ones(size, np.bool_)
     moves[PLACES:] = chain.turned[moving].any(axis=0)
-    moves[PLACES:] |= chain.axis_nodes == 0  # the tilt couples the turns of the first node
+    moves[PLACES:] |= chain.axis_nodes == 0  # the tilt term couples the rotations of the first node
     coupled = np.flatnonzero(moves)
     return Band(
         smoothness,
@@ -141,7 +142,7 @@ def assemble(
 
 @njit(cache=True, nogil=True)
 def _log_between(first: F64, second: F64, between: F64) -> tuple[float, float, float]:
-    """Return log(RᵀS), with room (3, 3) for the product."""
+    """Return log(RᵀS), using a work array (3, 3) for the product."""
     for i in range(3):
         for j in range(3):
             between[i, j] = first[0, i] * second[0, j] + first[1, i] * second[1, j] + first[2, i] * second[2, j]
@@ -209,7 +210,7 @@ def take_cost(
     chain: ChainArrays, evidence: Evidence, priors: PriorArrays, places: F64, turns: F64, width: float, units: F64,
     band: Band,
 ) -> float:  # fmt: skip
-    """Return the cost of a take at given poses, with the factors `units` of residuals as they are; see `assemble`."""
+    """Return the cost of a take at given poses, with fixed factors `units` of residuals; see `assemble`."""
     room = frame_room(chain, evidence)
     cost = 0.0
     for t in range(len(places)):
@@ -219,7 +220,7 @@ def take_cost(
 
 @njit(cache=True, nogil=True)
 def move(chain: ChainArrays, places: F64, turns: F64, steps: F64, new_places: F64, new_turns: F64) -> None:
-    """Move the poses of a take by steps (T, N) of their parameters, into the last two arrays."""
+    """Update the poses of a take by steps (T, N) of their parameters, into the last two arrays."""
     for t in range(len(places)):
         take_step(chain, places[t], turns[t], steps[t], new_places[t], new_turns[t])
 
@@ -228,7 +229,7 @@ def move(chain: ChainArrays, places: F64, turns: F64, steps: F64, new_places: F6
 def solve_band(band: Band, damping: float, factors: F64, steps: F64) -> None:
     """Solve H x = −g for the steps of all frames.
 
-    The diagonal of H gets `damping` times itself, and `LEAST_DAMPING`.
+    The diagonal of H is multiplied by 1 + `damping`, and `LEAST_DAMPING` is added.
 
     Parameters
     ----------
@@ -237,7 +238,7 @@ def solve_band(band: Band, damping: float, factors: F64, steps: F64) -> None:
     damping : float
         λ of Levenberg's method.
     factors : float64 array (T, M, 2 M + 1)
-        Room for the rows of the factor.
+        Work memory for the rows of the factor.
     steps : float64 array (T, N)
         Out: x.
     """
@@ -254,7 +255,7 @@ def solve_band(band: Band, damping: float, factors: F64, steps: F64) -> None:
 
 @njit(cache=True, nogil=True)
 def _solve_single(band: Band, damping: float, own: F64, near: F64, far: F64, steps: F64) -> None:
-    """Solve the bands of half-width 2 of the parameters that nothing couples."""
+    """Solve the bands of half-width 2 of the uncoupled parameters."""
     frames = len(own)
     pivots, first, second = np.empty(frames), np.empty(frames), np.empty(frames)
     for i in band.single:
@@ -281,11 +282,11 @@ def _solve_single(band: Band, damping: float, own: F64, near: F64, far: F64, ste
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _solve_coupled(band: Band, damping: float, own: F64, near: F64, far: F64, factors: F64, steps: F64) -> None:
-    """Solve for the parameters that observations couple, frame by frame."""
+    """Solve for the parameters that observations couple, by elimination frame by frame."""
     frames, m = len(own), len(band.coupled)
     weights = band.smoothness[band.coupled]
     width = _aligned(3 * m)
-    front = np.zeros((3 * m, width))  # upper half; its rows are of this frame, the next one and the one after
+    front = np.zeros((3 * m, width))  # upper half; its rows belong to this frame, the next one and the one after
     right = np.zeros(3 * m)
     for t in range(frames):
         for a in range(m):
@@ -309,18 +310,17 @@ def _solve_coupled(band: Band, damping: float, own: F64, near: F64, far: F64, fa
 
 @njit(cache=True, nogil=True)
 def _aligned(column: int) -> int:
-    """Return the next column that is a multiple of eight, where a vector register begins."""
+    """Return the next column that is a multiple of eight, for aligned vector loads."""
     return (column + 7) // 8 * 8
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _eliminate(front: F64, right: F64, m: int) -> None:
-    """Factorise the first m rows of a front and of its right side, and subtract what they leave from the other rows.
+    """Factorise the first m rows of a front and its right side, and subtract their products from the other rows.
 
-    Row k ends at column 2 m + k: beyond it the coupling with the frame after the next one is 0. Eight rows at once are
-    subtracted from two others, which are read and written once for them, and what is left of the m rows in pairs. Rows
-    are worked on as slices from 0, which the compiler turns into vector instructions; what it computes left of the
-    diagonal is not used.
+    Row k ends at column 2 m + k: beyond it the coupling with the frame after the next one is 0. Eight rows are
+    subtracted from two others in one pass, and the remaining rows of the m in pairs. Rows are processed as slices from
+    column 0, so that the compiler vectorises the loops; values left of the diagonal are not used.
     """
     for low in range(0, m, _PANEL):
         high = min(low + _PANEL, m)
@@ -380,7 +380,7 @@ def _subtract_pair(front: F64, k: int, i: int, stop: int) -> None:
 
 @njit(cache=True, nogil=True)
 def _shift(front: F64, right: F64, m: int) -> None:
-    """Move the rows of the next two frames to the front."""
+    """Move the rows of the next two frames to the front's beginning."""
     for i in range(2 * m):
         row, source = front[i, i : 2 * m], front[m + i, m + i : 3 * m]
         for j in range(len(row)):
@@ -393,7 +393,7 @@ def _shift(front: F64, right: F64, m: int) -> None:
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _substitute(coupled: I64, factors: F64, steps: F64) -> None:
-    """Solve the factorised system backwards, in place of the right side."""
+    """Solve the factorised system by back substitution, overwriting the right side."""
     frames, m = len(steps), len(coupled)
     x = np.zeros(3 * m)
     for t in range(frames - 1, -1, -1):

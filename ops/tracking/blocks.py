@@ -1,7 +1,7 @@
-"""A frame's H and g: points of the body, the pulls of priors, pulls to rest and hinges (thesis, 6.2.2 and 6.4).
+"""This module computes a frame's H and g: body points, priors, pulls to rest and hinges (thesis, 6.2.2 and 6.4).
 
 H and g are those of a Gauss–Newton step x, which solves H x = −g: H sums JᵀAJ, and g sums Jᵀb over the terms: half of
-the derivatives of the cost. Only the lower half of H is filled. Both trackers build their steps of these.
+the derivatives of the cost. Only the lower half of H is filled. Both trackers use these terms.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ I64 = npt.NDArray[np.int64]
 
 
 class PriorArrays(NamedTuple):
-    """The terms of priors as arrays, the form that compiled functions take; see `PriorTerms`.
+    """The terms of priors as arrays for compiled functions; see `PriorTerms`.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class PriorArrays(NamedTuple):
     turn_weights : float64 array (T, K, 3)
         Weight about X, Y and Z of the node.
     tilt_targets : float64 array (T, 3)
-        The up axis that the pelvis is pulled to see.
+        The target of the up axis in the frame of the pelvis.
     tilt_weights : float64 array (T,)
         Weight of each tilt.
     place_joints : int64 array (N,)
@@ -55,7 +55,7 @@ class PriorArrays(NamedTuple):
     place_weights : float64 array (N,)
         Its weight.
     place_starts : int64 array (T + 1,)
-        The first place term of each frame, and the number of all.
+        The index of the first place term of each frame, and the total number.
     """
 
     turn_targets: F64
@@ -70,7 +70,7 @@ class PriorArrays(NamedTuple):
 
 
 def prior_arrays(body: ChainBody, priors: PriorTerms | None, frames: int) -> PriorArrays:
-    """Return the terms of priors as arrays.
+    """Return the terms of priors as arrays for compiled functions.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def add_point(
     vector : float64 array (3,)
         b.
     columns : float64 array (parameters, 4)
-        Room for the Jacobian, see `point_jacobian`.
+        Work memory for the Jacobian, see `point_jacobian`.
     hessian : float64 array (parameters, parameters)
         H, of which the lower half is added to.
     gradient : float64 array (parameters,)
@@ -175,7 +175,7 @@ def add_prior_terms(
 ) -> float:  # fmt: skip
     """Add the terms of priors of one frame to H and g, and return their cost.
 
-    g holds the exact derivative of the logarithm; H takes it as the identity, and stays diagonal there.
+    g uses the exact derivative of the logarithm; H approximates it by the identity, so its part is diagonal.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def add_prior_terms(
     turned, centres : float64 array (K, 3, 3), (K, 3)
         The nodes, see `pose_nodes`.
     columns : float64 array (parameters, 4)
-        Room for a Jacobian.
+        Work memory for a Jacobian.
     hessian : float64 array (parameters, parameters)
         H, of which the lower half is added to.
     gradient : float64 array (parameters,)
@@ -221,7 +221,7 @@ def add_prior_terms(
 
 @njit(cache=True, nogil=True)
 def _place_joint(chain: ChainArrays, joint: int, turned: F64, centres: F64, point: F64) -> int:
-    """Compute a joint in the world, into the last array, and return the node that moves it."""
+    """Compute a joint's position in the world, into the last array, and return the node that moves it."""
     k = chain.joint_nodes[joint]
     for i in range(3):
         point[i] = centres[k, i]
@@ -232,7 +232,7 @@ def _place_joint(chain: ChainArrays, joint: int, turned: F64, centres: F64, poin
 
 @njit(cache=True, nogil=True)
 def _turn_from(target: F64, turn: F64) -> F64:
-    """Return log(MᵀR)."""
+    """Return log(MᵀR) of a target rotation M and a rotation R."""
     between = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
@@ -268,7 +268,7 @@ def _add_turn_terms(chain: ChainArrays, priors: PriorArrays, t: int, turns: F64,
 
 @njit(cache=True, nogil=True)
 def _add_tilt_term(chain: ChainArrays, priors: PriorArrays, t: int, turn: F64, hessian: F64, gradient: F64) -> float:
-    """Add w ‖Rᵀe_y − t‖² of the pelvis, whose derivative by a turn about e_d is (Rᵀe_y) × e_d."""
+    """Add w ‖Rᵀe_y − t‖² of the pelvis, whose derivative by a rotation about e_d is (Rᵀe_y) × e_d."""
     weight = priors.tilt_weights[t]
     up = turn[1]  # the row of R is Rᵀe_y
     excess = up - priors.tilt_targets[t]
@@ -316,7 +316,7 @@ def prior_cost(chain: ChainArrays, priors: PriorArrays, t: int, turns: F64, turn
 
 
 class FrameRoom(NamedTuple):
-    """Room for what one frame needs while its H and g are made.
+    """Preallocated arrays for H and g of one frame.
 
     Attributes
     ----------
@@ -343,7 +343,7 @@ class FrameRoom(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def frame_room(chain: ChainArrays, evidence: Evidence) -> FrameRoom:
-    """Return room for a frame."""
+    """Allocate the arrays of one frame."""
     nodes, points, size = len(chain.parents), len(evidence.nodes), PLACES + len(chain.axis_nodes)
     return FrameRoom(
         np.empty((nodes, 3, 3)),
@@ -380,7 +380,7 @@ def frame_terms(
     units : float64 array (V, P)
         Out: the squares of the factors of residuals, see `rays.point_terms`.
     room : FrameRoom
-        Room for the frame.
+        The preallocated arrays of the frame.
     gradient : float64 array (parameters,)
         Out: g.
 
@@ -409,7 +409,7 @@ def frame_cost(
     chain: ChainArrays, evidence: Evidence, priors: PriorArrays, t: int, place: F64, turns: F64, width: float,
     units: F64, room: FrameRoom,
 ) -> float:  # fmt: skip
-    """Return the cost of one frame with the factors `units` of residuals as they are; see `frame_terms`."""
+    """Return the cost of one frame, with fixed factors `units` of residuals; see `frame_terms`."""
     pose_nodes(chain, place, turns, room.turned, room.centres)
     place_points(evidence.nodes, evidence.offsets, room.turned, room.centres, room.points)
     cost = point_cost(evidence, t, room.points, width, units, np.bool_(False)) + rest_cost(chain, turns)

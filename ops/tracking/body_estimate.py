@@ -1,4 +1,4 @@
-"""The bone lengths of a person by the triangulated keypoints of a recording, and by the mean body of an archive."""
+"""This module estimates a person's bone lengths from triangulated keypoints and an archive's mean body."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 LEAST_CAMERAS = 3
-"""Cameras that both ends of a bone are seen by in a frame that counts; two where no frame has three."""
+"""Number of cameras that must see both ends of a bone in a frame; 2 if no frame has three."""
 
 UNEVEN = 1.1
-"""Ratio of a left bone to the right one, or the inverse, beyond which it is reported."""
+"""Ratio of left and right bone lengths, or its inverse, above which the difference is reported."""
 
 TRUNK_M = (0.2, 0.9)
-"""Least and greatest distance of the middle of the hips from that of the shoulders, in metres."""
+"""Least and greatest plausible distance in metres between the midpoints of hips and shoulders."""
 
 _UNITS = {"mm": 0.001, "cm": 0.01, "in": 0.0254, "ft": 0.3048, "dm": 0.1, "km": 1000.0}
 _USUAL_M = 0.5
@@ -40,7 +40,7 @@ class SideLengths:
     left_m, right_m : float
         Medians in metres; NaN where a side is not seen.
     frames : int
-        Frames of the side that fewer frames show, of those sides that are seen.
+        The lower number of frames of the sides that are seen.
     """
 
     joint: str
@@ -50,7 +50,7 @@ class SideLengths:
 
     @property
     def ratio(self) -> float:
-        """The longer side by the shorter one; NaN where one is not seen."""
+        """Return the longer side divided by the shorter one; NaN if one is not seen."""
         low, high = sorted((self.left_m, self.right_m))
         return high / low if low > 0 else np.inf if low == 0 else np.nan
 
@@ -64,13 +64,13 @@ class BodyEstimate:
     body : ChainBody
         The chain with the person's lengths.
     sides : tuple of SideLengths
-        The bones that keypoints show.
+        The bones that keypoints determine.
     scaled : tuple of str
-        Joints at the end of bones that no keypoint shows, whose lengths are those of the mean body in proportion.
+        Joints at the end of bones without keypoints, whose lengths are scaled from the mean body.
     trunk_m : float
-        Distance of the middle of the hips from that of the shoulders.
+        Distance in metres between the midpoints of hips and shoulders.
     cameras : int
-        Cameras that a point had to be seen by, 3 or 2.
+        The number of cameras that had to see a point, 3 or 2.
     """
 
     body: ChainBody
@@ -81,17 +81,17 @@ class BodyEstimate:
 
     @property
     def uneven(self) -> tuple[SideLengths, ...]:
-        """The bones whose sides differ by more than a tenth: keypoints under a wrong name, or a bad calibration."""
+        """Return the bones whose sides differ by more than a tenth, due to confused keypoints or bad calibration."""
         return tuple(bone for bone in self.sides if bone.ratio > UNEVEN)
 
 
 def mean_body(chain: KinematicChain, bodies: Sequence[ChainBody]) -> ChainBody:
-    """Return the mean of bodies, with equal lengths on both sides.
+    """Return the mean of several bodies, with equal lengths on both sides.
 
     Raises
     ------
     ParameterError
-        There is none.
+        `bodies` is empty.
     """
     if not bodies:
         raise ParameterError("bodies", "those of one actor at least", "none")
@@ -105,12 +105,12 @@ def mean_body(chain: KinematicChain, bodies: Sequence[ChainBody]) -> ChainBody:
 def estimate_body(
     chain: KinematicChain, points: F64, cameras: I64, joints: I64, archive_mean: ChainBody
 ) -> BodyEstimate:
-    """Estimate the bone lengths of a person.
+    """Estimate the bone lengths of a person from keypoints.
 
-    A length is the median over frames where both of its ends are seen by three cameras, averaged over both sides.
-    Where the sides differ by more than a tenth, the one nearer to the mean body is taken. Hips and shoulders are half
-    their distance from the middle. Bones that no keypoint shows have the mean body's lengths in proportion to the arms,
-    the legs, or the trunk.
+    A length is the median over frames where both of its ends are seen by three cameras, averaged over both sides. Where
+    the sides differ by more than a tenth, the one nearer to the mean body is taken. Hips and shoulders lie at half
+    their distance from their midpoint. Bones without keypoints have the mean body's lengths, scaled by the arms, the
+    legs, or the trunk.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def estimate_body(
     points : float64 array (T, P, 3)
         Triangulated keypoints in metres; NaN where there is none.
     cameras : int64 array (T, P)
-        The number of cameras that each of them is from.
+        The number of cameras from which each was triangulated.
     joints : int64 array (P,)
         The joint that each keypoint is, −1 where it is none.
     archive_mean : ChainBody
@@ -135,7 +135,7 @@ def estimate_body(
     ParameterError
         Hips and shoulders are no keypoints, or are never seen together by two cameras.
     KinedexError
-        Their distance is that of no body; the message guesses the unit.
+        Their distance is implausible for a body; the message suggests the unit.
     """
     frames, count = cameras.shape
     if points.shape != (frames, count, 3) or joints.shape != (count,):
@@ -173,7 +173,7 @@ def estimate_body(
 
 
 def _places(chain: KinematicChain, points: F64, cameras: I64, joints: I64) -> tuple[int, dict[str, F64]]:
-    """Return the least number of cameras, and the places (T, 3) of the joints that are keypoints."""
+    """Return the least number of cameras, and the positions (T, 3) of the joints that are keypoints."""
     trunk = [chain.joint(name) for name in ("lhip", "rhip", "lshoulder", "rshoulder")]
     columns = {int(joint): p for p, joint in reversed(list(enumerate(joints))) if joint >= 0}
     missing = [chain.joints[joint] for joint in trunk if joint not in columns]
@@ -189,7 +189,7 @@ def _places(chain: KinematicChain, points: F64, cameras: I64, joints: I64) -> tu
 
 
 def _trunk(chain: KinematicChain, places: dict[str, F64], least: int) -> float:
-    """Return the distance of the middle of the hips from that of the shoulders, which must be that of a body."""
+    """Return the distance between the midpoints of hips and shoulders; raise an error if it is implausible."""
     apart = 0.5 * (places["lshoulder"] + places["rshoulder"] - places["lhip"] - places["rhip"])
     found = float(np.nanmedian(np.sqrt((apart**2).sum(axis=1))))
     if TRUNK_M[0] <= found <= TRUNK_M[1]:
@@ -215,7 +215,7 @@ def _median_length(places: dict[str, F64], one: str, other: str) -> tuple[float,
 
 
 def _sides(chain: KinematicChain, places: dict[str, F64], bone: str) -> SideLengths | None:
-    """Return the lengths of a bone on either side; None where no keypoints show it."""
+    """Return the lengths of a bone on both sides; None if no keypoints determine it."""
     (left, count), (right, counted) = (
         _median_length(places, f"{side}{bone}", chain.joints[chain.rest[chain.joint(f"{side}{bone}")].start])
         for side in "lr"
@@ -227,7 +227,7 @@ def _sides(chain: KinematicChain, places: dict[str, F64], bone: str) -> SideLeng
 def _limb_lengths(
     limb: tuple[str, ...], bones: list[SideLengths | None], mean: dict[str, float], share: float
 ) -> dict[str, float]:
-    """Return the lengths of a limb's bones; those that are not seen in proportion to those that are."""
+    """Return the lengths of a limb's bones; those not seen are scaled from the mean body by those that are."""
     expected = {bone: 0.5 * (mean[f"l{bone}"] + mean[f"r{bone}"]) for bone in limb}
     even = [found for found in bones if found is not None and not found.ratio > UNEVEN]
     measured = sum(np.nanmean((found.left_m, found.right_m)) for found in even)

@@ -1,4 +1,4 @@
-"""The mask of a body in a camera: the pixels whose rays meet one of its capsules."""
+"""This module renders the mask of a body in a camera: the pixels whose rays meet one of its capsules."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ F64 = npt.NDArray[np.float64]
 U8 = npt.NDArray[np.uint8]
 Bool = npt.NDArray[np.bool_]
 
-_EDGE = 5  # places along each side of a box that are projected where the lens distorts
+_EDGE = 5  # points along each side of a box that are projected if the lens has distortion
 
 
 def render_mask(capsules: Capsules, joints: F64, view: View) -> Bool:
@@ -44,7 +44,7 @@ def render_mask(capsules: Capsules, joints: F64, view: View) -> Bool:
 
 @njit(cache=True, nogil=True)
 def count_overlap(capsules: Capsules, joints: F64, view: View, mask: U8) -> tuple[int, int]:
-    """Return the number of pixels that show a body (J, 3), and that of those which are foreground in a mask."""
+    """Return the number of pixels of a body (J, 3) in a camera, and of those that are foreground in a mask."""
     drawn = np.zeros(mask.shape, np.bool_)
     _render(capsules, joints, view, drawn)
     own, common = 0, 0
@@ -86,7 +86,7 @@ def _pixel_box(view: View, box: F64) -> tuple[int, int, int, int]:
             x, y = x0 + (x1 - x0) * i / (_EDGE - 1), y0 + (y1 - y0) * j / (_EDGE - 1)
             column, row = mask_pixel(view, x, y)
             left, top, right, bottom = min(left, column), min(top, row), max(right, column), max(bottom, row)
-    # A line that the lens bends leaves the box of its places by less than an eighth of their distance.
+    # The distorted image of a line leaves the box of its sampled points by less than an eighth of their distance.
     more = 2.0 if not view.distortion.any() else 2.0 + (max(right - left, bottom - top)) / 8.0
     first_column, first_row = max(0, int(np.floor(left - more))), max(0, int(np.floor(top - more)))
     return first_column, first_row, min(width, int(right + more) + 1), min(height, int(bottom + more) + 1)

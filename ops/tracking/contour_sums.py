@@ -1,4 +1,4 @@
-"""Sums of the correspondences of a frame with silhouettes, and their part of its H and g (thesis, Eq. 6.4)."""
+"""This module sums a frame's silhouette correspondences, and adds them to its H and g (thesis, Eq. 6.4)."""
 
 from __future__ import annotations
 
@@ -19,18 +19,19 @@ F64 = npt.NDArray[np.float64]
 WEIGHT, SIGMA_PX = 0.15, 3.0
 """Weight of a correspondence, and standard deviation of the boundary in pixels of the camera."""
 
-_NEAREST_M = 0.3  # the least depth that a pixel's size is taken at, as for rays of keypoints
+_NEAREST_M = 0.3  # least depth in metres at which the size of a pixel is computed, as for rays of keypoints
 
 
 class ContourSums(NamedTuple):
-    """Correspondences as squares of the moves of joints from the pose that found them.
+    """Correspondences as quadratic forms in the displacements of joints from the pose at which they were found.
 
-    A point at the place s of a capsule's axis moves as (1 − s) of the joint at its start and s of that at its end.
+    A point at position s of a capsule's axis moves by (1 − s) times the start joint's displacement plus s times the end
+    joint's.
 
     Attributes
     ----------
     joints : float64 array (J, 3)
-        The joints of the pose that found the correspondences.
+        The joints of the pose at which the correspondences were found.
     matrices : float64 array (J, 3, 3)
         Sums of (1 − s)² A or s² A with A = w (I − n nᵀ).
     vectors : float64 array (J, 3)
@@ -46,7 +47,7 @@ class ContourSums(NamedTuple):
 
 
 def contour_sums(capsules: Capsules, joints: int) -> ContourSums:
-    """Return sums of no correspondence, for J joints."""
+    """Allocate sums without correspondences, for J joints."""
     shapes = (joints, 3), (joints, 3, 3), (joints, 3), (len(capsules.radii), 3, 3)
     return ContourSums(*(np.zeros(shape) for shape in shapes))
 
@@ -101,7 +102,7 @@ def add_contours(view: View, found: Contours, count: int, capsules: Capsules, su
 
 @njit(cache=True, nogil=True)
 def sums_cost(capsules: Capsules, sums: ContourSums, joints: F64) -> float:
-    """Return the cost of correspondences beyond that of the pose that found them.
+    """Return the change of the correspondences' cost from the pose at which they were found to another pose.
 
     Parameters
     ----------
@@ -150,7 +151,7 @@ def add_sums(
     joints : float64 array (J, 3)
         The joints of the pose in metres.
     room : FrameRoom
-        Room of a frame, with the nodes of the pose; its H is added to.
+        The arrays of a frame, with the nodes of the pose; its H is added to.
     gradient : float64 array (P,)
         The vector g of the P parameters of the pose, which is added to.
 

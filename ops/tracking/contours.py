@@ -1,9 +1,9 @@
-"""Correspondences of a body's contour with the boundary of silhouettes (thesis, Section 6.2.3).
+"""This module matches a body's contour with the boundary of silhouettes (thesis, Section 6.2.3).
 
 A capsule seen from a camera has a contour line on either side. Its points are exact: a plane through the camera's
 centre C touches the cylinder of radius r about the axis point p, with axis direction a, at p + r (cos β v ± sin β u),
 where u is a × (p − C) normalised, v is u × a turned to the camera, and cos β = r / distance of C from the axis. From
-each such point that projects inside no other capsule, the boundary of the foreground is looked for along the normal of
+each such point that projects inside no other capsule, the boundary of the foreground is searched along the normal of
 the contour in the image. The ray through it and the point of the surface are a correspondence of Eq. 6.4.
 """
 
@@ -24,15 +24,15 @@ I64 = npt.NDArray[np.int64]
 U8 = npt.NDArray[np.uint8]
 
 SPACING_M = 0.03
-"""Distance of contour points along the axis of a capsule, in metres."""
+"""Spacing in metres of contour points along the axis of a capsule."""
 
 INSIDE = 0.97
-"""A contour point nearer to the axis of another capsule than this share of its radius is hidden by it, or inside it."""
+"""Share of a capsule's radius; contour points of other capsules that are nearer to its axis are hidden or inside it."""
 
 HALF = 127.5
-"""The boundary: half of a probability of foreground from 0 to 255."""
+"""The mask value at the boundary: a foreground probability of one half, scaled to 0 … 255."""
 
-_NORMAL_M = 0.01  # how far a point is moved along its normal to see where the normal points in the image
+_NORMAL_M = 0.01  # metres that a point is moved along its normal to find the normal's direction in the image
 
 
 class Masks(Protocol):
@@ -48,7 +48,7 @@ class Masks(Protocol):
 
 
 class Silhouettes(NamedTuple):
-    """Silhouettes of a person in calibrated cameras, and the surface that made them.
+    """Silhouettes of a person in calibrated cameras, and the surface of the body.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Silhouettes(NamedTuple):
         Raises
         ------
         ParameterError
-            The masks are not one for each camera, or one is not of the camera's size.
+            The number of masks is not that of the cameras, or a mask does not have the camera's size.
         """
         masks = self.masks[t]
         if len(masks) != len(self.views):
@@ -81,26 +81,27 @@ class Silhouettes(NamedTuple):
                 raise ParameterError(f"mask of camera {v} in frame {t}", f"of shape {view.plane.shape[:2]}", mask.shape)
             if mask is not None and mask.any():
                 constant = mask.view()
-                constant.flags.writeable = False  # masks of files are: kernels are compiled for these alone
+                # read-only, as masks from files are, since kernels are compiled for this type only
+                constant.flags.writeable = False
                 found.append((view, constant))
         return found
 
 
 class Contours(NamedTuple):
-    """Contour points of a pose in one camera, and what they found; room for M.
+    """Contour points of a pose in one camera, with the boundaries found; arrays with a capacity of M.
 
     Attributes
     ----------
     capsules : int64 array (M,)
         The capsule of each point.
     shares : float64 array (M,)
-        Its place s on the axis, from 0 at the start to 1 at the end.
+        Its position s on the axis, from 0 at the start to 1 at the end.
     points : float64 array (M, 3)
         The point of the surface in metres.
     directions : float64 array (M, 3)
-        Unit vector of the ray through the boundary that it found.
+        Unit vector of the ray through the boundary point found.
     shifts : float64 array (M,)
-        The way to the boundary in pixels of the camera, outwards positive.
+        The distance to the boundary in pixels of the camera, positive outwards.
     """
 
     capsules: I64
@@ -111,16 +112,16 @@ class Contours(NamedTuple):
 
 
 def contour_room(capsules: Capsules, joints: F64) -> Contours:
-    """Return room for all contour points of one camera, for a body with the bones of these joints (J, 3)."""
+    """Allocate arrays for all contour points of a body with joints (J, 3) in one camera."""
     bones = joints[capsules.ends] - joints[capsules.starts]
     lengths = np.sqrt((bones * bones).sum(axis=1))
-    # a line between joints of different nodes, as from shoulder to shoulder, grows when the body bends
+    # a line between joints of different nodes, such as both shoulders, can become longer when the body bends
     most = int(2 * (2 + 2 * np.ceil(lengths / SPACING_M)).sum())
     return Contours(np.zeros(most, np.int64), *(np.zeros((most, *shape)) for shape in ((), (3,), (3,), ())))
 
 
 def contour_points(one: F64, other: F64, radius: float, centre: F64, share: float) -> F64:
-    """Return the two contour points of a capsule at a place of its axis.
+    """Return the two contour points of a capsule at a position on its axis.
 
     Parameters
     ----------
@@ -146,7 +147,7 @@ def contour_points(one: F64, other: F64, radius: float, centre: F64, share: floa
 
 @njit(cache=True, nogil=True)
 def contour_normals(one: F64, other: F64, radius: float, centre: F64, share: float, normals: F64) -> bool:
-    """Compute the two unit normals (2, 3) of the surface at `contour_points`; return False where there are none."""
+    """Compute the two unit normals (2, 3) of the surface at `contour_points`; return False if there are none."""
     ax, ay, az = other[0] - one[0], other[1] - one[1], other[2] - one[2]
     dx = one[0] + share * ax - centre[0]
     dy = one[1] + share * ay - centre[1]
@@ -156,7 +157,7 @@ def contour_normals(one: F64, other: F64, radius: float, centre: F64, share: flo
         return False
     ax, ay, az = ax / length, ay / length, az / length
     ux, uy, uz = ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx
-    distance = np.sqrt(ux * ux + uy * uy + uz * uz)  # of the centre from the axis
+    distance = np.sqrt(ux * ux + uy * uy + uz * uz)  # distance of the camera's centre from the axis
     if distance <= radius:
         return False
     ux, uy, uz = ux / distance, uy / distance, uz / distance
@@ -174,7 +175,7 @@ def contour_normals(one: F64, other: F64, radius: float, centre: F64, share: flo
 
 @njit(cache=True, nogil=True)
 def find_contours(view: View, mask: U8, joints: F64, capsules: Capsules, found: Contours) -> tuple[int, int]:
-    """Find the boundary of the foreground from the contour points of a pose in one camera.
+    """Find the boundary of the foreground for the contour points of a pose in one camera.
 
     Parameters
     ----------
@@ -223,7 +224,7 @@ def find_contours(view: View, mask: U8, joints: F64, capsules: Capsules, found: 
                 if np.isnan(shift):
                     continue
                 found.capsules[count], found.shares[count], found.shifts[count] = n, share, shift
-                for i in range(3):  # back to the world
+                for i in range(3):  # transform to the world
                     found.points[count, i] = (
                         view.rotation[0, i] * (x - view.translation[0])
                         + view.rotation[1, i] * (y - view.translation[1])
@@ -235,7 +236,7 @@ def find_contours(view: View, mask: U8, joints: F64, capsules: Capsules, found: 
 
 @njit(cache=True, nogil=True)
 def _hidden(own: int, x: float, y: float, boxes: F64, seen: F64, capsules: Capsules) -> bool:
-    """Return True where another capsule than `own` covers the ray (x, y, 1) of the camera."""
+    """Return True if a capsule other than `own` covers the ray (x, y, 1) of the camera."""
     for n in range(len(boxes)):
         if n == own or x < boxes[n, 0] or y < boxes[n, 1] or x > boxes[n, 2] or y > boxes[n, 3]:
             continue
@@ -249,8 +250,8 @@ def _hidden(own: int, x: float, y: float, boxes: F64, seen: F64, capsules: Capsu
 def _boundary(view: View, mask: U8, point: tuple[float, float, float], normal: F64, direction: F64) -> float:
     """Find the boundary of the foreground from a contour point in the camera's axes, along its normal in the image.
 
-    Returns the way in pixels of the camera, outwards positive, and computes the direction of the boundary's ray in the
-    world into the last array; NaN where there is no boundary within reach or before the border of the image.
+    Returns the distance in pixels of the camera, positive outwards, and writes the direction of the boundary's ray in
+    the world to the last array; NaN where there is no boundary within reach or before the border of the image.
     """
     x, y, z = point
     column, row = mask_pixel(view, x / z, y / z)
@@ -283,7 +284,7 @@ def _boundary(view: View, mask: U8, point: tuple[float, float, float], normal: F
 
 @njit(cache=True, nogil=True)
 def _foreground(mask: U8, column: float, row: float) -> float:
-    """Return a mask's value between pixels, linear in both directions; NaN outside the image."""
+    """Return a mask's value between pixels by bilinear interpolation; NaN outside the image."""
     height, width = mask.shape
     if not (0.0 <= column <= width - 1 and 0.0 <= row <= height - 1):
         return np.nan
@@ -298,7 +299,7 @@ def _foreground(mask: U8, column: float, row: float) -> float:
 
 @njit(cache=True, nogil=True)
 def _ray(view: View, column: float, row: float, direction: F64) -> bool:
-    """Compute the unit vector in the world of the ray through a place of the mask; return False where there is none."""
+    """Compute the unit vector in the world of the ray through a point of the mask; return False if there is none."""
     height, width = view.plane.shape[:2]
     left, top = min(int(column), max(width - 2, 0)), min(int(row), max(height - 2, 0))
     right, bottom = min(left + 1, width - 1), min(top + 1, height - 1)

@@ -1,4 +1,4 @@
-"""The track of a recording without priors: start, solve, restart where too little is seen, and solve again."""
+"""This module tracks a recording without priors: start, solve, restart where too little is seen, and solve again."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from kinedex.ops.tracking.trust import Trust, restart, trust
 
 @dataclass(frozen=True, eq=False)
 class FirstTrack:
-    """The track of a recording without priors.
+    """The track of a recording without priors, with intermediate results.
 
     Attributes
     ----------
     start : Poses
-        The poses that it was started from.
+        The initial poses.
     before : TakeTrack
         The track before the restart.
     track : TakeTrack
         The track.
     trust : Trust
-        Trust in the observations as they are reported, by the track.
+        Trust in the original observations, computed from the track.
     """
 
     start: Poses
@@ -60,7 +60,7 @@ def first_track(
     body : ChainBody
         A body of the shipped chain's nodes.
     observations : Rays or Places
-        What is observed in T frames.
+        The observations of T frames.
     points : BodyPoints or None
         The points that rays observe; None for places.
     rate_hz : float
@@ -70,7 +70,7 @@ def first_track(
     sigma_px : float, optional
         Standard deviation of a keypoint in pixels.
     cuts : sequence of int, optional
-        Frames that do not follow from the frame before.
+        Frames after a cut, which do not continue the frame before.
 
     Raises
     ------
@@ -89,17 +89,17 @@ def first_track(
 def find_start(
     body: ChainBody, observations: Rays | Places, points: BodyPoints | None, sigma_px: float = SIGMA_PX
 ) -> Poses:
-    """Return poses to start a track from: the chain fitted to points, interpolated where they cannot be trusted.
+    """Return initial poses of a track: the chain fitted to points, interpolated where they are not reliable.
 
-    A triangulated point counts only if more than half of the cameras that see it agree on it: where two of four
-    cameras confuse left and right, either pair agrees with itself, and the choice between them flickers.
+    A triangulated point counts only if more than half of the cameras that see it agree on it: if two of four cameras
+    confuse left and right, each pair is consistent, and the choice between them would flicker.
 
     Parameters
     ----------
     body : ChainBody
         A body of the shipped chain's nodes.
     observations : Rays or Places
-        What is observed in T frames.
+        The observations of T frames.
     points : BodyPoints or None
         The points that rays observe; None for places.
     sigma_px : float, optional
@@ -118,7 +118,7 @@ def find_start(
         places, cameras = triangulate(observations)
         given = (observations.confidence >= LEAST_CONFIDENCE).sum(axis=1)
         agreed = 2 * cameras > given
-        agreed |= ~agreed.any(axis=0)  # a keypoint that no majority ever agrees on keeps what points it has
+        agreed |= ~agreed.any(axis=0)  # a keypoint without a majority in any frame keeps all of its points
         places[~agreed] = np.nan
         start = start_from_triangulation(body, places, points)
     return restart(body, start, trust(body, observations, points, start, sigma_px).nodes_seen)

@@ -1,8 +1,8 @@
-"""Track a body frame by frame, on rays, silhouettes, or places of joints (thesis, Section 6.2).
+"""This module tracks a body frame by frame, on rays, silhouettes, or joint positions (thesis, Section 6.2).
 
 Every frame starts from the pose of the last one and minimises the squares of Eq. 6.4 by Gauss and Newton's method; no
-term joins frames. On silhouettes a frame starts from the last pose moved on by the last velocity, and its
-correspondences are found anew several times.
+term couples frames. On silhouettes a frame starts from the last pose extrapolated by the last velocity, and its
+correspondences are recomputed several times.
 """
 
 from __future__ import annotations
@@ -53,38 +53,41 @@ U8 = npt.NDArray[np.uint8]
 Bool = npt.NDArray[np.bool_]
 
 STEPS = 10
-"""Steps in a frame without silhouettes, those that fail included."""
+"""The most steps in a frame without silhouettes, rejected ones included."""
 
 PASSES, PASS_STEPS = 8, 2
-"""Times that a frame finds its correspondences with silhouettes, and steps with each of them."""
+"""Number of times that correspondences with silhouettes are computed in a frame, and of steps after each time."""
 
 START_RAD = 0.12
-"""Standard deviation of a node's turn about the start of a frame, on silhouettes, where no prior pulls the node."""
+"""Standard deviation in radians of a node's rotation from the start of a frame, on silhouettes, for nodes without
+priors.
+"""
 
 LEAST_CONTOURS = 30
-"""Correspondences with silhouettes below which a frame is lost."""
+"""Least number of correspondences with silhouettes; with fewer a frame is lost."""
 
 LEAST_FOUND = 0.5
-"""Share of the visible contour that must find a boundary; below it a frame is lost."""
+"""Least share of the visible contour that must find a boundary; below it a frame is lost."""
 
 LEAST_RAYS, LEAST_PLACES = 12, 4
-"""Rays and places of joints below which a frame is lost without silhouettes."""
+"""Least numbers of rays and of joint positions without silhouettes; with fewer a frame is lost."""
 
 FASTEST_M_S = 9.0
-"""Speed of the root above which a frame is lost: 0.3 m a frame at 30 Hz."""
+"""Speed of the root in m/s above which a frame is lost: 0.3 m a frame at 30 Hz."""
 
 WORSE = 1.1
-"""A frame on silhouettes is fitted without priors where they make its difference from the masks larger by this."""
+"""Ratio of mask differences, with to without priors, above which a frame on silhouettes is fitted without priors."""
 
-_CARRIED = 0.7  # share of the last turns that a frame on silhouettes starts with
-_DAMPING, _EASED, _RAISED = 1e-4, 0.2, 10.0  # the first damping, and its factors after a success and a failure
-_STIFF = 1e-2  # added to the diagonal of H, per rad² and m²
-_TOLERANCE = 1e-4  # a frame is done where a step reduces the cost by less than this share
+_CARRIED = 0.7  # share of the last rotations by which the start of a frame on silhouettes is extrapolated
+# the initial damping, and its factors after an accepted and a rejected step
+_DAMPING, _EASED, _RAISED = 1e-4, 0.2, 10.0
+_STIFF = 1e-2  # is added to the diagonal of H, per rad² and m²
+_TOLERANCE = 1e-4  # relative decrease of the cost below which a frame has converged
 
 
 @dataclass(frozen=True, eq=False)
 class FrameTrack:
-    """A track of frames.
+    """The result of tracking frame by frame.
 
     Attributes
     ----------
@@ -93,12 +96,12 @@ class FrameTrack:
     positions : float64 array (T, J, 3)
         The joints in metres.
     costs : float64 array (T,)
-        What the guard of priors compares: with silhouettes alone the differences below, else the squares of the
+        The costs that the guard of priors compares: with silhouettes alone the differences below, else the squared
         residuals of the observations.
     lost : bool array (T,)
-        True where a frame observes too little, or would jump: its pose is the last one.
+        True where a frame has too few observations or would jump, so that it keeps the last pose.
     contours : int64 array (T,)
-        Correspondences with silhouettes.
+        The number of correspondences with silhouettes.
     shifts_px : float64 array (T,)
         Mean distance of the contour from the silhouettes' boundary in pixels of the cameras, NaN without any.
     differences : float64 array (T,)
@@ -153,7 +156,7 @@ def track_frames(
     Raises
     ------
     ParameterError
-        There is nothing to track, or no first pose of silhouettes alone; a number of frames differs, or a mask is not
+        There are no observations, or no first pose for silhouettes alone; a number of frames differs, or a mask is not
         of its camera's size.
     """
     frames = _Frames(body, observations, points, rate_hz, priors, silhouettes, sigma_px)
@@ -184,7 +187,7 @@ def track_frames(
 
 @dataclass(frozen=True, eq=False)
 class FrameTracker:
-    """The tracker of frames with its observations, for rounds of priors; see `kinedex.ops.priors.stabilise.Tracker`.
+    """A tracker of single frames with its observations, for rounds of priors; see `ops.priors.stabilise.Tracker`.
 
     Attributes
     ----------
@@ -202,7 +205,7 @@ class FrameTracker:
 
     @property
     def carries_over(self) -> bool:
-        """True for silhouettes alone: their costs fall with priors that help, those of rays always rise."""
+        """Return True for silhouettes alone, where helpful priors lower the costs; with rays they only raise them."""
         return self.observations is None
 
     def track(self, start: Poses | None = None, priors: PriorTerms | None = None) -> FrameTrack:
@@ -212,29 +215,29 @@ class FrameTracker:
         )
 
     def nodes_seen(self, track: FrameTrack) -> Bool:
-        """Return True for all nodes of the frames that are not lost, bool (T, K)."""
+        """Return a mask (T, K) that is True for all nodes of the frames that are not lost."""
         return np.repeat(~track.lost[:, None], len(self.body.chain.nodes), axis=1)
 
     def restart(self, poses: Poses, nodes_seen: Bool) -> Poses:
-        """Return the poses: the tracker has no start but that of the first frame."""
+        """Return the poses unchanged, as this tracker only starts from the first frame."""
         return poses
 
 
 def _first_pose(body: ChainBody, observations: Rays | Places | None, points: BodyPoints | None) -> Poses:
-    """Return the pose that the first frame starts from."""
+    """Return the initial pose of the first frame."""
     if observations is None:
         raise ParameterError("first", "a pose, which silhouettes alone do not give", None)
     if isinstance(observations, Places):
         start = start_from_places(body, observations)
     else:
-        assert points is not None  # which `make_evidence` has seen to
+        assert points is not None  # which `make_evidence` has already checked
         start = start_from_triangulation(body, triangulate(observations)[0], points)
     return Poses(start.places[:1], start.turns[:1])
 
 
 @dataclass(eq=False)
 class _Fit:
-    """The pose that a frame was solved for, and how it fits."""
+    """The fitted pose of a frame, with measures of the fit."""
 
     place: F64
     turns: F64
@@ -258,7 +261,7 @@ class _State:
 
 
 class _Frames:
-    """The observations, the priors and the room that all frames of a track share."""
+    """The observations, priors and preallocated arrays that all frames of a track share."""
 
     def __init__(
         self,
@@ -285,7 +288,7 @@ class _Frames:
         self.body, self.silhouettes = body, silhouettes
         self.evidence = make_evidence(body, observations, points, sigma_px)
         arrays = prior_arrays(body, priors, self.count)
-        # frames on silhouettes write their start into these
+        # work arrays for the start of frames on silhouettes
         targets, weights = arrays.turn_targets.copy(), arrays.turn_weights.copy()
         self.priors = arrays._replace(turn_targets=targets, turn_weights=weights)
         self.no_priors = prior_arrays(body, None, self.count)
@@ -296,11 +299,11 @@ class _Frames:
         self.capsules = none if silhouettes is None else silhouettes.capsules
         self.sums = contour_sums(self.capsules, joints)
         if silhouettes is not None:
-            # at rest no line between joints is shorter than in another pose
+            # in the rest pose lines between joints are longest, so its contour needs the most points
             self.contours = contour_room(self.capsules, rest_joints(body))
 
     def track(self, t: int, last: _State) -> _State:
-        """Return the state of frame t from that of the frame before."""
+        """Return the state of frame t, tracked from the state of the frame before."""
         if self.silhouettes is None:
             fit, masks = _Fit(last.place.copy(), last.turns.copy()), []
             fit.cost = self._solve(t, fit.place, fit.turns, STEPS, self.priors)
@@ -309,7 +312,7 @@ class _Frames:
             fit = self._best_fit(t, masks, last)
         step = fit.place - last.place
         seen = (fit.contours >= LEAST_CONTOURS and fit.share >= LEAST_FOUND) or self._sees(t)
-        # the way that was possible since the last frame that was not lost
+        # the greatest plausible distance since the last frame that was not lost
         longest = self.longest_step_m * (1 + last.frames_lost)
         if not seen or not np.sqrt(step @ step) <= longest:
             still = self._centred(masks, last.place, last.turns)
@@ -321,7 +324,7 @@ class _Frames:
         return _State(fit.place, fit.turns, step, turned, fit, 0)
 
     def _best_fit(self, t: int, masks: list[tuple[View, U8]], last: _State) -> _Fit:
-        """Return the fit on silhouettes that covers the masks best: with priors, unless they fit much worse."""
+        """Return the fit on silhouettes with priors, or without priors if those fit the masks much worse."""
         priors = self.priors
         place = last.place + last.moved
         moved = last.turns @ np.stack([rotation_of(_CARRIED * vector) for vector in last.turned])
@@ -330,7 +333,7 @@ class _Frames:
         if not own.any() and priors.tilt_weights[t] <= 0.0 and priors.place_starts[t] == priors.place_starts[t + 1]:
             return plain
         fits = [self._fit(t, masks, place, moved, priors)]
-        lent = (priors.turn_weights[t] > 0.0).all(axis=1)  # a constraint weighs one axis of an elbow alone
+        lent = (priors.turn_weights[t] > 0.0).all(axis=1)  # a constraint has weight on only one axis, that of an elbow
         if lent.any():
             pulled = np.where(lent[:, None, None], priors.turn_targets[t], moved)
             fits.append(self._fit(t, masks, place, pulled, priors))
@@ -338,7 +341,7 @@ class _Frames:
         return plain if best.difference > WORSE * plain.difference else best
 
     def _fit(self, t: int, masks: list[tuple[View, U8]], place: F64, turns: F64, priors: PriorArrays) -> _Fit:
-        """Return the fit on silhouettes from a start, which nodes without a prior are pulled to."""
+        """Fit a frame on silhouettes from a start, to which nodes without a prior are pulled."""
         free = priors.turn_weights[t].max(axis=1) <= 0.0
         targets, weights = priors.turn_targets[t].copy(), priors.turn_weights[t].copy()
         priors.turn_targets[t, free], priors.turn_weights[t, free] = turns[free], START_RAD**-2.0
@@ -351,7 +354,7 @@ class _Frames:
         return fit
 
     def _difference(self, masks: list[tuple[View, U8]], place: F64, turns: F64) -> float:
-        """Return the pixels that are either body or foreground, as a share of the foreground; NaN without masks."""
+        """Return the pixels that are either body or foreground, relative to the foreground; NaN without masks."""
         pose_nodes(self.body.arrays, place, turns, self.room.turned, self.room.centres)
         pose_joints(self.body.arrays, self.room.turned, self.room.centres, self.sums.joints)
         apart, foreground = 0, 0
@@ -362,7 +365,7 @@ class _Frames:
         return apart / foreground if foreground else np.nan
 
     def _find(self, masks: list[tuple[View, U8]], place: F64, turns: F64) -> tuple[int, float, float, float]:
-        """Find the correspondences of a pose, and return their number, share of the contour, mean shift and cost."""
+        """Find the correspondences of a pose; return their number, share of the contour, mean shift and cost."""
         capsules, sums = self.capsules, self.sums
         pose_nodes(self.body.arrays, place, turns, self.room.turned, self.room.centres)
         pose_joints(self.body.arrays, self.room.turned, self.room.centres, sums.joints)
@@ -376,7 +379,7 @@ class _Frames:
         return (total, total / contour, shifts / total, cost) if total else (0, 0.0, np.nan, 0.0)
 
     def _solve(self, t: int, place: F64, turns: F64, steps: int, priors: PriorArrays) -> float:
-        """Move the pose of a frame to the minimum, in place, and return the squares of rays and places."""
+        """Minimise the cost of a frame in place; return the squared residuals of rays and positions."""
         chain, evidence, room = self.body.arrays, self.evidence, self.room
         _solve_frame(chain, evidence, priors, self.capsules, self.sums, t, place, turns, steps, self.units, room)
         pose_nodes(chain, place, turns, room.turned, room.centres)
@@ -384,13 +387,13 @@ class _Frames:
         return point_cost(evidence, t, room.points, np.inf, self.units, True)
 
     def _sees(self, t: int) -> bool:
-        """Return True where a frame has enough rays or places of joints."""
+        """Minimise the cost of a frame, updating its pose in place; return the squared residuals of observations."""
         rays = np.count_nonzero(self.evidence.confidence[t] > 0)
         places = np.isfinite(self.evidence.places[t]).all(axis=1).sum() if len(self.evidence.places) else 0
         return bool(rays >= LEAST_RAYS or places >= LEAST_PLACES)
 
     def _centred(self, masks: list[tuple[View, U8]], place: F64, turns: F64) -> F64:
-        """Return a place at which the middle of the body is where the rays of the masks' centroids meet."""
+        """Return the root position that puts the middle of the body where the rays of the masks' centroids meet."""
         if len(masks) < 2:
             return place
         capsules = self.capsules
@@ -416,7 +419,7 @@ def _solve_frame(
     chain: ChainArrays, evidence: Evidence, priors: PriorArrays, capsules: Capsules, sums: ContourSums, t: int,
     place: F64, turns: F64, steps: int, units: F64, room: FrameRoom,
 ) -> None:  # fmt: skip
-    """Take steps of Levenberg's method from the pose of a frame, in place, while the cost falls."""
+    """Take steps of Levenberg's method from the pose of a frame, in place, as long as the cost decreases."""
     size = PLACES + len(chain.axis_nodes)
     gradient, step, damped = np.empty(size), np.empty(size), np.empty((size, size))
     new_place, new_turns, joints = np.empty_like(place), np.empty_like(turns), np.empty_like(sums.joints)

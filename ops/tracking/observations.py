@@ -1,4 +1,4 @@
-"""Observations of a body over time: rays of keypoints, and places of joints."""
+"""This module defines observations of a body over time: rays of keypoints, and positions of joints."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class BodyPoints:
     offsets : float64 array (P, 3)
         Its place in the frame of that node, from the node's centre, in metres.
     joints : int64 array (P,)
-        The joint of the chain that the point is, −1 where it is none (a nose, an ear).
+        The joint of the chain at the point, −1 for other points (a nose, an ear).
     """
 
     nodes: I64
@@ -69,14 +69,14 @@ class Rays:
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Places of joints from a track of another program, or from a take.
+    """Positions of joints, from a track of another program or from a take.
 
     Attributes
     ----------
     places : float64 array (T, J, 3)
         Joints of the chain in metres, Y up; NaN where a joint was not tracked.
     sigma_m : float64 array (T, J)
-        Standard deviation of each place in metres.
+        Standard deviation of each position in metres.
     """
 
     places: F64

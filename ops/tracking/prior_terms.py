@@ -1,4 +1,4 @@
-"""Terms of priors in the energy of a track (thesis, Section 6.4): constants of a round."""
+"""This module defines the terms of priors in the energy of a track (thesis, Section 6.4), constant in a round."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ I64 = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class PriorTerms:
-    """Pulls of priors on the poses of a track.
+    """The terms by which priors pull the poses of a track.
 
-    A turn term adds w_d · log(MᵀR)_d² for each axis d of a node in a frame; a tilt term adds w · ‖R₀ᵀe_y − t‖² for the
-    turn R₀ of the pelvis; a place term adds w · (uᵀ(y − z))² for a joint y, a unit vector u and a place z.
+    A rotation (turn) term adds w_d · log(MᵀR)_d² for each axis d of a node in a frame; a tilt term adds w · ‖R₀ᵀe_y −
+    t‖² for the rotation R₀ of the pelvis; a position (place) term adds w · (uᵀ(y − z))² for a joint y, a unit vector u
+    and a position z.
 
     Attributes
     ----------
@@ -50,7 +51,7 @@ class PriorTerms:
 
 
 def no_priors(frames: int, nodes: int) -> PriorTerms:
-    """Return the terms of no prior, for T frames and K nodes."""
+    """Return terms without any prior, for T frames and K nodes."""
     none = np.zeros(0, np.int64)
     return PriorTerms(
         np.broadcast_to(np.eye(3), (frames, nodes, 3, 3)).copy(),

@@ -1,12 +1,12 @@
-"""Squares of distances from rays, with a robust loss, as a matrix A and a vector b of each body point (thesis, 6.2.2).
+"""This module sums robust squared distances from rays as a matrix A and a vector b per body point (thesis, 6.2.2).
 
 A ray of a camera at C has the Plücker line (n, m = C × n), and ‖y × n − m‖ of Eq. 6.3 is the distance of a point y from
-it. With e = (I − nnᵀ)(y − C) this is ‖e‖, and the sums A = Σ w(I − nnᵀ) and b = Σ w e over the cameras say all that a
-step needs, whatever the number of cameras: H += JᵀAJ and g += Jᵀb for the Jacobian J of the point.
+it. With e = (I − nnᵀ)(y − C) this is ‖e‖, and the sums A = Σ w(I − nnᵀ) and b = Σ w e over the cameras are all that a
+step needs, for any number of cameras: H += JᵀAJ and g += Jᵀb for the Jacobian J of the point.
 
-A residual r = ‖e‖ / (depth · σ_px / f) is in units of the pixels' noise. The loss of Geman and McClure is
-ρ(r) = r² / (1 + r²/c²), with the weight ω = (1 + r²/c²)⁻²; c = ∞ gives plain squares. Each term is multiplied by the
-square of the keypoint's confidence. The depth counts as a constant of a step: its derivative is left out.
+A residual r = ‖e‖ / (depth · σ_px / f) is in units of the pixels' noise. The loss of Geman and McClure is ρ(r) = r² /
+(1 + r²/c²), with the weight ω = (1 + r²/c²)⁻²; c = ∞ gives plain squares. Each term is multiplied by the square of the
+keypoint's confidence. The depth is constant within a step: its derivative is ignored.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ LEAST_CONFIDENCE = 0.1
 """Confidence below which a keypoint counts as not seen."""
 
 LEAST_DEPTH_M = 0.3
-"""Depth that a point nearer to the camera, or behind it, counts with, in metres."""
+"""Least depth in metres; points nearer to the camera, or behind it, are treated as if at this depth."""
 
 
 class Evidence(NamedTuple):
-    """Observations of points of a body as arrays, the form that compiled functions take.
+    """Observations of points of a body, as arrays for compiled functions.
 
-    Rays have no places, and places no cameras: V is 0 for these, and `places` is empty for those.
+    For rays `places` is empty; for places V is 0.
 
     Attributes
     ----------
@@ -72,14 +72,14 @@ class Evidence(NamedTuple):
 def make_evidence(
     body: ChainBody, observations: Rays | Places, points: BodyPoints | None, sigma_px: float = SIGMA_PX
 ) -> Evidence:
-    """Return observations as arrays.
+    """Return observations as arrays for compiled functions.
 
     Parameters
     ----------
     body : ChainBody
         The body.
     observations : Rays or Places
-        What is observed: rays of the P points, or places of the joints of the chain.
+        Rays of the P points, or positions of the joints of the chain.
     points : BodyPoints or None
         The points that rays observe; None for places.
     sigma_px : float, optional
@@ -237,7 +237,7 @@ def point_cost(evidence: Evidence, t: int, points: F64, width: float, units: F64
     units : float64 array (V, P)
         The squares of the factors that turn metres into units of noise, see `point_terms`.
     fresh : bool
-        True to compute `units` by the depths of the points; False to take them as they are, as constants of a step.
+        True to compute `units` from the depths of the points; False to use the given ones, as constants of a step.
     """
     total, flat = 0.0, width**-2.0
     for v in range(len(evidence.centres)):

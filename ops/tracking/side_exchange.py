@@ -1,7 +1,7 @@
-"""Keypoints of legs whose sides a camera confuses: exchanged where that agrees with the poses of a track.
+"""This module exchanges leg keypoints whose sides a camera confuses, where this agrees with the poses of a track.
 
-A detector that takes the left leg for the right one reports both with full confidence. Seen from poses that do not rest
-on these keypoints (interpolated, or from a prior), the exchanged keypoints fit and the reported ones do not.
+A detector that takes the left leg for the right one reports both with full confidence. Compared with poses that do not
+depend on these keypoints (interpolated, or from a prior), the exchanged keypoints fit and the reported ones do not.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ LEG = ("hip", "knee", "ankle", "toes")
 """The joints of a leg, whose keypoints are exchanged together."""
 
 CLEARLY = 0.8
-"""Keypoints are exchanged where their cost then is less than this share of the cost as they are reported."""
+"""Ratio of costs, exchanged to reported, below which keypoints are exchanged."""
 
-_WIDTH = 3.0  # c of the loss
+_WIDTH = 3.0  # the width c of the robust loss
 
 
 def exchanged_sides(
@@ -34,16 +34,16 @@ def exchanged_sides(
     poses: Poses,
     sigma_px: float = SIGMA_PX,
 ) -> Rays | Places:
-    """Return rays in which the legs are exchanged in each frame and camera where that fits poses clearly better.
+    """Return rays with the legs exchanged in each frame and camera where this fits the poses clearly better.
 
     Parameters
     ----------
     body : ChainBody
         A body of the shipped chain's joints.
     observations : Rays or Places
-        What is observed in T frames; places stay as they are.
+        The observations of T frames; places are returned unchanged.
     points : BodyPoints or None
-        The points that rays observe; those that are no joint of both legs stay. None for places.
+        The points that rays observe; only joints of the legs are exchanged. None for places.
     poses : Poses
         T poses.
     sigma_px : float, optional
@@ -67,7 +67,7 @@ def exchanged_sides(
 
 
 def _places(body: ChainBody, points: BodyPoints, poses: Poses, chosen: I64) -> F64:
-    """Return the places (T, L, 3) of some points of the body."""
+    """Return the positions (T, L, 3) of some points of the body."""
     positions, turned = forward(body, poses)
     nodes = points.nodes[chosen]
     centres = positions[np.array(body.chain.centres)[nodes]].transpose(2, 0, 1)
@@ -75,7 +75,7 @@ def _places(body: ChainBody, points: BodyPoints, poses: Poses, chosen: I64) -> F
 
 
 def _costs(rays: Rays, places: F64, keypoints: I64, sigma_px: float) -> F64:
-    """Return the robust cost (T, V) of keypoints as observations of places (T, L, 3)."""
+    """Return the robust cost (T, V) of keypoints as observations of positions (T, L, 3)."""
     gaps = places[:, None] - rays.centres[None, :, None]
     depths = np.einsum("tvli,tvli->tvl", gaps, rays.directions[:, :, keypoints])
     squares = np.maximum((gaps**2).sum(axis=3) - depths**2, 0.0)

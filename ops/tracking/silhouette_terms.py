@@ -1,7 +1,7 @@
-"""Silhouettes as terms of the tracker of whole takes.
+"""This module turns silhouettes into terms for the tracker of whole takes.
 
-The correspondences of a frame pull every joint by A and b of Eq. 6.4. A quadratic of one joint is a sum of three
-squares along the eigenvectors of A, which are place terms: the tracker of takes needs to know of no others.
+The correspondences of a frame pull every joint by A and b of Eq. 6.4. The quadratic form of one joint is a sum of three
+squares along the eigenvectors of A, which are place terms, so the tracker of takes needs no other kind of term.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from kinedex.ops.tracking.take_tracker import SCHEDULE, Loss, TakeTrack, track_t
 F64 = npt.NDArray[np.float64]
 
 PASSES = 6
-"""Times that a take finds its correspondences with silhouettes."""
+"""Number of times that correspondences with silhouettes are computed for a take."""
 
-_LEAST = 1e-6  # share of the largest eigenvalue below which a joint is not pulled along an eigenvector
+_LEAST = 1e-6  # relative eigenvalue below which a joint is not pulled along an eigenvector
 
 
 def silhouette_terms(body: ChainBody, poses: Poses, silhouettes: Silhouettes) -> tuple[PriorTerms, F64]:
@@ -38,14 +38,14 @@ def silhouette_terms(body: ChainBody, poses: Poses, silhouettes: Silhouettes) ->
     body : ChainBody
         The body.
     poses : Poses
-        T poses, which find the correspondences.
+        T poses, at which the correspondences are found.
     silhouettes : Silhouettes
         Masks of T frames.
 
     Returns
     -------
     terms : PriorTerms
-        Three place terms at most of every joint in every frame, and no others.
+        At most three place terms for each joint and frame, and no others.
     shifts_px : float64 array (T,)
         Mean distance of the contour from the silhouettes' boundary in pixels of the cameras, NaN without any.
     """
@@ -63,7 +63,7 @@ def silhouette_terms(body: ChainBody, poses: Poses, silhouettes: Silhouettes) ->
         if sum(map(len, found)):
             shifts[t] = np.concatenate(found).mean()
         matrices[t], vectors[t] = sums.matrices, sums.vectors
-        # each end of a capsule moves its points by itself: a bound of the squares that has no term of two joints
+        # each end of a capsule moves its points alone: an upper bound of the squares without terms of two joints
         np.add.at(matrices[t], capsules.starts, sums.mixed)
         np.add.at(matrices[t], capsules.ends, sums.mixed)
     return _place_terms(body, positions, matrices, vectors), shifts
@@ -89,7 +89,7 @@ def _place_terms(body: ChainBody, positions: F64, matrices: F64, vectors: F64) -
 
 
 def with_places(terms: PriorTerms, others: PriorTerms) -> PriorTerms:
-    """Return terms with the place terms of others added, by ascending frames."""
+    """Return terms with the place terms of others added, sorted by frame."""
     frames = np.concatenate([terms.place_frames, others.place_frames])
     order = np.argsort(frames, kind="stable")
     return replace(
@@ -122,12 +122,12 @@ def track_take_on_silhouettes(
     body, observations, points, rate_hz, priors, loss, sigma_px, cuts
         Those of `kinedex.ops.tracking.take_tracker.track_take`; observations and points are None for silhouettes alone.
     start : Poses
-        A track on the rays or places, or a track of frames: contours find the boundary of the foreground within reach
-        only.
+        Initial poses from a track on rays or places, or from the frame tracker; contours only find a boundary within
+        reach.
     silhouettes : Silhouettes
         Masks of T frames.
     passes : int, optional
-        Times, 1 or more, that correspondences are found, with a solve each.
+        Number of times, 1 or more, that correspondences are computed and the take is solved.
 
     Returns
     -------
@@ -137,7 +137,7 @@ def track_take_on_silhouettes(
     Raises
     ------
     ParameterError
-        A number of frames differs, or there is no pass.
+        A number of frames differs, or `passes` is below 1.
     """
     if passes < 1:
         raise ParameterError("passes", "1 or more", passes)

@@ -1,9 +1,10 @@
-"""JᵀAJ and Jᵀb of all points of a frame by sums over the subtrees of the nodes.
+"""This module computes JᵀAJ and Jᵀb of all points of a frame by sums over the subtrees of the nodes.
 
 A parameter moves all points below its node as one rigid body, by a twist: a velocity v of the point o where the root
 lies, and an angular velocity ω. With r = y − o the point y moves by v − [r]ω, where [r] is the matrix of r × ·. So the
-sums of A, [r]A, [r]A[r]ᵀ, b and r × b over the points below a node say all that its parameters need; they are added up
-from the leaves to the root (the composite bodies of robotics). The work does not grow with the points of a node.
+sums of A, [r]A, [r]A[r]ᵀ, b and r × b over the points below a node suffice for its parameters; they are accumulated
+from the leaves to the root (as in the composite rigid body algorithm of robotics). The work does not grow with the
+points of a node.
 """
 
 from __future__ import annotations
@@ -108,8 +109,8 @@ def _sums(
             cross[2, j] += x * a[1, j] - y * a[0, j]
         for i in range(3):
             u, v = (i + 1) % 3, (i + 2) % 3
-            one = y if i == 0 else (z if i == 1 else x)  # r[u]
-            two = z if i == 0 else (x if i == 1 else y)  # r[v]
+            one = y if i == 0 else (z if i == 1 else x)  # component of r for the first index
+            two = z if i == 0 else (x if i == 1 else y)  # component of r for the second index
             s = one * a[v, 0] - two * a[u, 0]
             t = one * a[v, 1] - two * a[u, 1]
             w = one * a[v, 2] - two * a[u, 2]

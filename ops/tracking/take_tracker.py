@@ -1,7 +1,8 @@
-"""The tracker of whole takes: all frames at once, as an iterated smoother (Levenberg's method on a band).
+"""This module tracks whole takes: all frames at once, as an iterated smoother (Levenberg's method on a band).
 
-To the terms of each frame (see `blocks`) come second differences of the root's place and of the turns of all nodes.
-The loss of observations starts wide and becomes narrower, so that points far from their rays are not given up at once.
+The terms of each frame (see `blocks`) are combined with second differences of the root's position and of all nodes'
+rotations. The robust loss starts wide and becomes narrower, so that points far from their rays are not rejected at
+once.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ I64 = npt.NDArray[np.int64]
 Loss = Literal["geman_mcclure", "squares"]
 
 SCHEDULE = (12.0, 6.0, 3.0)
-"""The values of c of the loss, one solve after the other."""
+"""The widths c of the robust loss, one per solve."""
 
 TURN_RAD_S2 = 60.0
 """Standard deviation of the angular acceleration of a node about an axis, in rad/s²."""
@@ -36,17 +37,18 @@ PLACE_M_S2 = 8.0
 """Standard deviation of the acceleration of the root, in m/s²."""
 
 WINDOW_FRAMES, OVERLAP_FRAMES = 2000, 60
-"""Frames that are solved at once, and those that two such windows share."""
+"""Number of frames that are solved at once, and overlap of two such windows in frames."""
 
 MOST_TRIES, TOLERANCE = 12, 1e-4
-"""Tries for each c, and the relative fall of the cost below which a solve is done."""
+"""The most tries for each c, and the relative decrease of the cost below which a solve has converged."""
 
-_DAMPING, _EASED, _RAISED = 1e-3, 0.2, 10.0  # the first damping, and its factors after a success and a failure
+# the initial damping, and its factors after an accepted and a rejected step
+_DAMPING, _EASED, _RAISED = 1e-3, 0.2, 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class TakeTrack:
-    """The track of a take.
+    """The result of tracking a take.
 
     Attributes
     ----------
@@ -57,7 +59,7 @@ class TakeTrack:
     costs : float64 array (T,)
         Cost of the observations of each frame, Σ conf² ρ at the last c.
     steps : int
-        Steps of Levenberg's method, those that failed included, of the window that took most.
+        The number of steps of Levenberg's method, rejected ones included, in the window with the most.
     """
 
     poses: Poses
@@ -85,7 +87,7 @@ def track_take(
     body : ChainBody
         The body.
     observations : Rays or Places
-        What is observed in T frames.
+        The observations of T frames.
     points : BodyPoints or None
         The points that rays observe; None for places.
     rate_hz : float
@@ -99,9 +101,9 @@ def track_take(
     sigma_px : float, optional
         Standard deviation of a keypoint in pixels.
     schedule : sequence of float, optional
-        The values of c, one solve after the other; squares take none of them.
+        The values of c, one per solve; not used for squares.
     cuts : sequence of int, optional
-        Frames that do not follow from the frame before: no term goes across.
+        Frames after a cut, which no term couples with the frame before.
 
     Raises
     ------
@@ -151,12 +153,12 @@ def smoothness_weights(body: ChainBody, rate_hz: float) -> F64:
 
 
 def connected_triples(frames: int, cuts: Sequence[int]) -> F64:
-    """Return 1 for every frame that belongs together with the one before and the one after, else 0.
+    """Return 1 for every frame that is consecutive with the one before and the one after, else 0.
 
     Raises
     ------
     ParameterError
-        A cut is no frame.
+        A cut is not a frame number.
     """
     if not all(0 <= cut < frames for cut in cuts):
         raise ParameterError("cuts", f"frames from 0 to {frames - 1}", list(cuts))
@@ -168,7 +170,7 @@ def connected_triples(frames: int, cuts: Sequence[int]) -> F64:
 
 
 def windows(frames: int) -> list[tuple[int, int, int, int]]:
-    """Return the windows of a take: first and stop of the frames that are solved, and of those that are taken over."""
+    """Return the windows of a take: the range of frames to solve, and the range of frames to keep, as four numbers."""
     found: list[tuple[int, int, int, int]] = []
     first = 0
     while True:
@@ -217,8 +219,8 @@ def _solve(
 ) -> tuple[Poses, int]:
     """Solve one window, and return its poses and the number of steps tried.
 
-    With the derivatives of logarithms as the identity, g fits H, and steps succeed from starts that jump from frame to
-    frame, where most steps with the exact g fail. The exact g ends the solve.
+    With the identity as the derivative of logarithms, g is consistent with H, and steps succeed even if the start jumps
+    between frames, where most steps with the exact g would be rejected. The exact g is used at the end.
     """
     chain, evidence, priors = system.body.arrays, system.evidence, system.priors
     joints = np.unique(priors.place_joints[priors.place_starts[0] : priors.place_starts[-1]])

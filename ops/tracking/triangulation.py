@@ -1,4 +1,4 @@
-"""Robust triangulation of keypoints, and the start of a track from the points."""
+"""This module triangulates keypoints robustly, and computes the initial poses of a track from the points."""
 
 from __future__ import annotations
 
@@ -17,25 +17,26 @@ I64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
 
 LEAST_CONFIDENCE = 0.3
-"""Confidence from which a keypoint takes part in triangulation."""
+"""Least confidence of a keypoint that is used in triangulation."""
 
 MOST_ERROR_PX = 20.0
-"""Mean reprojection error up to which a point counts."""
+"""Greatest mean reprojection error in pixels of a valid point."""
 
 MOST_CAMERAS = 10
-"""Cameras up to which all choices of cameras are tried; with more, cameras are left out one by one."""
+"""The most cameras for which all subsets are tried; with more, cameras are removed one by one."""
 
 START_SIGMA_M, START_STEPS = 0.05, 15
-"""Standard deviation of a point and the most steps in the fit of the chain that a track starts from."""
+"""Standard deviation of a point in metres, and the most steps, in the fit of the chain to the initial points."""
 
-_FLAT = 1e-3  # least eigenvalue share of a point's matrix: the square of the sine of the angle between two rays, halved
+# least relative eigenvalue of a point's matrix, which for two rays is half of the squared sine of their angle
+_FLAT = 1e-3
 
 
 def triangulate(rays: Rays) -> tuple[F64, I64]:
     """Triangulate every keypoint of every frame.
 
-    A point is the least-squares point of the rays, weighted by confidence. Where its mean reprojection error exceeds
-    `MOST_ERROR_PX`, one camera is left out, then two, down to two cameras that remain; each time by the best choice.
+    A point is the least-squares point of the rays, weighted by confidence. If its mean reprojection error exceeds
+    `MOST_ERROR_PX`, the best subset without one camera is tried, then without two, down to two cameras.
 
     Parameters
     ----------
@@ -47,7 +48,7 @@ def triangulate(rays: Rays) -> tuple[F64, I64]:
     points : float64 array (T, P, 3)
         Points in metres; NaN where there is none.
     seen : int64 array (T, P)
-        The number of cameras that the point is from; 0 where there is none.
+        The number of cameras from which the point was triangulated; 0 where there is none.
     """
     frames, _, count = rays.confidence.shape
     points, seen = np.full((frames, count, 3), np.nan), np.zeros((frames, count), np.int64)
@@ -107,7 +108,7 @@ def _triangulate(centres: F64, focal_px: F64, directions: F64, weights: F64, poi
 
 @njit(cache=True, nogil=True)
 def _choose(usable: I64, choice: int, left: int, chosen: Bool) -> bool:
-    """Set the cameras of a choice, given as bits, and return True if they are `left` in number."""
+    """Set the cameras of a subset, given as bits, and return True if there are `left` of them."""
     chosen[:] = False
     count = 0
     for n in range(len(usable)):
@@ -159,11 +160,11 @@ def _intersect(centres: F64, focal_px: F64, directions: F64, weights: F64, chose
 
 
 def start_from_triangulation(body: ChainBody, points: F64, body_points: BodyPoints) -> Poses:
-    """Return the poses that a track of rays starts from.
+    """Return initial poses for a track on rays.
 
-    Gaps of the points are filled linearly. Joints without a keypoint are put where the others leave them: root, belly,
-    chest, neck, head and headtop at their lengths along the line from the middle of the hips to the middle of the
-    shoulders, clavicles on the neck, fingers along the forearm. The chain is fitted to all of them.
+    Gaps of the points are filled linearly. Joints without a keypoint are derived from the others: root, belly, chest,
+    neck, head and headtop at their lengths along the line from the middle of the hips to the middle of the shoulders,
+    clavicles on the neck, fingers along the forearm. The chain is fitted to all of them.
 
     Parameters
     ----------
@@ -172,7 +173,7 @@ def start_from_triangulation(body: ChainBody, points: F64, body_points: BodyPoin
     points : float64 array (T, P, 3)
         Triangulated keypoints in metres; NaN where there is none.
     body_points : BodyPoints
-        The points of the body that the keypoints are.
+        The points of the body that correspond to the keypoints.
 
     Returns
     -------
@@ -193,14 +194,14 @@ def start_from_triangulation(body: ChainBody, points: F64, body_points: BodyPoin
 
 
 def start_from_places(body: ChainBody, observations: Places) -> Poses:
-    """Return the poses that a 3D track starts from: gaps are filled linearly, joints that are never tracked are put.
+    """Return initial poses for a 3D track, with gaps filled linearly and missing joints derived from others.
 
     Parameters
     ----------
     body : ChainBody
         A body of the shipped chain's joints.
     observations : Places
-        Places of its joints.
+        Positions of its joints.
 
     Raises
     ------
@@ -212,7 +213,7 @@ def start_from_places(body: ChainBody, observations: Places) -> Poses:
 
 
 def _fit_start(body: ChainBody, positions: F64) -> Poses:
-    """Fit the chain to joints (T, J, 3), of which those that are NaN in all frames are put where the others are."""
+    """Fit the chain to joints (T, J, 3); joints that are NaN in all frames are derived from the others."""
     chain = body.chain
     for name in ("lhip", "rhip", "lshoulder", "rshoulder"):
         if not np.isfinite(positions[:, chain.joint(name)]).all():
@@ -242,7 +243,7 @@ def _fit_start(body: ChainBody, positions: F64) -> Poses:
 
 
 def filled(places: F64) -> F64:
-    """Return places (T, 3) with gaps filled linearly, the first and the last one held; all NaN where there is none."""
+    """Return positions (T, 3) with gaps filled linearly, and constant at both ends; all NaN if none is known."""
     seen = np.flatnonzero(np.isfinite(places).all(axis=1))
     if not len(seen):
         return np.full_like(places, np.nan)
@@ -251,7 +252,7 @@ def filled(places: F64) -> F64:
 
 
 def _put(positions: F64, joint: int, places: F64) -> None:
-    """Set a joint that no frame has."""
+    """Set the positions of a joint that is missing in all frames."""
     if np.isnan(positions[:, joint]).all():
         positions[:, joint] = places
 

@@ -1,4 +1,4 @@
-"""Trust in what cameras see: contested keypoints, nodes that are seen, and a restart where the hips are not."""
+"""This module judges which keypoints and nodes are reliable, and restarts tracks where they are not."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ I64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
 
 TRUST_WIDTH = 3.0
-"""c of the loss whose weights make trust."""
+"""The width c of the robust loss whose weights give trust."""
 
 SEEN = 1.2
-"""A keypoint is seen in a frame if its sum of confidence times robust weight exceeds this."""
+"""Least sum of confidence times robust weight over cameras for a keypoint to count as seen in a frame."""
 
 AGREEMENT = 0.6
-"""A keypoint is contested if the robust weights leave less than this share of its confidence."""
+"""Share of a keypoint's confidence that robust weights must leave, or it is contested between cameras."""
 
 NEEDED = {
     "hip": ("hip", "knee", "ankle"),
@@ -34,21 +34,21 @@ NEEDED = {
     "elbow": ("elbow", "wrist"),
     "wrist": ("wrist",),
 }
-"""The joints of a side that have to be seen for a node of this side to count as seen; all other nodes do."""
+"""The joints of a side that must be seen for a node of this side to count as seen; nodes not listed always do."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trust:
-    """Trust in the observations of a track.
+    """Trust in the observations of a track, by keypoint and node.
 
     Attributes
     ----------
     keypoints : float64 array (T, P)
-        κ = Σ conf · ω over the cameras; 0 where the keypoint is contested. Of places it is 2 ω.
+        κ = Σ conf · ω over the cameras; 0 where the keypoint is contested. For places it is 2 ω.
     contested : bool array (T, P)
         True where the cameras disagree.
     nodes_seen : bool array (T, K)
-        True where what moves with a node is seen.
+        True where the joints that a node needs (`NEEDED`) are seen.
     """
 
     keypoints: F64
@@ -63,14 +63,14 @@ def trust(
     poses: Poses,
     sigma_px: float = SIGMA_PX,
 ) -> Trust:
-    """Compute how far the observations agree with a track.
+    """Compute how well the observations agree with a track.
 
     Parameters
     ----------
     body : ChainBody
         A body of the shipped chain's nodes.
     observations : Rays or Places
-        What is observed in T frames.
+        The observations of T frames.
     points : BodyPoints or None
         The points that rays observe; None for places.
     poses : Poses
@@ -89,7 +89,7 @@ def trust(
 
 @njit(cache=True, nogil=True)
 def _sums(chain: ChainArrays, evidence: Evidence, places: F64, turns: F64, agreed: F64, given: F64) -> None:
-    """Compute Σ conf · ω and Σ conf of every keypoint; a place counts as two cameras."""
+    """Compute Σ conf · ω and Σ conf of every keypoint; a place counts like two cameras."""
     room = frame_room(chain, evidence)
     agreed[:], given[:] = 0.0, 0.0
     for t in range(len(places)):
@@ -113,7 +113,7 @@ def _sums(chain: ChainArrays, evidence: Evidence, places: F64, turns: F64, agree
 
 
 def _nodes_seen(body: ChainBody, joints: I64, seen: Bool) -> Bool:
-    """Return which nodes are seen (T, K), from keypoints (T, P); toes that no keypoint shows do not count."""
+    """Return a mask (T, K) of the nodes that are seen, from keypoints (T, P); toes without keypoints are ignored."""
     chain = body.chain
     found = np.ones((len(seen), len(chain.nodes)), np.bool_)
     column = {chain.joints[joint]: p for p, joint in enumerate(joints) if joint >= 0}
@@ -128,10 +128,10 @@ def _nodes_seen(body: ChainBody, joints: I64, seen: Bool) -> Bool:
 
 
 def restart(body: ChainBody, poses: Poses, nodes_seen: Bool) -> Poses:
-    """Return poses to start again from: nodes that are not seen are interpolated, and the pelvis if neither hip is.
+    """Return initial poses for tracking again, with unseen nodes interpolated, and the pelvis if neither hip is seen.
 
-    A solver stays near its start; where cameras contradict each other, or too few of them see a limb, its start is
-    better taken from the frames around than from what they show.
+    A solver converges near its start; where cameras contradict each other, or too few of them see a limb, a start
+    interpolated from neighbouring frames is better than one from these observations.
 
     Parameters
     ----------
@@ -145,9 +145,9 @@ def restart(body: ChainBody, poses: Poses, nodes_seen: Bool) -> Poses:
     Returns
     -------
     Poses
-        The poses, in which such turns, and the place of the body with that of the pelvis, lie between those of the
-        nearest frames before and after in which the node is seen; before the first one, and after the last one, they
-        are held.
+        The poses, with the rotations of unseen nodes, and the position of the body if the pelvis is unseen,
+        interpolated between the nearest frames before and after in which the node is seen, and constant before the
+        first and after the last of these.
     """
     nodes = body.chain.nodes
     known = nodes_seen.copy()
@@ -156,14 +156,14 @@ def restart(body: ChainBody, poses: Poses, nodes_seen: Bool) -> Poses:
 
 
 def interpolated(poses: Poses, known: Bool) -> Poses:
-    """Return poses whose turns are interpolated where they are not known; the place goes with the first node.
+    """Return poses with unknown rotations interpolated; the position is interpolated with the first node.
 
     Parameters
     ----------
     poses : Poses
         T poses of K nodes.
     known : bool array (T, K)
-        True where a turn stays. A node that is known nowhere stays as it is.
+        True where a rotation is kept. A node that is known in no frame is not changed.
     """
     places, turns = poses.places.copy(), poses.turns.copy()
     for k in range(known.shape[1]):

@@ -1,4 +1,4 @@
-"""Calibrated cameras as arrays: the form that contours and masks are computed in."""
+"""This module represents calibrated cameras as arrays, for the computation of contours and masks."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ F64 = npt.NDArray[np.float64]
 F32 = npt.NDArray[np.float32]
 
 REACH_PX = 48.0
-"""A contour point looks this far for the boundary of the foreground, in pixels of an image that is 1280 wide."""
+"""Search distance for the foreground boundary from a contour point, in pixels of an image that is 1280 wide."""
 
 _WIDTH_PX = 1280.0
 
 
 class View(NamedTuple):
-    """A camera and the raster of its masks.
+    """A camera and the pixel grid of its masks.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ def camera_view(
     mask_size: tuple[int, int] | None = None,
     reach_px: float = REACH_PX,
 ) -> View:
-    """Return a camera with the raster of its masks.
+    """Return a camera with the pixel grid of its masks.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def camera_view(
     size : (int, int)
         Width and height of the image in pixels.
     mask_size : (int, int), optional
-        Width and height of the masks, the same whole fraction of both; by default those of the image.
+        Width and height of the masks, those of the image divided by the same integer; by default those of the image.
     reach_px : float, optional
         Largest distance of a boundary from a contour point, in pixels of an image that is 1280 wide.
 
@@ -88,13 +88,13 @@ def camera_view(
     Raises
     ------
     ParameterError
-        The size of the masks is no whole fraction of the image's, or a shape is wrong.
+        The size of the image is no integer multiple of the masks', or a shape is wrong.
     """
     width, height = mask_size or size
     scale = size[0] // width if width > 0 else 0
     if scale < 1 or (width * scale, height * scale) != tuple(size):
         raise ParameterError("mask_size", f"{size[0]} × {size[1]} or a whole fraction of it", f"{width} × {height}")
-    # The centre of a pixel of the mask lies in the middle of the pixels that it stands for.
+    # The centre of a mask pixel is the centre of the block of image pixels that it covers.
     columns, rows = ((np.arange(count) + 0.5) * scale - 0.5 for count in (width, height))
     pixels = np.stack(np.broadcast_arrays(columns[None, :], rows[:, None]), axis=-1)
     rays = pixel_directions(matrix, np.eye(3), distortion, pixels)
@@ -116,7 +116,7 @@ def camera_view(
 
 @njit(cache=True, nogil=True)
 def mask_pixel(view: View, x: float, y: float) -> tuple[float, float]:
-    """Return the pixel of the mask, column and row, that shows a place (x/z, y/z) of the camera."""
+    """Return the mask pixel, column and row, at the point (x/z, y/z) of the camera."""
     k1, k2, p1, p2, k3, k4, k5, k6 = view.distortion
     square = x * x + y * y
     scale = (1.0 + square * (k1 + square * (k2 + square * k3))) / (1.0 + square * (k4 + square * (k5 + square * k6)))
@@ -129,7 +129,7 @@ def mask_pixel(view: View, x: float, y: float) -> tuple[float, float]:
 
 @njit(cache=True, nogil=True)
 def seen_joints(view: View, joints: F64, seen: F64) -> None:
-    """Compute joints (J, 3) of the world in the axes of a camera, into the last array."""
+    """Transform joints (J, 3) from the world to the axes of a camera, into the last array."""
     for j in range(len(joints)):
         for i in range(3):
             seen[j, i] = view.translation[i]
@@ -161,7 +161,7 @@ def capsule_box(one: F64, other: F64, radius: float, box: F64) -> None:
 
 @njit(cache=True, nogil=True)
 def ray_distance(one: F64, other: F64, x: float, y: float) -> float:
-    """Return the square of the distance of the ray (x, y, 1) of a camera from a segment, both in the camera's axes.
+    """Return the squared distance of the ray (x, y, 1) of a camera from a segment, both in the camera's axes.
 
     It is infinite where the ray is nearest to the segment behind the camera.
     """
