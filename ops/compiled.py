@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 
 STAMP = "kernels.json"
-"""The file that records the sources at the last compilation: size, time of change and sha256 of each."""
+"""The file that records the state of the sources at the last compilation: size, modification time and sha256."""
 
 _IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([\w.]+))", re.MULTILINE)
 

@@ -21,12 +21,12 @@ MOST_FEATURES = 63
 """The most features a word can have."""
 
 ALL_KNOWN = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
-"""The mask of a take whose body has all joints: every feature is known."""
+"""The mask of known features of a take whose body has all joints."""
 
 
 @dataclass(frozen=True)
 class TakeWords:
-    """The words of T takes, one take after the other.
+    """The words of T takes, concatenated.
 
     Parameters
     ----------

@@ -96,7 +96,7 @@ def log_likelihoods(words: U64, usual: F64, smoothing: float) -> F64:
 
 
 def _scores(on: F64, postures: F64) -> F64:
-    """Return the log likelihood of each row of bits in each posture, (V, K)."""
+    """Return the log likelihood of each row of bits under each posture, (V, K)."""
     result: F64 = on @ (np.log(postures) - np.log1p(-postures)).T + np.log1p(-postures).sum(axis=1)
     return result
 

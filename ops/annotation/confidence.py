@@ -22,8 +22,9 @@ I64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
 
 OFFSET_SPREAD, SLOPE_SPREAD, CLASS_SPREAD = 1.5, 0.5, 0.5
-"""Standard deviations of the normal prior, in log odds: of the common offset, of slopes (for a change of one scale),
-and of the offsets of classes."""
+"""Standard deviations of the normal prior in log odds: of the common offset, of slopes (per normalised unit), and of
+the offsets of classes.
+"""
 
 _STEPS, _CLOSE = 100, 1e-10  # Newton's method: the most iterations, and the improvement at which it ends
 
@@ -67,8 +68,9 @@ PRIORS: Mapping[str, Prior] = {
         (1.842, -0.998, -1.116, -1.043, 1.147, 0.213, 0.451),
     ),
 }
-"""The priors of kinedex's methods, from HDM05's actors bd, bk and dg, left out in turn: `python -m studies.confidence
-… --seeds 0 1 --prior` prints them."""
+"""The priors of kinedex's methods, learned by leaving out HDM05's actors bd, bk and dg in turn; `python -m
+studies.confidence … --seeds 0 1 --prior` prints them.
+"""
 
 UNKNOWN = Prior(PRIORS["thesis"].evidence, PRIORS["thesis"].centres, PRIORS["thesis"].scales, 0.0, (0.0,) * 7)
 """The prior of methods that `PRIORS` lacks: all of its expected coefficients are 0."""
@@ -76,7 +78,7 @@ UNKNOWN = Prior(PRIORS["thesis"].evidence, PRIORS["thesis"].centres, PRIORS["the
 
 @dataclass(frozen=True)
 class Confidence:
-    """A function from evidence and class of segments to the probability that the label is right.
+    """A model that gives the probability that a segment's label is right, from its evidence and class.
 
     Parameters
     ----------
@@ -113,7 +115,7 @@ class Confidence:
 
 
 def learn_confidence(prior: Prior, evidence: F64, classes: I64, right: Bool, class_count: int) -> Confidence:
-    """Learn the confidence from segments of which it is known whether they are right.
+    """Learn the confidence model from segments whose labels were checked.
 
     The coefficients maximise Σ log P(right | evidence) plus the logarithm of the prior; with no segment they are those
     of the prior.
@@ -121,7 +123,7 @@ def learn_confidence(prior: Prior, evidence: F64, classes: I64, right: Bool, cla
     Parameters
     ----------
     prior : Prior
-        The evidence and what is expected of it.
+        The evidence and the expected coefficients.
     evidence : float64 array (S, E)
         The evidence of each segment.
     classes : int64 array (S,)

@@ -156,7 +156,7 @@ def explain(
     promising: I64 | None = None,
     loose: I64 | None = None,
 ) -> list[Explained]:
-    """Find the explanation of a take that has the greatest value.
+    """Find the explanation of a take with the greatest value.
 
     A segment begins in a template's first column and ends in its last. From frame to frame it stays there (in the
     first and in the last column only), advances by one column, or by two or three (each column skipped costs `skip`);
@@ -221,7 +221,7 @@ def margins(
     columns: Columns | None = None,
     promising: I64 | None = None,
 ) -> F64:
-    """Return how far segments stand out from the other classes and from the background.
+    """Return for each segment a margin over the other classes and the background.
 
     Parameters
     ----------
@@ -248,7 +248,7 @@ def exclusive_shares(
     columns: Columns | None = None,
     promising: I64 | None = None,
 ) -> F64:
-    """Return the share of each segment's value that its class alone can give.
+    """Return for each segment the share of its value that other classes cannot reach.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ _ONE = np.uint64(1)
 
 
 class Columns(NamedTuple):
-    """The columns of T templates, end to end.
+    """The columns of T templates, concatenated.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class Frames(NamedTuple):
 
 
 class Costs(NamedTuple):
-    """The costs of `ops.annotation.decoding.Decoding`."""
+    """The costs of `ops.annotation.decoding.Decoding` as a tuple for kernels."""
 
     entry: float
     skip: float
@@ -362,10 +362,10 @@ def backwards(
 
 @nb.njit(cache=True, nogil=True)
 def _begin(frames: Frames, columns: Columns, costs: Costs, allowed: Bool, value: F64, template: int, stop: int) -> int:
-    """Return the frame in which the segment of a template that ends before `stop` begins.
+    """Return the first frame of a template's segment that ends before `stop`.
 
-    The values of columns are not kept in the pass over all templates; the segment's own template is computed once
-    more, in a window that grows until it holds a segment of the value that is known.
+    The values of columns are not kept in the pass over all templates; the segment's own template is computed again, in
+    a window that grows until it contains a segment of the known value.
     """
     first, length = columns.firsts[template], columns.lengths[template]
     window = 2 * length

@@ -35,9 +35,9 @@ def evidence_of(
     names : sequence of str, length E
         The numbers: "lead", the root of the value per frame that only the segment's class can give; "margin"; "cost",
         its root; "pace", the logarithm of the length over that of the template; "haste", its magnitude; "fixed", the
-        share of features that the template asks for; "support", how much more the frames support this label than the
-        best of the other labels that most of them have, in √frames; "others", log(1 + n), n being the number of other
-        labels of a frame on average; "covered", the share of the take's frames that have a label.
+        share of entries that the template fixes; "support", how much more the frames support this label than the best
+        of the other labels that most of them have, in √frames; "others", log(1 + n), n being the number of other labels
+        of a frame on average; "covered", the share of the take's frames that have a label.
     found : sequence of sequence of Segment, length T
         The segments of each take in the order of their starts, in frames of the take.
     offsets : int64 array (T + 1,)

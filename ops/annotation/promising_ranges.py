@@ -1,8 +1,9 @@
 """This module finds the frames in which a template could label anything; elsewhere decoding can skip it.
 
 The value of the explanation of a take's first frames never falls from frame to frame, so a segment is part of one only
-if the value that it adds is above 0 (`ops.annotation.decoding`). What a template can add depends on the template and on
-the words alone, and on no other template: its promising ranges are found once, and hold whatever is learned besides.
+if the value that it adds is above 0 (`ops.annotation.decoding`). The value that a template can add depends only on the
+template and the words, not on other templates, so its promising ranges are computed once and stay valid when other
+templates are learned.
 
 Every template is first compared with all frames in single precision, with a slack for rounding. Where it could add
 something, it is compared once more in double precision, with the frame in which each path begins.
@@ -88,7 +89,7 @@ def lay_groups(templates: Sequence[Template], usual: F64, decoding: Decoding) ->
 
 
 def promising_ranges(groups: Sequence[Group], usual: F64, words: U64, decoding: Decoding) -> I64:
-    """Return the ranges of a take in which templates could be segments of its explanation.
+    """Return the ranges of a take in which each template could have a segment in the explanation.
 
     Parameters
     ----------

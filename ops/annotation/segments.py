@@ -27,7 +27,7 @@ _BLOCK = 64  # frames that are skipped at once where all values are infinite
 
 @dataclass(frozen=True, order=True)
 class Segment:
-    """A segment of a take that has the label of a class: frames [start, stop).
+    """A segment of a take, frames [start, stop), labelled with a class.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ OWN_SLOPES = 0x400
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A curve over time.
+    """An animation curve of one number over time.
 
     Attributes
     ----------

@@ -17,7 +17,7 @@ F64 = npt.NDArray[np.float64]
 
 
 class Placement(NamedTuple):
-    """A body's place on the ground: x and z in metres, and its turn about Y from +Z in radians."""
+    """A body's position on the ground, x and z in metres, and its yaw from +Z in radians."""
 
     x: float
     z: float

@@ -102,14 +102,14 @@ def fault_marks(
 
 
 def _angles(one: F64, other: F64) -> F64:
-    """Return the angles between vectors (…, 3), radians."""
+    """Return the angles between vectors (…, 3) in radians."""
     across = np.linalg.norm(np.cross(one, other), axis=-1)
     found: F64 = np.arctan2(across, (one * other).sum(axis=-1))
     return found
 
 
 def _spikes(bone: F64) -> Bool:
-    """Return the frames in which a bone (T, 3) points away from where it points before and after."""
+    """Return the frames in which a bone (T, 3) points elsewhere than in the frames before and after."""
     step, over = _angles(bone[:-1], bone[1:]), _angles(bone[:-2], bone[2:])
     found = np.zeros(len(bone), np.bool_)
     found[1:-1] = 0.5 * (step[:-1] + step[1:] - over) > SPIKE

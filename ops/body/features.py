@@ -45,7 +45,7 @@ def words(
 ) -> npt.NDArray[np.uint64]:
     """Compute the word of every frame.
 
-    Invalid frames divide the take into segments in which velocities and hysteresis start anew. Limb lengths are
+    Invalid frames divide the take into segments in which velocities and hysteresis are restarted. Limb lengths are
     those of the first valid frame for the whole take; a length whose joints are unknown is taken from its stand-ins.
 
     Parameters

@@ -30,7 +30,7 @@ PLACES = 3
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis that a node turns about, one parameter of the chain.
+    """An axis about which a node rotates, one parameter of the chain.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class JointRest:
 
 @dataclass(frozen=True, eq=False)
 class KinematicChain:
-    """The nodes and joints of a body, without its lengths.
+    """The nodes and joints of a body, without bone lengths.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ class KinematicChain:
 
     @property
     def parameters(self) -> int:
-        """The number of parameters of a pose."""
+        """Return the number of parameters of a pose."""
         return PLACES + len(self.axes)
 
     def joint(self, name: str) -> int:
@@ -133,7 +133,7 @@ class KinematicChain:
 
 
 class ChainArrays(NamedTuple):
-    """A chain with lengths as arrays, the form that compiled functions take.
+    """A chain with bone lengths as arrays, for compiled functions.
 
     Attributes
     ----------
@@ -171,7 +171,7 @@ class ChainArrays(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ChainBody:
-    """A kinematic chain with the lengths of one person.
+    """A kinematic chain with the bone lengths of one person.
 
     Attributes
     ----------
@@ -190,7 +190,7 @@ class ChainBody:
 
     @cached_property
     def arrays(self) -> ChainArrays:
-        """The chain and its lengths as arrays."""
+        """Return the chain and its bone lengths as arrays for compiled functions."""
         chain = self.chain
         turned = np.zeros((len(chain.nodes), len(chain.axes)), np.bool_)
         for k, parent in enumerate(chain.parents):
@@ -229,7 +229,7 @@ class Poses(NamedTuple):
 
 
 def forward(body: ChainBody, poses: Poses) -> tuple[F64, F64]:
-    """Compute the joints of a body.
+    """Compute the joint positions of a body from its poses.
 
     Parameters
     ----------
@@ -298,7 +298,7 @@ def pose_joints(chain: ChainArrays, turned: F64, centres: F64, joints: F64) -> N
 
 @njit(cache=True, nogil=True)
 def point_jacobian(chain: ChainArrays, turned: F64, centres: F64, node: int, point: F64, columns: F64) -> int:
-    """Compute the derivatives of a point of a node in one frame.
+    """Compute the derivatives of a point that moves with a node, in one frame.
 
     Parameters
     ----------
@@ -448,7 +448,7 @@ def log_gradients(
 
 
 HINGE_RAD = 0.05
-"""Standard deviation of a turn beyond the limits of a hinge, in radians."""
+"""Standard deviation of a rotation beyond the limits of a hinge, in radians."""
 
 
 @njit(cache=True, nogil=True)

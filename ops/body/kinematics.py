@@ -160,7 +160,7 @@ def _chain(nodes: tuple[Node, ...]) -> _Chain:
 
 @lru_cache(maxsize=16)
 def _needed(nodes: tuple[Node, ...], wanted: tuple[int, ...]) -> npt.NDArray[np.bool_]:
-    """Return the nodes that are wanted or lie between a wanted node and the root."""
+    """Return a mask of the nodes that are wanted or lie between a wanted node and the root."""
     needed = np.zeros(len(nodes), dtype=np.bool_)
     for index in wanted:
         if not 0 <= index < len(nodes):

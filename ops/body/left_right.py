@@ -26,7 +26,7 @@ _TOES, _KNEES = 2.0, 1.0  # weights of the evidence of toes and of knees
 
 @dataclass(frozen=True)
 class LeftRight:
-    """The agreement of a body's geometry with the names of its sides.
+    """The result of the judgement whether the names of a body's sides agree with its geometry.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ def side_agreement(hips: F64, knees: F64, ankles: F64, toes: F64, shoulders: F64
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _parallel(pair: F64, across: F64) -> float:
-    """Return the mean cosine between the line through two joints and that through the hips; NaN if it is not known."""
+    """Return the mean cosine of a line through two joints and the line through the hips; NaN if not known."""
     total, frames = 0.0, 0
     for t in range(across.shape[1]):
         cosine = _cosine(pair[0, :, t] - pair[1, :, t], across[:, t])

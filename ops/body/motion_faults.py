@@ -197,7 +197,7 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _knees_forwards(positions: F64, valid: Bool, legs: I64) -> float:
-    """Return the share of frames in which a knee bends forwards about the line of the hips; NaN without both legs."""
+    """Return the share of frames in which a knee bends forwards, relative to the line of the hips; NaN without legs."""
     if len(legs) < 2:
         return np.nan
     counted, bent = 0, 0

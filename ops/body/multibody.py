@@ -93,7 +93,7 @@ class Spline:
 
 
 def spline(x: F64, y: F64) -> Spline:
-    """Return the cubic spline through points, whose third derivatives at its ends are those of the outer four points.
+    """Return a cubic spline through points, with the third derivatives at its ends from the four outermost points.
 
     Forsythe, Malcolm and Moler, Computer Methods for Mathematical Computations, 1977, Section 4.4; it is the spline of
     SIMM and OpenSim. With two points it is a line, with three a parabola.

@@ -40,7 +40,7 @@ _CHEST = 0.084  # weight of the chest's axis against the normal of the arm's pla
 
 
 def measured_body(chain: KinematicChain, positions: F64) -> ChainBody:
-    """Return the body of an actor: the medians of the bone lengths over frames.
+    """Return the body of an actor, with the medians of the bone lengths over frames.
 
     Parameters
     ----------

@@ -186,7 +186,7 @@ def widest_xz(positions: F64, joints: I64, start: int, out: F64) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def turn_rate(orientation: F64, rate_hz: float, start: int, out: F64) -> None:
-    """Fill in the unsigned rate of turning about Y in degrees per second, from unit quaternions (4, T).
+    """Fill in the absolute angular speed about Y in degrees per second, from unit quaternions (4, T).
 
     The X axis, turned by the orientation and projected on the XZ plane, is compared between a frame and the next; 0 in
     the last frame of the take, and where a projection has no length.

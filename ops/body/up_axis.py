@@ -56,7 +56,7 @@ GAIN = 1.6  # confidence is 1 − exp(−GAIN · lead)
 
 @dataclass(frozen=True)
 class UpAxis:
-    """The axis that points up.
+    """The axis that points up, with its confidence.
 
     Attributes
     ----------

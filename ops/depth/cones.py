@@ -21,7 +21,8 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 START, AXIS, INVERSE, RADIUS, GROWTH, MIDDLE, REACH = 0, 3, 6, 7, 8, 9, 12
-"""Columns of placed cones: A, B − A, 1/‖B − A‖² (0 without length), r_A, r_B − r_A, and a ball around the cone."""
+"""Columns of placed cones: A, B − A, 1/‖B − A‖² (0 if A = B), r_A, r_B − r_A, and centre and radius of a bounding ball.
+"""
 
 COLUMNS = 13
 

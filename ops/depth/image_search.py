@@ -200,7 +200,7 @@ def closest_point(points: F64, numbers: I32, left: int, top: int, x: float, y: f
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def is_hidden(turn: F64, point: F64, a: float, b: float, depth: float) -> bool:
-    """Return True where a point hides a sample at x/z, y/z and z in the camera's axes."""
+    """Return True if a point hides a sample at x/z, y/z and z in the camera's axes."""
     x, y, z = point[0], point[1], point[2]
     before = -(turn[0, 2] * x + turn[1, 2] * y + turn[2, 2] * z)
     if depth - before <= HIDDEN_M or before <= _NEAREST_M:

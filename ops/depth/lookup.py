@@ -122,7 +122,7 @@ class Lookup:
         every: bool = False,
         turn_deg: float = 0.0,
     ) -> Proposals:
-        """Propose poses for a frame.
+        """Propose poses of the database for a frame.
 
         Parameters
         ----------

@@ -235,7 +235,7 @@ class PoseThinning:
 
 
 def thin_poses(directions: F32, bone_lengths: F64, distance: float = DISTANCE_M) -> Thinned:
-    """Drop every pose that is near one that was kept before it (thesis, Section 8.3.3).
+    """Drop every pose that is near a pose kept before it (thesis, Section 8.3.3).
 
     Two poses are near at a root mean square of at most `distance` over the `COMPARED` joints on the same bones; Eq. 8.1
     prints 1/J instead of 1/√J. Every pose is then near a kept one.

@@ -246,7 +246,7 @@ def in_units(layout: Layout, units: F64) -> TemplateColumns:
 
 
 def grid_step(columns: int) -> float:
-    """Return the step of the grid that float32 costs lie on: 2^−24 times the least power of two ≥ the columns.
+    """Return the step of the grid on which float32 costs lie: 2^−24 times the least power of two ≥ the columns.
 
     A complete path of a template of N columns has N units of weight (a (2,1) step counts twice) and costs of at most 1
     a unit. Costs that are multiples of this step therefore add up to at most 2^24 steps, and float32 holds every such

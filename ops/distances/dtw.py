@@ -38,7 +38,7 @@ def distance_curves(
     templates : sequence of QuantisedTemplate
         T templates, of N_1 … N_T columns.
     words : uint64 array (L,)
-        The words of a take, or those of many takes, with `ranges` that keep them apart.
+        The words of a take, or those of many takes, with `ranges` that separate them.
     ranges : int64 array (R, 2), optional
         Half-open ranges of frames, ascending and disjoint; each is computed as if it were a take of its own. None: all
         of `words` is one take.

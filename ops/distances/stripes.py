@@ -21,7 +21,7 @@ SLOTS = 64
 """The number of columns side by side in a row: the bytes of the widest vector, and of a cache line."""
 
 BLOCK = 8
-"""The number of frames that share one least sum."""
+"""The number of frames in a block that has one least sum."""
 
 
 def least_sums(layout: Layout, coded: CodedWords, units: F64, pieces: I64) -> U8:
@@ -177,7 +177,7 @@ def sweep_stripes(
 
 @nb.njit(cache=True, nogil=True)
 def lower(sums: U8, others: U8) -> None:
-    """Lower sums to others where these are less (kernel)."""
+    """Replace each sum by the other one if that is less (kernel)."""
     for n in range(len(sums)):
         one, two = sums[n], others[n]
         sums[n] = one if one < two else two

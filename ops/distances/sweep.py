@@ -27,7 +27,7 @@ CAP = 21845
 
 
 def pieces_of(ranges: I64, longest: int, lead_in: int) -> I64:
-    """Cut ranges into pieces that can be computed independently of each other.
+    """Divide ranges into pieces that can be computed independently of each other.
 
     A path of N columns begins 2(N − 1) frames before its end at most. So a piece has the results of the whole range if
     its computation begins that many frames earlier, or at the start of its range.

@@ -46,7 +46,7 @@ _PRIME = np.uint64(0x9E37_79B9_7F4A_7C15)
 
 
 class Alignments(NamedTuple):
-    """Alignments of two takes, in order of the takes.
+    """Alignments of pairs of takes, sorted by the takes.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ def _count_votes(take: I64, frame: I64, image: Bool, ahead: I64, asked: Bool, co
 def _votes(
     take: I64, frame: I64, image: Bool, ahead: I64, asked: Bool, low: int, high: int, size: int
 ) -> tuple[I64, I64, I64, I64]:
-    """Return both takes, the shift and the frame of the second take of each vote whose first take is in [low, high)."""
+    """Return both takes, shift and the second take's frame of each vote whose first take is in [low, high)."""
     first, second, shift = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.int64)
     place = np.empty(size, np.int64)
     n = 0

@@ -31,7 +31,7 @@ LEAST_S = 1.0
 """Least duration in seconds of a common interval, unless it is nearly all of the shorter take."""
 
 NEARLY_ALL = 0.9
-"""Share of the shorter take that counts as all of it."""
+"""Share of the shorter take from which a common interval counts as nearly all of it."""
 
 MOST = 256
 """Most frames in which the shift between two frames is estimated."""

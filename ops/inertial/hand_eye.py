@@ -30,7 +30,7 @@ I64 = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
 
 SCALES_DEG = (12.0, 6.0, 6.0, 6.0, 6.0, 6.0, 6.0)
-"""The error s of each reweighted fit at which a frame has a quarter of its weight: w = (s²/(s² + e²))²."""
+"""The scale s of each reweighted fit: the error at which a frame has a quarter of its weight, w = (s²/(s² + e²))²."""
 
 STILL_DEG, MOST_STEPS = 1e-6, 30
 DRIFT_ROUNDS = 3
@@ -95,7 +95,7 @@ class Options:
 
 @dataclass(frozen=True)
 class StreamFit:
-    """The calibration of a stream.
+    """The calibration of a stream, with measures of its quality.
 
     Attributes
     ----------
@@ -416,6 +416,6 @@ def _results(
 
 
 def _tilt_deg(world: F64) -> float:
-    """Return the angle between the inertial world's vertical and the take's."""
+    """Return the angle in degrees between the inertial world's vertical and the take's."""
     up = rotate(world, np.array([0.0, 0.0, 1.0]))
     return math.degrees(math.atan2(math.hypot(float(up[0]), float(up[2])), float(up[1])))

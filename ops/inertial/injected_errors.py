@@ -36,7 +36,7 @@ the share of errors that they miss.
 
 @dataclass(frozen=True)
 class InjectedError:
-    """One error in the frames [start, stop) of a limb.
+    """An injected error in the frames [start, stop) of a limb.
 
     Attributes
     ----------

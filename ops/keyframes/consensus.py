@@ -27,7 +27,7 @@ consensus is used, since the thesis does not specify how many runs must agree.
 
 @dataclass(frozen=True)
 class Consensus:
-    """The query on which runs agree.
+    """The query on which many runs agree, or the best run.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def agreement_matrix(queries: Sequence[Individual], columns: int, features: int)
 def recurring_keyframes(
     queries: Sequence[Individual], agreement: float, tolerance: int, features: int
 ) -> Individual | None:
-    """Extract the keyframes that recur most (thesis, Figure 4.2 b).
+    """Return a query of the keyframes that recur most (thesis, Figure 4.2 b).
 
     Parameters
     ----------

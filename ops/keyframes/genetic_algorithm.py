@@ -148,7 +148,7 @@ class _Clips(NamedTuple):
 
 
 class _FitnessSettings(NamedTuple):
-    """The settings of fitness and rank; `columns` is the number in the template, `outside_cost` that of one column."""
+    """The settings of fitness and rank; `columns` is the number of template columns, `outside_cost` the cost of one."""
 
     parsimony: float
     gap_cost: float

@@ -271,7 +271,7 @@ def _remove_keyframe(rng, population, row, least):  # type: ignore[no-untyped-de
 
 @njit(**INNER)
 def _change_entries(rng, population, row, allowed, specialise, share):  # type: ignore[no-untyped-def]
-    """Specialise a keyframe by fixing a wildcard, or generalise it by opening entries, up to a share of them."""
+    """Specialise a keyframe by fixing a wildcard, or generalise it by turning a share of its entries into wildcards."""
     k = int(rng.random() * population.counts[row])
     masks, values = population.masks[row], population.values[row]
     total = count_bits(allowed & ~masks[k] if specialise else masks[k])

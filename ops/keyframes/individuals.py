@@ -12,7 +12,7 @@ from kinedex.ops.words import I64, U64
 
 @dataclass(frozen=True)
 class Individual:
-    """A keyframe query over whole words: K keyframes at template columns, and the gaps between them.
+    """A keyframe query over complete words: K keyframes at template columns, and the gaps between them.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ I64 = npt.NDArray[np.int64]
 
 
 def clip_frames(template: Template, words: U64) -> I64:
-    """Return the frame of a clip for each column of a template.
+    """Return the frame of a clip that corresponds to each column of a template.
 
     The clip is aligned by classical DTW; the local cost is the mean over features of |x − y| (by the template's feature
     weights where it has some). Of equally cheap steps, read from the end, (1,1) comes first, then the one in which the

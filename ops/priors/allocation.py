@@ -18,7 +18,7 @@ LEAST_QUALITY = 0.1
 """The least quality of a hit; a hit's priors are weighted by its quality."""
 
 POSE, ARCHIVE = "pose", "archive"
-"""Kinds of priors besides the constraints of `ops.priors.constraints.CONSTRAINTS`."""
+"""Kinds of priors other than the constraints of `ops.priors.constraints.CONSTRAINTS`."""
 
 
 @dataclass(frozen=True, eq=False)

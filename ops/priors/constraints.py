@@ -33,7 +33,7 @@ FEATURES: Mapping[Constraint, Mapping[str, bool]] = {
     "hand_to_front": {"hand_forwards": True},
     "foot_to_front": {"foot_fast": True},
 }
-"""The features of each constraint, without the letter of the side that their names begin with, and their values."""
+"""The features of each constraint, without the prefix l or r, and their values."""
 
 LEAST_COLUMNS = 3
 """Least number of columns of a run that is marked by default."""

@@ -46,7 +46,7 @@ SETTLED_RAD, SETTLED_M = 0.01, 0.01
 
 
 class Track(Protocol):
-    """The result of a tracker, see `ops.tracking.take_tracker.TakeTrack`."""
+    """The interface of a tracker's result, see `ops.tracking.take_tracker.TakeTrack`."""
 
     @property
     def poses(self) -> Poses:
@@ -62,7 +62,7 @@ class Track(Protocol):
 
 
 class Tracker(Protocol):
-    """A tracker with its observations."""
+    """The interface of a tracker with its observations."""
 
     @property
     def body(self) -> ChainBody:

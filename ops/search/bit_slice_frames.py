@@ -18,7 +18,7 @@ from kinedex.ops.search.segments import TAKE_BITS
 
 @njit(cache=True, nogil=True)
 def mark_followed(follow, onward):  # type: ignore[no-untyped-def]
-    """Set all bits of each block that is followed by one of its own window, and none of the last block of a window."""
+    """Set all bits of each block that is followed by another block of its window, and no bits of other blocks."""
     for i in range(np.uint64(len(follow))):
         onward[i] = ALL_BITS if follow[i] else NO_BITS
 

@@ -43,7 +43,7 @@ def search_slices(
     gaps: Sequence[tuple[int, int]],
     takes: tuple[int, int] | None = None,
 ) -> I64:
-    """Return the union of all hit relevant ranges of a keyframe query (thesis, Section 3.5).
+    """Return the union of the ranges of all hits of a keyframe query (thesis, Section 3.5).
 
     Backwards, the bitmap of each keyframe keeps the frames from which the rest of the query can be completed. Forwards,
     the last frame of each remaining start segment is followed to the largest remaining frame that each gap admits, as

@@ -11,7 +11,7 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.words import I64
 
 UNBOUNDED = 2**31 - 1
-"""The largest gap in frames; stands for infinity, since a take has fewer than 2**31 frames."""
+"""The largest gap in frames, which represents infinity, since a take has fewer than 2**31 frames."""
 
 
 def gap_bounds(distance: int, stiffness: float) -> tuple[int, int]:

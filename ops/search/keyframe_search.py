@@ -95,7 +95,7 @@ def completable_frames(lists: Sequence[I64], gaps: Sequence[tuple[int, int]]) ->
 
 
 def search_lists(lists: Sequence[I64], gaps: Sequence[tuple[int, int]]) -> I64:
-    """Return the union of all hit relevant ranges of a keyframe query (thesis, Section 3.5, Algorithm 1).
+    """Return the union of the ranges of all hits of a keyframe query (thesis, Section 3.5, Algorithm 1).
 
     A hit is a sequence of frames that meets the keyframes under the gaps (Eq. 3.2 and 3.3). The farthest end of a hit,
     E(n), does not decrease with its first frame n. So the hits that begin in a segment [s, e] cover exactly [s, E(e)],

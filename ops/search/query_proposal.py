@@ -48,7 +48,7 @@ class SetCounts:
 
 @dataclass(frozen=True)
 class Pose:
-    """One proposed keyframe.
+    """A proposed keyframe, which is the pose of one frame of the example.
 
     Parameters
     ----------

@@ -91,9 +91,9 @@ _GROUPS = {
 }
 
 BALL_HEIGHT = 0.028
-"""Height of the ball of a flat foot above the floor, metres."""
+"""Height in metres of the ball of a flat foot above the floor."""
 FOOT_SLOPE = math.radians(37.0)
-"""Slope of the foot bone, ankle to ball, of a flat foot."""
+"""Slope in radians of the foot bone, from ankle to ball, of a flat foot."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ class Body:
 
 
 def _rest(name: str, splay: float, palm: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Return rest direction and axis angles of a bone; the left side has +X, the body faces +Z."""
+    """Return rest direction and axis angles of a bone; the left side is at +X, and the body faces +Z."""
     side = {"l": 1.0, "r": -1.0}[name[0]]
     part = name[1:]
     slant = math.radians(splay)

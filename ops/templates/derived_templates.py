@@ -152,7 +152,7 @@ def consistency(template: Template) -> F64:
 
 
 def contrast(first: Template, second: Template, delta: float) -> Contrast:
-    """Align two templates by classical DTW of their averages, and find where their fixed entries contradict each other.
+    """Align two templates by classical DTW of their averages, and find the entries in which they contradict each other.
 
     Parameters
     ----------

@@ -170,7 +170,7 @@ def _differences(chain: ChainArrays, places: F64, turns: F64, band: Band) -> flo
 def _add_differences(chain: ChainArrays, places: F64, turns: F64, exact: bool, band: Band) -> float:
     """Add the second differences to g, and return their cost.
 
-    log(R_tᵀR_{t+1}) = v moves with R_{t+1} by the inverse right Jacobian J of v, and with R_t by −Jᵀ.
+    log(R_tᵀR_{t+1}) = v changes with R_{t+1} by the inverse right Jacobian J of v, and with R_t by −Jᵀ.
     """
     cost = _differences(chain, places, turns, band)
     gradient, smoothness = band.gradient, band.smoothness

@@ -57,7 +57,7 @@ class SideLengths:
 
 @dataclass(frozen=True, eq=False)
 class BodyEstimate:
-    """The body of a person in a recording.
+    """The estimated body of a person in a recording.
 
     Attributes
     ----------

@@ -74,7 +74,7 @@ def _render(capsules: Capsules, joints: F64, view: View, mask: Bool) -> None:
 
 @njit(cache=True, nogil=True)
 def _pixel_box(view: View, box: F64) -> tuple[int, int, int, int]:
-    """Return left, top, right and bottom (half-open) of the pixels that may show a box of x/z and y/z."""
+    """Return the half-open box left, top, right, bottom of the pixels that may show a box of x/z and y/z."""
     height, width = view.plane.shape[:2]
     x0, x1 = max(box[0], view.extent[0]), min(box[2], view.extent[2])
     y0, y1 = max(box[1], view.extent[1]), min(box[3], view.extent[3])

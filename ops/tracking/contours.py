@@ -36,7 +36,7 @@ _NORMAL_M = 0.01  # metres that a point is moved along its normal to find the no
 
 
 class Masks(Protocol):
-    """Silhouettes over time.
+    """The interface of silhouettes over time, one mask for each camera and frame.
 
     Frame t is one uint8 array (H, W) for each camera, the probability of foreground times 255, or 0 and 255; None
     where a camera has no image.

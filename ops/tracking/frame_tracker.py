@@ -209,7 +209,7 @@ class FrameTracker:
         return self.observations is None
 
     def track(self, start: Poses | None = None, priors: PriorTerms | None = None) -> FrameTrack:
-        """Track the recording with the terms of priors; every frame starts from the one before, not from `start`."""
+        """Track the recording with priors; every frame starts from the frame before, so `start` is ignored."""
         return track_frames(
             self.body, self.observations, self.points, self.rate_hz, self.first, priors, self.silhouettes, self.sigma_px
         )

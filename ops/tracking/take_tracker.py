@@ -31,7 +31,7 @@ SCHEDULE = (12.0, 6.0, 3.0)
 """The widths c of the robust loss, one per solve."""
 
 TURN_RAD_S2 = 60.0
-"""Standard deviation of the angular acceleration of a node about an axis, in rad/s²."""
+"""Standard deviation of the angular acceleration of a node about one axis, in rad/s²."""
 
 PLACE_M_S2 = 8.0
 """Standard deviation of the acceleration of the root, in m/s²."""
