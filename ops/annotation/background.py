@@ -39,7 +39,7 @@ def background(words: Sequence[U64], features: int, splits: int = SPLITS) -> F64
     features : int
         The number of features f.
     splits : int
-        How often all postures are divided; 0 for the average alone.
+        The number of times that every posture is divided; 0 gives the average alone.
 
     Returns
     -------

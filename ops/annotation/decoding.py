@@ -48,14 +48,15 @@ class Decoding:
     Parameters
     ----------
     smoothing : float
-        Likelihoods lie between this and 1 − this, however sure a template or a posture is.
+        Likelihoods are limited to the range from this to 1 − this.
     entry : float
-        The cost of each segment: short-lived gains are not worth a label.
+        The cost of each segment, which suppresses short segments.
     skip : float
-        The cost of each column that is skipped (two may be skipped at once), so that haste is possible but not free.
+        The cost of each column that is skipped (two may be skipped at once), so that fast performances are possible at
+        a cost.
     stay : float
-        The cost of a frame in which a segment stays in its first or its last column, so that it does not grow for
-        nothing.
+        The cost of a frame in which a segment stays in its first or its last column, so that segments are not extended
+        without need.
     gain : float
         Added to every labelled frame. A greater one labels more, a lower one (below 0) leaves more to the background.
     """
@@ -169,17 +170,17 @@ def explain(
     usual : float64 array (K, f)
         The usual postures, see `ops.annotation.background.background`.
     words : uint64 array (L,) or Frames
-        The words of one take, or `frames_of` them.
+        The words of one take, or the result of `frames_of` for them.
     decoding : Decoding
     ranges : sequence of int64 array (R, 2), optional
         For each template the half-open ranges that it may explain, ascending and disjoint; None: all frames.
     columns : Columns, optional
-        `lay_columns` of the same, where it is known.
+        The result of `lay_columns` for the same templates, to reuse it.
     promising : int64 array (R, 3), optional
-        `ops.annotation.promising_ranges` of the same, where they are known: the same explanation is found sooner.
+        The result of `ops.annotation.promising_ranges` for the same arguments: the same explanation is found faster.
     loose : int64 array (R, 3), optional
-        `ops.annotation.promising_ranges.loose_ranges` of the same: the same explanation is found sooner, where no
-        ranges are given, and its values are the same to the last bit.
+        The result of `ops.annotation.promising_ranges.loose_ranges`: without `ranges`, the same explanation is found
+        faster, and its values are the same to the last bit.
 
     Returns
     -------

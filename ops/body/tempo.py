@@ -87,7 +87,7 @@ def likely_rate(tracks: F64) -> float | None:
 
 
 def usual_rate(rate_hz: float) -> float:
-    """Return the rate of `USUAL_HZ` with the least ratio to the given rate."""
+    """Return the rate of `USUAL_HZ` that is nearest to a rate on a logarithmic scale."""
     return min(USUAL_HZ, key=lambda usual: abs(np.log(usual / rate_hz)))
 
 

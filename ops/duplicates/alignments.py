@@ -81,7 +81,7 @@ class _Places(NamedTuple):
     """The occurrences of sequences, in order of sequence and take; of each voting pair, one comes before the other.
 
     `ahead` is the number of following occurrences of the same sequence, at most `NEIGHBOURS` of a frequent one; `image`
-    is true for mirrored words; `asked` marks the takes of which each voting pair must have one.
+    is true for mirrored words; `asked` marks the requested takes, of which each voting pair must have one.
     """
 
     take: I64
@@ -182,7 +182,7 @@ def _places(runs: WordRuns, mirrored: U64 | None, length: int, asked: Bool) -> _
 
 @nb.njit(cache=True, nogil=True)
 def _votes_with(take: I64, image: Bool, asked: Bool, i: int, j: int) -> bool:
-    """Return True if two occurrences vote: in different takes, one asked for, and one mirrored if images are given."""
+    """Return True if two occurrences vote: in different takes, one of them requested, and one mirrored if any is."""
     if take[i] == take[j] or not (asked[take[i]] or asked[take[j]]):
         return False
     return len(image) == 0 or image[i] != image[j]

@@ -80,7 +80,7 @@ class OperatorSettings(NamedTuple):
     centre : float
         The centre of initial gaps, as a share of the spacing of the columns.
     open_share : float
-        The largest share of a keyframe's entries that a generalisation opens at once.
+        The largest share of a keyframe's entries that a generalisation turns into wildcards at a time.
     keyframe_odds, entry_odds : float
         The probabilities that a mutation changes keyframes, and that it changes entries; other mutations change gaps.
     """

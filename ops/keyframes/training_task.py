@@ -40,7 +40,8 @@ class EvolutionSettings:
         The least number of keyframes of an initial individual; no mutation goes below it. Recombination, the consensus
         and the greedy learner may, as in the thesis.
     open_share : float
-        The largest share of a keyframe's entries that a generalisation opens at once; one entry where it is 0.
+        The largest share of a keyframe's entries that a generalisation turns into wildcards at a time; one entry where
+        it is 0.
     parsimony, gap_cost : float
         The costs of each fixed entry, and of each frame between the ends of a gap, when individuals are compared.
     outside_cost : float

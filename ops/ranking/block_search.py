@@ -39,7 +39,7 @@ def gather_blocks(blocks: I64, sums: U8, ranges: I64, takes: I64, columns: int) 
     Returns
     -------
     int64 array (G, 6)
-        For each group its half-open range of frames, the index of its range, its take, and the least sum.
+        For each group its half-open range of frames, the half-open range that it lies in, its take, and the least sum.
     """
     groups = np.empty((len(blocks) + len(ranges), 6), np.int64)
     count, place, known = 0, 0, -1
