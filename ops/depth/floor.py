@@ -139,7 +139,7 @@ def admissible_planes(points: F64, up: F64, least: float, seed: int) -> tuple[F6
 
 
 def fitted_plane(points: F64, up: F64) -> tuple[F64, float]:
-    """Return normal and height of the least-squares plane through points (n, 3), with the normal on the side of `up`."""
+    """Return normal and height of the least-squares plane through points (n, 3); the normal is turned to `up`."""
     middle = points.mean(axis=0)
     offsets = points - middle
     normal: F64 = np.linalg.eigh(offsets.T @ offsets)[1][:, 0]
