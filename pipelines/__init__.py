@@ -1,1 +1,1 @@
-"""The flow: stages and their configuration, plan, runner and executors, and the services by subject."""
+"""The pipelines: stages, their configuration, plan, runner and executors, and the code that stages share, by subject."""

@@ -1,1 +1,1 @@
-"""The engine: pipeline files, the plan, the runner and the executors."""
+"""The engine reads pipeline files, plans which stages run, and runs them on the cores of a machine or on a cluster."""

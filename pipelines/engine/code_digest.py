@@ -5,13 +5,13 @@ in it stands for, through imports, wherever that is in kinedex or in the package
 its methods. Annotations of functions are followed as well, as they give the classes of the objects whose methods are
 called, but do not count themselves. Docstrings and comments do not count.
 
-What follows from this: a stage depends on the protocols that it is run by (`Executor`, `Display`), which it names, and
-not on the classes that implement them, which only the runner names.
+Consequently, a stage depends on the protocols that it is run by (`Executor`, `Display`), which it names, and not on the
+classes that implement them, which only the runner names.
 
-Where names cannot be followed, more counts: a module that is used as a value, or by an attribute that it does not
-define, counts as a whole; so do statements of imported modules that are no plain definitions. Code that is imported by
-a computed name has to be declared: a string "package.module:name" is followed as a name is, which makes tables of
-built-in parts work without more. Plugins count where they are used (`part_digest`).
+Where names cannot be followed, larger parts count: a module that is used as a value, or by an attribute that it does
+not define, counts as a whole; so do statements of imported modules that are not plain definitions. Code that is
+imported by a computed name has to be declared: a string "package.module:name" is followed like a name, so that tables
+of built-in parts need no declaration. Plugins count where they are used (`part_digest`).
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ from kinedex.catalog.plugins import Plugins
 PACKAGE = "kinedex"
 
 ROOT = Path(__file__).resolve().parents[2]
-"""The folder of the rooms: in a checkout, or in the installed package."""
+"""The folder that contains the folders of `ROOMS`: the checkout, or the installed package."""
 
 ROOMS = ("ops", "catalog", "storage", "pipelines", "reports", "explorer", "library", "console", "commands")
 """The folders of the package; in a checkout the last three lie in `kinedex/`, and the others beside it."""
 
 WHOLE, EFFECTS = "", "*"
-"""In a place, all of a module, and its statements that are no plain definitions and run when it is imported."""
+"""Names in a `Place` that stand for a whole module, and for its statements other than definitions, run on import."""
 
 _DECLARED = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)+:[A-Za-z_]\w*")
 _KNOWN = Path(__file__).resolve().parent / "__pycache__" / "code_digest.json"
 
 Place = tuple[str, str]
-"""A module and a name in it, or one of `WHOLE` and `EFFECTS`."""
+"""A module, and a name in it or one of `WHOLE` and `EFFECTS`."""
 
 
 def code_digest(*roots: Callable[..., object] | type | str) -> str:
@@ -70,7 +70,7 @@ def code_digest(*roots: Callable[..., object] | type | str) -> str:
 def part_digest(parts: Plugins[Any], name: str) -> str:
     """Return a hash of a plugin's code, and of its distribution's name and version; empty for a built-in part.
 
-    Built-in parts count already where the table of them is used.
+    The digest of the code that uses the table of built-in parts covers these already.
     """
     distribution = parts.distribution(name)
     return plugin_digest(distribution, parts.place(name)) if distribution else ""
@@ -96,9 +96,9 @@ def _digest(roots: tuple[Place, ...]) -> str:
     known = _known_digests()
     if key not in known:
         digest = Sources().digest(roots)
-        known = _known_digests() | {key: digest}  # with those that other processes have made meanwhile
+        known = _known_digests() | {key: digest}  # including those that other processes have added meanwhile
         other = _KNOWN.with_name(f"{_KNOWN.name}.{os.getpid()}")
-        with suppress(OSError):  # where the installation is read-only, they are made again each time
+        with suppress(OSError):  # a read-only installation has no cache, so that each process computes digests
             _KNOWN.parent.mkdir(exist_ok=True)
             other.write_text(json.dumps(known), encoding="utf-8")
             other.replace(_KNOWN)
@@ -107,7 +107,7 @@ def _digest(roots: tuple[Place, ...]) -> str:
 
 @contextmanager
 def _uncollected() -> Iterator[None]:
-    """Keep the garbage collector away: it would go through growing syntax trees, half of the time, and free nothing."""
+    """Disable the garbage collector, which would spend half of the time on syntax trees without freeing anything."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -118,7 +118,7 @@ def _uncollected() -> Iterator[None]:
 
 
 def _known_digests() -> dict[str, str]:
-    """Return the digests of earlier processes by their roots, unless a file of the rooms is another one by now."""
+    """Return the cached digests by their roots; none if a file of the package has changed since they were written."""
     code = _code_state()
     with suppress(OSError, ValueError):
         known = json.loads(_KNOWN.read_text(encoding="utf-8"))
@@ -129,20 +129,20 @@ def _known_digests() -> dict[str, str]:
 
 @lru_cache(maxsize=1)
 def _code_state() -> str:
-    """Return a hash of Python's version, and of times and sizes of the files of the rooms."""
+    """Return a hash of Python's version, and of times and sizes of the Python files in the folders of `ROOMS`."""
     files = sorted(file for room in ROOMS for file in _python_files(_folder(ROOT, room)))
     stamps = json.dumps([(str(file), *_stamp(file)) for file in files])
     return hashlib.sha256(f"{sys.version_info} {stamps}".encode()).hexdigest()
 
 
 def _folder(root: Path, room: str) -> Path:
-    """Return the folder of a room or of a module below it."""
+    """Return the path of one of `ROOMS`, or of a folder below it, in a checkout or in the installed package."""
     beside, inside = root / room, root / PACKAGE / room
     return inside if not beside.exists() and inside.exists() else beside
 
 
 def _python_files(folder: Path) -> Iterator[Path]:
-    """Yield the modules below a folder; the page of the explorer has none, and many files of others."""
+    """Yield the Python files below a folder, skipping the explorer's web page, which has many other files."""
     for place, folders, files in os.walk(folder):
         folders[:] = [name for name in folders if name not in ("page", "built", "__pycache__")]
         yield from (Path(place, name) for name in files if name.endswith(".py"))
@@ -208,7 +208,7 @@ def _chains(node: ast.AST) -> Iterator[str]:
 
 
 def _chain(node: ast.AST) -> str | None:
-    """Return a name with attributes as a text, "a.b.c"; None for attributes of anything else."""
+    """Return a name with attributes as a text such as "a.b.c"; None for attributes of any other expression."""
     if isinstance(node, ast.Name):
         return node.id
     if isinstance(node, ast.Attribute):
@@ -222,7 +222,7 @@ def _is_text(node: ast.AST) -> bool:
 
 
 def _bound(node: ast.Import | ast.ImportFrom, package: str) -> dict[str, Place]:
-    """Return the names that an import binds; "*" for all names of a module."""
+    """Return the names that an import binds, with their places; "*" stands for all names of a module."""
     if isinstance(node, ast.Import):
         return {
             one.asname or one.name.partition(".")[0]: (one.name if one.asname else one.name.partition(".")[0], WHOLE)
@@ -305,7 +305,7 @@ class Module:
         return False
 
     def code(self, name: str) -> Code:
-        """Return the content of a definition, or of all statements with effects."""
+        """Return the content of a definition, or of all statements that run on import if the name is `EFFECTS`."""
         if name not in self._codes:
             self._codes[name] = _read(self.package, self.effects if name == EFFECTS else self.definitions[name])
         return self._codes[name]
@@ -327,7 +327,7 @@ def _target_names(targets: list[ast.expr]) -> list[str]:
 
 
 class Sources:
-    """The modules that digests are made of.
+    """The modules of kinedex and of plugins, from which digests are computed.
 
     Parameters
     ----------
@@ -341,7 +341,7 @@ class Sources:
         self._modules: dict[str, Module | None] = {}
 
     def digest(self, roots: Iterable[Place]) -> str:
-        """Return a hash of all definitions that are reached from some."""
+        """Return a hash of all definitions that can be reached from the given places, as 16 hexadecimal digits."""
         hasher = hashlib.sha256()
         for (module, name), text in sorted(self.reached(roots).items()):
             hasher.update(f"{module}:{name}={text}\n".encode())
@@ -349,7 +349,7 @@ class Sources:
 
     @_uncollected()
     def reached(self, roots: Iterable[Place]) -> dict[Place, str]:
-        """Return all definitions that are reached from some, and the hash of each."""
+        """Return all definitions that can be reached from the given places, with the hash of each."""
         waiting: list[Place | None] = []
         for root in roots:
             self._packages.add(root[0].partition(".")[0])
@@ -380,7 +380,7 @@ class Sources:
         return found
 
     def module(self, name: str) -> Module | None:
-        """Return a module; None where it is not of kinedex or of a plugin, or does not exist."""
+        """Return a module by its name; None if it belongs neither to kinedex nor to a plugin, or does not exist."""
         if name.partition(".")[0] not in self._packages:
             return None
         if name not in self._modules:
@@ -391,7 +391,7 @@ class Sources:
     def _path(self, name: str) -> Path | None:
         package, *rest = name.split(".")
         if package != PACKAGE:
-            with suppress(Exception):  # packages of others are imported to find their modules
+            with suppress(Exception):  # importing a third-party package to find its modules can raise anything
                 spec = importlib.util.find_spec(name)
                 if spec is not None and spec.origin is not None and spec.origin.endswith(".py"):
                     return Path(spec.origin)
@@ -403,7 +403,7 @@ class Sources:
         return next((path for path in candidates if path.is_file()), None)
 
     def _resolve(self, module: Module, chain: str, local: Mapping[str, Place]) -> Place | None:
-        """Return the definition that a name stands for in a module; None where it is of no module of these."""
+        """Return the definition that a name stands for; None if it belongs neither to kinedex nor to a plugin."""
         head, *rest = chain.split(".")
         if head in local:
             return self._at(local[head], rest)

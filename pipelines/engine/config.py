@@ -1,4 +1,4 @@
-"""Pipeline files: stages by name, their inputs and parameters, and settings that the user fills in."""
+"""Read pipeline files: stages by name, their inputs and parameters, and settings that the user gives."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SETTING = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")
 
 
 KnownFailures = Literal["report", "remember"]
-"""Every run reports all failures, or the store remembers them and a run reports those that are new."""
+"""Either every run reports all failures, or the store remembers failures and a run reports only new ones."""
 
 
 class _StageEntry(BaseModel):
@@ -120,7 +120,7 @@ class _Given:
             raise KinedexError(f"{self.shown}: {fault.reason}; {self._quotes()}") from None
 
     def _quotes(self) -> str:
-        """Return the way out of a text of `--set` that is no YAML."""
+        """Return advice on how to quote a text of `--set` that is not valid YAML."""
         if '"' not in self.value or "\\" not in self.value:
             return "quote it"
         single = self.value.replace("'", "''").replace('"', "'")
@@ -130,7 +130,7 @@ class _Given:
 
 
 def _plain(value: Any) -> Any:
-    """Return paths as texts and numpy's numbers as Python's, also inside of lists and dictionaries."""
+    """Return a value with paths converted to texts and numpy numbers to Python numbers, also inside containers."""
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     if isinstance(value, dict):
@@ -170,7 +170,7 @@ def load_pipeline(
 
 
 class _PipelineReader:
-    """Makes a pipeline of a file and of what the user gives.
+    """Builds a pipeline from a file and from the values that the user gives.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ class _PipelineReader:
         self._overrides: dict[str, dict[str, _Given]] = {}
 
     def read(self, given: Sequence[_Given]) -> Pipeline:
-        """Fill in what is given, and check everything."""
+        """Fill in the given values, and check all settings, stages and parameters."""
         for one in given:
             self._assign(one)
         for name in self._settings.keys() - {one.name for one in given}:
@@ -219,7 +219,7 @@ class _PipelineReader:
         self._overrides.setdefault(stage, {})[key] = one
 
     def _only_stage_with(self, one: _Given) -> str:
-        """Return the stage that a parameter belongs to which is given without one; only one stage may have it."""
+        """Return the only stage that has the given parameter; raise a KinedexError if none or several have it."""
         stages = [stage for stage in self._entries if one.name in self._kind(stage).parameters.model_fields]
         if len(stages) == 1:
             return stages[0]
@@ -230,7 +230,7 @@ class _PipelineReader:
         raise KinedexError(f"{one.place}: {self._located.path} has no setting of that name{hint}")
 
     def _kind(self, name: str) -> Stage[BaseModel]:
-        """Return the kind of a stage of the file."""
+        """Return the kind of a stage that the file names."""
         uses = self._entries[name].uses or name
         if uses not in STAGES:
             key = ("uses",) if self._entries[name].uses else ()
@@ -260,19 +260,19 @@ class _PipelineReader:
         return PipelineStage(name, kind, self._inputs(name, kind), filled, frozenset(unset))
 
     def _refuse_addresses(self, value: Any, *key: str) -> None:
-        """Refuse an address in the file itself, with its line."""
+        """Raise an error, with the line of the file, if a value is the address of remote data."""
         try:
             refuse_addresses(value)
         except KinedexError as fault:
             raise self._located.error(str(fault), *key) from None
 
     def _is_default(self, value: Any) -> bool:
-        """Return whether a value of the file is a setting of a shipped pipeline that nobody has given."""
+        """Return whether a value of the file refers to a setting that has its default in a shipped pipeline."""
         whole = _SETTING.fullmatch(value) if isinstance(value, str) else None
         return whole is not None and whole[1] in self._defaults
 
     def _fill(self, value: Any, key: tuple[str | int, ...]) -> Any:
-        """Replace ${setting} in texts; a text that is nothing else takes the setting's own type."""
+        """Replace `${setting}` in texts; a text that consists of one setting alone takes the setting's type."""
         if isinstance(value, dict):
             return {name: self._fill(part, (*key, name)) for name, part in value.items()}
         if isinstance(value, list):
@@ -290,7 +290,7 @@ class _PipelineReader:
         return settings[whole[1]] if whole else _SETTING.sub(lambda found: str(settings[found[1]]), value)
 
     def _inputs(self, name: str, kind: Stage[BaseModel]) -> dict[str, str]:
-        """Return the stage that plays each role: the one that the file names, else the only one that can."""
+        """Return the stage for each input role: the one that the file names, else the only one of the right kind."""
         given = self._entries[name].inputs
         for role in given:
             if role not in kind.inputs:
@@ -327,7 +327,7 @@ class _PipelineReader:
 
 
 def _ordered(stages: list[PipelineStage]) -> tuple[PipelineStage, ...]:
-    """Return the stages in an order in which every input comes first; otherwise they keep the file's order."""
+    """Return the stages ordered such that each comes after its inputs, and otherwise as in the file."""
     result: list[PipelineStage] = []
     waiting = list(stages)
     while waiting:

@@ -1,4 +1,4 @@
-"""The context of a stage: the store, the executor, the display, and the stage's place in its pipeline."""
+"""The context that a stage runs in: the store, the executor, the display, and the stage's place in its pipeline."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ _log = logging.getLogger("kinedex.stages")
 def feature_set_for(store: Store | None, given: str | None = None) -> FeatureSet:
     """Return the features that a stage works with: those given, else those of a store, else the shipped ones.
 
-    A store that was made with the shipped set is compared with the set as it is shipped now, so that a changed set is
-    noticed; a set of the user's own is taken from the store.
+    A store that was made with the shipped set gets the set as it is shipped now, so that a change of that set is
+    noticed; a store made with a user's own set keeps that set.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class StageContext:
     code : str
         A hash of the code that the stage runs, for stages that reuse earlier work; empty where it is not known.
     anew : bool
-        All is to be done again, whatever was done before (`--force`).
+        True if everything is to be done again, including work that is up to date (`--force`).
     wait : Wait
         The time to wait for another writer.
     unmatched : list of UnmatchedLabels
@@ -110,13 +110,13 @@ class StageContext:
 
     @property
     def report_dir(self) -> Path:
-        """The folder of this pipeline's reports inside the store; it is made when it is asked for."""
+        """The folder of this pipeline's reports inside the store; it is created on access."""
         folder = self.store_path / "results" / "reports" / self.pipeline
         folder.mkdir(parents=True, exist_ok=True)
         return folder
 
     def report_file(self, name: str) -> Path:
-        """Return the path of a report; a second stage of one kind prefixes its own name."""
+        """Return the path of a report; the stage's name is prefixed if it differs from the name of its kind."""
         own = self.uses and self.stage != self.uses
         return self.report_dir / (f"{self.stage}.{name}" if own else name)
 
@@ -140,9 +140,9 @@ class StageContext:
             writer.commit()
 
     def report_unmatched(self, found: Iterable[UnmatchedLabels]) -> None:
-        """Record labels of files that match no take: the run names them at its end, and exits with 3.
+        """Record labels of files that match no take; the run lists them at its end and exits with status 3.
 
-        Every stage that reads label files reports them; their remarks are shown by the stage itself.
+        Every stage that reads label files calls this, and shows its own messages about them.
         """
         self.unmatched.extend(found)
 

@@ -16,14 +16,14 @@ from kinedex.storage.store.store import Store
 
 @dataclass(frozen=True)
 class Reading:
-    """The takes that a stage reads: a hash of them, and their description, such as "9 clips"."""
+    """The takes that a stage reads: a hash of them, and a description such as "9 clips"."""
 
     digest: str
     what: str
 
 
 def files_digest(files: Iterable[Path]) -> str:
-    """Return a hash of the contents of files, in their order; a KinedexError names one that cannot be read."""
+    """Return a hash of the contents of files, in their order; raise a KinedexError for a file that cannot be read."""
     hasher = hashlib.sha256()
     for file in files:
         try:
@@ -37,8 +37,8 @@ def files_digest(files: Iterable[Path]) -> str:
 def takes_read(store: Store, filters: Mapping[str, str]) -> Reading:
     """Return a digest of the takes that filters select: of their names, classes and words, and of the features.
 
-    The sources of the takes do not count, nor do other takes. The words are read, which takes milliseconds for an hour
-    of motion.
+    The source files of the takes do not count, nor do other takes. The words are read, which takes milliseconds for an
+    hour of motion.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def takes_read(store: Store, filters: Mapping[str, str]) -> Reading:
 
 
 def hash_of(*parts: object) -> str:
-    """Return a hash of values whose repr determines them, and of arrays."""
+    """Return a hash of arrays and of values that their `repr` determines."""
     hasher = hashlib.sha256()
     for part in parts:
         content = np.ascontiguousarray(part).tobytes() if isinstance(part, np.ndarray) else repr(part).encode()

@@ -1,4 +1,4 @@
-"""The display of a run: lines, tables and progress, which a terminal or a collector shows as it likes."""
+"""The display of a run: lines, tables and progress bars, as a terminal shows them or a program collects them."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from types import TracebackType
 from typing import Literal, Protocol, Self
 
 Tone = Literal["plain", "main", "better", "worse", "doubtful"]
-"""The weight of a line or a row; its colour is a matter of the display."""
+"""The emphasis of a line or row; the display chooses a colour for it."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """A line of text between tables."""
+    """A line of text, shown between tables."""
 
     text: str
     tone: Tone = "plain"
@@ -22,7 +22,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Row:
-    """A row of a table, whose numbers are texts already; `section` draws a rule above it."""
+    """A row of a table, with numbers already formatted as text; `section` draws a rule above it."""
 
     cells: tuple[str, ...]
     tone: Tone = "plain"
@@ -70,15 +70,15 @@ class ProgressBar(Protocol):
     ) -> None: ...
 
     def advance(self, n: int = 1) -> None:
-        """Move the bar by n."""
+        """Advance the bar by n steps."""
 
 
 Progress = Callable[[str, int], ProgressBar]
-"""Function of a description and a number of steps that returns a progress bar."""
+"""A function that takes a description and a number of steps, and returns a progress bar."""
 
 
 class _NoBar:
-    """A progress bar that nobody sees."""
+    """A progress bar that is not shown."""
 
     def __enter__(self) -> Self:
         return self
@@ -87,22 +87,22 @@ class _NoBar:
         pass
 
     def advance(self, n: int = 1) -> None:
-        """Move nothing."""
+        """Do nothing."""
 
 
 def no_progress(_description: str, _total: int | None = None) -> ProgressBar:
-    """Return a progress bar that nobody sees."""
+    """Return a progress bar that is not shown."""
     return _NoBar()
 
 
 class Display(Protocol):
-    """A place where a run shows what it does, such as a terminal."""
+    """The protocol of displays, which show what a run does, such as a terminal."""
 
     def say(self, text: str) -> None:
         """Show one line below the heading of a stage."""
 
     def heading(self, text: str) -> None:
-        """Show one line that begins a stage."""
+        """Show the heading of a stage."""
 
     def show(self, *parts: ResultTable | Line) -> None:
         """Show tables and lines, one below the other."""
@@ -111,7 +111,7 @@ class Display(Protocol):
         """Return a progress bar."""
 
     def during(self, name: str) -> AbstractContextManager[object]:
-        """Report a step every now and then while a `with` statement runs."""
+        """Show regularly that a step is running, as long as a `with` statement lasts."""
 
 
 class NoDisplay:
@@ -127,7 +127,7 @@ class NoDisplay:
         """Show nothing."""
 
     def progress(self, description: str, total: int | None = None) -> ProgressBar:
-        """Return a progress bar that nobody sees."""
+        """Return a progress bar that is not shown."""
         return _NoBar()
 
     def during(self, name: str) -> AbstractContextManager[object]:

@@ -28,19 +28,19 @@ Result = TypeVar("Result")
 KINDS = ("serial", "processes", "dask")
 
 TRIES = 3
-"""A task is started so often before the deaths of its workers are attributed to it."""
+"""The number of times that a task is started before the deaths of its workers count as its fault."""
 
 _CHECKS = 3
 
 ANSWER_SECONDS = 10.0
-"""A Dask scheduler may take so long to answer at first."""
+"""The longest time to wait for the first answer of a Dask scheduler, in seconds."""
 
 PATIENCE_SECONDS = 60.0
-"""A Dask cluster may be so long without any worker, or a finished result on its way, before tasks are given up."""
+"""The longest time to wait for a Dask cluster without workers, or for a finished result, in seconds."""
 
 
 class WorkerDied(KinedexError):
-    """The workers of a task died again and again; most likely the task needs more memory than there is."""
+    """The workers of a task died repeatedly; most likely the task needs more memory than there is."""
 
 
 class Executor(Protocol):
@@ -55,7 +55,10 @@ class Executor(Protocol):
     workers: int
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-        """Yield the results in the order of the items; all must be picklable, and a task may run twice."""
+        """Yield the results in the order of the items.
+
+        Function, items and results must be picklable, and a task may run twice.
+        """
         ...
 
     def check(self, store: Path) -> None:
@@ -82,7 +85,7 @@ class SerialExecutor(Executor):
 
 
 class ProcessExecutor(Executor):
-    """Runs tasks in worker processes that live as long as the executor; at most two tasks a worker are in flight.
+    """Runs tasks in worker processes that live as long as the executor, with at most two tasks per worker in flight.
 
     When a worker dies (killed, out of memory), the tasks in flight are tried again one at a time, so that a task that
     kills its worker is identified; after `TRIES` deaths the error names it.
@@ -95,8 +98,8 @@ class ProcessExecutor(Executor):
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
         """Yield the results of a function in the order of the items.
 
-        For a single item no workers are started. Where there are workers it goes to them: Ctrl-C ends them at once, but
-        a kernel in this process only when it has finished.
+        A single item runs in this process if no worker has been started yet. Otherwise it goes to a worker, because
+        Ctrl-C ends workers at once, but a kernel in this process only when it has finished.
         """
         source = iter(items)
         first = list(islice(source, 2))
@@ -116,7 +119,7 @@ class ProcessExecutor(Executor):
                 future.cancel()
 
     def _submit(self, function: Callable[[Item], Result], item: Item) -> Future[Result]:
-        """Submit a task; if the pool is broken already, return a future with that error."""
+        """Submit a task; if the pool is already broken, return a future that holds that error."""
         try:
             return self._put(function, item)
         except BrokenProcessPool as fault:
@@ -132,7 +135,7 @@ class ProcessExecutor(Executor):
     def _next(
         self, function: Callable[[Item], Result], waiting: deque[tuple[Item, Future[Result]]]
     ) -> Iterator[Result]:
-        """Yield the first waiting result; after the death of a worker, all that were waiting."""
+        """Yield the first waiting result; after the death of a worker, run all waiting tasks again."""
         try:
             result = waiting[0][1].result()
         except BrokenProcessPool:
@@ -185,7 +188,7 @@ class ProcessExecutor(Executor):
 
 
 class DaskExecutor:
-    """Runs tasks on a Dask cluster: one made on this machine, or a running one by the address of its scheduler.
+    """Runs tasks on a Dask cluster: one created on this machine, or a running one by the address of its scheduler.
 
     Dask itself repeats a task whose worker died.
     """
@@ -193,7 +196,7 @@ class DaskExecutor:
     def __init__(self, workers: int, scheduler: str | None = None) -> None:
         from distributed import Client, LocalCluster
 
-        # our own messages report lost connections
+        # kinedex reports lost connections itself
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         self._cluster: LocalCluster | None = None
         if scheduler is None:
@@ -239,7 +242,7 @@ class DaskExecutor:
                 future.cancel()
 
     def _result(self, future: Future[Result]) -> Result:
-        """Return the result of a task; if the worker that holds it dies, wait until another one has it."""
+        """Return the result of a task; if the worker that holds it dies, wait for another to compute it again."""
         for _ in range(TRIES):
             self._wait(future)
             try:
@@ -253,7 +256,7 @@ class DaskExecutor:
         )
 
     def _wait(self, future: Future[Any]) -> None:
-        """Wait for a task as long as there are workers to do it."""
+        """Wait until a task is done; raise an error if the cluster has been without workers for too long."""
         from distributed import wait
 
         seen = time.monotonic()
@@ -267,7 +270,7 @@ class DaskExecutor:
                 raise self._without_workers()
 
     def _slots(self) -> int:
-        """Return the number of tasks that the workers do at a time; 0 without any, or without an answer."""
+        """Return the number of tasks that the workers run at a time; 0 without workers or without an answer."""
         try:
             found = self._client.sync(
                 self._client.scheduler.identity, n_workers=-1, callback_timeout=min(ANSWER_SECONDS, PATIENCE_SECONDS)
@@ -284,7 +287,7 @@ class DaskExecutor:
         )
 
     def check(self, store: Path) -> None:
-        """Raise a KinedexError if a worker does not answer, or does not see a file that was just written."""
+        """Raise a KinedexError if a worker does not answer, or cannot see a file that was just written."""
         store.mkdir(parents=True, exist_ok=True)
         token = store / f".tmp-shared-{secrets.token_hex(4)}"
         try:
@@ -292,7 +295,7 @@ class DaskExecutor:
                 token.touch()
                 seen = self._ask_workers(_sees, str(token.resolve()))
                 if token.exists():
-                    break  # else garbage collection has taken it for the unfinished file of a killed run
+                    break  # else garbage collection has removed it as left over from a killed run
         finally:
             token.unlink(missing_ok=True)
         blind = [worker for worker, sees in seen.items() if sees is not True]
@@ -309,7 +312,7 @@ class DaskExecutor:
             )
 
     def _ask_workers(self, function: Callable[[str], bool], argument: str) -> dict[str, object]:
-        """Call a function in every worker, whatever runs there; return results or exceptions by worker."""
+        """Call a function in every worker, even in busy ones; return results or exceptions by the worker's address."""
         try:
             found: dict[str, object] = self._client.sync(
                 self._client._run, function, argument, on_error="return", callback_timeout=PATIENCE_SECONDS
@@ -321,7 +324,7 @@ class DaskExecutor:
         return found
 
     def close(self) -> None:
-        """Disconnect from the cluster, and end it if it was made here."""
+        """Disconnect from the cluster, and end it if this executor created it."""
         self._client.close()
         if self._cluster is not None:
             self._cluster.close()
@@ -336,7 +339,7 @@ def _sees(path: str) -> bool:
 
 
 def _shown(item: object) -> str:
-    """Return the subject of a task for messages: its own `subject`, if it has one."""
+    """Return a short description of a task for messages: its attribute `subject` if it has one, else its `repr`."""
     text = str(getattr(item, "subject", None) or repr(item))
     return text if len(text) <= 300 else f"{text[:300]}…"
 
@@ -347,7 +350,7 @@ def cores() -> int:
 
 
 def batches_of(items: Iterable[Item], sizes: Iterable[int], most: int) -> list[tuple[Item, ...]]:
-    """Divide items, in their order, into batches of at most `most` in size; a larger item is a batch of its own."""
+    """Divide items, in their order, into batches whose sizes sum to at most `most`; a larger item is its own batch."""
     batches: list[list[Item]] = []
     room = 0
     for item, size in zip(items, sizes, strict=True):
@@ -365,7 +368,7 @@ def make_executor(kind: str, workers: int | None = None, scheduler: str | None =
     Parameters
     ----------
     kind : {"serial", "processes", "dask"}
-        How tasks are spread.
+        The kind: tasks run in this process, in worker processes, or on a Dask cluster.
     workers : int, optional
         The number of workers; all cores by default.
     scheduler : str, optional

@@ -1,4 +1,4 @@
-"""Parameters that name files: their values as absolute paths, and the files themselves, for the history of runs."""
+"""Find the parameters of stages that name files: make paths absolute, and list the files for the history of runs."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from kinedex.ops.errors import KinedexError
 
 @dataclass(frozen=True)
 class NamesFile:
-    """The annotation of a parameter, a text or a list of texts, that names files or a folder.
+    """Annotation of a parameter (a text or a list of texts) that names files or a folder.
 
     Attributes
     ----------
     kind : str
-        "data" for a folder or file of data, which nobody copies; "file" for a file, or a folder of YAML files, of
+        "data" for a folder or file of data, which is not copied; "file" for a file, or a folder of YAML files, of
         settings; "queries" and another kind of `catalog.configs.KINDS` where a shipped name may stand for a file.
     """
 
@@ -31,7 +31,7 @@ class NamesFile:
 
 
 def with_absolute_paths(params: type[BaseModel], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of parameters with every path in them absolute.
+    """Return the values of parameters, with all paths in them made absolute.
 
     Parameters
     ----------
@@ -59,14 +59,14 @@ def _changed(field: FieldInfo | None, value: Any) -> Any:
 
 
 def _model_in(annotation: object) -> type[BaseModel] | None:
-    """Return the model in a type such as `list[Method]`."""
+    """Return the pydantic model inside a type such as `list[Method]`; None if there is none."""
     if isinstance(annotation, type) and not get_args(annotation):
         return annotation if issubclass(annotation, BaseModel) else None
     return next((found for one in get_args(annotation) if (found := _model_in(one)) is not None), None)
 
 
 def setting_files(params: BaseModel) -> Iterator[Path]:
-    """Yield the files of the user's own, other than data, that parameters name, as far as they can be read."""
+    """Yield the readable files that parameters name, other than data and shipped files."""
     for name, field in type(params).model_fields.items():
         kind = next((one.kind for one in field.metadata if isinstance(one, NamesFile)), None)
         value = getattr(params, name)
@@ -94,7 +94,7 @@ def _of_texts(value: Any, change: Callable[[str], str]) -> Any:
 
 
 def _absolute(text: str, kind: str) -> str:
-    """Return a text as an absolute path; a shipped name, or a word with a meaning of its own, as it is."""
+    """Return a path as an absolute path; shipped names and reserved words are returned unchanged."""
     if kind == "data" or kind == "file" or "/" in text or text.endswith((".yaml", ".yml", ".json")):
         return os.path.abspath(Path(text).expanduser())
     return text

@@ -1,7 +1,7 @@
 """`python -m kinedex.pipelines.engine.kernel_compilation`: compile listed kernels on all cores before they are needed.
 
-numba compiles a kernel when it is first called, on one core, while somebody waits. A set-up or a demo does this beside
-its other work; what is in the cache is loaded and not compiled again.
+numba compiles a kernel on one core when it is first called. A set-up or a demo compiles kernels in the background
+instead. Kernels that are in the cache already are not compiled again.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from kinedex.pipelines.engine.worker_processes import begin_worker, ctrl_c_block
 
 
 class KernelCompilation:
-    """Processes that compile the listed kernels, while the one that started them does something else.
+    """Processes that compile the listed kernels in the background.
 
     They end with their parent.
 
     Parameters
     ----------
     workers : int or None, optional
-        Number of processes; one a core unless given.
+        Number of processes; by default one per core.
     """
 
     def __init__(self, workers: int | None = None) -> None:
@@ -40,13 +40,13 @@ class KernelCompilation:
         return not any(process.is_alive() for process in self._processes)
 
     def wait(self) -> None:
-        """Wait for the processes; kernels that one of them could not compile are compiled where they are called."""
+        """Wait for the processes; kernels that they could not compile are compiled when they are first called."""
         for process in self._processes:
             process.join()
 
 
 def balanced(calls: Sequence[str], parts: int) -> list[list[str]]:
-    """Divide calls among processes, kernels of one file together, as they call each other.
+    """Divide kernel calls among processes; kernels of one file stay together, because they call each other.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def balanced(calls: Sequence[str], parts: int) -> list[list[str]]:
 
 
 def _compile(calls: Sequence[str]) -> None:
-    """Compile kernels in a worker process; garbage is collected at its end, as numba makes much that stays."""
+    """Compile kernels in a worker process, without garbage collection, as most objects that numba makes stay alive."""
     import gc
 
     begin_worker()
@@ -78,7 +78,7 @@ def _compile(calls: Sequence[str]) -> None:
     for call in calls:
         try:
             compile_call(call)
-        except ValueError:  # an entry that has gone stale costs time where it is needed, and nothing else
+        except ValueError:  # a stale entry of the list is skipped; its kernel is compiled when called
             continue
 
 

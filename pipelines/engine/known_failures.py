@@ -1,4 +1,4 @@
-"""Failures of a run that are known from runs before: the store remembers them, so that only new ones count."""
+"""Remember failures of earlier runs in the store, so that a run reports only new ones."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
 
 KIND, STAGE = "known_failures", "known_failures"
-"""The kind of results, and the last part of the stage that they are stored under."""
+"""The kind of results, and the last part of the name of the stage that they are stored under."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,10 @@ class FailedFile:
     Attributes
     ----------
     file : str
-        The path of the file; for a person of a file of several, of that file.
+        The path of the file; for one person of a file with several, the path of that file.
     checksum : str
-        Hash of all that the failure depends on: the content of the file, and of another one that is at fault; empty
-        where a file cannot be opened.
+        Hash of what the failure depends on: the content of the file, and of another file that caused it; empty
+        if a file cannot be opened.
     error : str
         The kind of error.
     reason : str
@@ -47,7 +47,7 @@ class FailedFile:
 
     @property
     def key(self) -> tuple[str, str, str]:
-        """The file, its content and the kind of error: a failure that agrees in them is the same one."""
+        """The file, its content and the kind of error, by which a failure is recognised in a later run."""
         return self.file, self.checksum, self.error
 
 
@@ -58,7 +58,7 @@ class SourceFiles:
     Attributes
     ----------
     new, changed, gone : tuple of str
-        Paths of files that were not there in the run before, that have another content, and that are there no more.
+        Paths of files that are new since the run before, have other content, or no longer exist.
     failed : tuple of FailedFile
         The files that failed; where failures are remembered, those that did not fail in the same way before.
     accepted : tuple of FailedFile
@@ -74,13 +74,13 @@ class SourceFiles:
 
 @dataclass(frozen=True)
 class SourceState:
-    """The source files of a pipeline as its last ingest saw them: path → hash of the content, None if refused."""
+    """The source files of a pipeline at its last ingest: path → hash of the content, None if the file was not read."""
 
     files: dict[str, str | None] = field(default_factory=dict)
 
 
 def source_state(store: Store | None, pipeline: Pipeline) -> SourceState:
-    """Return the source files of a pipeline as its last ingest saw them."""
+    """Return the state of the source files of a pipeline at its last ingest."""
     if store is None:
         return SourceState()
     seen: dict[str, str | None] = {}
@@ -106,7 +106,7 @@ def source_files(
     run: str,
     wait: Wait,
 ) -> SourceFiles:
-    """Compare the source files of a pipeline with those before the run, and its failures with those remembered.
+    """Compare the source files of a pipeline with those before the run, and its failures with the remembered ones.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def source_files(
     unmatched : iterable of UnmatchedLabels
         The labels that match no take.
     remember : bool
-        Keep the failures of this run in the store in place of those of the run before.
+        True to store the failures of this run in place of those of the run before.
     run : str
         Id of the pipeline run.
     wait : Wait
@@ -157,13 +157,13 @@ def _unmatched(one: UnmatchedLabels) -> FailedFile:
 
 
 def _checksum(file: str, *more: str) -> str:
-    """Return the hash of a file; of other files' contents and of names, where there are some, as well."""
+    """Return the hash of a file, combined with that of further files or names if any are given."""
     parts = [_content(file), *(_content(one) or one for one in more if one != file)]
     return parts[0] if len(parts) == 1 else hashlib.sha256("\0".join(parts).encode()).hexdigest()
 
 
 def _content(file: str) -> str:
-    with suppress(KinedexError, ValueError):  # it is gone, or its name is none that the system knows
+    with suppress(KinedexError, ValueError):  # the file no longer exists, or its name is not a valid path
         return checksum(Path(file))
     return ""
 

@@ -1,4 +1,4 @@
-"""Files of pages, which are written whole or not at all."""
+"""Write the files of pages, each whole or not at all."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The plan of a run: the stages that run, and why; fingerprints show which stages are up to date."""
+"""Plan a run: decide which stages run, and why; fingerprints show which stages are up to date."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from kinedex.storage.store.report_sums import wrong_files
 from kinedex.storage.store.store import Store, open_store
 
 FORCED = "--force"
-"""The reason of a stage that runs because it was asked for."""
+"""The reason given for a stage that `--force` names."""
 
 NEVER = "has not run yet"
 
@@ -49,17 +49,18 @@ class Step:
 
     @property
     def fingerprint(self) -> str:
-        """The hash of all parts."""
+        """The hash of all parts of the fingerprint."""
         return _hash(self.parts)
 
 
 class Planner:
-    """Decides stage by stage, against the store as it is at that moment, which stages run and why.
+    """Decides which stages run and why, one stage at a time, by the current state of the store.
 
-    `pipeline` has what the store remembers in place of parameters that nobody gave (`Stage.with_remembered`).
+    A stage is skipped if the store holds a record with its fingerprint (see `engine.stage.Stage`). For a stage with a
+    `reading`, only the takes that it reads count, and not the stage that ingested them.
 
-    A stage is skipped where the store holds a record with its fingerprint (see `engine.stage.Stage`). Of a stage that
-    has a `reading` only the takes that it reads count, and not the stage that brought them in.
+    The attribute `pipeline` is the given pipeline with parameters that the store remembers in place of those that the
+    user left unset (`Stage.with_remembered`).
 
     Parameters
     ----------
@@ -82,7 +83,7 @@ class Planner:
         self._done: set[str] = set()
 
     def step(self, stage: PipelineStage) -> Step:
-        """Return the step of the next stage; stages are asked for in the order of the pipeline."""
+        """Return the step of a stage; call this for the stages in the order of the pipeline."""
         store = _open(self.store_path)
         record = store.manifest.stages.get(f"{self.pipeline.name}/{stage.name}") if store else None
         reading = _reading(stage, store)
@@ -97,23 +98,23 @@ class Planner:
         return self.follow(Step(stage, parts, record, reason, reading.what if reading else ""))
 
     def follow(self, step: Step) -> Step:
-        """Take over the step of the next stage from a plan that was made just now."""
+        """Register a step that was already planned as the next one, and return it."""
         if step.reason is not None:
             self._running.add(step.stage.name)
         self._fingerprints[step.stage.name] = step.fingerprint
         return step
 
     def done(self, step: Step) -> Step:
-        """Return the step of a stage that has just run, with the store's takes as they are now, for its record."""
+        """Return the step of a stage that has just run, with a hash of the takes that the store now has."""
         self._done.add(step.stage.name)
         if "takes" not in step.parts:
-            return step  # its parts name the takes that it has read
+            return step  # its fingerprint covers the takes that it has read
         done = replace(step, parts={**step.parts, "takes": _takes(_open(self.store_path))})
         self._fingerprints[step.stage.name] = done.fingerprint
         return done
 
     def _upstream(self, stage: PipelineStage, reading: Reading | None) -> str | None:
-        """Return the reason for which a stage runs only because an earlier stage does; None if it need not run."""
+        """Return the reason if a stage runs only because an earlier stage runs; None otherwise."""
         for role, name in stage.inputs.items():
             if name in self._running and (reading is None or role != TAKES):
                 return f"{name} runs"
@@ -155,7 +156,7 @@ def make_plan(pipeline: Pipeline, store_path: Path, force: frozenset[str] = froz
 
 
 def _with_remembered(pipeline: Pipeline, store_path: Path) -> Pipeline:
-    """Return the pipeline with what the store remembers in place of parameters that nobody gave."""
+    """Return the pipeline with remembered parameters in place of those that the user left unset."""
     store = _open(store_path)
     if store is None:
         return pipeline
@@ -170,13 +171,13 @@ def _open(path: Path) -> Store | None:
 
 
 def _reading(stage: PipelineStage, store: Store | None) -> Reading | None:
-    """Return the takes that a stage reads; None if all takes of the store count."""
+    """Return the digest of the takes that a stage reads; None if it depends on all takes of the store."""
     if type(stage.kind).reading is Stage.reading:
         return None
     try:
         return stage.kind.reading(stage.params, store) if store else Reading("", "")
     except KinedexError:
-        # the stage runs and reports the fault: by then the takes may be others
+        # the stage runs and reports the error, as the takes may have changed by then
         return Reading("cannot be read", "")
 
 
@@ -211,7 +212,7 @@ def _reason(record: StageRecord | None, parts: dict[str, str]) -> str | None:
 
 
 def _gone(stage: PipelineStage, store: Store, record: StageRecord) -> str | None:
-    """Return a sentence about the first result of a stage that no longer exists; None if all exist."""
+    """Return a message about the first result of a stage that is missing or damaged; None if all are in place."""
     if not stage.kind.is_current(store):
         return "what it made is gone or stale"
     for name, problem in wrong_files(store.path, [record]):

@@ -1,4 +1,4 @@
-"""The recorder of a pipeline run: writes into the store's history what runs, with what, and what becomes of it."""
+"""Record a pipeline run in the store's history: its stages, their parameters and results, and its outcome."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from kinedex.storage.store.history import KeptText, PipelineRun, StageRun, Stage
 class RunRecorder:
     """Records one run of a pipeline in the history of a store.
 
-    A run of which no stage runs leaves no record. Nothing is written before there is a store.
+    A run in which no stage runs leaves no record. Nothing is written before the store exists.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class RunRecorder:
         self._write()
 
     def done(self, step: Step, record: StageRecord, manifest: Manifest) -> None:
-        """Record that a stage has run, by its record and the version that holds its results."""
+        """Record that a stage has run, with its record and the version of the store that holds its results."""
         self._set(self._stage(step).recorded(record, "ran"))
         self._run = replace(
             self._run,
@@ -84,7 +84,7 @@ class RunRecorder:
         self._write()
 
     def fail(self, fault: BaseException) -> None:
-        """Record that the run has ended with an error, or that somebody has stopped it."""
+        """Record that the run has ended with an error, or that the user has interrupted it."""
         stopped = not isinstance(fault, Exception)
         self._run = replace(
             self._run,
@@ -95,7 +95,7 @@ class RunRecorder:
                 replace(stage, state="failed") if stage.state == "running" else stage for stage in self._run.stages
             ),
         )
-        with suppress(KinedexError):  # the first error is the one to report
+        with suppress(KinedexError):  # report the first error, not one of writing the history
             self._write()
 
     def finish(self) -> None:
@@ -120,7 +120,7 @@ class RunRecorder:
         write_run(self._store, self._run)
 
     def _kept_files(self) -> tuple[KeptText, ...]:
-        """Copy the files of the user's own that parameters name."""
+        """Copy the user's own files that parameters name into the history."""
         paths = dict.fromkeys(path for stage in self._pipeline.stages for path in setting_files(stage.params))
         for settings in self._run.other_sources.values():
             names = [settings.get("skeleton"), settings.get("features"), *settings.get("skeletons", ())]
@@ -128,13 +128,13 @@ class RunRecorder:
             paths |= dict.fromkeys(file for file in files if file.is_file())
         kept = []
         for path in paths:
-            with suppress(OSError):  # the stage that reads it reports the fault
+            with suppress(OSError):  # the stage that reads the file reports the error
                 kept.append(keep_file(self._store, path))
         return tuple(kept)
 
 
 def _with_surroundings(run: PipelineRun, manifest: Manifest) -> PipelineRun:
-    """Return a run with what the store has that does not come from its own sources."""
+    """Return a run with the sources and mappings that the store has from other runs."""
     sources = sorted(manifest.sources.items(), key=lambda item: item[1].recorded)
     return replace(
         run,

@@ -1,4 +1,4 @@
-"""The runner: carries a plan out, stage by stage, and records in the store what is done."""
+"""Run a pipeline stage by stage, and record in the store what was done."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger("kinedex.engine")
 
 COMMIT_SECONDS = 600.0
-"""A run that has begun waits at least so long for another writer, rather than lose the work of a stage."""
+"""The shortest time, in seconds, that a run in progress waits for another writer, so that no work is lost."""
 
 
 @dataclass(frozen=True)
@@ -57,17 +57,17 @@ class Outcome:
     ran : tuple of str
         The stages that ran.
     skipped : tuple of str
-        The stages with nothing to do.
+        The stages that were up to date.
     summaries : dict of str to dict
-        The figures that each stage recorded, of skipped stages those of the run before.
+        The figures that each stage recorded; for skipped stages, those of the run before.
     left_out : int
-        How many source files the ingest excluded.
+        The number of source files that the ingest excluded.
     unmatched : tuple of UnmatchedLabels
         The labels that match no take, once for each label file.
     report : Path or None
-        The page of the last stage that writes one.
+        The report page of the last stage that writes one.
     command : str or None
-        The command that runs the same again; None for a call without `assignments`.
+        The command line that repeats the run; None for a call without `assignments`.
     files : SourceFiles
         The source files that are new, changed or gone, and those that failed.
     remembers : bool
@@ -88,7 +88,7 @@ class Outcome:
 
     @property
     def has_failures(self) -> bool:
-        """True where files failed or labels match no take; of remembered failures only new ones count."""
+        """True if files failed or labels match no take; where failures are remembered, only new ones count."""
         return bool(self.files.failed) if self.remembers else bool(self.left_out or self.unmatched)
 
     @cached_property
@@ -98,15 +98,15 @@ class Outcome:
 
 
 class StageFailed(KinedexError):
-    """A stage could not finish; the message explains why, and how to resume."""
+    """A stage failed; the message explains the reason, and the way to resume."""
 
 
 @dataclass(frozen=True)
 class _Run:
-    """The things that the stages of one run share.
+    """The state that the stages of one run share.
 
-    `resume` is the command that continues after a failure; None for a caller in Python, who calls again. `wait` is the
-    time that the next stage waits for another writer.
+    `resume` is the command that continues after a failure; None for a call from Python. `wait` is the time that the
+    next stage waits for another writer.
     """
 
     pipeline: Pipeline
@@ -120,7 +120,7 @@ class _Run:
     accept: bool = False
 
     def begun(self) -> _Run:
-        """Return the run with the patience of one that has work to lose."""
+        """Return the run with a longer wait for other writers, as it now has work to lose."""
         return replace(self, wait=replace(self.wait, seconds=max(self.wait.seconds, COMMIT_SECONDS)))
 
 
@@ -146,14 +146,14 @@ def run_pipeline(
     name_or_path : str or Path
         A shipped pipeline such as "annotate", or a path to a .yaml file.
     store_path : str or Path
-        The directory of the store; it is made where it is missing.
+        The directory of the store; it is created if missing.
     settings : mapping of str to object, optional
         Values for settings of the file by name, such as `{"source": "/my/archive"}`, and for parameters by
         "stage.name", such as `{"annotate.tau": 0.06}`. Where exactly one stage has a parameter, its name is enough.
     assignments : mapping of str to str, optional
         The texts of `--set` on the command line, in the place of `settings`; errors then mention commands.
     executor : {"serial", "processes", "dask"}
-        How tasks are spread. A script that asks for processes must guard its start with
+        The executor of tasks. A script that asks for processes must guard its start with
         `if __name__ == "__main__":`, because every worker imports it.
     workers : int, optional
         The number of workers; all cores by default.
@@ -165,10 +165,10 @@ def run_pipeline(
         The time to wait for another writer of the store; 0 fails at once. A run that has begun waits at least
         `COMMIT_SECONDS` between its stages and to commit.
     accept : bool, optional
-        True lets a stage take values away from takes; by default it refuses, and reports which.
+        True allows a stage to remove values from takes; by default it fails, and lists them.
     known_failures : {"report", "remember"}, optional
-        "remember" keeps failures in the store, so that a later run reports new ones alone; that of the pipeline unless
-        given.
+        "remember" keeps failures in the store, so that a later run reports only new ones; by default, the value of the
+        pipeline.
     terminal : Display, optional
         Shows messages, tables and progress; nothing is shown by default.
 
@@ -191,7 +191,7 @@ def run_pipeline(
     loaded = load_pipeline(name_or_path, assignments, settings)
     planner = Planner(loaded, store_path, force)
     pipeline = planner.pipeline
-    plan = make_plan(loaded, store_path, force)  # reports faults in files before any work is done
+    plan = make_plan(loaded, store_path, force)  # reports errors in files before any work is done
     pool = make_executor(executor, workers, scheduler)
     resume = None
     if assignments is not None:
@@ -208,7 +208,7 @@ def run_pipeline(
         pool.check(store_path)
         with ctrl_c_in_statements():
             for number in range(len(pipeline.stages)):
-                # nothing is done before the first stage that could change its step
+                # nothing has run since the plan was made, so that the first step is still valid
                 steps.append(_take_step(run, planner, number, plan[number] if number == 0 else None))
                 run = run if steps[-1].reason is None else run.begun()
             _make_current(run)
@@ -220,7 +220,7 @@ def run_pipeline(
     try:
         pool.close()
     except KeyboardInterrupt:
-        # all is done and recorded: only the workers were waited for
+        # all work is done and recorded; only the workers were still waited for
         pool.abort()
     outcome = _outcome(run, steps)
     files = source_files(
@@ -230,7 +230,7 @@ def run_pipeline(
 
 
 def _make_current(run: _Run) -> None:
-    """Record that the pipeline was run, and report which pipeline the views of results show."""
+    """Record that the pipeline was run, and show which pipeline's results the views of results use."""
     name = run.pipeline.name
     if not _makes_results(run.pipeline):
         return
@@ -258,7 +258,7 @@ def _makes_results(pipeline: Pipeline) -> bool:
 
 
 def _take_step(run: _Run, planner: Planner, number: int, planned: Step | None) -> Step:
-    """Run a stage, or skip it, and report which; its step is found anew unless it is given."""
+    """Run or skip a stage, and show which; the step is determined again unless it is given."""
     stage = run.pipeline.stages[number]
     step = planner.step(stage) if planned is None else planner.follow(replace(planned, stage=stage))
     text = f"[{number + 1}/{len(run.pipeline.stages)}] {stage.name}: {_status(step)}"
@@ -307,8 +307,8 @@ def _run_step(run: _Run, planner: Planner, step: Step) -> StageRecord:
     )
     begin = time.perf_counter()
     try:
-        # The old record goes first: killed in the middle, the stage must not count as done, unless it has committed
-        # nothing by then. A store that is not there has none, and is not made before there is something to go in.
+        # Forget the old record first: if the run is killed, the stage must not count as done unless it has committed
+        # nothing yet. A store that does not exist has no record, and is created only when there is something to write.
         if versions(run.store_path):
             with context.writer() as writer:
                 if not run.accept:
@@ -339,7 +339,7 @@ def _failed(run: _Run, stage: str, reason: str, fault: KinedexError | None = Non
     _log.error("stage %s: %s", stage, reason, extra=_fields(run, stage, event="fail"))
     failure = StageFailed(f"stage {stage}: {reason}{_way_on(run, stage, fault)}")
     if fault is not None:
-        # the message of the fault ends with it already
+        # the error's message ends with the remedy already
         failure.remedy = fault.remedy
         if isinstance(fault, AcceptError) and run.resume is not None:
             command = f"{run.resume} --accept"
@@ -351,7 +351,7 @@ def _failed(run: _Run, stage: str, reason: str, fault: KinedexError | None = Non
 
 
 def _way_on(run: _Run, stage: str, fault: KinedexError | None) -> str:
-    """Return the lines of a message about a failed stage that name the way on."""
+    """Return the lines of the message about a failed stage that explain how to continue."""
     if isinstance(fault, NewStoreError):
         return ""
     if isinstance(fault, AcceptError):
@@ -373,7 +373,7 @@ def _setting(stage: str, way_out: tuple[str, str]) -> str:
 
 
 def _pipeline_record(pipeline: Pipeline, settings: Mapping[str, Any]) -> PipelineRecord:
-    """Return what the store keeps of a run of a pipeline, so that it can be run again."""
+    """Return the record of a run of a pipeline that allows it to be run again."""
     sources = {getattr(stage.params, "source", None) for stage in pipeline.stages} - {None}
     return PipelineRecord(
         yaml=pipeline.text,
@@ -388,12 +388,12 @@ def _pipeline_record(pipeline: Pipeline, settings: Mapping[str, Any]) -> Pipelin
 
 
 def _record(context: StageContext, step: Step, summary: Mapping[str, object], seconds: float, run: _Run) -> StageRecord:
-    """Record a stage that has run, and return the record as the store has it."""
+    """Store the record of a stage that has run, and return it as read from the store."""
     full: dict[str, Any] = {
         **summary,
         "uses": step.stage.uses,
         "params": step.stage.params.model_dump(mode="json"),
-        # a stage may follow another one in what it was not given, so that defaults cannot stand for it
+        # a stage may take unset parameters from another stage, so that their defaults do not describe them
         "given": step.stage.params.model_dump(mode="json", exclude_unset=True),
         "inputs": dict(step.stage.inputs),
         "fingerprint_parts": step.parts,
@@ -418,7 +418,7 @@ def _record(context: StageContext, step: Step, summary: Mapping[str, object], se
         if step.stage is run.pipeline.stages[-1] and _makes_results(run.pipeline):
             writer.record_run(context.pipeline)
         run.history.done(step, record, writer.commit())
-        # another run may forget the record as soon as the writer is closed
+        # read it before the writer closes: after that, another run may remove the record
         return open_store(context.store_path, at="newest").manifest.stages[context.key()]
 
 

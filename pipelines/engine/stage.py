@@ -1,4 +1,4 @@
-"""The contract of a stage: its name, its parameters, the stages it builds on, what it reads, and what it makes."""
+"""The base class of stages: name, parameters, inputs, the data that a stage reads, and its run."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from kinedex.storage.store.store import Store
 Parameters = TypeVar("Parameters", bound=BaseModel)
 
 TAKES = "takes"
-"""The role of the stage that brings the takes in."""
+"""The input role of the stage that ingests the takes."""
 
 
 @dataclass(frozen=True)
 class Input:
-    """A role that another stage of the pipeline plays for a stage.
+    """An input role of a stage, which another stage of the pipeline fills.
 
     Attributes
     ----------
     stage : str
-        The kind of stage that can play it.
+        The kind of stage that can fill it.
     optional : bool
-        The stage can do without it.
+        True if the stage can run without it.
     """
 
     stage: str
@@ -38,7 +38,7 @@ class Input:
 
 
 class Stage(ABC, Generic[Parameters]):
-    """One kind of stage; subclasses have no state.
+    """Base class of the kinds of stages; instances have no state.
 
     A stage is skipped where the store holds a record with its fingerprint. The fingerprint consists of the code that
     `run` reaches, the plugins of `named_parts`, the parameters, `external_digest`, the fingerprints of the inputs, and
@@ -53,8 +53,8 @@ class Stage(ABC, Generic[Parameters]):
     inputs : mapping of str to Input
         The roles that other stages play.
     commits_once : bool
-        True if all that `run` makes is committed at once, together with `StoreWriter.forget_stage`: until then the
-        stage counts as done, and what it made before is shown.
+        True if `run` commits all results at once, together with `StoreWriter.forget_stage`: until then the
+        stage counts as done, and its earlier results are shown.
     """
 
     name: ClassVar[str]
@@ -76,7 +76,7 @@ class Stage(ABC, Generic[Parameters]):
         Returns
         -------
         dict
-            What the record of the stage keeps, as JSON values. `files` are paths within the store that must stay,
+            The stage's record, as JSON values. `files` are paths within the store that must be kept,
             `left_out` is the number of source files that were not read.
 
         Raises
@@ -86,26 +86,26 @@ class Stage(ABC, Generic[Parameters]):
         """
 
     def with_remembered(self, params: Parameters, unset: frozenset[str], store: Store) -> Parameters:
-        """Return the parameters, with what the store remembers of earlier runs in place of those that nobody gave."""
+        """Return the parameters, with remembered values of earlier runs in place of those that the user left unset."""
         return params
 
     def examine(self, params: Parameters, store: Store) -> None:
-        """Look at the store before a run; an `AcceptError` reports what the user has to accept first."""
+        """Check the store before a run; raise an `AcceptError` for a change that the user has to accept first."""
 
     def reading(self, params: Parameters, store: Store) -> Reading | None:
-        """Return a digest of the takes that the stage reads; None means that it depends on all takes of the store."""
+        """Return a digest of the takes that the stage reads; None if it depends on all takes of the store."""
         return None
 
     def external_digest(self, params: Parameters, store: Store | None) -> str:
-        """Return a hash of all that the stage reads outside the store; `store` is None before it is made."""
+        """Return a hash of all data outside the store that the stage reads; `store` is None before it is created."""
         return ""
 
     def named_parts(self, params: Parameters) -> Sequence[tuple[Plugins[Any], str]]:
-        """Return the parts that the parameters name and that can be of plugins, each with the table of its kind."""
+        """Return the parts that the parameters name and plugins can provide, each as table of parts and name."""
         return ()
 
     def is_current(self, store: Store) -> bool:
-        """Return whether what the stage made is still in place, apart from results and `files`."""
+        """Return whether the stage's outputs other than results and `files` are still in place."""
         return True
 
 
@@ -141,10 +141,10 @@ BUILT_IN = {
     "break_track": "kinedex.pipelines.stages.break_track:BreakTrack",
     "report_limb_errors": "kinedex.reports.stages.report_limb_errors:ReportLimbErrors",
 }
-"""The built-in stages, in the form of entry points."""
+"""The built-in stages by name, as "module:class"."""
 
 STAGES: Plugins[type[Stage[BaseModel]]] = Plugins("kinedex.stages", "stage", BUILT_IN)
-"""All stages by name: built in, and of plugins."""
+"""All stages by name, both built-in ones and those of plugins."""
 
 
 def load_stage(name: str) -> Stage[BaseModel]:
@@ -153,7 +153,7 @@ def load_stage(name: str) -> Stage[BaseModel]:
     Raises
     ------
     KinedexError
-        No stage has this name, or it is of a plugin that cannot be used.
+        No stage has this name, or the plugin that provides it cannot be used.
     """
     found = STAGES.load(name)
     if not (isinstance(found, type) and issubclass(found, Stage) and getattr(found, "name", None) == name):

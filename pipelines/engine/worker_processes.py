@@ -1,4 +1,4 @@
-"""The setup of worker processes: they use one thread a library, ignore Ctrl-C, and end with their parent."""
+"""Set up worker processes: each library uses one thread, Ctrl-C is ignored, and workers end with their parent."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ THREADS_OF_LIBRARIES = ("NUMBA_NUM_THREADS", "POLARS_MAX_THREADS", "OMP_NUM_THRE
 
 @contextmanager
 def ctrl_c_blocked() -> Iterator[None]:
-    """Block Ctrl-C for processes that are started meanwhile; this process receives it afterwards.
+    """Block Ctrl-C for processes started inside a `with` statement; this process receives it afterwards.
 
     Where signals cannot be blocked (Windows), workers ignore Ctrl-C only once `begin_worker` runs.
     """
@@ -30,7 +30,7 @@ def ctrl_c_blocked() -> Iterator[None]:
 
 
 def begin_worker() -> None:
-    """Set a worker process up."""
+    """Set up this worker process: one thread per library, Ctrl-C ignored, and exit when the parent process ends."""
     single_thread()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
@@ -44,6 +44,6 @@ def _follow(sentinel: int) -> None:
 
 
 def single_thread() -> None:
-    """Limit libraries that would use all cores to one thread, because the processes are the parallelism."""
+    """Limit libraries that would use all cores to one thread, because the worker processes already use all cores."""
     for name in THREADS_OF_LIBRARIES:
         os.environ[name] = "1"

@@ -1,4 +1,4 @@
-"""Writers of pages by name: a stage that computes and also draws names the function that draws, in a room above."""
+"""Load functions that draw pages by their names, so that stages need not import the code that draws."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 
 def drawn_by(place: str) -> Callable[..., Any]:
-    """Return the function that a text "module:name" names; a stage with this text depends on its code."""
+    """Return the function that a text "module:name" names; the code digest of a stage with the text covers it."""
     module, _, name = place.partition(":")
     found: Callable[..., Any] = getattr(import_module(module), name)
     return found

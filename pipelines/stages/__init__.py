@@ -1,1 +1,1 @@
-"""Stages, one in each module; a stage reads a store, and commits its results. No stage imports another."""
+"""Stages of pipelines, one per module; a stage reads a store and commits its results, and imports no other stage."""

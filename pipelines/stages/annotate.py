@@ -1,4 +1,4 @@
-"""Stage annotate: distance curves and labelled segments of takes, with preselection by keyframes where asked for."""
+"""Stage annotate: compute distance curves and label segments of takes, optionally preselected by keyframe queries."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ from kinedex.storage.store.writer import StoreWriter
 
 
 class Annotate(Stage[AnnotationParameters]):
-    """Distance curves and labelled segments of takes, with preselection by keyframes where asked for."""
+    """Computes distance curves and labels segments of takes, optionally preselected by keyframe queries."""
 
     name = "annotate"
     parameters = AnnotationParameters
@@ -129,7 +129,7 @@ def _prepared(
     learned: Sequence[KeyframeQuery],
     takes: pl.DataFrame,
 ) -> tuple[Annotator, Calibration, CalibratedConfidence]:
-    """Return the annotator, and the thresholds and the confidence that were calibrated for it."""
+    """Return the annotator, and the thresholds and confidence that were calibrated for it."""
     made_with = context.params_of("templates", TemplateParameters)
     examples = cache(lambda: training_material(store, made_with).clips)
     single = single_examples_of(store, params, made_with) if params.each_example else None
@@ -143,7 +143,7 @@ def _prepared(
         context.executor,
         lambda: rejected_examples(store, made_with),
     )
-    # single examples bring the usual postures of all takes, so that those of clips are not needed
+    # annotators of single examples use the common postures of all takes instead of those of clips
     clips = partial(template_words, store, templates) if single is None else tuple
     annotator = prepare_annotator(store, params, templates, classes, clips, calibration, queries, learned)
     if single is not None:
@@ -161,7 +161,7 @@ def _rounded(values: Mapping[str, float]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Done:
-    """The outcome of an annotation.
+    """The result of an annotation.
 
     Attributes
     ----------
@@ -181,7 +181,7 @@ class Done:
 def _annotate(
     context: StageContext, writer: StoreWriter, annotator: Annotator, takes: pl.DataFrame, params: AnnotationParameters
 ) -> Done:
-    """Annotate takes without an annotation that is up to date, and store all annotations.
+    """Annotate the takes whose annotations are out of date, and store the annotations of all takes.
 
     Curves are written batch by batch, and those that are up to date stay in their files; segments are held in memory,
     about a hundred bytes each.
@@ -214,7 +214,7 @@ def _annotate(
     put = partial(writer.put_results, stage=context.key(), run=context.run)
     put("distance_curves", chain(known.stay, curves()))
     table = pa.concat_tables(segments)
-    table = table.take(pc.sort_indices(table, [("take", "ascending")]))  # stable: within a take they are in order
+    table = table.take(pc.sort_indices(table, [("take", "ascending")]))  # stable: rows of a take keep their order
     put("annotations", table)
     put("example_ranges", ranges_table(sorted(promising.items()) if context.code else (), names, context.run))
     put("annotated_takes", takes_table(takes, context.run, searched, prints))
@@ -248,7 +248,7 @@ def _report_exclusions(
 
 
 def _share_searched(searched: Mapping[int, float], takes: pl.DataFrame) -> float:
-    """Return the share of all frames, over all templates, that templates were matched in."""
+    """Return the share of frames that templates were matched in, over all takes and templates."""
     frames = dict(takes.select("take_id", "frames").iter_rows())
     total = sum(frames.values())
     return sum(searched[take_id] * length for take_id, length in frames.items()) / total if total else 0.0

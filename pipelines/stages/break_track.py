@@ -1,4 +1,4 @@
-"""Stage break_track: errors of a tracker are put into the limbs of takes, with labels and simulated annotators."""
+"""Stage break_track: put a tracker's errors into the limbs of takes, and write labels of simulated annotators."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from kinedex.storage.store.reused_results import stored_fingerprints
 from kinedex.storage.store.store import Store
 
 LABELS, TRUTH = "limb_labels.csv", "limb_truth.csv"
-"""The files of the labels of simulated annotators and of the true errors, in the folder of reports."""
+"""Names of the files with labels of simulated annotators and with the true errors, in the folder of reports."""
 
 
 class BreakTrack(Stage[BreakTrackParameters]):
-    """Errors of a tracker are put into the limbs of takes, with labels and simulated annotators (thesis, 7.6)."""
+    """Puts a tracker's errors into the limbs of takes, and writes labels of simulated annotators (thesis, 7.6)."""
 
     name = "break_track"
     parameters = BreakTrackParameters
     inputs: ClassVar = {"limbs": Input("limb_orientations")}
 
     def reading(self, params: BreakTrackParameters, store: Store) -> Reading:
-        """Return a digest of the takes that are broken."""
+        """Return a digest of the takes that get errors."""
         takes = store.takes_table(params.where)["name"].to_pylist()
         return Reading(reading_digest(store, takes), counted(len(takes), "take"))
 
     def run(self, context: StageContext, params: BreakTrackParameters) -> dict[str, object]:
-        """Break the limbs of the takes, and write labels of what was done."""
+        """Put errors into the limbs of the takes, and write labels of these errors."""
         store = context.open()
         names = set(store.takes_table(params.where)["name"].to_pylist())
         if not names:
@@ -53,7 +53,7 @@ class BreakTrack(Stage[BreakTrackParameters]):
         limbs, chosen = stored_fingerprints(store, KIND, stage), params.model_dump(exclude={"where"})
 
         def fingerprint(take_id: int) -> str | None:
-            """Return a hash of all that a broken take follows from, and one of its labels in the files."""
+            """Return a hash of everything that determines a take with errors, and a hash of its labels in the files."""
             found = marks.digest(takes[take_id])
             return f"{hash_of(context.code, chosen, limbs[take_id])} {found}" if found and take_id in limbs else None
 

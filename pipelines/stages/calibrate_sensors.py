@@ -1,4 +1,4 @@
-"""Stage calibrate_sensors: mounts of sensors on limbs, and the rotation between the worlds of sensors and take."""
+"""Stage calibrate_sensors: estimate how sensors are mounted on limbs, and the rotation between their worlds."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from kinedex.storage.store.store import Store
 
 
 class CalibrateSensors(Stage[CalibrationSettings]):
-    """Mounts of sensors on limbs, and the rotation between the worlds of sensors and take (thesis, Section 7.5)."""
+    """Estimates the mounts of sensors on limbs, and the rotation between sensor and take worlds (thesis, 7.5)."""
 
     name = "calibrate_sensors"
     parameters = CalibrateParameters
@@ -38,11 +38,11 @@ class CalibrateSensors(Stage[CalibrationSettings]):
     }
 
     def reading(self, params: CalibrationSettings, store: Store) -> Reading:
-        """Return a digest of the columns that tell one wearing from another."""
+        """Return a digest of the columns that identify the takes for which sensors stayed in place on the body."""
         return Reading(hash_of(sorted(_wearing(store, params.wearing).items(), key=lambda item: item[0])), "")
 
     def run(self, context: StageContext, params: CalibrationSettings) -> dict[str, object]:
-        """Calibrate the sensors of every synchronised recording, and store what was found."""
+        """Calibrate the sensors of every synchronised recording, and store the results."""
         store = context.open()
         limbs = context.key(context.inputs.get("broken", context.inputs["limbs"]))
         takes = WornTakes(store, limbs, context.key(context.inputs["sensors"]))
@@ -76,7 +76,7 @@ class CalibrateSensors(Stage[CalibrationSettings]):
 
 
 def _remarks(rows: list[dict[str, Any]]) -> list[str]:
-    """Return lines on sensors that were left out and on warnings; sensors of a recording with one reason share one."""
+    """Return lines about excluded sensors and warnings; sensors of one recording with the same reason share a line."""
     found: dict[tuple[str, str, str, str], list[str]] = {}
     for row in rows:
         for what, text in (("left out", row["left_out"]), ("warning", row.get("warning"))):
@@ -84,14 +84,14 @@ def _remarks(rows: list[dict[str, Any]]) -> list[str]:
                 found.setdefault((row["take"], row["recording"], what, str(text)), []).append(str(row["sensor"]))
     lines = []
     for (take, recording, what, text), sensors in found.items():
-        own = "" if text.startswith(f"{sensors[0]}: ") else f"{sensors[0]}: "  # a sensor that is named after its limb
+        own = "" if text.startswith(f"{sensors[0]}: ") else f"{sensors[0]}: "  # a sensor may have the name of its limb
         who = own if len(sensors) == 1 else f"{counted(len(sensors), 'sensor')}: "
         lines.append(f"{take}, {recording}: {who}{what}: {text}")
     return lines
 
 
 def _wearing(store: Store, columns: list[str]) -> dict[int, Hashable]:
-    """Return the wearing of each take: its values in columns, or the take itself where it has none of them."""
+    """Return take_id → key of the takes that share sensor mounts: values of columns, else the take itself."""
     rows = store.take_rows.to_pylist()
     known = list(rows[0]) if rows else []
     for column in columns:
@@ -106,7 +106,7 @@ def _wearing(store: Store, columns: list[str]) -> dict[int, Hashable]:
 
 
 def _table(rows: list[dict[str, Any]]) -> ResultTable:
-    """Return a row for each limb: the takes, and the medians of what judges the calibrations."""
+    """Return a row for each limb: the number of takes, and medians of the measures of calibration quality."""
     table = ResultTable(("limb", "takes", "below 15°", "median of these", "observability"))
     for limb in sorted({row["limb"] for row in rows}):
         own = [row for row in rows if row["limb"] == limb]

@@ -1,4 +1,4 @@
-"""Stage compare_methods: several annotation methods on splits of the archive, side by side in one report."""
+"""Stage compare_methods: compare several annotation methods on splits of the archive, in one report."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ PAGE = "kinedex.reports.study_page:study_page"
 
 
 class CompareMethods(Stage[ComparisonParameters]):
-    """Several annotation methods on splits of the archive, side by side in one report."""
+    """Compares several annotation methods on splits of the archive, in one report."""
 
     name = "compare_methods"
     parameters = ComparisonParameters
@@ -79,7 +79,7 @@ class CompareMethods(Stage[ComparisonParameters]):
 
 
 def _remarks(study: Study) -> list[str]:
-    """Return the remarks of all splits, each once, with the names of its splits where there are several."""
+    """Return the distinct remarks of all splits, each with the names of its splits if there are several splits."""
     found: dict[str, list[str]] = {}
     for result in study.splits:
         for remark in result.remarks:
@@ -89,7 +89,7 @@ def _remarks(study: Study) -> list[str]:
 
 
 def _store_metrics(context: StageContext, plan: Plan, study: Study | None) -> None:
-    """Store the metrics of every split and method; a repeated method has the name of the split."""
+    """Store the metrics of every split and method; a method repeated from the stage annotate has the split's name."""
     tables = [
         metrics_rows(
             Evaluation(

@@ -1,4 +1,4 @@
-"""Stage evaluate: the comparison of annotations with ground truth, over frames and over segments."""
+"""Stage evaluate: compare annotations with ground truth, by frames and by segments."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ from kinedex.storage.store.store import Store
 
 SET_IT = "`--set evaluate.ground_truth=PATTERN` names label files"
 MOST_TAKES_SHOWN = 20
-"""With more takes the table on the terminal has no row for each take."""
+"""The largest number of takes for which the table on the terminal has a row per take."""
 
 
 class Evaluate(Stage[GroundTruthParameters]):
-    """The comparison of annotations with ground truth, over frames and over segments."""
+    """Compares annotations with ground truth, by frames and by segments."""
 
     name = "evaluate"
     parameters = GroundTruthParameters

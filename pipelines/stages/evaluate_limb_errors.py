@@ -1,4 +1,4 @@
-"""Stage evaluate_limb_errors: limb errors compared with what people marked, over thresholds."""
+"""Stage evaluate_limb_errors: compare detected limb errors with people's labels, over thresholds."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ from kinedex.storage.store.store import Store
 METRICS, LABELS = "limb_error_metrics", "limb_labels"
 
 SIMULATED = "limb_labels.csv"
-"""The label file of simulated annotators, which `break_track` writes beside reports."""
+"""The label file of simulated annotators, which `break_track` writes into the folder of reports."""
 
 
 class EvaluateLimbErrors(Stage[EvaluateLimbErrorsParameters]):
-    """Limb errors compared with what people marked, over thresholds (thesis, Section 7.6.3)."""
+    """Compares detected limb errors with people's labels, over thresholds (thesis, Section 7.6.3)."""
 
     name = "evaluate_limb_errors"
     parameters = EvaluateLimbErrorsParameters
     inputs: ClassVar = {"errors": Input("limb_errors"), "broken": Input("break_track", optional=True)}
 
     def external_digest(self, params: EvaluateLimbErrorsParameters, store: Store | None) -> str:
-        """Return a hash of the label files, and of the file of printed figures."""
+        """Return a hash of the label files, and of the file with the published results."""
         printed = "" if params.printed is None else load_printed(params.printed).model_dump_json()
         if params.ground_truth is None or store is None:
             return printed
@@ -53,7 +53,7 @@ class EvaluateLimbErrors(Stage[EvaluateLimbErrorsParameters]):
             return printed + "none to be read"
 
     def reading(self, params: EvaluateLimbErrorsParameters, store: Store) -> Reading:
-        """Return a digest of the store's labels of limbs, where no files are named; errors are another stage's."""
+        """Return a digest of the labels of limbs in the store, which are read if no label files are named."""
         if params.ground_truth is not None:
             return Reading(hash_of(), "")
         rows = list(filter(is_of_limbs, store.labels().to_pylist()))
@@ -92,7 +92,7 @@ class EvaluateLimbErrors(Stage[EvaluateLimbErrorsParameters]):
         return {"evaluated_takes": len(takes), "labels": len(placed), "annotators": labels.annotators}
 
     def _labels(self, context: StageContext, store: Store, params: EvaluateLimbErrorsParameters) -> LimbLabels:
-        """Return the labels of the files that are named, of simulated annotators, or those that the store keeps."""
+        """Return labels from the named files, from simulated annotators, or from the store."""
         if params.ground_truth is not None:
             return read_limb_labels(store, _label_files(store, params.ground_truth))
         if "broken" not in context.inputs:
@@ -103,7 +103,7 @@ class EvaluateLimbErrors(Stage[EvaluateLimbErrorsParameters]):
 
 
 def _label_files(store: Store, pattern: str) -> list[Path]:
-    """Return label files by a path or a glob: an absolute one, or one below the folders of the takes or this one."""
+    """Return label files by a path or glob, absolute or relative to the takes' source folders or the current folder."""
     if Path(pattern).is_file():
         return [Path(pattern)]
     roots = sorted({row["source_root"] for row in store.take_rows.to_pylist() if row["source_root"]})
@@ -122,7 +122,7 @@ def _label_files(store: Store, pattern: str) -> list[Path]:
 def _counted(
     context: StageContext, store: Store, labels: LimbLabels, params: EvaluateLimbErrorsParameters
 ) -> tuple[LimbCounts, list[PlacedLabel], list[str]]:
-    """Count every judged limb, and return the labels on them with remarks on the others."""
+    """Count frames and segments of every evaluated limb; return the counts, the labels of these limbs, and remarks."""
     stage = context.key(context.inputs["errors"])
     runs = runs_by_limb(store.result(RUNS, stage=stage).to_pylist())
     counts, placed = LimbCounts(params.taus), list[PlacedLabel]()
@@ -157,7 +157,7 @@ def _label_row(one: PlacedLabel) -> dict[str, Any]:
 
 
 def _table(rows: list[dict[str, Any]]) -> ResultTable:
-    """Return rows of all limbs and of groups with a label: the best threshold by frames, stored runs, annotators."""
+    """Return rows for all limbs and labelled groups: best threshold by frames, stored runs, agreement of annotators."""
     names = ("limbs", "detector", "against", "τ", "P", "R", "F (frames)", "F (segments)")
     printed = any(row.get("printed_p1") is not None for row in rows)
     table = ResultTable((*names, *(("printed P / R",) if printed else ())), texts=frozenset({0, 1, 2}))

@@ -1,4 +1,4 @@
-"""Stage evaluate_ranking: average precision of every class, in takes with ground truth and among clips."""
+"""Stage evaluate_ranking: compute the average precision of every class, in takes with ground truth and among clips."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Params(BaseModel):
 
 
 class EvaluateRanking(Stage[Params]):
-    """Average precision of every class, in takes with ground truth and among clips of other folds."""
+    """Computes the average precision of every class, in takes with ground truth and among clips of other folds."""
 
     name = "evaluate_ranking"
     parameters = Params
@@ -73,7 +73,7 @@ class EvaluateRanking(Stage[Params]):
             return "none to be read"
 
     def run(self, context: StageContext, params: Params) -> dict[str, object]:
-        """Judge the rankings, print a table of each kind, and store them."""
+        """Evaluate the rankings, print a table for takes and one for clips, and store the results."""
         store = context.open()
         summary: dict[str, object] = {"tau": params.tau, "delta": params.delta}
         judged: list[Judged] = []
@@ -91,7 +91,7 @@ class EvaluateRanking(Stage[Params]):
 
 
 def _takes(context: StageContext, store: Store, params: Params) -> list[Judged]:
-    """Judge the ranking of takes by each class, with all hits."""
+    """Evaluate the ranking of all hits in takes for each class."""
     if params.ground_truth == NONE:
         return []
     learned = read_templates(store, context.key(context.inputs["templates"]), params.templates)
@@ -105,7 +105,7 @@ def _takes(context: StageContext, store: Store, params: Params) -> list[Judged]:
 
 
 def _clips(context: StageContext, store: Store, params: Params) -> list[Judged]:
-    """Judge the rankings of the clips of each fold, by templates of the others."""
+    """Evaluate the rankings of the clips of each fold by templates learned from the other folds."""
     folds = _folds(store, params)
     judged: list[Judged] = []
     with context.progress("folds", len(folds)) as bar:
@@ -116,7 +116,7 @@ def _clips(context: StageContext, store: Store, params: Params) -> list[Judged]:
 
 
 def _clips_of(fold: Fold, context: StageContext, store: Store, params: Params) -> list[Judged]:
-    """Judge the rankings of the clips of one fold."""
+    """Evaluate the rankings of the clips of one fold."""
     training = store.takes(f"({params.clips}) AND ({fold.learn})")
     ranked = store.takes(f"({params.clips}) AND ({fold.rank})").sort("take_id")
     if not training.height or not ranked.height:

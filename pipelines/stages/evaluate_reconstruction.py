@@ -1,4 +1,4 @@
-"""Stage evaluate_reconstruction: reconstructed takes compared with the truth, where there is one."""
+"""Stage evaluate_reconstruction: compare reconstructed takes with the truth, where it is known."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ class Params(BaseModel):
 
 
 class EvaluateReconstruction(Stage[Params]):
-    """Reconstructed takes compared with the truth, where there is one (thesis, Eq. 8.10)."""
+    """Compares reconstructed takes with the truth, where it is known (thesis, Eq. 8.10)."""
 
     name = "evaluate_reconstruction"
     parameters = Params
     inputs: ClassVar = {"reconstructions": Input("reconstruct")}
 
     def external_digest(self, params: Params, store: Store | None) -> str:
-        """Return a hash of the files of truth, and of what the recordings say about them."""
+        """Return a hash of the files of truth, and of the settings of the recordings that name them."""
         parts = store.manifest.results.get("reconstructions", ()) if store is not None else ()
         stages = sorted({part.stage for part in parts})
         rows = [row for stage in stages for row in earlier_rows(store, "reconstructions", stage)] if store else []
@@ -57,7 +57,7 @@ class EvaluateReconstruction(Stage[Params]):
                 file = load_depth_recordings(path)
                 entry, truth = file.entry(name), recording_truth(file, name)
             except KinedexError:
-                continue  # the recording is gone, and so is its truth
+                continue  # the recording no longer exists, nor does its truth
             stated.append((path, name, entry.model_dump(include={"truth", "truth_pose", "markers"})))
             files |= {truth} if isinstance(truth, Path) else set()
         return hash_of(stated, files_digest(sorted(file for file in files if file.is_file())))
@@ -68,7 +68,7 @@ class EvaluateReconstruction(Stage[Params]):
         return Reading(hash_of(sorted((row["name"], row["checksum"], row["recipe"]) for row in rows)), "")
 
     def run(self, context: StageContext, params: Params) -> dict[str, object]:
-        """Compare every take whose truth is known, and store the figures."""
+        """Compare every take whose truth is known, and store the errors."""
         store = context.open()
         stage = context.key(context.inputs["reconstructions"])
         found: list[Comparison] = []
@@ -95,7 +95,7 @@ class EvaluateReconstruction(Stage[Params]):
 
 
 def _file_of(row: dict[str, Any]) -> DepthRecordingsFile | None:
-    """Return the recordings file of a take; None where the recording is there no more."""
+    """Return the recordings file of a take; None if the recording no longer exists."""
     if row["file"] is None or not Path(row["file"]).is_file():
         return None
     file = load_depth_recordings(row["file"])

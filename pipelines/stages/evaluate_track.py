@@ -1,4 +1,4 @@
-"""Stage evaluate_track: tracked and stabilised takes compared with the truth, and with sensors, where known."""
+"""Stage evaluate_track: compare tracked and stabilised takes with the truth and with worn sensors, where known."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Params(BaseModel):
 
 
 class EvaluateTrack(Stage[Params]):
-    """Tracked and stabilised takes compared with the truth, and with sensors that were worn, where there are some."""
+    """Compares tracked and stabilised takes with the truth and with worn sensors, where known."""
 
     name = "evaluate_track"
     parameters = Params
@@ -54,7 +54,7 @@ class EvaluateTrack(Stage[Params]):
         return Reading(hash_of(sorted((row["name"], row["checksum"], row["recipe"]) for row in rows)), "")
 
     def run(self, context: StageContext, params: Params) -> dict[str, object]:
-        """Compare every take whose truth is known, or that wore sensors, and store the figures."""
+        """Compare every take with known truth or worn sensors, and store the errors."""
         store = context.open()
         recordings = stored_rows(store)
         rows: list[dict[str, Any]] = []
@@ -94,7 +94,7 @@ class EvaluateTrack(Stage[Params]):
 
 
 def _sensor_table(rows: list[dict[str, Any]]) -> ResultTable:
-    """Return a row for each take, and each of its limbs: the angles against the sensors."""
+    """Return a row for each take and each of its limbs: the angles between take and sensors, in degrees."""
     table = ResultTable(("take", "limb", "mean °", "sd", "median", "max"), texts=frozenset({0, 1}))
     for row in sorted(rows, key=lambda row: (_subject(row["take"]), -row["take"].endswith(TRACKED))):
         texts = (f"{row[name]:.1f}" for name in ("mean_deg", "sd_deg", "median_deg", "max_deg"))
@@ -103,7 +103,7 @@ def _sensor_table(rows: list[dict[str, Any]]) -> ResultTable:
 
 
 def _table(rows: list[dict[str, Any]]) -> ResultTable:
-    """Return a row for each take: the distances of its limbs from the truth."""
+    """Return a row for each take: the distances of its limbs from the truth, in millimetres."""
     table = ResultTable(("take", "mean mm", "sd", "max", "in failures", "elsewhere"))
     parts = {(row["take"], row["name"]): row["mean_mm"] for row in rows if row["scope"] == "part"}
     for row in sorted(rows, key=lambda row: (_subject(row["take"]), -row["take"].endswith(TRACKED))):
@@ -116,5 +116,5 @@ def _table(rows: list[dict[str, Any]]) -> ResultTable:
 
 
 def _subject(take: str) -> str:
-    """Return the name of a take without its end, which the tracked and the stabilised one have in common."""
+    """Return a take's name without the suffix that marks tracked or stabilised takes."""
     return take.removesuffix(TRACKED).removesuffix(STABILISED)

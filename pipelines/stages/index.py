@@ -1,4 +1,4 @@
-"""Stage index: word runs, feature runs and vocabulary of all takes, as a published DuckDB file."""
+"""Stage index: build the index of word runs, feature runs and vocabulary of all takes, as a DuckDB file."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ class Params(BaseModel):
 
 
 class Index(Stage[Params]):
-    """The index of word runs, feature runs and vocabulary of all takes."""
+    """Builds the index of word runs, feature runs and vocabulary of all takes."""
 
     name = "index"
     parameters = Params
     inputs: ClassVar = {"takes": Input("ingest")}
 
     def is_current(self, store: Store) -> bool:
-        """Return whether the index that the store needs exists."""
+        """Return whether the index of the store's current takes exists."""
         return current_generation(store.path, store.manifest) is not None
 
     def run(self, context: StageContext, params: Params) -> dict[str, object]:

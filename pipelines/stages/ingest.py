@@ -1,4 +1,4 @@
-"""Stage ingest: motion files become takes and frames with words; what cannot be read is logged."""
+"""Stage ingest: read motion files as takes, compute the words of their frames, and log files that cannot be read."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ from kinedex.storage.store.writer import StoreWriter
 
 
 class Ingest(Stage[IngestParameters]):
-    """Motion files become takes and frames with words; files that cannot be read are logged."""
+    """Reads motion files as takes, computes the words of their frames, and logs files that cannot be read."""
 
     name = "ingest"
     parameters = IngestParameters
@@ -64,23 +64,23 @@ class Ingest(Stage[IngestParameters]):
         return digest([scan(params.source).digest, features_digest(feature_set), *forms, model, *tables, *removed])
 
     def with_remembered(self, params: IngestParameters, unset: frozenset[str], store: Store) -> IngestParameters:
-        """Return the parameters, with those of the last ingest of the source in place of those that nobody gave."""
+        """Return the parameters, with those of the source's last ingest in place of those that the user left unset."""
         return with_remembered(params, unset, store)
 
     def examine(self, params: IngestParameters, store: Store) -> None:
-        """Refuse to take values of columns away from takes of the source."""
+        """Raise an error if the ingest would remove values of columns from takes of the source."""
         refuse_losses(params, store, scan(params.source))
 
     def is_current(self, store: Store) -> bool:
-        """Return whether no part of frames is damaged: takes of damaged ones are read again."""
+        """Return whether no part of the stored frames is damaged; takes in damaged parts are read again."""
         return not damaged_frames(store)
 
     def named_parts(self, params: IngestParameters) -> Sequence[tuple[Plugins[Any], str]]:
-        """Return the readers, all of which may be asked for a file."""
+        """Return the names of all file readers, any of which may read a file."""
         return [(READERS, name) for name in READERS]
 
     def run(self, context: StageContext, params: IngestParameters) -> dict[str, object]:
-        """Read the new and changed files of a source, batch by batch, each committed whole."""
+        """Read the new and changed files of a source in batches, each committed whole."""
         found = scan(params.source)
         if not found.motions:
             raise _no_motion_files(found, params.source)
@@ -94,7 +94,7 @@ class Ingest(Stage[IngestParameters]):
                 raise _named_otherwise(plan)
             unmatched = _report_changes(context, params, found, plan)
             _declare_columns(context, writer, params, metadata)
-            # a fault of a table is found before files are read
+            # report errors of a table before files are read
             metadata.join([task.described for task in plan.tasks], params.root, writer.columns)
             root = found.motions[0].root
             if not plan.renamed:
@@ -113,7 +113,7 @@ class Ingest(Stage[IngestParameters]):
             dropped = [*plan.gone, *surplus, *(take for take, _, _ in plan.renamed)] if params.prune else []
             if dropped:
                 writer.drop_takes(dropped)
-            # not before all takes have their new names: until then, a next run has to know the former rule
+            # only after all takes have their new names: until then, the next run needs the former naming rule
             writer.record_source(root, context.key(), params.remembered)
             _describe(context, params, writer, plan, metadata, dropped)
             writer.commit()
@@ -137,7 +137,7 @@ class Ingest(Stage[IngestParameters]):
 def _put_files(
     context: StageContext, writer: StoreWriter, found: Scan, plan: Changes, done: FilesRead, failures: list[Failure]
 ) -> None:
-    """Put what became of every file of the source into the results of the stage."""
+    """Store the outcome of every file of the source in the results of the stage."""
     files = file_table(found, found.motions[0].root, plan, done, failures)
     tables = {"ingest_log": log_table(failures, context.run), "source_files": files, "skeleton_files": plan.skeletons}
     for kind, table in tables.items():
@@ -147,7 +147,7 @@ def _put_files(
 def _nothing_more(
     context: StageContext, params: IngestParameters, found: Scan, failures: Sequence[Failure]
 ) -> KinedexError:
-    """Return the error of an ingest that stops at a file, or of which no file could be read."""
+    """Return the error of an ingest that stopped at a file, or that could read no file."""
     if params.strict and failures:
         return KinedexError(f"{failures[0].message}\n(strict: stopped at this file; files before it stay in the store)")
     _report_failures(context, failures)
@@ -164,7 +164,7 @@ def _describe(
     metadata: Metadata,
     dropped: Collection[int],
 ) -> None:
-    """Put what patterns and tables tell about the takes of the source into their rows; no motion file is read."""
+    """Store the metadata from patterns and tables in the rows of the source's takes; no motion file is read."""
     schema = writer.takes_schema
     writer.restate_takes(pa.Table.from_pylist(plan.restated, schema=schema))
     moved = {row["take_id"]: row for row in plan.restated}
@@ -187,7 +187,7 @@ def _describe(
 
 
 def _declare_columns(context: StageContext, writer: StoreWriter, params: IngestParameters, metadata: Metadata) -> None:
-    """Declare the columns of named groups, tables and figures; report those that cannot be columns of takes."""
+    """Declare the columns from named groups, tables and figures; report those that cannot be columns of takes."""
     columns: dict[str, TakeColumn] = {}
     for name, column in params.group_columns.items():
         standing = writer.manifest.columns.get(name)
@@ -227,12 +227,12 @@ def _no_motion_files(found: Scan, source: str) -> KinedexError:
 
 
 def _report_changes(context: StageContext, params: IngestParameters, found: Scan, plan: Changes) -> int:
-    """Report the files to read, those that are not read, takes whose file is gone or renamed, and remembered settings.
+    """Report files to read and files that are not read, removed or renamed takes, and remembered settings.
 
     Returns
     -------
     int
-        The number of files whose path no pattern fits.
+        The number of files whose path matches no pattern.
     """
     if params.from_store:
         context.say(remembered_line(params))
@@ -271,7 +271,7 @@ def _report_changes(context: StageContext, params: IngestParameters, found: Scan
 
 
 def _report_persons(context: StageContext, params: IngestParameters, done: FilesRead, surplus: Sequence[int]) -> None:
-    """Report files of several persons, and takes of persons whom they do not hold any more."""
+    """Report files with several persons, and takes of persons that their files no longer contain."""
     if done.persons:
         path, takes = next(((path, takes) for path, takes in done.takes.items() if path in done.persons), ("", []))
         context.say(
@@ -284,7 +284,7 @@ def _report_persons(context: StageContext, params: IngestParameters, done: Files
 
 
 def _report_unused(context: StageContext, mappings: Mappings, done: FilesRead) -> None:
-    """Report the mappings of the user's own that fit none of the files that were read."""
+    """Report the user's own mappings that fit none of the files that were read."""
     for own in (own for several in mappings.own.values() for own in several):
         if done.takes and own.name not in done.skeletons:
             context.say(
@@ -294,7 +294,7 @@ def _report_unused(context: StageContext, mappings: Mappings, done: FilesRead) -
 
 
 def _named_otherwise(plan: Changes) -> NewStoreError:
-    """Return the error of a source whose takes are in the store under other names, and would be there twice."""
+    """Return the error of a source whose takes the store has under other names, and would otherwise have twice."""
     _, before, now = plan.renamed[0]
     return NewStoreError(
         f"{counted(len(plan.renamed), 'take')} of this source are in the store under other names, such as '{before}' "
@@ -310,13 +310,13 @@ def _report_failures(context: StageContext, failures: Sequence[Failure]) -> None
 
 
 def _report_read(context: StageContext, names: Collection[str]) -> None:
-    """Report warnings on the takes that were read, and copies of files among all takes."""
+    """Report warnings about the takes that were read, and duplicate files among all takes."""
     if not names:
         return
     store = context.open()
     columns = store.take_columns("name", "warnings").columns
     rows = zip(*(column.to_pylist() for column in columns), strict=True)
-    # paths that match no pattern are reported before files are read
+    # paths that match no pattern were reported before files were read
     found = {name: [one for one in warnings if one != NO_PATTERN] for name, warnings in rows if name in names}
     warned = {name: warnings for name, warnings in found.items() if warnings}
     if warned:

@@ -1,4 +1,4 @@
-"""Stage learn_keyframes: keyframe queries for every subclass, learned from its examples and those of all others."""
+"""Stage learn_keyframes: learn keyframe queries for every subclass from its examples and those of all others."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ PAGE = "kinedex.reports.keyframes_page:keyframes_page"
 
 
 class LearnKeyframes(Stage[KeyframeParameters]):
-    """Keyframe queries for every subclass, learned from its clips and those of all others."""
+    """Learns keyframe queries for every subclass from its clips and those of all others."""
 
     name = "learn_keyframes"
     parameters = KeyframeParameters
 
     def reading(self, params: KeyframeParameters, store: Store) -> Reading:
-        """Return a digest of the examples to learn from."""
+        """Return a digest of the training examples."""
         return examples_read(store, params)
 
     def external_digest(self, params: KeyframeParameters, store: Store | None) -> str:
@@ -38,7 +38,7 @@ class LearnKeyframes(Stage[KeyframeParameters]):
         return files_digest(class_files(params.classes))
 
     def run(self, context: StageContext, params: KeyframeParameters) -> dict[str, object]:
-        """Learn and store the queries and all runs; runs that were finished before are not done again."""
+        """Learn and store queries for all settings; settings that earlier runs completed are not repeated."""
         store = context.open()
         found = examples_of(store, params)
         context.report_unmatched(found.unmatched)

@@ -1,4 +1,4 @@
-"""Stage learn_templates: a soft and a hard motion template for every subclass of the training takes."""
+"""Stage learn_templates: learn a soft and a hard motion template for every subclass of the training takes."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from kinedex.storage.store.store import Store
 
 
 class LearnTemplates(Stage[TemplateParameters]):
-    """A soft and a hard motion template for every subclass of the training takes."""
+    """Learns a soft and a hard motion template for every subclass of the training takes."""
 
     name = "learn_templates"
     parameters = TemplateParameters
     inputs: ClassVar = {"takes": Input("ingest", optional=True)}
 
     def reading(self, params: TemplateParameters, store: Store) -> Reading:
-        """Return a digest of the examples to learn from, rejected ones included: thresholds depend on them."""
+        """Return a digest of the training examples, including rejected ones, on which thresholds depend."""
         return examples_read(store, params)
 
     def external_digest(self, params: TemplateParameters, store: Store | None) -> str:
@@ -71,7 +71,7 @@ class LearnTemplates(Stage[TemplateParameters]):
 
 
 def _warnings(templates: Sequence[SubclassTemplate]) -> dict[str, list[str]]:
-    """Return remarks on templates, each with its subclasses, and with the kind where it is not true of all kinds."""
+    """Return warnings about templates → their subclasses, with the kind of template if only some are concerned."""
     kinds: dict[str, set[str]] = {}
     found: dict[str, dict[str, list[str]]] = {}
     for one in templates:

@@ -1,4 +1,4 @@
-"""Stage limb_errors: the angle between what a take and what sensors report of its limbs, and the runs above τ."""
+"""Stage limb_errors: compute the angles between limbs of takes and of sensors, and the runs of frames above τ."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from kinedex.storage.store.store import Store
 
 
 class LimbErrors(Stage[LimbErrorsParameters]):
-    """The angle between what takes and what sensors report of limbs, and the runs above τ (thesis, Section 7.6)."""
+    """Computes the angles between limbs of takes and of sensors, and the runs of frames above τ (thesis, 7.6)."""
 
     name = "limb_errors"
     parameters = LimbErrorsParameters
@@ -43,7 +43,7 @@ class LimbErrors(Stage[LimbErrorsParameters]):
     }
 
     def reading(self, params: LimbErrorsParameters, store: Store) -> Reading:
-        """Return a digest of nothing: limbs, samples, clocks and mounts are results of other stages."""
+        """Return an empty digest: limbs, samples, clocks and mounts are results of other stages."""
         return Reading(hash_of(), "")
 
     def run(self, context: StageContext, params: LimbErrorsParameters) -> dict[str, object]:
@@ -82,7 +82,7 @@ class LimbErrors(Stage[LimbErrorsParameters]):
 
 
 def _report(context: StageContext) -> dict[str, object]:
-    """Show the figures of all takes that the store has errors of, and return those of the stage's record."""
+    """Show the error statistics of all stored takes, and return those for the record of the stage."""
     store, stage = context.open(), context.key()
     found = error_figures(store, stage)
     if found.limbs:
@@ -97,7 +97,7 @@ def _report(context: StageContext) -> dict[str, object]:
 
 
 def _table(figures: Mapping[str, ErrorFigures]) -> ResultTable:
-    """Return a row for each limb: its frames, their errors, and the share of those above τ."""
+    """Return a row for each limb: its number of frames, their errors, and the share of frames above τ."""
     table = ResultTable(("limb", "frames", "mean", "sd", "above τ"))
     for limb in sorted(figures):
         table.add(limb, f"{figures[limb].frames:,}", *figures[limb].texts())

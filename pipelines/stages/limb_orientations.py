@@ -1,4 +1,4 @@
-"""Stage limb_orientations: the limbs of takes at the rate of their sources, from these sources."""
+"""Stage limb_orientations: read the limbs of takes from their source files, at the rate of these files."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from kinedex.storage.store.store import Store
 
 
 class LimbOrientations(Stage[LimbOrientationsParameters]):
-    """The limbs of takes at the rate of their sources, from these sources (thesis, Section 7.5)."""
+    """Reads the limbs of takes from their source files, at the rate of these files (thesis, Section 7.5)."""
 
     name = "limb_orientations"
     parameters = LimbOrientationsParameters
@@ -77,7 +77,7 @@ class LimbOrientations(Stage[LimbOrientationsParameters]):
 
 
 def _takes(context: StageContext, store: Store, where: str | None) -> list[str]:
-    """Return the takes that a filter selects; without one those that wear sensors, or all where nothing states it."""
+    """Return the takes that a filter selects; without a filter those with sensors, or all if that is not known."""
     takes: list[str] = store.takes_table(where)["name"].to_pylist()
     if where is not None or "sensors" not in context.inputs:
         return takes
@@ -87,7 +87,7 @@ def _takes(context: StageContext, store: Store, where: str | None) -> list[str]:
 
 
 def _show(context: StageContext, takes: int, figures: LimbFigures, lacking: Counter[str]) -> None:
-    """Show the figures of all limbs, and the limbs that lack in the takes that were read."""
+    """Show statistics of all limbs, and the limbs that are missing in the takes that were read."""
     shares = ", ".join(f"{count} {basis}" for basis, count in figures.bases.most_common()) or "none"
     context.say(f"{counted(takes, 'take')}, {counted(figures.frames, 'source frame')}; bases of limbs: {shares}")
     for what, count in lacking.most_common():

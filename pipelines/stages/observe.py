@@ -1,4 +1,4 @@
-"""Stage observe: recordings of calibrated cameras, read and checked, become observations in the store."""
+"""Stage observe: read and check recordings of calibrated cameras, and store them as observations."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from kinedex.storage.store.store import Store
 
 
 class Observe(Stage[ObserveParameters]):
-    """Recordings of calibrated cameras, read and checked."""
+    """Reads and checks recordings of calibrated cameras, and stores them as observations."""
 
     name = "observe"
     parameters = ObserveParameters
 
     def reading(self, params: ObserveParameters, store: Store) -> Reading:
-        """Return a digest of no take: recordings do not depend on the archive."""
+        """Return an empty digest: recordings do not depend on the archive."""
         return Reading("no takes", "")
 
     def external_digest(self, params: ObserveParameters, store: Store | None) -> str:

@@ -1,4 +1,4 @@
-"""Stage pose_database: poses of the archive that differ, for the lookup of depth frames."""
+"""Stage pose_database: collect distinct poses of the archive, for the lookup of depth frames."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from kinedex.storage.store.store import Store
 
 
 class PoseDatabase(Stage[PoseDatabaseParameters]):
-    """Poses of the archive that differ, for the lookup of depth frames (thesis, Section 8.3.3)."""
+    """Collects distinct poses of the archive, for the lookup of depth frames (thesis, Section 8.3.3)."""
 
     name = "pose_database"
     parameters = PoseDatabaseParameters
     inputs: ClassVar = {"takes": Input("ingest", optional=True)}
 
     def reading(self, params: PoseDatabaseParameters, store: Store) -> Reading:
-        """Return a digest of the takes that lend poses."""
+        """Return a digest of the takes from which poses are collected."""
         takes = listed_takes(store, params.where, "")
         return Reading(hash_of([(one.take, one.actor, one.fingerprint) for one in takes]), counted(len(takes), "take"))
 
     def run(self, context: StageContext, params: PoseDatabaseParameters) -> dict[str, object]:
-        """Thin the poses of takes that are new or changed, and store the database."""
+        """Select distinct poses from takes that are new or changed, and store the database."""
         store = context.open()
         takes = listed_takes(store, params.where, context.code)
         if not takes:

@@ -1,4 +1,4 @@
-"""Stage rank: the best hits of every template in an archive, in all frames or within the hits of keyframe queries."""
+"""Stage rank: find the best hits of every template in an archive, in all frames or within hits of keyframe queries."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Params(BaseModel):
 
 
 class Rank(Stage[Params]):
-    """The best hits of every template in an archive, in all frames or within the hits of keyframe queries."""
+    """Finds the best hits of every template in an archive, in all frames or within the hits of keyframe queries."""
 
     name = "rank"
     parameters = Params
@@ -55,7 +55,7 @@ class Rank(Stage[Params]):
         return files_digest(query_file_paths(params.queries))
 
     def run(self, context: StageContext, params: Params) -> dict[str, object]:
-        """Rank, store the hits, and print a row for each class (thesis, Table 3.2)."""
+        """Rank the archive, store the hits, and print a row for each class (thesis, Table 3.2)."""
         store = context.open()
         learned = read_templates(store, context.key(context.inputs["templates"]), params.templates)
         queries = read_query_files(params.queries, store.feature_set, store.rate_hz)
@@ -89,12 +89,12 @@ class Rank(Stage[Params]):
 
 
 def _rank(context: StageContext, store: Store, searched: Sequence[RankedTemplate], params: Params) -> list[Ranking]:
-    """Rank by each template: by those with queries one by one, by those without in one pass over the archive."""
+    """Rank by each template with queries separately, and by all templates without queries in one pass."""
     workers = context.executor.workers
     free = [one for one in searched if not one.queries]
     groups = [[one] for one in searched if one.queries] + ([free] if free else [])
     some = store.takes(params.where).sort("frames")["take_id"].to_list()[-1:]
-    for group in groups[-1:] + groups[:1]:  # a take before the clock starts: kernels are compiled when first called
+    for group in groups[-1:] + groups[:1]:  # warm-up: kernels are compiled when first called
         for take_id in some:
             rank_takes(store, group, params.tau, 1, f"take_id = {take_id}", workers)
     if len(free) > 1:
@@ -116,8 +116,9 @@ def _rank(context: StageContext, store: Store, searched: Sequence[RankedTemplate
 class Lists:
     """The keyframe search of one class (thesis, Table 3.2).
 
-    keyframes: K. stiffness: the mean of its gaps. segments: of the inverted lists of all keyframes. seconds: the search
-    of the index, with reading the lists; lists_seconds: the search of the lists once they are read.
+    keyframes: number K. stiffness: mean over the keyframe gaps. segments: number in the inverted lists of all
+    keyframes. seconds: duration of the index search, including reading the lists; lists_seconds: duration without
+    reading them.
     """
 
     keyframes: int
@@ -128,10 +129,10 @@ class Lists:
 
 
 def _lists(store: Store, searched: Sequence[RankedTemplate], where: str) -> dict[str, Lists]:
-    """Return the keyframe search of each template that has queries, from the index."""
+    """Return statistics of the keyframe search in the index, for each template that has queries."""
     found = {}
     for query in [query for one in searched for query in one.queries][:1]:
-        explain_store(store, [query], where)  # once before the clock starts
+        explain_store(store, [query], where)  # a first search before time is measured
     for one in searched:
         if one.queries:
             reports = explain_store(store, one.queries, where)
@@ -150,7 +151,7 @@ def _shown(
     rankings: Sequence[Ranking],
     lists: dict[str, Lists],
 ) -> ResultTable:
-    """Return a row for each subclass: the keyframe search, the frames that it keeps, and the ranking of these."""
+    """Return a row for each subclass: the keyframe search, the frames that it keeps, and the ranking in these."""
     columns = ["subclass", "columns", "skipped", "reading ms", "ranking ms", "hits", "best"]
     if lists:
         columns[2:2] = ["K", "mean σ", "Σ|Λ|", "search ms", "in lists", "kept"]

@@ -1,4 +1,4 @@
-"""Stage read_imu: recordings of inertial sensors, tied to takes and limbs, with orientations."""
+"""Stage read_imu: read recordings of inertial sensors, and assign them to takes and limbs, with orientations."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from kinedex.storage.store.store import Store
 from kinedex.storage.store.writer import StoreWriter
 
 KINDS = ("imu_recordings", "imu_samples")
-"""The kinds of results of the stage, both with a column `recording`."""
+"""The kinds of results of the stage; both have a column `recording`."""
 
 _SOURCES = {
     "file": "of the files",
@@ -38,22 +38,22 @@ _SOURCES = {
 _MOST_WARNINGS = 10
 
 AT_ONCE = 2_000_000
-"""Samples that are committed at once."""
+"""The number of samples per commit."""
 
 
 class ReadImu(Stage[ReadImuParameters]):
-    """Recordings of inertial sensors, tied to takes and limbs, with orientations (thesis, Section 7.4)."""
+    """Reads recordings of inertial sensors, and assigns them to takes and limbs (thesis, Section 7.4)."""
 
     name = "read_imu"
     parameters = ReadImuParameters
     inputs: ClassVar = {"takes": Input("ingest", optional=True)}
 
     def reading(self, params: ReadImuParameters, store: Store) -> Reading:
-        """Return a digest of the names of takes, to which recordings are tied."""
+        """Return a digest of the names of the takes to which recordings can be assigned."""
         return Reading(hash_of(sorted(take_ids(store).items()), *_made_key(store)), "names of takes")
 
     def external_digest(self, params: ReadImuParameters, store: Store | None) -> str:
-        """Return a hash of the recordings by path, size and time, and of the file of sensors."""
+        """Return a hash of the recordings by path, size and time, and of the file that describes the sensors."""
         sensors = sensor_set_of(params.sensors).entries.model_dump()
         return hash_of(stamps(sensor_files(source_root(params.source))), sensors)
 
@@ -85,7 +85,7 @@ class ReadImu(Stage[ReadImuParameters]):
                 f"passed over, without columns of a sensor that are known: {counted(len(found.passed_over), 'file')}: "
                 f"{few}; `columns:` of a file of sensors names others"
             )
-        failures = list(dict.fromkeys(failures))  # the files of a recording may serve several takes
+        failures = list(dict.fromkeys(failures))  # one file may belong to the recordings of several takes
         for line in failure_messages(failures):
             context.say(line)
         if not done and not unchanged:
@@ -96,7 +96,7 @@ class ReadImu(Stage[ReadImuParameters]):
     def _read(
         self, context: StageContext, tasks: Sequence[ReadTask], unchanged: set[str], failures: list[Failure]
     ) -> int:
-        """Read recordings and put their rows; those of the unchanged ones stay, all others go. Return their number."""
+        """Read recordings and store their rows, remove those that no longer exist, and return the number read."""
         with context.writer() as writer, context.progress("recordings", len(tasks)) as bar:
             gone = set(_fingerprints(writer.store, context.key())) - unchanged
             waiting: list[ReadRows] = []
@@ -119,7 +119,7 @@ class ReadImu(Stage[ReadImuParameters]):
 
 
 def _show(context: StageContext, unchanged: int) -> None:
-    """Show what is stored: warnings of sensors, and the numbers of sensors, samples and sources of orientations."""
+    """Show the warnings of sensors, and the stored numbers of sensors, samples and kinds of orientation source."""
     stored: list[dict[str, Any]] = earlier_rows(context.open(), "imu_recordings", context.key())
     rows = [row for row in stored if row["limb"] is not None]
     warnings = [f"{row['file']}: warning: {row['sensor']}: {text}" for row in rows for text in row["warnings"]]
@@ -139,7 +139,7 @@ def _show(context: StageContext, unchanged: int) -> None:
 
 
 def _put(context: StageContext, writer: StoreWriter, read: Sequence[ReadRows], gone: set[str]) -> None:
-    """Put the rows of recordings in the place of their earlier ones and of those that are gone, and commit."""
+    """Commit the rows of recordings, and remove their earlier rows and those of recordings that no longer exist."""
     going = sorted(gone | {one.recording.name for one in read})
     for kind in KINDS:
         tables = [one.tables[kind] for one in read]
@@ -148,13 +148,13 @@ def _put(context: StageContext, writer: StoreWriter, read: Sequence[ReadRows], g
 
 
 def take_ids(store: Store) -> dict[str, int]:
-    """Return name → id of the takes of a store."""
+    """Return the takes of a store as name → take_id."""
     rows = store.take_rows
     return dict(zip(rows.column("name").to_pylist(), rows.column("take_id").to_pylist(), strict=True))
 
 
 def made_takes(store: Store) -> dict[str, list[str]]:
-    """Return recording of cameras → the takes that were made of it: tracked, stabilised, reconstructed."""
+    """Return camera recording → names of the takes made from it (tracked, stabilised or reconstructed)."""
     found: dict[str, list[str]] = {}
     if "recording" in store.take_rows.column_names:
         for row in store.take_rows.select(["name", "recording"]).to_pylist():
@@ -164,18 +164,18 @@ def made_takes(store: Store) -> dict[str, list[str]]:
 
 
 def _made_key(store: Store) -> tuple[object, ...]:
-    """Return what a digest has of these takes; nothing for a store without any."""
+    """Return the takes made from camera recordings for a digest; an empty tuple if there are none."""
     made = made_takes(store)
     return (sorted(made.items()),) if made else ()
 
 
 def _fingerprints(store: Store, stage: str) -> dict[str, str]:
-    """Return recording → fingerprint of what a stage has in the store."""
+    """Return recording → fingerprint for the recordings that a stage has stored."""
     return {str(row["recording"]): str(row["fingerprint"]) for row in earlier_rows(store, "imu_recordings", stage)}
 
 
 def _earlier_failures(store: Store, stage: str, unchanged: set[str]) -> list[Failure]:
-    """Return the sensors of unchanged recordings that no limb claims, as they were logged."""
+    """Return the logged failures about sensors of unchanged recordings that are assigned to no limb."""
     rows = earlier_rows(store, "imu_recordings", stage)
     files = {str(row["file"]) for row in rows if row["recording"] in unchanged and row["limb"] is None}
     return [

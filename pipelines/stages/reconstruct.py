@@ -1,4 +1,4 @@
-"""Stage reconstruct: recordings of a depth camera become takes, with the archive's poses as memory."""
+"""Stage reconstruct: reconstruct takes from depth-camera recordings, with the archive's poses as prior knowledge."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from kinedex.storage.store.store import Store
 
 
 class Reconstruct(Stage[ReconstructParameters]):
-    """Recordings of a depth camera become takes, with the archive's poses as memory (thesis, Section 8.4)."""
+    """Reconstructs takes from depth-camera recordings, with the archive's poses as prior (thesis, Section 8.4)."""
 
     name = "reconstruct"
     parameters = ReconstructParameters
     inputs: ClassVar = {"poses": Input("pose_database")}
 
     def reading(self, params: ReconstructParameters, store: Store) -> Reading:
-        """Return a digest of the takes that lend bones; those that lend poses count by the pose database."""
+        """Return a digest of the takes that provide bone lengths; the pose database covers those that provide poses."""
         return Reading(take_digest(store, list(named_bodies(params).values())), "")
 
     def external_digest(self, params: ReconstructParameters, store: Store | None) -> str:
@@ -33,7 +33,7 @@ class Reconstruct(Stage[ReconstructParameters]):
         return hash_of(*(files_stamp(file, name) for name in chosen_recordings(params)))
 
     def is_current(self, store: Store) -> bool:
-        """Return whether all reconstructed takes are in the store."""
+        """Return whether all reconstructed takes exist in the store."""
         return are_takes_there(store, "reconstructions", "reconstruct")
 
     def run(self, context: StageContext, params: ReconstructParameters) -> dict[str, object]:

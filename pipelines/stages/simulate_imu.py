@@ -1,4 +1,4 @@
-"""Stage simulate_imu: inertial sensors are simulated on the limbs of takes, as files with labels."""
+"""Stage simulate_imu: simulate inertial sensors on the limbs of takes, and write their files with labels."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from kinedex.storage.store.store import Store
 
 
 class SimulateImu(Stage[SimulateImuParameters]):
-    """Inertial sensors are simulated on the limbs of takes, as files with labels (thesis, Appendix A)."""
+    """Simulates inertial sensors on the limbs of takes, and writes their files with labels (thesis, Appendix A)."""
 
     name = "simulate_imu"
     parameters = SimulateImuParameters
@@ -39,11 +39,11 @@ class SimulateImu(Stage[SimulateImuParameters]):
         return Reading(hash_of(reading_digest(store, takes), labels, actors), counted(len(takes), "take"))
 
     def external_digest(self, params: SimulateImuParameters, store: Store | None) -> str:
-        """Return a hash of the file of the grade."""
+        """Return a hash of the file with the sensor grade."""
         return files_digest([config_path("imu_grades", params.grade)])
 
     def run(self, context: StageContext, params: SimulateImuParameters) -> dict[str, object]:
-        """Simulate the sensors of the takes, and put their files in place of earlier ones."""
+        """Simulate the sensors of the takes, and replace their earlier files."""
         store = context.open()
         names = store.takes_table(params.where)["name"].to_pylist()
         if not names:
@@ -79,7 +79,7 @@ class SimulateImu(Stage[SimulateImuParameters]):
 
 
 def _replace(folder: Path) -> None:
-    """Put the new folder in the place of the earlier one."""
+    """Replace the earlier folder by the new one."""
     if folder.exists():
         shutil.rmtree(folder)
     os.replace(folder.with_name(f"{folder.name}.new"), folder)

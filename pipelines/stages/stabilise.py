@@ -1,4 +1,4 @@
-"""Stage stabilise: takes that were tracked badly in parts, stabilised by priors of the archive."""
+"""Stage stabilise: stabilise takes that were tracked badly in parts, by priors from the archive."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from kinedex.storage.store.store import Store
 
 
 class Stabilise(Stage[StabiliseParameters]):
-    """Takes that were tracked badly in parts, stabilised by priors of the archive (thesis, Sections 6.3 and 6.4)."""
+    """Stabilises takes that were tracked badly in parts, by priors from the archive (thesis, Sections 6.3 and 6.4)."""
 
     name = "stabilise"
     parameters = StabiliseParameters
@@ -34,12 +34,12 @@ class Stabilise(Stage[StabiliseParameters]):
         return files_digest(class_files(params.classes))
 
     def reading(self, params: StabiliseParameters, store: Store) -> Reading:
-        """Return a digest of all takes but those that were stabilised."""
+        """Return a digest of all takes except the stabilised ones."""
         rows = (row for row in store.take_rows.to_pylist() if not row["name"].endswith(STABILISED))
         return Reading(hash_of(sorted((row["name"], row["checksum"], row["recipe"], row["class"]) for row in rows)), "")
 
     def is_current(self, store: Store) -> bool:
-        """Return whether all stabilised takes are in the store."""
+        """Return whether all stabilised takes exist in the store."""
         return are_takes_there(store, "tracks", "stabilise")
 
     def run(self, context: StageContext, params: StabiliseParameters) -> dict[str, object]:

@@ -1,4 +1,4 @@
-"""Stage synchronise: the clocks of sensor recordings against those of takes."""
+"""Stage synchronise: estimate offset and drift of the clocks of sensor recordings against takes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from kinedex.storage.store.store import Store
 
 
 class Synchronise(Stage[SynchroniseParameters]):
-    """The clocks of sensor recordings against those of takes (thesis, Section 7.6.1)."""
+    """Estimates offset and drift of the clocks of sensor recordings against takes (thesis, Section 7.6.1)."""
 
     name = "synchronise"
     parameters = SynchroniseParameters
@@ -32,11 +32,11 @@ class Synchronise(Stage[SynchroniseParameters]):
     }
 
     def reading(self, params: SynchroniseParameters, store: Store) -> Reading:
-        """Return a digest of nothing: limbs and samples are results of other stages."""
+        """Return an empty digest: limbs and samples are results of other stages."""
         return Reading(hash_of(), "")
 
     def run(self, context: StageContext, params: SynchroniseParameters) -> dict[str, object]:
-        """Find the clock of every recording of a take, or the reason for which there is none."""
+        """Estimate the clock of every recording of a take, or give the reason why that is impossible."""
         store = context.open()
         limbs = context.key(context.inputs.get("broken", context.inputs["limbs"]))
         takes = WornTakes(store, limbs, context.key(context.inputs["sensors"]))
@@ -69,7 +69,7 @@ def _rows(take: WornTake, params: SynchroniseParameters) -> list[dict[str, Any]]
 
 
 def _show_constant(context: StageContext, rows: list[dict[str, Any]], params: SynchroniseParameters) -> None:
-    """Show the recordings whose clocks stay constant although their drift was asked for."""
+    """Show the recordings for which no clock drift could be estimated although the parameters ask for it."""
     constant = [str(row["recording"]) for row in rows if not row["left_out"] and row["ppm"] == 0.0]
     if params.clock == "drift" and constant:
         context.say(
@@ -79,12 +79,12 @@ def _show_constant(context: StageContext, rows: list[dict[str, Any]], params: Sy
 
 
 def _fixed(value: float, digits: int) -> str:
-    """Return a number with digits behind the point, and no sign where all of them are 0."""
+    """Format a number with a fixed number of decimals, and without a sign where it rounds to 0."""
     return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
 def _table(rows: list[dict[str, Any]]) -> ResultTable:
-    """Return a row for each recording with its offset and how sure it is."""
+    """Return a row for each recording with its offset and the correlations that show how certain it is."""
     columns = ("take", "recording", "offset s", "ppm", "correlation", "next best")
     table = ResultTable(columns, texts=frozenset({0, 1}))
     for row in rows[:_SHOWN]:

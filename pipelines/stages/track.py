@@ -1,4 +1,4 @@
-"""Stage track: recordings become takes, tracked with a kinematic chain and without priors."""
+"""Stage track: track camera recordings with a kinematic chain and without priors, and store them as takes."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from kinedex.storage.store.store import Store
 
 
 class Track(Stage[TrackParameters]):
-    """Recordings become takes, tracked with a kinematic chain and without priors (thesis, Section 6.2)."""
+    """Tracks camera recordings with a kinematic chain, without priors, and stores them as takes (thesis, 6.2)."""
 
     name = "track"
     parameters = TrackParameters
     inputs: ClassVar = {"takes": Input("ingest", optional=True), "recordings": Input("observe")}
 
     def reading(self, params: TrackParameters, store: Store) -> Reading:
-        """Return a digest of the bodies of the archive, which lend lengths that no camera shows."""
+        """Return a digest of the archive's bodies, from which bone lengths are taken that no camera shows."""
         takes = [row for row in store.take_rows.to_pylist() if row["format"] not in RECORDED_FORMATS]
         known = sorted((row["name"], row["checksum"], row["recipe"]) for row in takes)
         return Reading(hash_of(known, archive_body(store).offsets), "")
 
     def is_current(self, store: Store) -> bool:
-        """Return whether all tracks are in the store."""
+        """Return whether all tracked takes exist in the store."""
         return are_takes_there(store, "tracks", "track")
 
     def run(self, context: StageContext, params: TrackParameters) -> dict[str, object]:

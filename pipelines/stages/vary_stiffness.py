@@ -1,4 +1,4 @@
-"""Stage vary_stiffness: precision and recall along each class's ranking, and what stiffness does to them."""
+"""Stage vary_stiffness: compute precision and recall along each class's ranking for several query stiffnesses."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Params(BaseModel):
 
 
 class VaryStiffness(Stage[Params]):
-    """Precision and recall along the ranking of each class, for several stiffnesses of the queries."""
+    """Computes precision and recall along the ranking of each class, for several stiffnesses of the queries."""
 
     name = "vary_stiffness"
     parameters = Params
@@ -78,7 +78,7 @@ class VaryStiffness(Stage[Params]):
 
 
 def _shown(trials: Sequence[Trial]) -> ResultTable:
-    """A row for each variant, all over the same classes: those with queries where there are any, as on the page."""
+    """Return a row for each variant, over the same classes: those with queries if there are any, as on the page."""
     asked = {trial.judged.label for trial in trials if trial.variant == WRITTEN}
     columns = ("gaps", "classes", "kept", "to find", "found below τ", "at any rank", "mean AP")
     table = ResultTable(columns, title="rankings by stiffness of the queries")
