@@ -1,1 +1,1 @@
-"""Annotation of takes, what of it still holds, and its labels in other formats."""
+"""Annotation: label the frames of takes with classes by templates, and reuse annotations that are up to date."""

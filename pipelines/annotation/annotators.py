@@ -1,4 +1,4 @@
-"""Annotators: templates, classes, keyframe queries and a method, as they are sent to workers."""
+"""Annotators: the templates, classes, keyframe queries and method of an annotation, which are sent to workers."""
 
 from __future__ import annotations
 
@@ -26,13 +26,15 @@ from kinedex.pipelines.templates.learning import SubclassTemplate
 I64 = npt.NDArray[np.int64]
 
 VAGUE = 1.0
-"""A template with fewer fixed entries a column, on average, hardly distinguishes motions: one feature of forty. (At
-δ = 0.05 the templates of HDM05's clip classes have 16 to 36.)"""
+"""Fixed entries per column, on average, below which a template hardly distinguishes motions.
+
+The features are forty; at δ = 0.05 the templates of HDM05's clip classes have 16 to 36 fixed entries per column.
+"""
 
 
 @dataclass(frozen=True)
 class Annotator:
-    """All that is needed to annotate words.
+    """The templates, queries and method that annotate words.
 
     Attributes
     ----------
@@ -53,9 +55,9 @@ class Annotator:
     min_frames : int
         Shorter segments are dropped.
     remarks : tuple of str
-        Templates that are excluded, or that fit almost anything.
+        Remarks on templates that are excluded, or that match almost any motion.
     confidence : Confidence, optional
-        The probability that labels are right; segments have none without it.
+        The model that gives each segment the probability that its label is right; None for segments without it.
     """
 
     feature_set: FeatureSet
@@ -79,7 +81,7 @@ class Annotator:
     def margins(self) -> tuple[tuple[tuple[int, int], ...], ...]:
         """The frames before and after a hit in which each template is matched, for each of its queries.
 
-        A query with alternatives has the widest of their margins, as any of them may have found a hit.
+        A query with alternatives has the widest of their margins, because any of them may have found a hit.
         """
         found = []
         for template, queries in zip(self.templates, self.queries, strict=True):
@@ -88,7 +90,7 @@ class Annotator:
         return tuple(found)
 
     def restricted(self, known: int) -> tuple[Annotator | None, I64]:
-        """Return the annotator for takes that know some features only.
+        """Return the annotator for takes in which only some features are known.
 
         Parameters
         ----------
@@ -98,11 +100,11 @@ class Annotator:
         Returns
         -------
         Annotator or None
-            Templates and queries restricted to these features, without the templates that are not applied. A template
-            of whose queries none is applied is matched in all frames. None where no template is left, or the method
-            cannot do without some features.
+            Templates and queries restricted to these features, without templates that need too many others. A template
+            none of whose queries can be applied is matched in all frames. None if no template is left, or the method
+            needs all features.
         chosen : int64 array (C,)
-            The places of its templates among all.
+            The indices of its templates among all templates.
         """
         kept = {s: own for s, one in enumerate(self.templates) if (own := restricted_template(one, known)) is not None}
         chosen = np.array(list(kept), np.int64)
@@ -120,13 +122,13 @@ class Annotator:
         return restricted, chosen
 
     def partly_known(self, known: Mapping[int, int]) -> list[Applicability]:
-        """Return what takes that lack features know of templates and queries; `known` has their masks by id."""
+        """Return how templates and queries apply to takes that lack features; `known` has their masks by take_id."""
         templates = dict(zip(self.subclasses, self.templates, strict=True))
         queries = (query for own in self.queries for query in own)
         return applicability(self.feature_set, known.values(), templates, queries)
 
     def remarks_on(self, known: Mapping[int, int]) -> list[str]:
-        """Return remarks on what is not applied to takes that lack features, whose masks `known` has by id."""
+        """Return remarks on what is not applied to takes that lack features; `known` has their masks by take_id."""
         if known and not hasattr(self.method, "restricted"):
             return [
                 f"the method '{self.method.name}' needs all features: {counted(len(known), 'take')} whose bodies lack "
@@ -152,15 +154,15 @@ def make_annotator(
     clips: Callable[[], Sequence[U64]] = tuple,
     min_frames: int = 0,
 ) -> Annotator:
-    """Quantise templates, and sort them and the queries into classes.
+    """Make an annotator: quantise the templates, and assign them and the queries to classes.
 
     Parameters
     ----------
     feature_set : FeatureSet
         The features of the words.
     templates : sequence of SubclassTemplate
-        Those of subclasses without a class are excluded, and so are those of wildcards alone, which would fit anything
-        at no cost. Those with fewer than `VAGUE` fixed entries a column stay, with a remark.
+        Those whose subclass is in no class are excluded, and so are those without fixed entries, which match anything
+        at no cost. Those with fewer than `VAGUE` fixed entries per column are kept, with a remark.
     classes : Classes
         The classes to label with.
     delta : float
@@ -171,23 +173,23 @@ def make_annotator(
         A query whose target is a subclass preselects for it, one whose target is a class for those of its subclasses
         that have no query of their own; other queries are excluded (see `targets_unknown`).
     learned : sequence of KeyframeQuery
-        Further queries, which are sorted by themselves: they preselect besides `queries`, never in their place.
+        Further queries, which preselect in addition to `queries` and never replace them.
     method : type of AnnotationMethod
         The method that labels frames.
     clips : callable
-        Returns the words of the training clips; called where the method needs them.
+        Returns the words of the training clips; called only if the method needs them.
     min_frames : int
         Shorter segments are dropped.
 
     Returns
     -------
     Annotator
-        With one template at least.
+        An annotator with at least one template.
 
     Raises
     ------
     KinedexError
-        No template belongs to any class, or all of them are wildcards alone.
+        No template belongs to any class, or none has a fixed entry.
     """
     of_subclass = classes.of_subclass()
     known = [one for one in templates if one.subclass in of_subclass]
@@ -224,7 +226,7 @@ def make_annotator(
 def _queries_of(
     subclasses: Sequence[str], queries: Sequence[KeyframeQuery], of_subclass: Mapping[str, str]
 ) -> list[tuple[KeyframeQuery, ...]]:
-    """Return for each subclass its queries, or else those of its class."""
+    """Return the queries of each subclass; a subclass without its own has those of its class."""
     by_target: dict[str, list[KeyframeQuery]] = {}
     for query in queries:
         by_target.setdefault(query.target, []).append(query)
@@ -232,7 +234,7 @@ def _queries_of(
 
 
 def _remarks(fixed: Mapping[str, float]) -> tuple[str, ...]:
-    """Return remarks on templates by their fixed entries a column."""
+    """Return remarks on templates with few or no fixed entries per column."""
     empty = [subclass for subclass, entries in fixed.items() if not entries]
     vague = [f"{subclass} ({entries:.2g})" for subclass, entries in fixed.items() if 0 < entries < VAGUE]
     remarks = []

@@ -1,4 +1,4 @@
-"""The annotation of takes in batches: preselection by keyframes, labels, and distance curves."""
+"""Annotate takes in batches: preselect frames by keyframe queries, label them, and compute distance curves."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 BATCH_FRAMES = 50_000
-"""A batch has about so many analysis frames (28 minutes), whose curves take 400 kB a subclass."""
+"""The approximate number of analysis frames of a batch (28 minutes), whose curves take 400 kB per subclass."""
 
 
 @dataclass(frozen=True)
@@ -42,15 +42,15 @@ class TakeAnnotation:
     segments : tuple of Segment
         Its segments, in the order of their starts.
     preselected : float64 array (S,)
-        The share of its frames that each template was matched in.
+        The share of the take's frames that each template was matched in.
     curves : float32 array (S, L), optional
         Its distance curves, where they are stored; ∞ for templates that are not applied to the take.
     applied : bool array (S,), optional
-        False for the templates that are not applied, as the take lacks too many of their features; None: all are.
+        False for templates that were not applied because the take lacks too many of their features; None if all were.
     confidences : tuple of float, optional
         The probability that each segment has the right label; None where the annotator has no confidence.
     promising : PromisingRanges, optional
-        The frames in which each example could label anything, where examples are templates and all features are known.
+        The frames that each example could label, if examples serve as templates and all features are known.
     """
 
     take_id: int
@@ -64,7 +64,7 @@ class TakeAnnotation:
 
 @dataclass(frozen=True)
 class Batch:
-    """Takes that one worker annotates."""
+    """The takes that one worker annotates, as one task."""
 
     store: Store
     annotator: Annotator
@@ -88,19 +88,19 @@ def annotate_stored(
     Parameters
     ----------
     store : Store
-        The store, of which workers get this version.
+        The store; workers read the same version of it.
     annotator : Annotator
-        All that the annotations depend on.
+        The annotator.
     takes : polars.DataFrame
         Rows of takes: take_id and frames.
     executor : Executor
         The workers.
     store_curves : bool
-        True returns distance curves as well.
+        True to return distance curves as well.
     code : str, optional
-        A hash of the sources that annotate; with it what examples could label is returned for a later run.
+        A hash of the code that annotates; if given, promising ranges of examples are returned for a later run.
     earlier : mapping of int to PromisingRanges, optional
-        What an earlier run has returned of that, by take_id; it holds for takes whose words have not changed.
+        The promising ranges of an earlier run by take_id, used for takes whose words have not changed.
 
     Yields
     ------
@@ -108,7 +108,7 @@ def annotate_stored(
         The takes of a batch, in the order of take_id.
     """
     known = earlier or {}
-    annotator.margins  # noqa: B018 - computed once, and sent to the workers with the annotator
+    annotator.margins  # noqa: B018 - cached before the annotator is sent to the workers
     batches = [
         Batch(store, annotator, take_ids, store_curves, code, {one: known[one] for one in take_ids if one in known})
         for take_ids in split_takes(takes["take_id"].to_list(), takes["frames"].to_list())
@@ -117,13 +117,13 @@ def annotate_stored(
 
 
 def split_takes(take_ids: Iterable[int], frames: Iterable[int]) -> list[tuple[int, ...]]:
-    """Divide takes into batches of about `BATCH_FRAMES`; a longer take is a batch of its own."""
+    """Divide takes into batches of at most `BATCH_FRAMES` frames; a longer take is a batch of its own."""
     lengths = dict(sorted(zip(take_ids, frames, strict=True)))
     return batches_of(lengths, lengths.values(), BATCH_FRAMES)
 
 
 def annotate_batch(batch: Batch) -> list[TakeAnnotation]:
-    """Read the words of a batch and annotate them, in a worker."""
+    """Read the words of a batch and annotate them; runs in a worker."""
     words = batch.store.words(batch.take_ids)
     if not batch.code:
         return annotate_words(batch.annotator, words, batch.store_curves, batch.store)
@@ -149,20 +149,20 @@ def annotate_words(
     Parameters
     ----------
     annotator : Annotator
-        All that the annotations depend on.
+        The annotator.
     words : TakeWords
         The words of the takes.
     store_curves : bool
-        True returns distance curves as well; segments do not need them.
+        True to return distance curves as well; segments do not need them.
     store : Store, optional
-        The store that the takes are from; keyframes are searched in its index, where it has one.
+        The store of the takes; its index, if it has one, is used for keyframe search.
     earlier : mapping of int to PromisingRanges, optional
-        What is known of the frames that examples could label, by take_id.
+        The promising ranges of examples that are known from an earlier run, by take_id.
 
     Returns
     -------
     list of TakeAnnotation
-        One for each take, in their order. Takes that lack features are annotated with what they know.
+        One for each take, in their order. Takes that lack features are annotated with the features they have.
     """
     if words.known is None:
         return _with_confidences(annotator, words, _annotate_alike(annotator, words, store_curves, store, earlier))
@@ -179,7 +179,7 @@ def annotate_words(
 
 
 def _with_confidences(annotator: Annotator, words: TakeWords, found: list[TakeAnnotation]) -> list[TakeAnnotation]:
-    """Return annotations with the confidence of each segment, where the annotator has one."""
+    """Return annotations with the confidence of each segment, if the annotator computes confidences."""
     if annotator.confidence is None:
         return found
     sure = iter(confidences_of(annotator, annotator.confidence, [one.segments for one in found], words.offsets))
@@ -200,7 +200,7 @@ def confidences_of(
     segments : sequence of sequence of Segment, length T
         The segments of each take, in the order of their starts.
     offsets : int64 array (T + 1,)
-        The first frame of each take where all are laid end to end, and the end.
+        The first frame of each take in the concatenated words, followed by their total length.
     """
     classes = np.array([one.class_index for own in segments for one in own], np.int64)
     evidence = evidence_of(confidence.prior.evidence, segments, offsets, *annotator.shapes)
@@ -209,7 +209,7 @@ def confidences_of(
 
 
 def _nothing(words: TakeWords) -> list[TakeAnnotation]:
-    """Return annotations without segments or templates."""
+    """Return annotations without segments, for takes to which no template applies."""
     return [
         TakeAnnotation(take_id, (), np.empty(0), np.empty((0, frames), np.float32))
         for take_id, frames in zip(words.take_ids.tolist(), words.frames.tolist(), strict=True)
@@ -217,7 +217,7 @@ def _nothing(words: TakeWords) -> list[TakeAnnotation]:
 
 
 def _of_all_templates(one: TakeAnnotation, annotator: Annotator, chosen: I64, store_curves: bool) -> TakeAnnotation:
-    """Return an annotation by some templates as one by all of them."""
+    """Return an annotation by a subset of templates in the arrays of all templates."""
     count = len(annotator.templates)
     preselected, applied = np.zeros(count), np.zeros(count, np.bool_)
     preselected[chosen], applied[chosen] = one.preselected, True
@@ -236,7 +236,7 @@ def _annotate_alike(
     store: Store | None,
     earlier: Mapping[int, PromisingRanges] | None,
 ) -> list[TakeAnnotation]:
-    """Annotate takes that know all features of an annotator."""
+    """Annotate takes in which all features of the annotator are known."""
     ranges = ranges_of(annotator, words, store)
     curves = _curves(annotator, words, ranges) if store_curves else None
     method = annotator.method
@@ -271,9 +271,9 @@ def ranges_of(annotator: Annotator, words: TakeWords, store: Store | None = None
     annotator : Annotator
         The templates and their queries.
     words : TakeWords
-        The words of the takes, laid end to end.
+        The words of the takes, concatenated.
     store : Store, optional
-        The store that they are from, whose index is searched where it has one.
+        The store of the takes, whose index is searched if it has one.
 
     Returns
     -------
@@ -290,7 +290,7 @@ def ranges_of(annotator: Annotator, words: TakeWords, store: Store | None = None
 
 
 def _curves(annotator: Annotator, words: TakeWords, ranges: Sequence[I64]) -> F64:
-    """Return all curves, float64 (S, L); templates that are matched everywhere share one pass."""
+    """Return all curves, float64 (S, L); templates that are matched in all frames are computed in one pass."""
     curves = np.empty((len(annotator.templates), len(words.words)))
     everywhere = [index for index, queries in enumerate(annotator.queries) if not queries]
     if everywhere:
@@ -303,7 +303,7 @@ def _curves(annotator: Annotator, words: TakeWords, ranges: Sequence[I64]) -> F6
 
 
 def _frames_within(ranges: I64, offsets: I64) -> I64:
-    """Return the number of frames of each take in ascending ranges, int64 (T,)."""
+    """Return the number of frames of each take that lie in ascending ranges, int64 (T,)."""
     before = np.concatenate(([0], np.cumsum(ranges[:, 1] - ranges[:, 0])))
     place = np.searchsorted(ranges[:, 0], offsets, side="right")
     ends = np.concatenate(([0], ranges[:, 1]))

@@ -1,4 +1,9 @@
-"""The confidence of annotations, calibrated on examples: those of some actors, annotated with templates of the others'.
+"""Calibrate the confidence of annotations by cross-validation on the training examples.
+
+Labels of the takes to annotate are not used. In each fold, the examples of some actors are held out (those of some
+takes, if the actors to annotate are those of the examples), concatenated to takes about as long as those to annotate,
+and annotated with templates of the other examples. A label of a segment is right if most of its frames are of examples
+of its class.
 
 Labels of the takes to annotate have no part in it. The examples of a few actors at a time are left out (of a few
 takes, where the actors to annotate are those of the examples), laid end to end to takes about as long as those to
@@ -31,32 +36,32 @@ I64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
 
 FOLDS = 5
-"""Examples are left out in so many parts, at most."""
+"""The largest number of folds."""
 
 MOST_CLIPS = 24
-"""Of each subclass so many examples take part, at most, spread evenly over their names."""
+"""The largest number of examples of each subclass that are used, spread evenly over their names."""
 
 MOST_LAID = 16
-"""So many examples are laid end to end, at most."""
+"""The largest number of examples that are concatenated to one take."""
 
 LEAST_SEGMENTS = 20
-"""A method without a prior of its own has no confidence unless so many segments are known."""
+"""The least number of segments from which a confidence is learned, for a method that has no prior of its own."""
 
 Make = Callable[[Sequence[SubclassTemplate], Sequence[TrainingClips], Sequence[Rejected]], Annotator]
-"""A function that makes an annotator of templates, the clips that they were made of, and rejected intervals."""
+"""A function that makes an annotator from templates, the clips that they were learned from, and rejected intervals."""
 
 Learn = Callable[[Sequence[TrainingClips]], list[SubclassTemplate]]
-"""A function that learns templates of clips."""
+"""A function that learns templates from clips."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """The takes to annotate, as far as the calibration follows them.
+    """The lengths and actors of the takes to annotate, which the calibration imitates.
 
     Attributes
     ----------
     frames : sequence of int
-        Their lengths.
+        Their lengths in frames.
     actors : sequence of str or None
         Their actors.
     """
@@ -65,26 +70,26 @@ class Target:
     actors: Sequence[str | None]
 
     def seen(self, actors: Iterable[str | None]) -> bool:
-        """Return whether most takes are of some known actors."""
+        """Return whether most of the takes to annotate are of the given actors."""
         known = set(actors) - {None}
         return 2 * sum(one in known for one in self.actors) > len(self.actors)
 
     def laid(self, lengths: Sequence[int]) -> int:
-        """Return how many clips of some lengths make a usual take: a power of two, which few new takes change."""
+        """Return the number of clips that make a take of typical length: a power of two, so that it seldom changes."""
         ratio = float(np.median(self.frames)) / max(float(np.median(lengths)), 1.0)
         return int(2 ** np.clip(np.round(np.log2(max(ratio, 1.0))), 0, np.log2(MOST_LAID)))
 
 
 @dataclass(frozen=True)
 class KnownTake:
-    """Examples laid end to end.
+    """A take of concatenated examples, whose classes are known.
 
     Attributes
     ----------
     words : uint64 array (L,)
         The words.
     known : int
-        The mask of the features that all of them know.
+        The mask of the features that are known in all of them.
     parts : tuple of (str, int, int)
         Class and frames [start, stop) of each example.
     """
@@ -96,7 +101,7 @@ class KnownTake:
 
 @dataclass(frozen=True)
 class Part:
-    """The takes of one part of the examples, an annotator with templates of the others, and all classes of examples."""
+    """One fold: takes of held-out examples, an annotator with templates of the others, and all classes of examples."""
 
     annotator: Annotator
     evidence: tuple[str, ...]
@@ -106,14 +111,14 @@ class Part:
 
 @dataclass(frozen=True)
 class Known:
-    """Segments of which it is known whether their labels are right.
+    """Segments whose labels are known to be right or wrong.
 
     Attributes
     ----------
     evidence : float64 array (S, E)
-        Their evidence.
+        The evidence for the label of each segment.
     classes : int64 array (S,)
-        Their classes.
+        The class index of each segment.
     right : bool array (S,)
         True where the label is right.
     """
@@ -125,7 +130,7 @@ class Known:
 
 @dataclass(frozen=True)
 class CalibratedConfidence:
-    """A confidence, with the number of segments that it was learned from, of those that are right, and a remark."""
+    """A learned confidence, with the numbers of segments and of right segments it was learned from, and a remark."""
 
     confidence: Confidence | None
     segments: int
@@ -144,14 +149,14 @@ def calibrate_confidence(
     executor: Executor,
     rejected: Sequence[Rejected] = (),
 ) -> CalibratedConfidence:
-    """Learn how confident labels are from examples that are left out.
+    """Learn the confidence of labels from held-out examples.
 
     Parameters
     ----------
     clips : sequence of TrainingClips
-        The examples by subclass; of each at most `MOST_CLIPS` take part.
+        The examples by subclass; at most `MOST_CLIPS` of each are used.
     actors : mapping of str to str
-        The actor of each take by its name. Where there are not two, takes are left out one by one.
+        The actor of each take by its name. With fewer than two actors, takes are held out one by one.
     classes : Classes
         The classes to label with.
     method : str
@@ -159,13 +164,13 @@ def calibrate_confidence(
     target : Target
         The takes to annotate.
     learn : callable
-        Learns templates of clips.
+        Learns templates from clips.
     make : callable
-        Makes an annotator of templates and clips.
+        Makes an annotator from templates and clips.
     executor : Executor
         The workers.
     rejected : sequence of Rejected, optional
-        Intervals that people have rejected, left out like examples; every label that one of them gets is wrong.
+        Intervals that people have rejected, held out like examples; every label that one of them gets is wrong.
     """
     some, every = [_thinned(one) for one in clips], classes.of_subclass()
     of_subclass = {one.subclass: every[one.subclass] for one in some if one.subclass in every}
@@ -215,7 +220,7 @@ def _learned(method: str, found: Sequence[Known], class_count: int) -> Calibrate
 
 
 def annotate_part(part: Part) -> Known:
-    """Annotate the takes of one part, and judge their segments, in a worker.
+    """Annotate the takes of one fold, and mark which segments are right; runs in a worker.
 
     Segments of classes without examples, such as combinations, are ignored: none of them could be right.
     """
@@ -251,7 +256,7 @@ def _thinned(clips: TrainingClips) -> TrainingClips:
 
 
 def _parts(group_of: Mapping[str, str]) -> dict[str, int]:
-    """Deal takes to at most `FOLDS` parts, those of a group to the same one: many first, to the smallest part."""
+    """Assign takes to at most `FOLDS` parts of similar size, keeping takes of one group together."""
     groups: dict[str, list[str]] = {}
     for name, group in sorted(group_of.items()):
         groups.setdefault(group, []).append(name)
@@ -269,7 +274,7 @@ def _laid_out(
     count: int,
     refused: Sequence[tuple[int, str, U64]] = (),
 ) -> Iterator[KnownTake]:
-    """Lay clips that know the same features end to end in a drawn order, so many for a take."""
+    """Concatenate clips with the same known features in random order, `count` clips per take."""
     every = [*((one.known, of_subclass[one.subclass], words) for one in clips for words in one.words), *refused]
     drawn = [every[place] for place in np.random.default_rng(0).permutation(len(every)).tolist()]
     for mask, group in groupby(sorted(drawn, key=lambda one: one[0]), key=lambda one: one[0]):

@@ -1,4 +1,4 @@
-"""Promising ranges of single examples, kept in a store, so that a later run compares takes with new examples only."""
+"""Store the ranges that single examples could label, so that a later run compares takes with new examples only."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ I64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
 
 KIND = "example_ranges"
-"""The kind of results that holds them."""
+"""The kind of results that holds the ranges."""
 
 
 @dataclass(frozen=True)
 class PromisingRanges:
-    """The ranges of a take in which examples could label anything (`ops.annotation.promising_ranges`).
+    """The ranges of a take in which each example could label frames (`ops.annotation.promising_ranges`).
 
     Attributes
     ----------
     fingerprint : str
-        A hash of the take's words, see `words_print`; empty where it is not known.
+        A hash of the take's words, see `words_print`; empty if unknown.
     keys : uint64 array (E,)
-        The examples, see `SingleExamples.keys`.
+        The hashes of the examples, see `SingleExamples.keys`.
     counts : int64 array (E,)
-        The number of ranges of each.
+        The number of ranges of each example.
     starts, stops : int64 array (R,)
-        Their frames [start, stop), example after example.
+        The frames [start, stop) of the ranges, grouped by example.
     """
 
     fingerprint: str
@@ -46,7 +46,7 @@ class PromisingRanges:
     stops: I64
 
     def of(self, keys: U64) -> tuple[Bool, I64]:
-        """Return which of some examples are known, bool (N,), and their ranges: place in `keys`, start, stop."""
+        """Return which examples are known, bool (N,), and their ranges, int64 (R, 3): index in `keys`, start, stop."""
         if not len(self.keys):
             return np.zeros(len(keys), np.bool_), np.empty((0, 3), np.int64)
         order = np.argsort(self.keys)
@@ -63,18 +63,18 @@ NO_RANGES = PromisingRanges("", np.empty(0, np.uint64), _NOTHING, _NOTHING, _NOT
 
 
 def promising_of(keys: U64, ranges: I64) -> PromisingRanges:
-    """Return the ranges of all examples of a method: int64 (R, 3), example, start and stop, by example."""
+    """Return promising ranges from rows of example, start and stop, int64 (R, 3), sorted by example."""
     counts = np.bincount(ranges[:, 0], minlength=len(keys))
     return PromisingRanges("", keys, counts, ranges[:, 1], ranges[:, 2])
 
 
 def words_print(words: U64, code: str) -> str:
-    """Return a hash of the words of a take and of the sources that compare them with examples."""
+    """Return a hash of the words of a take and of the code that compares them with examples."""
     return hashlib.sha256(code.encode() + np.ascontiguousarray(words).tobytes()).hexdigest()[:32]
 
 
 def ranges_table(found: Iterable[tuple[int, PromisingRanges]], names: Mapping[int, str], run: str) -> pa.Table:
-    """Return the ranges of takes by id as results of the kind `example_ranges`; `names` has the names of takes."""
+    """Return the ranges of takes by take_id as results of the kind `example_ranges`; `names` has the names of takes."""
     rows = list(found)
     every = [one for _, one in rows]
 
@@ -99,11 +99,11 @@ _LISTS = {"examples": "keys", "counts": "counts", "starts": "starts", "stops": "
 
 
 def earlier_ranges(store: Store, stage: str) -> dict[int, PromisingRanges]:
-    """Return the ranges that a stage has found before, by take_id; none where they cannot be read."""
+    """Return the ranges that a stage stored earlier, by take_id; an empty dictionary if they cannot be read."""
     try:
         rows = store.result(KIND, stage=stage)
     except StoreError:
-        return {}  # repair removes them, and they are found again
+        return {}  # unreadable results are removed by repair, and computed again
     found: dict[int, PromisingRanges] = {}
     for batch in rows.to_batches():
         lists = []

@@ -1,4 +1,4 @@
-"""Annotations of a store as labels of its takes, in source frames, for label files."""
+"""Convert annotations and labels of a store to labels in source frames, for label files."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def annotate_stage(store: Store, wanted: str | None = None) -> str:
         The store to read.
     wanted : str, optional
         "<pipeline>/<stage>", the name of the pipeline, or the id of the run; the stage of the pipeline whose
-        annotations the view `annotations` shows unless given.
+        annotations the view `annotations` shows by default.
 
     Returns
     -------
@@ -71,14 +71,14 @@ def source_frame(frame: int, source_rate_hz: float, rate_hz: float, frames: int)
 
 @dataclass(frozen=True)
 class AnnotationLabels:
-    """Annotations as labels, and those that were excluded.
+    """Annotations as labels, with the number of rejected ones.
 
     Attributes
     ----------
     takes : list of TakeLabels
-        One for each take that was annotated, also where it has no label, in the order of their names.
+        One for each annotated take, including those without labels, in the order of their names.
     rejected : int
-        The number of annotations that were excluded because a person has rejected them.
+        The number of annotations excluded because a person has rejected them.
     """
 
     takes: list[TakeLabels]
@@ -86,7 +86,7 @@ class AnnotationLabels:
 
 
 def labels_of(store: Store, stage: str, takes: Sequence[str] = (), where: str | None = None) -> AnnotationLabels:
-    """Return the annotations of a stage take by take, except for those that a person has rejected.
+    """Return the annotations of a stage for each take, except those that a person has rejected.
 
     Parameters
     ----------
@@ -95,14 +95,14 @@ def labels_of(store: Store, stage: str, takes: Sequence[str] = (), where: str | 
     stage : str
         "<pipeline>/<stage>".
     takes : sequence of str
-        The names of the takes to return; all unless given.
+        The names of the takes to return; by default all.
     where : str, optional
         A SQL filter over the columns of takes.
 
     Raises
     ------
     KinedexError
-        A take was not annotated by this stage, or has been replaced since.
+        A take was not annotated by this stage, or has been replaced since then.
     """
     annotated = annotated_takes(store, stage)
     unknown = sorted(set(takes) - set(annotated["name"]))
@@ -135,17 +135,17 @@ def labels_of(store: Store, stage: str, takes: Sequence[str] = (), where: str | 
 
 
 def labels_kept(store: Store, takes: Sequence[str] = (), where: str | None = None) -> list[TakeLabels]:
-    """Return the labels of people that a store keeps, take by take.
+    """Return the labels by people that a store holds, for each take.
 
-    Of negative ones, those of limbs have a place in label files: an annotator has looked at a limb, or at all limbs of
-    the take, without marking an error.
+    Negative labels are excluded, except those of limbs, by which label files record that an annotator has examined a
+    limb, or all limbs of the take, without marking an error.
 
     Parameters
     ----------
     store : Store
         The store to read.
     takes : sequence of str
-        The names of the takes to return; all that have labels unless given.
+        The names of the takes to return; by default all that have labels.
     where : str, optional
         A SQL filter over the columns of takes.
     """
@@ -180,21 +180,21 @@ def labels_kept(store: Store, takes: Sequence[str] = (), where: str | None = Non
 
 
 def classes_of_takes(store: Store, takes: Sequence[str] = (), where: str | None = None) -> list[TakeLabels]:
-    """Return the class that each take has of its path or a table, as one label of all of its frames.
+    """Return the class that each take has from its path or a table, as one label of all of its frames.
 
     Parameters
     ----------
     store : Store
         The store to read.
     takes : sequence of str
-        The names of the takes to return; all that have a class unless given.
+        The names of the takes to return; by default all that have a class.
     where : str, optional
         A SQL filter over the columns of takes.
 
     Raises
     ------
     KinedexError
-        A take has no class, or none has.
+        One of `takes` has no class, or no take has one.
     """
     rows = store.takes(where).filter(pl.col("class").is_not_null()).sort("name")
     unknown = sorted(set(takes) - set(rows["name"]))

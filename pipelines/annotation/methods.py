@@ -1,9 +1,9 @@
-"""Annotation methods: the contract that a method fulfils, and the two methods that kinedex has.
+"""Annotation methods: the protocol of methods, and the two built-in methods.
 
-A method is a frozen dataclass with three class attributes (`name`, `label`, `uses_thresholds`). `prepare` makes one
-from templates and training clips; `annotate` labels takes with it. It is sent to workers, so it must be picklable.
-Its fields are hashed to find annotations that are up to date, so they must hold all that its segments depend on.
-A method that defines `restricted` also labels takes that lack features; by others such takes are not labelled.
+A method is a frozen dataclass with three class attributes (`name`, `label`, `uses_thresholds`). `prepare` makes an
+instance from templates and training clips; `annotate` labels takes with it. It is sent to workers, so it must be
+picklable. Its fields are hashed to find annotations that are up to date, so they must hold all that its segments depend
+on. A method that defines `restricted` can also label takes that lack features; other methods do not label such takes.
 """
 
 from __future__ import annotations
@@ -34,20 +34,19 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 NARROW = 4
-"""Bounds exclude frames unless a template is matched in less than one frame in so many: they would cost more than they
-save."""
+"""Bounds are used for templates that are matched in more than one of so many frames; for others they do not pay."""
 
 
 @dataclass(frozen=True)
 class ClassTemplates:
-    """The templates that an annotation labels with, sorted into classes.
+    """The templates of an annotation, assigned to classes.
 
     Attributes
     ----------
     learned : tuple of Template, length S
-        The templates as they were learned, with values in [0, 1].
+        The learned templates, with values in [0, 1].
     quantised : tuple of QuantisedTemplate, length S
-        The same with values 0, 1 and wildcards.
+        The same templates quantised to 0, 1 and wildcards.
     class_index : int64 array (S,)
         The class of each template.
     thresholds : float64 array (P,)
@@ -70,7 +69,7 @@ class AnnotationMethod(Protocol):
     label : str
         The value of the column `method` of annotations.
     uses_thresholds : bool
-        True where segments depend on the thresholds τ.
+        True if segments depend on the thresholds τ.
     """
 
     name: ClassVar[str]
@@ -86,7 +85,7 @@ class AnnotationMethod(Protocol):
         templates : ClassTemplates
             The templates to label with.
         clips : callable
-            Returns the words of the training clips, uint64 (L,) each; reads them when called.
+            Reads and returns the words of the training clips, uint64 (L,) each.
         """
         ...
 
@@ -96,7 +95,7 @@ class AnnotationMethod(Protocol):
         Parameters
         ----------
         words : TakeWords
-            The words of T takes, laid end to end.
+            The words of T takes, concatenated.
         ranges : sequence of int64 arrays (R, 2), length S
             The frames that each template may label, as ascending half-open ranges of the words.
 
@@ -110,7 +109,7 @@ class AnnotationMethod(Protocol):
 
 @dataclass(frozen=True)
 class ThesisMethod:
-    """Label frames with the nearest class below its threshold (thesis, Section 5.2)."""
+    """Labels each frame with the class of the least distance below its threshold (thesis, Section 5.2)."""
 
     name: ClassVar[str] = "thesis"
     label: ClassVar[str] = "templates"
@@ -126,16 +125,16 @@ class ThesisMethod:
         return cls(templates.quantised, templates.class_index, templates.thresholds)
 
     def restricted(self, known: int, templates: Sequence[QuantisedTemplate], chosen: I64) -> ThesisMethod:
-        """Return the method for takes that know some features only.
+        """Return the method for takes in which only some features are known.
 
         Parameters
         ----------
         known : int
             The mask of the known features, with the bits of a word.
         templates : sequence of QuantisedTemplate, length C
-            The templates that are applied, restricted to these features.
+            The templates that can be applied, restricted to these features.
         chosen : int64 array (C,)
-            Their places among all templates.
+            Their indices among all templates.
         """
         return ThesisMethod(tuple(templates), self.class_index[chosen], self.thresholds)
 
@@ -144,8 +143,8 @@ class ThesisMethod:
         return annotate(self.matches(words, ranges), self.class_index, words.offsets, self.thresholds)
 
     def matches(self, words: TakeWords, ranges: Sequence[I64]) -> Matches:
-        """Return the minima of the distance curve of each template below its threshold, with their paths."""
-        # A frame beside a minimum below τ is no lower, whatever it costs, so minima are exact without whole curves.
+        """Return the minima of each template's distance curve below its threshold, with their warping paths."""
+        # The neighbours of a minimum are not lower, whatever they cost, so minima are exact without whole curves.
         taus = self.thresholds[self.class_index]
         coded = encode(words.words)
         wide = [s for s, own in enumerate(ranges) if NARROW * int((own[:, 1] - own[:, 0]).sum()) > len(words.words)]
@@ -158,9 +157,9 @@ class ThesisMethod:
 
 @dataclass(frozen=True)
 class BestMethod:
-    """Label all frames of a take together: the row of templates and background that explains them best.
+    """Labels all frames of a take together, by the most probable sequence of templates and background.
 
-    Templates and postures have the features of the mask `known` only, where there is one.
+    If a mask `known` is given, templates and postures have only the features in it.
     """
 
     name: ClassVar[str] = "best"
@@ -176,28 +175,28 @@ class BestMethod:
 
     @classmethod
     def prepare(cls, templates: ClassTemplates, clips: Callable[[], Sequence[U64]]) -> BestMethod:
-        """Make the method; the usual postures of clips are its background."""
+        """Make the method; the common postures of the clips serve as background."""
         usual = background(clips(), templates.learned[0].values.shape[1])
         learned = tuple(with_usual_values(one, usual) for one in templates.learned)
         return cls(learned, templates.quantised, templates.class_index, usual, Decoding())
 
     def restricted(self, known: int, templates: Sequence[QuantisedTemplate], chosen: I64) -> BestMethod:
-        """Return the method for takes that know some features only; see `ThesisMethod.restricted`."""
+        """Return the method for takes in which only some features are known; see `ThesisMethod.restricted`."""
         bits = known_bits(known, self.usual.shape[1])
         learned = tuple(Template(self.templates[s].values[:, bits], self.templates[s].weights) for s in chosen.tolist())
         usual = np.ascontiguousarray(self.usual[:, bits])
         return BestMethod(learned, tuple(templates), self.class_index[chosen], usual, self.decoding, known)
 
     def own_words(self, words: TakeWords) -> U64:
-        """Return the words of takes, of the features of the templates."""
+        """Return the words of takes, reduced to the features of the templates."""
         return words.words if self.known is None else compacted(words.words, self.known, MOST_FEATURES)
 
     def annotate(
         self, words: TakeWords, ranges: Sequence[I64], promising: Sequence[I64] | None = None
     ) -> list[list[Segment]]:
-        """Label takes; the cost of a segment is the least distance within, NaN where no path ends there.
+        """Label takes; the cost of a segment is its least distance, NaN if no warping path ends in it.
 
-        `promising` has the `promising_ranges` of each take, where they are known.
+        `promising` holds the `promising_ranges` of each take, if they are known.
         """
         columns = lay_columns(self.templates, self.usual, self.decoding)
         whole = whole_takes(words)
@@ -245,16 +244,16 @@ METHODS: Plugins[type[AnnotationMethod]] = Plugins(
         "best": "kinedex.pipelines.annotation.methods:BestMethod",
     },
 )
-"""All methods by name: built in, and of plugins."""
+"""All methods by name, both built-in ones and those of plugins."""
 
 
 def annotation_method(name: str) -> type[AnnotationMethod]:
-    """Return the method of a name.
+    """Return the annotation method with the given name.
 
     Raises
     ------
     KinedexError
-        No method has this name, or it is of a plugin that cannot be used.
+        No method has this name, or the plugin that provides it cannot be used.
     """
     found = METHODS.load(name)
     lacking = [part for part in ("label", "uses_thresholds", "prepare", "annotate") if not hasattr(found, part)]
@@ -267,19 +266,19 @@ def annotation_method(name: str) -> type[AnnotationMethod]:
 
 
 def with_usual_values(template: Template, usual: F64) -> Template:
-    """Return a template whose unknown features, and those of weight 0, have their usual values: no evidence."""
+    """Return a template whose unknown features and those of weight 0 have the average values of the postures."""
     if template.feature_weights is None:
         return template
     return replace(template, values=np.where(template.feature_weights == 0, usual.mean(axis=0), template.values))
 
 
 def whole_takes(words: TakeWords) -> I64:
-    """Return the range of each take among words laid end to end, int64 (T, 2)."""
+    """Return the range of each take in concatenated words, int64 (T, 2)."""
     return np.stack([words.offsets[:-1], words.offsets[1:]], axis=1)
 
 
 def _ranges_by_take(ranges: I64, offsets: I64) -> list[I64]:
-    """Return ranges of words laid end to end take by take, cut at the ends of takes, in frames of the take."""
+    """Divide ranges of concatenated words at the ends of takes; return them for each take, in frames of the take."""
     firsts = np.searchsorted(ranges[:, 1], offsets[:-1], side="right")
     lasts = np.searchsorted(ranges[:, 0], offsets[1:], side="left")
     return [

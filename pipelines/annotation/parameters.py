@@ -1,4 +1,4 @@
-"""The parameters of annotation: those of a method, and those of the stage `annotate`."""
+"""The parameters of annotation methods and of the stage `annotate`."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ Threshold = Annotated[float, Field(gt=0, le=1)]
 
 
 def least_frames(min_seconds: float, rate_hz: float) -> int:
-    """Return the least number of frames of a segment of so many seconds."""
+    """Return the least number of frames of a segment that lasts at least `min_seconds`."""
     return math.ceil(round(min_seconds * rate_hz, 9))
 
 
 class MethodParameters(BaseModel):
-    """The parameters of an annotation method, of the stage `annotate` and of a comparison of methods."""
+    """The parameters of an annotation method, for the stage `annotate` and for comparisons of methods."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -65,12 +65,12 @@ class MethodParameters(BaseModel):
 
     @property
     def annotation_method(self) -> type[AnnotationMethod]:
-        """The method of this name."""
+        """The annotation method that the parameter `method` names."""
         return annotation_method(self.method)
 
     @property
     def common_tau(self) -> float:
-        """The threshold of classes that have none of their own."""
+        """The threshold τ of classes without a threshold of their own."""
         return DEFAULT_TAU if self.tau == CALIBRATED else float(self.tau)
 
     @property
@@ -92,7 +92,7 @@ class MethodParameters(BaseModel):
         return {name: self.tau_by_class.get(name, calibrated.get(name, self.common_tau)) for name in classes}
 
     def without_effect(self) -> list[str]:
-        """Return a remark on settings that the method does not use, if any."""
+        """Return a remark on settings that the method does not use, if there are any."""
         asked = ["`tau: calibrated`"] * (self.tau == CALIBRATED) + ["`tau_by_class`"] * bool(self.tau_by_class)
         if self.annotation_method.uses_thresholds or not asked:
             return []
@@ -101,7 +101,7 @@ class MethodParameters(BaseModel):
 
 
 class AnnotationParameters(MethodParameters):
-    """The parameters of the stage `annotate`, and of stages that repeat its work."""
+    """The parameters of the stage `annotate`, and of stages that repeat its annotation."""
 
     where: str = Field("class IS NULL", description="takes to annotate: a SQL filter over the columns of takes")
     classes: Annotated[str, NamesFile("classes")] = Field(

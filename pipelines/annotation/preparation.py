@@ -1,4 +1,4 @@
-"""Services of annotation on a store: the takes to annotate, classes, queries, thresholds, and the annotator of them."""
+"""Prepare an annotation of a store: select takes and classes, read queries, calibrate, make the annotator."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ from kinedex.pipelines.templates.training import TemplateParameters, completed
 from kinedex.storage.store.store import Store
 
 Single = Callable[[Annotator, Sequence[TrainingClips], Sequence[Rejected]], Annotator]
-"""A function that makes every example of an annotator a template of its own, and rejected intervals rivals of all."""
+"""A function that returns an annotator with each example as a template and rejected intervals as rivals."""
 
 
 def takes_to_annotate(store: Store, where: str) -> pl.DataFrame:
-    """Return the takes that a SQL filter selects, sorted by name; a KinedexError where there are none."""
+    """Return the takes that a SQL filter selects, sorted by name; raise a KinedexError if there are none."""
     takes = store.takes(where)
     if not takes.height:
         every = store.takes()
@@ -49,9 +49,9 @@ def takes_to_annotate(store: Store, where: str) -> pl.DataFrame:
 
 
 def annotation_classes(store: Store, classes: str, templates: Sequence[SubclassTemplate]) -> Classes:
-    """Return the classes of a class file, or with "own" one for each subclass that has a template.
+    """Return the classes of a class file, or with "own" one class for each subclass that has a template.
 
-    A class file may name every subclass of the archive, also those that are not learned from.
+    A class file may name any subclass of the archive, including those without templates.
     """
     learned = {one.subclass for one in templates}
     labelled = set(store.takes()["class"].drop_nulls().unique())
@@ -59,14 +59,14 @@ def annotation_classes(store: Store, classes: str, templates: Sequence[SubclassT
 
 
 def queries_of(store: Store, params: MethodParameters) -> list[KeyframeQuery]:
-    """Return all queries of the query files of an annotation."""
+    """Return all queries in the query files of an annotation."""
     return read_query_files(params.query_files, store.feature_set, store.rate_hz)
 
 
 def template_words(store: Store, templates: Sequence[SubclassTemplate]) -> list[U64]:
-    """Return the words of the clips that templates were learned from, or of all takes where they are of none.
+    """Return the words of the clips that templates were learned from, or of all takes if there are no such clips.
 
-    Clips whose bodies lack joints are left out, unless all do.
+    Clips whose bodies lack joints are excluded, unless all do.
     """
     clips = {name for one in templates for name in one.clips}
     takes = store.takes().filter(pl.col("name").is_in(clips))
@@ -104,11 +104,11 @@ def prepare_annotator(
     classes : Classes
         The classes to label with.
     clips : callable
-        Returns the words of the training clips; called where the method needs them.
+        Returns the words of the training clips; called only if the method needs them.
     calibration : Calibration
         The calibrated thresholds, see `calibrated_thresholds`; those of `tau_by_class` take precedence.
     queries, learned : sequence of KeyframeQuery
-        The queries of files, and those that were learned.
+        The queries from files, and the learned ones.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def prepare_annotator(
 
 
 def own_thresholds(params: MethodParameters, calibration: Calibration, annotator: Annotator) -> dict[str, float]:
-    """Return the threshold of each class that has a template, where classes have thresholds of their own."""
+    """Return the threshold of each class that has a template; empty if all classes share one threshold."""
     if not (calibration.taus or params.tau_by_class) or not params.annotation_method.uses_thresholds:
         return {}
     thresholds = params.thresholds(annotator.classes, calibration.taus)
@@ -147,7 +147,7 @@ def calibrated_thresholds(
     executor: Executor,
     rejected: Callable[[], Sequence[Rejected]] = tuple,
 ) -> Calibration:
-    """Calibrate the thresholds of classes, where the parameters ask for it and the method uses them.
+    """Calibrate the thresholds of classes, if the parameters ask for it and the method uses thresholds.
 
     Parameters
     ----------
@@ -160,11 +160,11 @@ def calibrated_thresholds(
     classes : Classes
         The classes to label with.
     clips : callable
-        Returns the clips to calibrate on; called where they are needed.
+        Returns the clips to calibrate on; called only if they are needed.
     executor : Executor
         The workers.
     rejected : callable, optional
-        Returns the intervals that people have rejected; called where they are needed.
+        Returns the intervals that people have rejected; called only if they are needed.
     """
     if params.tau != CALIBRATED or not params.annotation_method.uses_thresholds:
         return Calibration({}, {}, ())
@@ -176,7 +176,7 @@ def calibrated_thresholds(
 def _learning(
     store: Store, params: MethodParameters, templates: TemplateParameters, executor: Executor
 ) -> Callable[[Sequence[TrainingClips]], list[SubclassTemplate]]:
-    """Return a function that learns templates of clips by the recipe of an archive."""
+    """Return a function that learns templates from clips with the parameters of a pipeline."""
     weights = feature_weights(templates.weights, store.feature_set)
 
     def learn(some: Sequence[TrainingClips]) -> list[SubclassTemplate]:
@@ -201,7 +201,7 @@ def calibrated_confidence(
     single: Single | None = None,
     rejected: Sequence[Rejected] = (),
 ) -> CalibratedConfidence:
-    """Learn how confident the labels of an annotation are, from examples that are left out.
+    """Learn the confidence of an annotation's labels from held-out examples.
 
     Parameters
     ----------
@@ -216,13 +216,13 @@ def calibrated_confidence(
     clips : sequence of TrainingClips
         The examples.
     takes : polars.DataFrame
-        Rows of the takes to annotate, of which lengths and actors matter.
+        Rows of the takes to annotate; their lengths and actors are used.
     calibration, executor, queries, learned
         See `prepare_annotator`; thresholds and queries are those of all examples.
     single : callable, optional
-        Makes every example of an annotator a template of its own (`single_examples`).
+        Returns an annotator with each example as a template (`single_examples`).
     rejected : sequence of Rejected, optional
-        What people have rejected, where `single` is given.
+        Intervals that people have rejected, if `single` is given.
     """
 
     def make(some: Sequence[SubclassTemplate], rest: Sequence[TrainingClips], refused: Sequence[Rejected]) -> Annotator:
@@ -233,7 +233,7 @@ def calibrated_confidence(
     learn = _learning(store, params, templates, executor)
 
     def learn_alone(some: Sequence[TrainingClips]) -> list[SubclassTemplate]:
-        # the templates only name the classes then, and bring their numbers of columns, those of the first clips
+        # templates then only provide class names and numbers of columns (those of the first clips)
         return learn([one.first() for one in some])
 
     return calibrate_confidence(
@@ -250,7 +250,7 @@ def calibrated_confidence(
 
 
 def single_examples_of(store: Store, params: MethodParameters, templates: TemplateParameters) -> Single:
-    """Return a function that makes every example of an annotator a template of its own; it reads all words once."""
+    """Return a function that makes each example of an annotator a template; it reads all words of the store once."""
     features = len(store.feature_set.features)
     usual = cache(lambda: usual_postures(store.words(None).best_known, features))
     weights = feature_weights(templates.weights, store.feature_set)
@@ -262,7 +262,7 @@ def single_examples_of(store: Store, params: MethodParameters, templates: Templa
 
 
 def annotated_classes(store: Store, params: AnnotationParameters, stage: str) -> Classes:
-    """Return the classes that a stage `annotate` has annotated with.
+    """Return the classes that a stage `annotate` has used.
 
     Parameters
     ----------
@@ -278,5 +278,5 @@ def annotated_classes(store: Store, params: AnnotationParameters, stage: str) ->
 
 
 def learned_queries(store: Store, stage: str) -> list[KeyframeQuery]:
-    """Return the queries that a stage `learn_keyframes`, "<pipeline>/<stage>", has learned."""
+    """Return the queries that a stage `learn_keyframes`, given as "<pipeline>/<stage>", has learned."""
     return every_query(outcomes_of(store.result("queries", run=run_of(store, stage))), store.feature_set)

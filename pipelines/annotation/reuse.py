@@ -1,4 +1,4 @@
-"""Reuse of earlier annotations: of takes whose words, and all that they were annotated with, are unchanged."""
+"""Reuse earlier annotations of takes whose words and annotation settings are unchanged."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from kinedex.storage.store.reused_results import ReusedParts, reused_parts
 from kinedex.storage.store.store import Store
 
 PIECE_BYTES = 16_000_000
-"""Curves are written again in pieces of about this size, uncompressed."""
+"""The approximate size, in uncompressed bytes, of the pieces in which distance curves are rewritten."""
 
 
 def setting_digest(annotator: Annotator, store_curves: bool, code: str) -> str:
-    """Return a hash of all that the segments and curves of a take depend on besides its words.
+    """Return a hash of everything except a take's words that determines its segments and curves.
 
-    The confidence is not among it, since `with_confidence` computes it anew for segments that are kept.
+    The confidence is excluded, because `with_confidence` computes it again for reused segments.
 
     Parameters
     ----------
     annotator : Annotator
-        The annotator; its method holds thresholds only where it uses them.
+        The annotator; its method holds thresholds only if it uses them.
     store_curves : bool
-        True where distance curves are stored.
+        True if distance curves are stored.
     code : str
-        A hash of the sources that the stage runs.
+        A hash of the code that the stage runs.
     """
     method = part_digest(METHODS, annotator.method.name)
     hasher = hashlib.sha256(f"{code}/{store_curves}/{method}".encode())
@@ -47,7 +47,7 @@ def setting_digest(annotator: Annotator, store_curves: bool, code: str) -> str:
 
 
 def _feed(hasher: hashlib._Hash, value: object) -> None:
-    """Add a value to a hash, with its type and length, so that no two values feed the same bytes."""
+    """Add a value to a hash, with its type and length, so that different values never add the same bytes."""
     hasher.update(f"{type(value).__name__}:".encode())
     if isinstance(value, np.ndarray):
         hasher.update(f"{value.dtype}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
@@ -70,16 +70,16 @@ def _feed(hasher: hashlib._Hash, value: object) -> None:
 
 
 def with_confidence(rows: pa.Table, annotator: Annotator, frames: Mapping[int, int]) -> pa.Table:
-    """Return rows of annotations with the confidence that an annotator gives them.
+    """Return rows of annotations with the confidences that an annotator gives them.
 
     Parameters
     ----------
     rows : pyarrow.Table
-        Results of the kind `annotations`, of takes that were annotated by the same templates; in each take by start.
+        Results of the kind `annotations`, of takes annotated with the same templates; sorted by start within a take.
     annotator : Annotator
         The annotator, with its confidence.
     frames : mapping of int to int
-        The length of each take by its id.
+        The length of each take in frames, by take_id.
     """
     confidence = annotator.confidence
     classes = {name: index for index, name in enumerate(annotator.classes)}
@@ -103,7 +103,7 @@ def with_confidence(rows: pa.Table, annotator: Annotator, frames: Mapping[int, i
 
 
 def fingerprints(store: Store, takes: pl.DataFrame, setting: str) -> dict[int, str]:
-    """Return a hash of each take's words, what it knows, and the setting, by take_id; words are read batch by batch."""
+    """Return a hash of each take's words, known features and settings, by take_id; words are read in batches."""
     result = {}
     for batch in split_takes(takes["take_id"].to_list(), takes["frames"].to_list()):
         words = store.words(batch)
@@ -129,7 +129,7 @@ class EarlierAnnotations:
     run : str
         The id of the run.
     searched : dict of int to float
-        For each of their takes the share of its frames that templates were matched in.
+        For each take that is up to date, by take_id, the share of its frames that templates were matched in.
     """
 
     store: Store
@@ -138,15 +138,15 @@ class EarlierAnnotations:
     searched: dict[int, float]
 
     def annotations(self, run: str) -> pa.Table:
-        """Return the segments, as rows of a new run."""
+        """Return the segments, with the id of a new run."""
         return self._rows(self.store.result("annotations", run=self.run), run)
 
     def curve_parts(self) -> ReusedParts:
-        """Divide the parts of distance curves into those that stay and those whose rows are written again."""
+        """Divide the stored parts of distance curves into those that are kept and those whose rows are rewritten."""
         return reused_parts(self.store, "distance_curves", self.stage, self.searched)
 
     def curves(self, parts: Iterable[ResultPart], run: str) -> Iterator[pa.Table]:
-        """Yield the distance curves of some parts, as rows of a new run, in pieces of `PIECE_BYTES`."""
+        """Yield the distance curves of stored parts, with the id of a new run, in pieces of `PIECE_BYTES`."""
         waiting: list[pa.Table] = []
         for piece in self.store.result_pieces("distance_curves", parts):
             waiting.append(self._rows(piece, run))
@@ -163,7 +163,7 @@ class EarlierAnnotations:
 
 
 def earlier_annotations(store: Store, stage: str, prints: dict[int, str]) -> EarlierAnnotations:
-    """Return the annotations of takes that a stage has annotated before, with the same fingerprint."""
+    """Return a stage's earlier annotations of takes whose fingerprints have not changed."""
     runs = [part.run for part in store.manifest.results.get("annotated_takes", ()) if part.stage == stage]
     if not runs:
         return EarlierAnnotations(store, stage, "", {})

@@ -1,4 +1,10 @@
-"""The method `best` with every example as a template of its own, for archives in which people have labelled little.
+"""The method `best` with every example as a template, for archives in which people have labelled little.
+
+A few examples of one class do not represent an archive: their average is vague where they differ, and the common
+postures of their frames are those of the class itself, so that they are no background for it. Rejected intervals
+resemble the class in everything that the average retains. Therefore every example is a template, every rejected
+interval is a template that assigns no label, and the background is learned from all takes (`studies.explorer_decisions`
+compares the alternatives).
 
 A few examples of one class are no picture of an archive. Their average is vague where they differ; the usual postures
 of their frames are those of the class itself, from which it cannot stand out; and what people have rejected is like the
@@ -36,23 +42,23 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 NOTHING = -1
-"""The place of the template of a rejected interval, which labels nothing."""
+"""The index that marks a template of a rejected interval, which assigns no label."""
 
 
 MOST_FRAMES = 20_000
-"""The background is learned from so many frames at most: it is a few postures, which more do not change."""
+"""The largest number of frames from which the background is learned; more do not change its few postures."""
 
 
 @dataclass(frozen=True)
 class SingleExamples:
-    """Label all frames of a take together, with every example as a template; segments are of their class's template.
+    """Labels all frames of a take together, with every example as a template; a segment refers to its class's template.
 
     Attributes
     ----------
     row : BestMethod
         The method, with a template for each of E examples.
     places : int64 array (E,)
-        The template of the annotator that each example stands for; `NOTHING` for a rejected interval.
+        The index of the annotator's template that each example belongs to; `NOTHING` for a rejected interval.
     """
 
     name: ClassVar[str] = "best"
@@ -64,11 +70,11 @@ class SingleExamples:
 
     @classmethod
     def prepare(cls, templates: ClassTemplates, clips: Callable[[], Sequence[U64]]) -> SingleExamples:
-        """Make the method where no example is known: every template is one."""
+        """Make the method without examples: every given template counts as one."""
         return cls(BestMethod.prepare(templates, clips), np.arange(len(templates.learned)))
 
     def restricted(self, known: int, templates: Sequence[QuantisedTemplate], chosen: I64) -> SingleExamples:
-        """Return the method for takes that know some features only; see `ThesisMethod.restricted`."""
+        """Return the method for takes in which only some features are known; see `ThesisMethod.restricted`."""
         new = {int(place): index for index, place in enumerate(chosen.tolist())} | {NOTHING: NOTHING}
         kept = {
             example: own
@@ -81,7 +87,9 @@ class SingleExamples:
     def annotate(
         self, words: TakeWords, ranges: Sequence[I64], promising: Sequence[I64] | None = None
     ) -> list[list[Segment]]:
-        """Label takes; see `AnnotationMethod.annotate`. `promising` is that of the same takes, where it is known."""
+        """Label takes; see `AnnotationMethod.annotate`. `promising` holds the promising ranges of these takes, if
+        known.
+        """
         if not (self.places != NOTHING).any():
             return [[] for _ in range(len(words))]
         whole = whole_takes(words)
@@ -96,14 +104,14 @@ class SingleExamples:
         ]
 
     def promising(self, words: TakeWords, earlier: Sequence[PromisingRanges | None] | None = None) -> list[I64]:
-        """Return the ranges of each take in which examples could label anything.
+        """Return the ranges of each take that examples could label.
 
         Parameters
         ----------
         words : TakeWords
-            The words of T takes, laid end to end.
+            The words of T takes, concatenated.
         earlier : sequence of PromisingRanges or None, length T, optional
-            For each take what is known already: only the other examples are compared with it.
+            The known ranges of each take; only examples that are not in them are compared with its words.
 
         Returns
         -------
@@ -128,7 +136,7 @@ class SingleExamples:
 
     @cached_property
     def keys(self) -> U64:
-        """A hash of each example and of all else that its promising ranges depend on besides words, uint64 (E,)."""
+        """A hash of each example and of everything except words that its promising ranges depend on, uint64 (E,)."""
         common = hashlib.sha256(f"{self.row.decoding!r}{self.row.usual.shape}".encode() + self.row.usual.tobytes())
         found = []
         for template in self.row.templates:
@@ -139,7 +147,7 @@ class SingleExamples:
 
 
 def usual_postures(words: U64, features: int) -> F64:
-    """Return the usual postures of an archive, learned from at most `MOST_FRAMES` of its words, spread evenly."""
+    """Return the common postures of an archive, learned from at most `MOST_FRAMES` of its words, spread evenly."""
     return background([words[:: -(-len(words) // MOST_FRAMES) or 1]], features)
 
 
@@ -151,18 +159,18 @@ def with_single_examples(
     delta: float,
     feature_weights: F64 | None = None,
 ) -> Annotator:
-    """Return an annotator that labels with every example instead of with the templates that were made of them.
+    """Return an annotator that uses each example as a template, instead of the templates learned from the examples.
 
     Parameters
     ----------
     annotator : Annotator
-        An annotator of the method `best`. Its templates without examples, such as those of files, stay as they are.
+        An annotator of the method `best`. Its templates without examples, such as those from files, are kept.
     clips : sequence of TrainingClips
         The examples of each subclass.
     rejected : sequence of Rejected
-        Intervals that show no class; each explains frames that are like it, which then have no label.
+        Intervals that show no class; frames that match one of them best get no label.
     usual : float64 array (K, f)
-        The usual postures of all kinds of motion, see `usual_postures`.
+        The common postures of the archive, see `usual_postures`.
     delta : float
         Values of a template within delta of 0 or 1 are fixed; costs are computed with these.
     feature_weights : float64 array (f,), optional

@@ -1,4 +1,4 @@
-"""The tables of an annotation: takes, segments and distance curves."""
+"""Make the tables of an annotation: takes, segments and distance curves."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from kinedex.storage.store.store import Store, data_frame
 def takes_table(
     takes: pl.DataFrame, run: str, searched: Mapping[int, float], prints: Mapping[int, str] | None = None
 ) -> pa.Table:
-    """Return the takes that are annotated as results of the kind `annotated_takes`.
+    """Return the annotated takes as results of the kind `annotated_takes`.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def annotated_takes(store: Store, stage: str) -> pl.DataFrame:
     Raises
     ------
     KinedexError
-        The stage has not run, or takes that it annotated have been replaced or dropped since.
+        The stage has not run, or takes that it annotated have been replaced or dropped since then.
     """
     table = data_frame(store.result("annotated_takes", run=run_of(store, stage)))
     seen = table.select("take_id", pl.col("take").alias("name"), "frames")

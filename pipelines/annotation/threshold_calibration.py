@@ -1,4 +1,4 @@
-"""Thresholds of classes, calibrated on the clips of each actor with templates of the others' clips."""
+"""Calibrate the thresholds of classes by cross-validation over actors."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips
 F64 = npt.NDArray[np.float64]
 
 HIGHEST = 1.0
-"""No threshold is above this distance, which no path exceeds."""
+"""The largest threshold, a distance that no warping path exceeds."""
 
 _NO_COSTS = (
     "they have no clips",
     "their clips are of one actor",
     "no clip of theirs fits a template of other actors' clips",
 )
-"""Reasons for which the clips of a class have no costs for its own templates, by the number of their actors."""
+"""The reasons why the clips of a class have no costs for its own templates, for 0, 1 and more actors."""
 
 Learn = Callable[[Sequence[TrainingClips]], list[SubclassTemplate]]
-"""A function that makes templates of clips by the recipe of an archive, files and combinations included."""
+"""A function that makes all templates of an archive from its clips, including those from files and combinations."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Thresholds of classes, the F with which each divides its clips from the others, and remarks."""
+    """The calibrated thresholds of classes, the F-measure that each reaches on the clips, and remarks."""
 
     taus: dict[str, float]
     scores: dict[str, float]
@@ -48,7 +48,7 @@ class Calibration:
 
 @dataclass(frozen=True)
 class Fold:
-    """The clips and rejected intervals of one actor and templates of other actors' clips, as the task of one worker."""
+    """One fold, as a task: an actor's clips and rejected intervals, and templates of the other actors' clips."""
 
     templates: tuple[SubclassTemplate, ...]
     clips: tuple[TrainingClips, ...]
@@ -65,18 +65,18 @@ def calibrate(
     executor: Executor,
     rejected: Sequence[Rejected] = (),
 ) -> Calibration:
-    """Choose the threshold of each class with the highest F on clips of actors whose clips made no template.
+    """Choose for each class the threshold of the highest F-measure, on clips of actors that were held out of learning.
 
-    The clips of one actor at a time are matched with templates that were learned from the clips of the others: the
-    least distance within a clip is its cost for a template, and a class has the least cost of its subclasses. The costs
-    of all actors together decide (`ops.annotation.calibration.best_threshold`).
+    The clips of one actor at a time are matched with templates learned from the clips of the others: the least distance
+    within a clip is its cost for a template, and its cost for a class is the least over the templates of the class. The
+    costs over all actors determine the threshold (`ops.annotation.calibration.best_threshold`).
 
     Parameters
     ----------
     clips : sequence of TrainingClips
         The training clips by subclass.
     actors : mapping of str to str
-        The actor of each take by its name; clips without one are those of one more actor.
+        The actor of each take by its name; clips without an actor count as those of one more actor.
     classes : Classes
         The classes of the subclasses.
     delta : float
@@ -87,18 +87,18 @@ def calibrate(
         The workers.
     rejected : sequence of Rejected, optional
         Intervals that a person has rejected. The costs of an interval for the templates of the class that it was
-        rejected for count like those of other classes' clips; for other classes it counts nothing.
+        rejected for count like those of other classes' clips; for other classes it does not count.
 
     Returns
     -------
     Calibration
         Thresholds of those classes that have templates. A class without clips, with clips of one actor, or with clips
-        that fit nothing gets the threshold that divides own from other clips best over all classes; `remarks` name it.
+        that match nothing gets the threshold that is best over all classes; `remarks` name it.
 
     Raises
     ------
     KinedexError
-        The clips are of fewer than two actors, or fit no template.
+        The clips are of fewer than two actors, or match no template.
     """
     known = sorted({actors.get(take) or "" for one in clips for take in one.of_takes})
     if len(known) < 2:
@@ -121,9 +121,9 @@ def calibrate(
 
 
 def fold_costs(fold: Fold) -> F64:
-    """Return the cost of each clip, then of each rejected interval, for each template, in a worker.
+    """Return the cost of each clip, then of each rejected interval, for each template; runs in a worker.
 
-    They are float64 (templates, clips and intervals), ∞ where nothing fits, and where a template is not applied.
+    The array is float64 (templates, clips and intervals), ∞ where nothing matches or a template is not applied.
     """
     words = [*(one for clips in fold.clips for one in clips.words), *(one.words for one in fold.rejected)]
     known = [*(clips.known for clips in fold.clips for _ in clips.words), *(one.known for one in fold.rejected)]
@@ -139,7 +139,7 @@ def fold_costs(fold: Fold) -> F64:
             ranges = np.stack([edges[:-1], edges[1:]], axis=1)
             curves = distance_curves(applied, np.concatenate([words[clip] for clip in batch]), ranges)
             costs[np.ix_(rows, batch)] = np.minimum.reduceat(curves, edges[:-1], axis=1)
-    # templates of wildcards alone fit anything, and are excluded from annotation
+    # templates without fixed entries match anything, and are excluded from annotation
     costs[[not one.fixed for one in templates]] = np.inf
     return costs
 
@@ -168,7 +168,7 @@ def _choose(found: Iterable[tuple[Fold, F64]], classes: Classes) -> Calibration:
     common, _ = best_threshold(*every)
     taus, scores, bare = {}, {}, defaultdict(list)
     for name in classes.names:
-        if name not in own and name not in others:  # without a template, nothing is labelled with it
+        if name not in own and name not in others:  # a class without templates labels nothing
             continue
         mine = np.array(own.get(name, ()))
         if np.isfinite(mine).any():
@@ -182,7 +182,7 @@ def _choose(found: Iterable[tuple[Fold, F64]], classes: Classes) -> Calibration:
 
 
 def _class_of_rejected(one: Rejected, classes: Classes) -> str | None:
-    """Return the class that a rejected interval is no example of; None where only one of its subclasses was meant."""
+    """Return the class that a rejected interval does not show; None if it was rejected for one subclass only."""
     if one.label in classes.names:
         return one.label
     found = next((each for each in classes.classes if one.label in each.subclasses), None)
