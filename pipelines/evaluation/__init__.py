@@ -1,1 +1,1 @@
-"""Comparing methods of annotation: splits, the grid of methods by folds, and how good each is."""
+"""Evaluation: compare annotations with ground truth, and compare annotation methods on splits and folds."""

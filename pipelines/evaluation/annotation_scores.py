@@ -1,4 +1,4 @@
-"""Evaluation of annotations: counts per class and take, and their tables."""
+"""Evaluate annotations: count frames and segments per class and take, and make tables of the counts."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SCOPES = ("pooled", "fold", "class", "take")
 
 @dataclass(frozen=True)
 class Row:
-    """A row of an evaluation: the scope is 'pooled', 'class', 'take', 'fold' or 'group' (takes with one value)."""
+    """A row of an evaluation; its scope is 'pooled', 'class', 'take', 'fold' or 'group' (takes with one value)."""
 
     scope: str
     name: str
@@ -46,7 +46,7 @@ class Evaluation:
 
 
 def evaluate(name: str, annotations: pa.Table, truth: GroundTruth, classes: Sequence[str]) -> Evaluation:
-    """Compare annotations with ground truth on the takes that have it (thesis, Section 5.4).
+    """Compare annotations with ground truth on the takes that have ground truth (thesis, Section 5.4).
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def evaluate(name: str, annotations: pa.Table, truth: GroundTruth, classes: Sequ
     Returns
     -------
     Evaluation
-        Counts pooled over everything, of each class and of each take.
+        Counts pooled over all takes and classes, and counts of each class and each take.
     """
     automatic: dict[tuple[str, str], list[tuple[int, int]]] = defaultdict(list)
     manual: dict[tuple[str, str], list[tuple[int, int]]] = defaultdict(list)
@@ -81,13 +81,13 @@ def evaluate(name: str, annotations: pa.Table, truth: GroundTruth, classes: Sequ
 
 
 def measures(counts: Counts) -> dict[str, float | None]:
-    """Return the six measures by name, None where one is undefined."""
+    """Return the six measures by name; a measure that is undefined is None."""
     values = {name: float(getattr(counts, name)) for name in MEASURES}
     return {name: None if math.isnan(value) else value for name, value in values.items()}
 
 
 def scores(counts: Counts) -> dict[str, float | int | None]:
-    """Return measures and counts by name; an undefined measure is None."""
+    """Return measures and counts by name; a measure that is undefined is None."""
     return {**measures(counts), **asdict(counts)}
 
 
@@ -101,7 +101,7 @@ def metrics_rows(evaluation: Evaluation, run: str) -> pa.Table:
 
 
 def write_metrics(path: Path, evaluation: Evaluation, run: str, **about: object) -> None:
-    """Write an evaluation as JSON: `about`, then the measures and counts of every row by scope and name."""
+    """Write an evaluation as JSON: the fields `about`, then measures and counts of every row by scope and name."""
     content: dict[str, object] = {"evaluation": evaluation.name, "run": run, **about}
     content["pooled"] = scores(evaluation.pooled)
     for scope, key in zip(SCOPES[1:], ("folds", "classes", "takes"), strict=True):
@@ -114,7 +114,7 @@ def write_metrics(path: Path, evaluation: Evaluation, run: str, **about: object)
 
 
 def metrics_table(evaluation: Evaluation, title: str, scopes: Sequence[str] = SCOPES) -> ResultTable:
-    """Return an evaluation as a table for people, without classes that neither side has.
+    """Return an evaluation as a table for people, without classes that neither annotations nor ground truth contain.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The comparison of annotation methods: folds, cells and judgements of all splits."""
+"""Compare annotation methods: make the folds of all splits, compute every method in every fold, and score methods."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ class Plan:
     Attributes
     ----------
     params : ComparisonParameters
-        The parameters, with one method at least, each once.
+        The parameters, with at least one method and without repeated methods.
     truth : GroundTruthParameters
-        The parameters that select ground truth: those of `params` where it has any, else those of the stage evaluate.
+        The parameters that select ground truth: those of `params` if it has any, else those of the stage evaluate.
     annotated : str, optional
         The stage `annotate` whose method is repeated, "<pipeline>/<stage>".
     remarks : tuple of str
@@ -64,14 +64,14 @@ class Plan:
     remarks: tuple[str, ...] = ()
 
     def tested(self, store: Store, split: Split) -> pl.DataFrame:
-        """Return the takes to annotate of a split."""
+        """Return the takes of a split that are to be annotated."""
         if self.annotated is not None and "test" not in split.model_fields_set:
             return annotated_takes(store, self.annotated)
         return store.takes(split.test)
 
 
 def plan_comparison(context: StageContext, params: ComparisonParameters) -> Plan:
-    """Complete the parameters of a comparison by those of the stages that it builds on.
+    """Complete the parameters of a comparison by those of its input stages.
 
     Raises
     ------
@@ -105,19 +105,19 @@ def plan_comparison(context: StageContext, params: ComparisonParameters) -> Plan
 
 
 def compare_methods(context: StageContext, plan: Plan) -> Study | None:
-    """Compute the cells that are missing, and judge all methods.
+    """Compute the cells that are missing, and score all methods.
 
     Parameters
     ----------
     context : StageContext
         The store, the executor and the display.
     plan : Plan
-        What is compared.
+        The plan of the comparison.
 
     Returns
     -------
     Study, optional
-        The comparison; None where the method of a stage `annotate` is repeated, and no take has ground truth or no
+        The comparison; None if the method of a stage `annotate` is repeated, but no take has ground truth or no
         split has a fold, which is reported.
 
     Raises
@@ -170,7 +170,7 @@ def compare_methods(context: StageContext, plan: Plan) -> Study | None:
 
 
 def _known(context: StageContext, params: ComparisonParameters, store: Store) -> StudyMaterial:
-    """Return the classes, and how templates and queries are learned."""
+    """Return the classes, and the parameters with which templates and queries are learned."""
     learned_with = context.params_of("templates", TemplateParameters)
     labelled = set(store.takes()["class"].drop_nulls().unique())
     made = set(learned_with.combine) | set(learned_with.mirror.values())
@@ -214,13 +214,13 @@ def _folds(context: StageContext, plan: Plan, split: Split, known: StudyMaterial
 
 
 def _swept(params: ComparisonParameters) -> list[Method]:
-    """Return a method for each threshold of the sweep and each method that uses one, methods that differ in τ once."""
+    """Return each method with thresholds at each threshold of the sweep; methods that differ only in τ count once."""
     curves = {method.curve_name: method for method in params.methods if method.annotation_method.uses_thresholds}
     return [method.at(tau) for method in curves.values() for tau in params.taus]
 
 
 def _run(context: StageContext, cells: Sequence[Cell]) -> dict[str, SegmentsByTake]:
-    """Run the cells that are not in the store yet, and store them."""
+    """Compute the cells that are not in the store yet, and store them."""
     store = context.open()
     known = known_cells(store.result("method_cells", pipeline=context.pipeline))
     distinct = list({cell.key: cell for cell in cells}.values())
@@ -245,7 +245,7 @@ def _result(
     found: Mapping[str, SegmentsByTake],
     classes: Classes,
 ) -> SplitResult:
-    """Judge all methods in a split."""
+    """Score all methods in a split."""
 
     def outcome(method: Method) -> SegmentsByTake:
         keys = [cells[split.name, fold.name, method.name].key for fold in folds]

@@ -1,4 +1,4 @@
-"""Confusion of classes: the frames of each class by the labels that a method gave them."""
+"""Compute the confusion matrix of classes: the frames of each class by the labels that a method gave them."""
 
 from __future__ import annotations
 
@@ -14,24 +14,23 @@ from kinedex.pipelines.evaluation.test_takes import TestTake
 Bool = npt.NDArray[np.bool_]
 
 NOTHING = "no label"
-"""The row of frames that a person did not label, and the column of frames that the method did not."""
+"""The name of the row of frames without a manual label, and of the column of frames without an automatic label."""
 
 EXTRA = "label too many"
-"""The row of automatic labels beyond as many as a person gave the frame."""
+"""The name of the row that counts automatic labels in excess of a frame's manual labels."""
 
 LACKING = "label too few"
-"""The column of manual labels beyond as many as the method gave the frame."""
+"""The name of the column that counts manual labels in excess of a frame's automatic labels."""
 
 
 @dataclass(frozen=True)
 class Confusion:
-    """Frames by their manual labels (rows) and their automatic labels (columns).
+    """The confusion matrix: numbers of frames by manual label (rows) and automatic label (columns).
 
-    The row of a class sums to the frames that a person gave it, its column to the frames that the method gave it.
-    Labels of a frame that both sides have are right. Each remaining label of the side with fewer is divided equally
-    among the remaining labels of the other side. Where a side has no label at all, the labels of the other count at
-    `NOTHING`, one each (and 1 where neither has one); where it has some, but fewer, the surplus counts at `EXTRA` or
-    `LACKING`.
+    The row of a class sums to its manually labelled frames, its column to its automatically labelled frames. Labels
+    that a frame has on both sides are right. Each remaining label of the side with fewer is divided equally among the
+    remaining labels of the other side. If one side has no label, the labels of the other count at `NOTHING`, one each
+    (and 1 if neither has one); if it has fewer labels than the other, the surplus counts at `EXTRA` or `LACKING`.
 
     Attributes
     ----------
@@ -57,7 +56,7 @@ class Confusion:
 
 @dataclass(frozen=True)
 class ConfusedClass:
-    """Frames of one class with the label of another class, or none, and their share of the class."""
+    """The frames of one class that have another label or none, and their share of the class."""
 
     label: str
     taken_for: str
@@ -90,7 +89,7 @@ def confusion(
 
 
 def _of_take(true: Bool, mine: Bool) -> npt.NDArray[np.float64]:
-    """Return the confusion of a take, float64 (C + 2, C + 2), of the labels of its frames, bool (C, L) twice."""
+    """Return the confusion matrix of a take, float64 (C + 2, C + 2), from manual and automatic labels, bool (C, L)."""
     size = len(true)
     frames = np.zeros((size + 2, size + 2))
     both = true & mine
@@ -109,7 +108,7 @@ def _of_take(true: Bool, mine: Bool) -> npt.NDArray[np.float64]:
 
 
 def _marked(segments: Sequence[tuple[int, int, int]], test_take: TestTake, labels: int) -> Bool:
-    """Return the frames of each class, bool (labels, L)."""
+    """Return the frames labelled with each class, bool (labels, L)."""
     marked = np.zeros((labels, test_take.frames), np.bool_)
     for label, start, stop in segments:
         marked[label, start:stop] = True
@@ -117,7 +116,7 @@ def _marked(segments: Sequence[tuple[int, int, int]], test_take: TestTake, label
 
 
 def confusions(found: Confusion, most: int) -> list[ConfusedClass]:
-    """Return the largest confusions by frames; none below half a percent of its row."""
+    """Return the largest confusions by frames, without those below half a percent of their row."""
     greatest = []
     for i, label in enumerate(found.rows):
         total = float(found.frames[i].sum())

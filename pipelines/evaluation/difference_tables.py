@@ -1,4 +1,4 @@
-"""Comparisons of two evaluations in tables, and as Markdown."""
+"""Format comparisons of two evaluations as tables and as Markdown."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from kinedex.pipelines.evaluation.measure_names import F_FRAMES, F_SEGMENTS, THE
 VERDICTS = ("worse", "mixed", "better", "incomparable")
 HEADER = (f"{F_FRAMES} A", "B", "B − A", f"{F_SEGMENTS} A", "B", "B − A")
 MOST_SHOWN = 20
-"""The terminal shows at most so many changes of a kind; a file has all."""
+"""The largest number of changes of a kind that the terminal shows; a file lists all."""
 
 _TONES: dict[str, Tone] = {
     "better": "better", "worse": "worse", "mixed": "doubtful", "incomparable": "doubtful", "same": "plain",
@@ -22,7 +22,7 @@ _TONES: dict[str, Tone] = {
 
 
 def values(change: Change) -> list[str]:
-    """Return a change as cells under `HEADER`."""
+    """Return a change as cells of the columns in `HEADER`."""
     cells = []
     for pair, by in zip((change.f1, change.f2), change.by, strict=True):
         cells += [digits(pair[0]), digits(pair[1]), signed(by)]
@@ -30,12 +30,12 @@ def values(change: Change) -> list[str]:
 
 
 def signed(value: float | None) -> str:
-    """Return a difference with its sign; a dot where it is 0, a dash where one side has no value."""
+    """Format a difference with its sign; a dot stands for 0, a dash for a side without a value."""
     return "–" if value is None else "·" if abs(value) < 0.0005 else f"{value:+.3f}"
 
 
 def comparison_tables(one: Comparison) -> list[ResultTable | Line]:
-    """Return a comparison as tables: the verdict, then the changes, the greatest first."""
+    """Return a comparison as tables: the verdict, then the changes, the largest first."""
     parts: list[ResultTable | Line] = [
         *map(Line, (f"A  {one.a}", f"B  {one.b}", *settings(one))),
         Line(f"{one.verdict}.", "main"),
@@ -51,7 +51,7 @@ def comparison_tables(one: Comparison) -> list[ResultTable | Line]:
 
 
 def settings(one: Comparison) -> list[str]:
-    """Return the parameters that differ, a line each."""
+    """Return the parameters that differ, one per line."""
     return [f"{name}: {_setting(ours)} in A, {_setting(theirs)} in B" for name, ours, theirs in one.settings]
 
 

@@ -1,4 +1,4 @@
-"""Comparison of two evaluations: the changes in all, of each class and of each take."""
+"""Compare two evaluations: the change over all takes, and the changes of each class and take."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from kinedex.pipelines.evaluation.measure_names import F_FRAMES, F_SEGMENTS
 from kinedex.pipelines.evaluation.written_evaluations import MethodEvaluation
 
 LEAST = 0.005
-"""A measure that changes by less than this is the same."""
+"""The smallest change of a measure that counts as a change."""
 
 LEVELS = ("f1", "f2")
 NAMES = ("name", "title")
-"""These settings only name a method."""
+"""The settings that only name a method, and do not affect its results."""
 
 ROW_DOES_WITHOUT = ("tau", "tau_by_class")
-"""Settings that do not matter to the method `best`, which uses no thresholds."""
+"""The settings that do not affect the method `best`, which uses no thresholds."""
 
 Pair = tuple[float | None, float | None]
 
@@ -28,7 +28,7 @@ Pair = tuple[float | None, float | None]
 class Change:
     """F (frames) and F (segments) of a class or take in A and in B.
 
-    A measure is None where it is undefined: there was nothing to find, and nothing was labelled.
+    A measure is None if it is undefined: there was nothing to find, and nothing was labelled.
     """
 
     name: str
@@ -37,12 +37,12 @@ class Change:
 
     @property
     def by(self) -> Pair:
-        """The differences B − A of both measures; 0 where both values are undefined, None where one is."""
+        """The differences B − A of both measures; 0 if both values are undefined, None if only one is."""
         return _difference(self.f1), _difference(self.f2)
 
     @property
     def verdict(self) -> str:
-        """The word better, worse, mixed or same; incomparable where only one of them had something to find."""
+        """The verdict: better, worse, mixed or same; incomparable if only one evaluation had something to find."""
         ways = [direction(self.f1), direction(self.f2)]
         if None in ways:
             return "incomparable"
@@ -66,19 +66,19 @@ class Comparison:
     a, b : str
         The names of the evaluations.
     overall : Change
-        The change over the takes that both have; of each over its own takes where they have none in common.
+        The change over the common takes; if there are none, between each evaluation's own takes.
     intervals : dict of str to (float, float)
         The 95 % intervals over takes of the differences of both measures.
     classes, takes : tuple of Change
         The changes of each class and take.
     common : int, optional
-        The number of takes that both have; None where neither names its takes.
+        The number of common takes; None if neither evaluation names its takes.
     only_a, only_b : Unshared
-        Takes and classes of one side only, which are excluded.
+        Takes and classes of one evaluation only, which are excluded.
     other_truth : Unshared
         Takes and classes whose manual labels differ.
     settings : tuple of (str, object, object)
-        The parameters that differ: name, value in A, value in B; None where one has no such parameter.
+        The parameters that differ: name, value in A, value in B; None if one has no such parameter.
     """
 
     a: str
@@ -95,7 +95,7 @@ class Comparison:
 
     @property
     def verdict(self) -> str:
-        """The result in a sentence."""
+        """The result of the comparison as a sentence."""
         if self.common == 0:
             return "no take in common, so neither is better or worse"
         parts = [
@@ -112,13 +112,13 @@ class Comparison:
 
     @property
     def scope(self) -> str:
-        """The takes of `overall`, for people."""
+        """The takes of `overall`, as text for people."""
         if self.common is None:
             return "all of each"
         return f"all takes that both have: {self.common}" if self.common else "each over its own takes"
 
     def changed(self, what: Sequence[Change], verdict: str) -> list[Change]:
-        """Return the changes of one verdict, the greatest first."""
+        """Return the changes with the given verdict, the largest first."""
         return sorted(
             (one for one in what if one.verdict == verdict),
             key=lambda one: (-sum(1.0 if by is None else abs(by) for by in one.by), one.name),
@@ -153,10 +153,10 @@ def compared(a: MethodEvaluation, b: MethodEvaluation, names: tuple[str, str]) -
 
 
 def direction(pair: Pair) -> int | None:
-    """Return 1 where a measure goes up from A to B, −1 where it goes down, 0 where it stays.
+    """Return 1 if a measure increases from A to B, −1 if it decreases, and 0 if it does not change.
 
-    Where it is undefined in one of them, there was nothing to find and nothing was labelled; 0 in the other one means
-    that something was labelled in vain, which is worse. None is returned where only one of them had something to find.
+    An undefined measure means that there was nothing to find and nothing was labelled; if the other one is 0, something
+    was labelled in vain, which is worse. None is returned if only one of them had something to find.
     """
     a, b = pair
     if a is not None and b is not None:
@@ -169,7 +169,7 @@ def direction(pair: Pair) -> int | None:
 
 
 def _measure_verdict(name: str, pair: Pair, ends: tuple[float, float]) -> str:
-    """Return the part of the verdict on one measure."""
+    """Return the part of the verdict about one measure."""
     way, by, (low, high) = direction(pair), _difference(pair), ends
     sure = "" if math.isnan(low) else f" ({low:+.3f} to {high:+.3f}, 95 % over takes)"
     if pair == (None, None):
@@ -197,9 +197,9 @@ def _alone(one: MethodEvaluation, other: MethodEvaluation) -> Unshared:
 
 
 def _other_truth(a: MethodEvaluation, b: MethodEvaluation) -> Unshared:
-    """Return takes and classes of both whose numbers of manual frames or segments differ.
+    """Return common takes and classes whose numbers of manual frames or segments differ.
 
-    Classes are compared only where both evaluations are of the same takes.
+    Classes are compared only if both evaluations have the same takes.
     """
 
     def differ(ours: Mapping[str, Counts], theirs: Mapping[str, Counts]) -> tuple[str, ...]:
@@ -214,7 +214,7 @@ def _manual(counts: Counts) -> tuple[int, int]:
 
 
 def _settings(a: MethodEvaluation, b: MethodEvaluation) -> tuple[tuple[str, object, object], ...]:
-    """Return the settings that differ, without those that do not matter to A or B."""
+    """Return the settings that differ, without those that do not affect A or B."""
     idle = {*NAMES, *(ROW_DOES_WITHOUT if "best" in (a.settings.get("method"), b.settings.get("method")) else ())}
     return tuple(
         (name, a.settings.get(name), b.settings.get(name))
@@ -224,7 +224,7 @@ def _settings(a: MethodEvaluation, b: MethodEvaluation) -> tuple[tuple[str, obje
 
 
 def without_repeats(comparisons: Sequence[Comparison]) -> list[Comparison]:
-    """Merge comparisons of the same content, with the names of all."""
+    """Merge comparisons with the same content, and join their names."""
     found: list[Comparison] = []
     for one in comparisons:
         for place, earlier in enumerate(found):
@@ -269,7 +269,7 @@ def _row(change: Change) -> dict[str, object]:
 
 
 def _changes(a: Mapping[str, Counts], b: Mapping[str, Counts]) -> list[Change]:
-    """Return the changes of all that both have, in the order of A, unless neither side has a frame of it."""
+    """Return the changes of everything that both have, in the order of A, unless neither side has a frame of it."""
     return [
         _change(name, a[name], b[name])
         for name in a

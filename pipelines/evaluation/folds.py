@@ -1,4 +1,4 @@
-"""Folds: the takes of a split, divided into those to learn from and those to annotate."""
+"""Divide the takes of a split into folds: takes to learn from, and takes to annotate."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PlaceTruth = Callable[[pl.DataFrame], GroundTruth]
 
 @dataclass(frozen=True)
 class Material:
-    """The takes of a split.
+    """The takes of a split, and what their folds are made from.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class Material:
     classes : Classes
         The classes to label with.
     place : callable
-        Returns the ground truth of takes.
+        A function that returns the ground truth of takes.
     group : str
         The column of takes that results are divided by.
     """
@@ -48,7 +48,7 @@ class Material:
 
 
 class NoFoldsError(KinedexError):
-    """A split has no fold: no take can be annotated with templates of other takes."""
+    """A split has no fold: no take can be annotated with templates learned from other takes."""
 
 
 def make_folds(split: Split, material: Material) -> list[Fold]:
@@ -64,15 +64,15 @@ def make_folds(split: Split, material: Material) -> list[Fold]:
     Returns
     -------
     list of Fold
-        At least one; no take is annotated with templates that it was learned from. The remarks of the folds name the
-        takes that are in no fold, and the folds that are missing, as nothing is left to learn from.
+        At least one fold; no take is annotated with templates learned from it. The remarks of the folds name the
+        takes that are in no fold, and the folds that are missing because nothing is left to learn from.
 
     Raises
     ------
     NoFoldsError
         There is nothing to annotate, or nothing to learn from.
     KinedexError
-        Takes lack a column, or takes of a fixed split are both to annotate and to learn from.
+        Takes lack a column, or a fixed split uses the same takes for annotation and learning.
     """
     tested = material.tested
     if not tested.height:
@@ -105,7 +105,7 @@ def make_folds(split: Split, material: Material) -> list[Fold]:
 
 
 def _of_no_class(clips: pl.DataFrame) -> tuple[str, ...]:
-    """Return a remark on clips whose subclass is in no class, or that have none."""
+    """Return a remark on clips without a subclass, or whose subclass is in no class."""
     if not clips.height:
         return ()
     subclasses = clips["class"].drop_nulls().unique().sort().to_list()
@@ -115,7 +115,7 @@ def _of_no_class(clips: pl.DataFrame) -> tuple[str, ...]:
 
 
 def _in_no_fold(split: Split, tested: pl.DataFrame, parts: Sequence[tuple[str, pl.DataFrame]]) -> list[str]:
-    """Return a remark on takes without a value of the column that folds are made by."""
+    """Return a remark on takes without a value in the column that defines folds."""
     within = {name for _, takes in parts for name in takes["name"]}
     names = [name for name in tested["name"].sort() if name not in within]
     if not names:
@@ -124,7 +124,7 @@ def _in_no_fold(split: Split, tested: pl.DataFrame, parts: Sequence[tuple[str, p
 
 
 def _missing(split: Split, folds: Sequence[Fold]) -> list[str]:
-    """Return remarks on the folds without a clip to learn from, with their takes."""
+    """Return remarks on the folds that have no clip to learn from, with their takes."""
     remarks = []
     for fold in folds:
         if not fold.clips:
@@ -137,7 +137,7 @@ def _missing(split: Split, folds: Sequence[Fold]) -> list[str]:
 
 
 def _parts(split: Split, tested: pl.DataFrame) -> list[tuple[str, pl.DataFrame]]:
-    """Return the takes to annotate of each fold, by its name."""
+    """Return the takes that each fold annotates, by the name of the fold."""
     if split.leave_out is not None:
         column = split.leave_out
         if column not in tested.columns:
@@ -153,14 +153,14 @@ def _parts(split: Split, tested: pl.DataFrame) -> list[tuple[str, pl.DataFrame]]
     if split.folds > tested.height:
         raise KinedexError(f"split '{split.name}': {split.folds} folds of {tested.height} takes; set fewer")
     drawn = tested[np.random.default_rng(split.seed).permutation(tested.height).tolist()]
-    if split.clips_as_takes:  # the clips of each class are dealt to all folds
+    if split.clips_as_takes:  # the clips of each class are distributed over all folds
         drawn = drawn.sort("class", maintain_order=True)
     tested, dealt = drawn, np.arange(tested.height) % split.folds
     return [(f"fold {index + 1}", tested.filter(pl.Series(dealt == index))) for index in range(split.folds)]
 
 
 def _fold(split: Split, name: str, tested: pl.DataFrame, material: Material) -> Fold:
-    """Make the fold of some takes to annotate."""
+    """Make the fold that annotates the given takes."""
     names = set(tested["name"].to_list())
     excluded = set(names)
     if split.leave_out is not None and split.leave_out in material.training.columns:

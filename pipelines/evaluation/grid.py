@@ -1,4 +1,4 @@
-"""The grid of a comparison: every method in every fold is a cell, which is stored and not computed again."""
+"""Compute the cells of a comparison: every method in every fold. Stored cells are not computed again."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
 CODE = "kinedex.pipelines.evaluation.grid:annotate_task"
-"""A cell depends on the code that this function reaches, and on that of its method."""
+"""The function that computes a cell; a cell depends on the code that this function and the cell's method reach."""
 
 SAVE_SECONDS = 20.0
-"""Finished cells are stored at least so often."""
+"""The longest time, in seconds, after which finished cells are stored."""
 
 
 @dataclass(frozen=True)
@@ -48,15 +48,15 @@ class Cell:
     Attributes
     ----------
     key : str
-        A hash of all that its outcome depends on.
+        A hash of everything that determines its segments.
     fold : Fold
         The takes to annotate.
     method : Method
         The method.
     annotator : Annotator
-        The annotator of the fold.
+        The annotator, with templates learned in the fold.
     remarks : tuple of str
-        Remarks on its templates and thresholds.
+        Remarks on templates and thresholds.
     """
 
     key: str
@@ -68,7 +68,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Task:
-    """Some takes of one cell, for one worker."""
+    """Takes of one cell that one worker annotates."""
 
     store: Store
     annotator: Annotator
@@ -76,11 +76,11 @@ class Task:
 
 
 SegmentsByTake = dict[str, tuple[Segment, ...]]
-"""The segments of a cell, by the name of the take."""
+"""The segments of a cell, by take name."""
 
 
 def cell_key(fold: Fold, annotator: Annotator, store: Store) -> str:
-    """Return a hash of the takes of a fold, of their annotator, and of its code."""
+    """Return a hash of the takes of a fold, the annotator and its code."""
     hasher = hashlib.sha256()
     checksums = dict(store.takes().select("take_id", "checksum").iter_rows())
     hasher.update(store.feature_set.digest.encode() + repr(store.rate_hz).encode())
@@ -101,14 +101,14 @@ def run_cells(
     save: Callable[[Mapping[str, SegmentsByTake]], None],
     advance: Callable[[int], None],
 ) -> dict[str, SegmentsByTake]:
-    """Compute the cells that are not known yet; the outcome does not depend on the workers.
+    """Compute the cells that are not known yet; the result does not depend on the number of workers.
 
     Parameters
     ----------
     cells : sequence of Cell
         The cells; those of the same key are computed once.
     store : Store
-        The store, of which workers get this version.
+        The store; workers read the same version of it.
     executor : Executor
         The workers.
     known : mapping of str to SegmentsByTake
@@ -116,7 +116,7 @@ def run_cells(
     save : callable
         Stores finished cells; called every `SAVE_SECONDS`.
     advance : callable
-        Called with the number of further finished cells.
+        Called with the number of newly finished cells.
 
     Returns
     -------
@@ -144,7 +144,7 @@ def run_cells(
 
 
 def annotate_task(task: Task) -> SegmentsByTake:
-    """Annotate some takes, in a worker."""
+    """Annotate some takes; runs in a worker."""
     ids = sorted({take_id for test_take in task.test_takes for take_id in test_take.take_ids})
     words = task.store.words(ids)
     place = {take_id: index for index, take_id in enumerate(words.take_ids.tolist())}
@@ -166,9 +166,9 @@ def annotate_task(task: Task) -> SegmentsByTake:
 
 
 def cells_table(cells: Sequence[Cell], found: Mapping[str, SegmentsByTake], run: str) -> pa.Table:
-    """Return finished cells as results of the kind `method_cells`: a row for each take of each.
+    """Return finished cells as results of the kind `method_cells`, one row for each cell and take.
 
-    Cells of one key have the same outcome under several names (a threshold of the sweep that a method has as well,
+    Cells of one key have the same segments under several names (a threshold of the sweep that a method has as well,
     splits that share a fold); there are rows for every name.
     """
     rows = [
@@ -193,7 +193,7 @@ def cells_table(cells: Sequence[Cell], found: Mapping[str, SegmentsByTake], run:
 
 
 def remarks_of(cells: Sequence[Cell]) -> list[str]:
-    """Return the remarks of cells, each once a fold, with the methods that it is true of unless these are all."""
+    """Return the distinct remarks of cells for each fold, with their methods unless they concern all methods."""
     methods: dict[str, None] = dict.fromkeys(cell.method.name for cell in cells)
     found: dict[tuple[str, str], list[str]] = {}
     for cell in cells:

@@ -1,4 +1,4 @@
-"""Ground truth placed on takes: the takes that are evaluated, their manual segments, and remarks on both."""
+"""Assign ground truth to takes: the evaluated takes, their manual segments, and remarks on both."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ class Manual:
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """The manual segments of the takes that are evaluated.
+    """The manual segments of the evaluated takes.
 
     Attributes
     ----------
     segments : tuple of Manual
         The segments.
     takes : tuple of str
-        The names of the takes, sorted; in a take without a segment (it was labelled as empty, or all of its labels are
-        excluded) there is nothing to find.
+        The names of the takes, sorted; a take without a segment (it was labelled as empty, or all of its labels are
+        excluded) has nothing to find.
     remarks : tuple of str
         Labels and takes that were excluded.
     unmatched : tuple of UnmatchedLabels
@@ -68,15 +68,15 @@ def place_ground_truth(
     classes: Classes,
     unknown_labels: UnknownLabels = "error",
 ) -> GroundTruth:
-    """Put manual segments of label files on the takes that were annotated, in analysis frames.
+    """Assign manual segments of label files to the annotated takes, in analysis frames.
 
-    A take that a file names without any segment is evaluated as one with nothing to find. A segment that is there twice
-    (class, start and stop in source frames), in one file or in several, counts once.
+    A take that a file names without any segment is evaluated as one with nothing to find. Segments with the same class,
+    start and stop (in source frames) count once, even if they are in several files.
 
     Parameters
     ----------
     files : sequence of LabelFile
-        Segments in source frames, or in seconds, which become the nearest source frames; touching ones stay separate.
+        Segments in source frames, or in seconds, which are rounded to source frames; touching ones stay separate.
     takes : polars.DataFrame
         Rows of the annotated takes.
     archive : iterable of str
@@ -84,8 +84,8 @@ def place_ground_truth(
     classes : Classes
         The classes of the evaluation.
     unknown_labels : {"error", "miss", "ignore"}
-        The treatment of a label that is neither a class nor a subclass: an error; a class that was not found; or
-        excluded with a remark, while its take is evaluated all the same.
+        The treatment of a label that is neither a class nor a subclass: raise an error; count it as missed; or
+        exclude it with a remark, and evaluate its take nevertheless.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def place_ground_truth(
 
 
 def _of_no_class(labels: Mapping[str, str | None], classes: Classes) -> list[str]:
-    """Return remarks on labels of no class."""
+    """Return remarks on labels that belong to no class."""
     ignored = sorted(label for label, name in labels.items() if name is None)
     missed = sorted(label for label, name in labels.items() if name == label and classes.class_of(label) is None)
     treated = [("excluded", ignored), ("counted as missed", missed)]
@@ -144,7 +144,7 @@ def _of_no_class(labels: Mapping[str, str | None], classes: Classes) -> list[str
 
 
 def _firsts(segments: Sequence[Manual]) -> list[Manual]:
-    """Return for each segment the first that equals it."""
+    """Return for each segment the first one that equals it."""
     known: dict[Statement, Manual] = {}
     return [known.setdefault(_statement(one), one) for one in segments]
 
@@ -154,7 +154,7 @@ def _statement(one: Manual) -> Statement:
 
 
 def _of_several_files(files: Sequence[LabelFile], segments: Sequence[Manual], evaluated: Container[str]) -> list[str]:
-    """Return remarks on segments that are there twice, and on takes that files label differently."""
+    """Return remarks on repeated segments, and on takes that several files label differently."""
     pairs = zip(_firsts(segments), segments, strict=True)
     again = Counter((first.origin, one.origin) for first, one in pairs if first is not one)
     remarks = []
@@ -209,7 +209,7 @@ def analysis_frame(source_frame: int, source_rate_hz: float, rate_hz: float) -> 
 
 
 def _labels(segments: Sequence[ManualSegment], classes: Classes, unknown: UnknownLabels) -> dict[str, str | None]:
-    """Return the class that each label counts for, None for none."""
+    """Return the class of each label, or None if it is excluded."""
     result: dict[str, str | None] = {}
     for segment in segments:
         name = classes.class_of(segment.label)

@@ -1,4 +1,4 @@
-"""Ground truth by parameters: the label files of takes, or their own classes."""
+"""Select ground truth by parameters: the label files of takes, or their own classes."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class GroundTruthParameters(BaseModel):
 def ground_truth_digest(params: GroundTruthParameters, store: Store | None) -> str:
     """Return a hash of the label files.
 
-    Where they cannot be found it is a constant, so that the stage runs and reports the fault.
+    If they cannot be found, the hash is a constant, so that the stage runs and reports the error.
     """
     if params.ground_truth in (NONE, OWN_CLASS):
         return ""
@@ -67,12 +67,12 @@ def ground_truth_digest(params: GroundTruthParameters, store: Store | None) -> s
 
 
 def with_own_classes(params: GroundTruthParameters, takes: pl.DataFrame) -> GroundTruthParameters:
-    """Return parameters by which takes are evaluated by their own classes where nothing else is given or found.
+    """Return parameters that evaluate takes by their own classes if no other ground truth is given or found.
 
     Parameters
     ----------
     params : GroundTruthParameters
-        The parameters; returned as they are where they give a ground truth, a file matches the default, or no take
+        The parameters; returned unchanged if they give a ground truth, a file matches the default, or no take
         has a class.
     takes : polars.DataFrame
         Rows of the annotated takes.
@@ -85,7 +85,7 @@ def with_own_classes(params: GroundTruthParameters, takes: pl.DataFrame) -> Grou
 
 
 def not_labelled(params: GroundTruthParameters, roots: Iterable[str]) -> bool:
-    """Return if takes have no ground truth: it is "none", or not given while no file matches the default.
+    """Return whether takes have no ground truth: it is "none", or not given while no file matches the default.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def not_labelled(params: GroundTruthParameters, roots: Iterable[str]) -> bool:
 
 
 def ground_truth(store: Store, params: GroundTruthParameters, takes: pl.DataFrame, classes: Classes) -> GroundTruth:
-    """Read the ground truth of takes, and place it on them."""
+    """Read the ground truth of takes and assign it to them."""
     if params.ground_truth == OWN_CLASS:
         return ground_truth_of_classes(takes, classes)
     paths = truth_files(params, takes["source_root"].unique())
@@ -112,7 +112,7 @@ def ground_truth(store: Store, params: GroundTruthParameters, takes: pl.DataFram
 
 
 def truth_files(params: GroundTruthParameters, roots: Iterable[str]) -> list[Path]:
-    """Return the label files below `source`, or else below the source folders of takes."""
+    """Return the label files below `source`, or by default below the source folders of takes."""
     return ground_truth_files(params.ground_truth, _roots(params, roots))
 
 

@@ -1,4 +1,4 @@
-"""Scores of a method in a split: counts, average precision, boundaries, and intervals of them."""
+"""Score a method in a split: counts, average precision, boundary errors, and confidence intervals."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from kinedex.pipelines.evaluation.test_takes import TestTake
 I64 = npt.NDArray[np.int64]
 
 Outcome = Mapping[str, Sequence[Segment]]
-"""The segments that a method has found in all folds of a split, by the name of the take."""
+"""The segments that a method has found in all folds of a split, by take name."""
 
 
 @dataclass(frozen=True)
 class SegmentOutcome:
-    """The outcome of a manual segment.
+    """The result of each method for one manual segment.
 
     Attributes
     ----------
@@ -41,10 +41,10 @@ class SegmentOutcome:
     start, stop : int
         Its analysis frames, stop excluded.
     overlaps : dict of str to float
-        By method, the intersection over union with the automatic segment of its class that overlaps it most; 0 where
+        By method, the intersection over union with the automatic segment of its class that overlaps it most; 0 if
         none does.
     labels : dict of str to tuple of str
-        By method, the labels of automatic segments there, the one that overlaps most first.
+        By method, the labels of the automatic segments that overlap it, the largest overlap first.
     """
 
     take: str
@@ -56,7 +56,7 @@ class SegmentOutcome:
 
     @property
     def missed(self) -> bool:
-        """True where no automatic segment of its class has a frame of it, of any method."""
+        """True if no method has an automatic segment of its class that overlaps it."""
         return not any(self.overlaps.values())
 
 
@@ -67,7 +67,7 @@ class MethodScores:
     Attributes
     ----------
     pooled : Counts
-        The counts over everything.
+        The counts over all takes and classes.
     by_class, by_group, by_take : dict of str to Counts
         The counts of each class, group and take.
     intervals : dict of str to (float, float)
@@ -81,7 +81,7 @@ class MethodScores:
     boundaries : int64 array (M, 2)
         Boundary errors, see `boundary_errors`.
     joined_precision, joined_boundaries
-        The same where touching segments of one class are one (`joined`).
+        The same after touching segments of one class are joined (`joined`).
     """
 
     pooled: Counts
@@ -112,14 +112,14 @@ def counts_of(
 
 
 def labels_of(test_takes: Sequence[TestTake], classes: Sequence[str]) -> list[str]:
-    """Return the classes in their order, then labels that only the ground truth has."""
+    """Return the classes in their order, followed by labels that only the ground truth has."""
     return list(
         dict.fromkeys([*classes, *sorted({label for test_take in test_takes for label, _, _ in test_take.truth})])
     )
 
 
 def judge(outcome: Outcome, test_takes: Sequence[TestTake], classes: Sequence[str], draws: int = 1000) -> MethodScores:
-    """Judge the segments that a method has found in all takes of a split.
+    """Score the segments that a method has found in all takes of a split.
 
     Parameters
     ----------
@@ -160,10 +160,10 @@ def judge(outcome: Outcome, test_takes: Sequence[TestTake], classes: Sequence[st
 
 
 def joined(outcome: Outcome, test_takes: Sequence[TestTake]) -> tuple[Outcome, list[TestTake]]:
-    """Join segments of a class that touch or overlap, automatic and manual ones alike.
+    """Join segments of a class that touch or overlap, both automatic and manual ones.
 
-    One person labels repetitions in a row as one segment, another as several; joined segments are the same. The
-    confidence of a joined segment is the average of its parts, weighted by frames.
+    People label repetitions in a row as one segment or as several; joining makes these the same. The confidence of a
+    joined segment is the average of its parts, weighted by frames.
     """
     mine = {test_take.name: _joined(outcome[test_take.name]) for test_take in test_takes}
     true = [_joined([Segment(*one, 1.0) for one in test_take.truth]) for test_take in test_takes]
@@ -202,7 +202,7 @@ def _mean(values: Sequence[float]) -> float:
 
 
 def _precision(outcome: Outcome, test_takes: Sequence[TestTake], label: str) -> dict[float, float]:
-    """Return the average precision of a class at each threshold; NaN where the class does not occur."""
+    """Return the average precision of a class at each threshold; NaN if the class does not occur."""
     found, known = _of_class(outcome, test_takes, label)
     return {threshold: average_precision(found, known, threshold) for threshold in THRESHOLDS}
 
@@ -260,15 +260,15 @@ def _meets(one: Segment, start: int, stop: int) -> bool:
 
 
 def _names(found: Sequence[Segment], start: int, stop: int) -> tuple[str, ...]:
-    """Return labels, the one that overlaps most first, each once."""
+    """Return the distinct labels of segments, the one with the largest overlap first."""
     ranked = sorted(found, key=lambda one: -overlap((one.start, one.stop), (start, stop)))
     return tuple(dict.fromkeys(one.label for one in ranked))
 
 
 def chosen_takes(by_take: Mapping[str, Counts]) -> dict[str, str]:
-    """Return the names of the best, the median and the worst take by F (frames), of those where it is defined.
+    """Return the names of the best, the median and the worst take by F (frames), among those where it is defined.
 
-    Of two takes there is no median, and of one the best alone.
+    With two takes there is no median, and with one take only the best.
     """
     ranked = sorted((counts.f1, name) for name, counts in by_take.items() if not math.isnan(counts.f1))
     if not ranked:

@@ -1,4 +1,4 @@
-"""The preparation of a comparison of methods: templates, queries and thresholds of every fold."""
+"""Prepare a comparison of methods: learn templates and queries, and calibrate thresholds, for every fold."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from kinedex.storage.store.store import Store
 
 @dataclass(frozen=True)
 class StudyMaterial:
-    """The material that the folds of all splits share.
+    """The data and parameters that the folds of all splits share.
 
     Attributes
     ----------
@@ -34,11 +34,11 @@ class StudyMaterial:
     classes : Classes
         The classes to label with.
     learned_with : TemplateParameters
-        The parameters that templates are learned with, apart from their takes.
+        The parameters that templates are learned with, except the filter of takes.
     templates : dict
         The learned templates by subclass, clips and kind.
     learned_queries : QueryLearner, optional
-        The queries of each fold, where any method learns them.
+        Learns the queries of each fold, if any method uses learned queries.
     """
 
     store: Store
@@ -51,7 +51,7 @@ class StudyMaterial:
 def with_templates(
     context: StageContext, methods: Sequence[Method], known: StudyMaterial, folds: Sequence[Fold]
 ) -> StudyMaterial:
-    """Learn each template that a fold needs once, and the queries where they are learned."""
+    """Learn each template that folds need once, and the queries if a method uses learned ones."""
     kinds = list(dict.fromkeys(method.templates for method in methods))
     wanted = {(one.subclass, one.names): one for fold in folds for one in fold.clips}
     features = len(context.feature_set.features)
@@ -67,7 +67,7 @@ def with_templates(
 
 
 def method_remarks(methods: Sequence[Method], known: StudyMaterial) -> list[str]:
-    """Return remarks on queries for none of the classes, and on parameters without effect."""
+    """Return remarks on queries whose target is none of the classes, and on parameters without effect."""
     remarks = []
     for method in methods:
         unknown = targets_unknown(queries_of(known.store, method), known.classes)
@@ -78,7 +78,7 @@ def method_remarks(methods: Sequence[Method], known: StudyMaterial) -> list[str]
 
 
 def make_cell(context: StageContext, known: StudyMaterial, fold: Fold, method: Method) -> Cell:
-    """Make the cell of a method in a fold, with the annotator of its takes."""
+    """Make the cell of a method in a fold, with an annotator for its takes."""
     store = known.store
     own = [known.templates[one.subclass, one.names, method.templates] for one in fold.clips]
     templates = completed(own, known.learned_with, store.feature_set, [method.templates], where_possible=True)

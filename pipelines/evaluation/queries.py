@@ -1,4 +1,4 @@
-"""Keyframe queries that are learned in each fold from its own training clips."""
+"""Learn keyframe queries in each fold from its own training clips."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from kinedex.pipelines.keyframes.runs import ClassRuns, known_runs, learn
 class QueryLearner:
     """Learns the queries of folds as the stage `learn_keyframes` does.
 
-    Runs that were finished before are reused, also those of that stage; they stay in the store while any fold has their
-    clips, whatever the settings. The filter of takes of the parameters is not used, as a fold has its own clips.
+    Learning runs that were finished earlier are reused, including those of that stage; they are kept in the store while
+    any fold has their clips, whatever the settings. The parameters' filter of takes is not used, because a fold has its
+    own clips.
     """
 
     def __init__(self, context: StageContext, params: KeyframeParameters) -> None:
@@ -28,7 +29,7 @@ class QueryLearner:
         self._outcomes: dict[tuple[str, str], list[Outcome]] = {}
 
     def learn(self, folds: Sequence[Fold]) -> None:
-        """Learn the queries of all folds; finished runs are stored from time to time."""
+        """Learn the queries of all folds; finished learning runs are stored at intervals."""
         context, params = self._context, self._params
         store = context.open()
         setting, rounds = setting_of(params, store), params.rounds()
@@ -38,14 +39,14 @@ class QueryLearner:
         finished: list[ClassRuns] = []
         with context.progress("runs", rounds.runs * sum(map(len, wanted))) as progress:
             for fold, own in zip(folds, wanted, strict=True):
-                known = [*others, *kept.known()]  # those of the folds before among them
+                known = [*others, *kept.known()]  # including those of the folds before
                 classes = learn(own, setting, rounds, context.executor, known, kept.save, progress.advance)
                 finished += classes
                 self._outcomes[fold.split, fold.name] = [one.outcome for one in classes]
         kept.save(finished)
 
     def _trainings(self, fold: Fold) -> list[TrainingSet]:
-        """Return the training sets of a fold; a KinedexError where a class has no negative clip."""
+        """Return the training sets of a fold; raise a KinedexError if a class has no negative clip."""
         names = [one.subclass for one in fold.clips]
         wanted = training_sets(fold.clips, load_classes(self._params.classes, names))
         bare = [one.subclass for one in wanted if not one.negatives]
@@ -57,6 +58,6 @@ class QueryLearner:
         return wanted
 
     def queries(self, fold: Fold) -> list[KeyframeQuery]:
-        """Return the queries of a fold."""
+        """Return the learned queries of a fold."""
         feature_set = self._context.feature_set
         return every_query(self._outcomes[fold.split, fold.name], feature_set)

@@ -1,4 +1,4 @@
-"""The scheme of a comparison: methods by name, and splits of an archive into takes to learn from and to annotate."""
+"""The parameters of a comparison: methods by name, and splits of an archive into takes to learn from and annotate."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from kinedex.pipelines.engine.file_parameters import NamesFile
 from kinedex.pipelines.evaluation.label_files import GroundTruthParameters
 
 LEARNED = "learned"
-"""This stands in place of query files: queries are learned in each fold, from its own training clips."""
+"""The value that stands in place of query files: queries are learned in each fold, from its own training clips."""
 
 Metric = Literal["frames", "segments", "overlap", "boundaries", "joined"]
 METRICS: tuple[Metric, ...] = ("frames", "segments", "overlap", "boundaries", "joined")
@@ -20,7 +20,7 @@ Filter = Annotated[str, Field(min_length=1)]
 
 
 class Method(MethodParameters):
-    """An annotation method with its parameters, under a name."""
+    """A named annotation method with its parameters."""
 
     name: str = Field(min_length=1)
     queries: Annotated[list[str] | str | None, NamesFile("queries")] = Field(
@@ -29,26 +29,26 @@ class Method(MethodParameters):
 
     @property
     def learned_queries(self) -> bool:
-        """True where queries are learned in each fold."""
+        """True if queries are learned in each fold."""
         return self.queries == LEARNED
 
     @property
     def query_files(self) -> list[str]:
-        """The query files as a list; empty where queries are learned."""
+        """The query files as a list; empty if queries are learned."""
         return [] if self.learned_queries else super().query_files
 
     @property
     def preselects(self) -> bool:
-        """True where templates are matched within the hits of keyframe queries only."""
+        """True if templates are matched only within the hits of keyframe queries."""
         return self.learned_queries or bool(self.query_files)
 
     def at(self, tau: float) -> Method:
-        """Return the method with another threshold, named after it."""
+        """Return the method with another threshold, which becomes part of its name."""
         return self.model_copy(update={"tau": tau, "tau_by_class": {}, "name": f"{self.curve_name} τ = {tau:g}"})
 
     @property
     def curve_name(self) -> str:
-        """A name that methods share which differ in τ alone, for the sweep."""
+        """The name that methods share which differ only in τ, for the sweep over τ."""
         how = "without keyframes"
         if self.preselects:
             how = (
@@ -59,7 +59,7 @@ class Method(MethodParameters):
 
 
 class Split(BaseModel):
-    """Takes to learn from and takes to annotate: one fold, one for each value of a column, or k folds of takes."""
+    """Takes to learn from and takes to annotate: one fold, one fold for each value of a column, or k folds."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -105,14 +105,14 @@ class Split(BaseModel):
 
     @property
     def kind(self) -> str:
-        """The kind of split, for people."""
+        """The kind of split, as text for people."""
         if self.leave_out is not None:
             return f"leave one {self.leave_out} out"
         return f"{self.folds} folds of takes" if self.folds is not None else "fixed"
 
 
 class ComparisonParameters(GroundTruthParameters):
-    """The parameters of the stage `compare_methods`; templates are learned with those of `learn_templates`."""
+    """The parameters of the stage `compare_methods`; templates are learned with the parameters of `learn_templates`."""
 
     title: str = Field("Methods compared", description="the title of the report")
     methods: list[Method] = Field(
@@ -155,18 +155,18 @@ class ComparisonParameters(GroundTruthParameters):
 
     @property
     def distinct(self) -> list[Method]:
-        """The methods, without those that equal an earlier one except for the name."""
+        """The methods, without those that differ from an earlier one only in name."""
         settings = [_setting(method) for method in self.methods]
         return [method for index, method in enumerate(self.methods) if settings[index] not in settings[:index]]
 
     @property
     def query_files(self) -> list[str]:
-        """The query files of all methods, each once."""
+        """The distinct query files of all methods."""
         return list(dict.fromkeys(name for method in self.methods for name in method.query_files))
 
 
 def _setting(method: Method) -> dict[str, object]:
-    """Return all that the outcome of a method depends on."""
+    """Return everything that determines the results of a method."""
     fields = method.model_dump(exclude={"name", "queries"}) | {"queries": method.query_files}
     if not method.annotation_method.uses_thresholds:
         del fields["tau"], fields["tau_by_class"]

@@ -1,4 +1,4 @@
-"""A comparison of methods: its splits, the judgement of each method, and the same as JSON."""
+"""The results of a comparison of methods: splits, the scores of each method, and their form as JSON."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from kinedex.pipelines.evaluation.test_takes import WHOLE, Fold, TestTake
 
 @dataclass(frozen=True)
 class Threshold:
-    """A point of the sweep over τ (thesis, Figure 5.6): the method without τ, τ, and the counts."""
+    """A point of the sweep over τ (thesis, Figure 5.6): the method's name without τ, τ, and the counts."""
 
     curve: str
     tau: float
@@ -43,7 +43,7 @@ class SplitResult:
 
     @property
     def remarks(self) -> list[str]:
-        """The remarks on the split and its folds, each once."""
+        """The distinct remarks on the split and its folds."""
         return list(dict.fromkeys([*self.notes, *(remark for fold in self.folds for remark in fold.remarks)]))
 
     @property
@@ -53,11 +53,11 @@ class SplitResult:
 
     @property
     def leading(self) -> str:
-        """The method of the highest F (frames), the first of equal ones."""
+        """The method with the highest F (frames), the first of equal ones."""
         return max(self.judgements, key=lambda name: np.nan_to_num(self.judgements[name].pooled.f1, nan=-1.0))
 
     def shown(self) -> dict[str, str]:
-        """Return the names of the takes whose timelines are shown: best, median and worst of the leading method."""
+        """Return the takes whose timelines are shown: the best, median and worst take of the leading method."""
         return chosen_takes(self.judgements[self.leading].by_take)
 
 
@@ -70,9 +70,9 @@ class Study:
     group : str
         The column of takes that results are divided by.
     splits : tuple of SplitResult
-        The splits, with the judgement of every method.
+        The splits, with the scores of every method.
     remarks : tuple of str
-        Remarks on methods that hold for all splits.
+        Remarks on methods that apply to all splits.
     class_of : dict of str to str
         The class of each subclass.
     """
@@ -95,14 +95,14 @@ class Study:
 
 
 def take_title(study: Study, result: SplitResult, test_take: TestTake) -> str:
-    """Return the title of a take: its name, with that of its split where another split has another take of it."""
+    """Return the title of a take: its name, with that of its split if another split has a different take of it."""
     same = [other for split in study.splits for other in split.test_takes if other.name == test_take.name]
     alike = all(other.take_ids == test_take.take_ids for other in same)
     return test_take.name if alike else f"{result.split.name}: {test_take.name}"
 
 
 def shown_parts(study: Study) -> dict[str, tuple[int, ...]]:
-    """Return the takes of the store of which each take with a timeline is laid out, by title."""
+    """Return the takes of the store that make up each take with a timeline, by title."""
     parts = {}
     for result in study.splits:
         test_takes = {test_take.name: test_take for test_take in result.test_takes}
@@ -119,11 +119,11 @@ def boundary_summary(
     Parameters
     ----------
     judgement : MethodScores
-        The judgement of a method.
+        The scores of a method.
     rate_hz : float
         The analysis rate, in frames per second.
     joined : bool
-        True takes segments where touching ones of a class are one.
+        True to use segments after touching ones of a class are joined.
 
     Returns
     -------
@@ -146,7 +146,7 @@ def boundary_summary(
 
 
 def content(study: Study) -> dict[str, object]:
-    """Return a study as JSON, without the segments of takes that are not shown."""
+    """Return a study as JSON values; segments are included only for takes with a timeline."""
     return {
         "format": "kinedex evaluation 1",
         "title": study.title,
@@ -224,7 +224,7 @@ def _judgement(one: MethodScores, study: Study) -> dict[str, object]:
 
 
 def evaluation_rows(judged: MethodScores, folds: Sequence[Fold]) -> tuple[Row, ...]:
-    """Return a judgement as rows of an evaluation; a group holds the takes with the same value of `divide_by`."""
+    """Return scores as rows of an evaluation; a group holds the takes with the same value of `divide_by`."""
     by_fold = {fold.name: pooled(judged.by_take[test_take.name] for test_take in fold.test_takes) for fold in folds}
     return (
         Row("pooled", "all", judged.pooled),

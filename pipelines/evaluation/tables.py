@@ -1,4 +1,4 @@
-"""A comparison of methods in tables, and as Markdown."""
+"""Format a comparison of methods as tables and as Markdown."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ REPETITIONS = (
     "the ground truth may have repetitions in a row as one segment and a method as several, or the reverse: mAP, AP "
     "and boundaries then say little of either, though F (frames) and F (segments) agree"
 )
-"""This remark holds for overlap and boundaries."""
+"""The remark about measures of overlap and boundaries."""
 
 JOINED = "joined: the same where touching segments of one class are one, on both sides"
 MOST_LISTED = 60
-"""Markdown lists at most so many manual segments; the JSON has all."""
+"""The largest number of manual segments that the Markdown lists; the JSON has all."""
 
 
 def headings(study: Study) -> list[str]:
-    """Return the headings of the table of methods, after the name of the method."""
+    """Return the headings of the table of methods, without that of the method's name."""
     columns = []
     if "frames" in study.metrics:
         columns += [F_FRAMES, "95\N{NO-BREAK SPACE}%", "P", "R"]
@@ -62,7 +62,7 @@ def row(judgement: MethodScores, study: Study) -> list[str]:
 
 
 def between(interval: tuple[float, float]) -> str:
-    """Return an interval as low–high."""
+    """Format an interval as low–high."""
     return "–" if math.isnan(interval[0]) else f"{interval[0]:.2f}–{interval[1]:.2f}"
 
 
@@ -72,7 +72,7 @@ def six(counts: Counts) -> list[str]:
 
 
 def described(result: SplitResult) -> str:
-    """Return a sentence on a split."""
+    """Return a sentence that describes a split."""
     takes = len(result.test_takes)
     parts = "clips laid end to end as " if result.split.clips_as_takes else ""
     folds = (
@@ -84,18 +84,18 @@ def described(result: SplitResult) -> str:
 
 
 def overlap_notes(study: Study) -> list[str]:
-    """Return remarks on measures by overlap, where the study has them."""
+    """Return remarks on measures of overlap, if the study has such measures."""
     notes = [REPETITIONS] if {"overlap", "boundaries"} & {*study.metrics} else []
     return notes + ([JOINED] if "joined" in study.metrics else [])
 
 
 def sentence(text: str) -> str:
-    """Return a text with a capital in front."""
+    """Return a text with its first letter in upper case."""
     return text[:1].upper() + text[1:]
 
 
 def overview(study: Study) -> list[ResultTable | Line]:
-    """Return tables of methods for each split, first frames and segments, then measures by overlap; and remarks."""
+    """Return tables of methods for each split, first by frames and segments, then by overlap; and remarks."""
     thesis = 4 * len({"frames", "segments"} & {*study.metrics})
     tables = []
     for result in study.splits:
@@ -108,7 +108,7 @@ def overview(study: Study) -> list[ResultTable | Line]:
 
 
 def _overview(result: SplitResult, study: Study, part: slice) -> ResultTable:
-    """Return some columns of the table of methods."""
+    """Return a part of the columns of the table of methods."""
     table = ResultTable(("", *(name.replace(" ", "\n") for name in headings(study)[part])), layout="tall")
     for name, judgement in result.judgements.items():
         leads = name == result.leading and len(result.judgements) > 1
@@ -187,6 +187,6 @@ def _missed(result: SplitResult, rate_hz: float) -> list[str]:
 
 
 def outcome_text(one: SegmentOutcome, method: str) -> str:
-    """Return the overlap of a method with a manual segment, or the labels that it put there instead."""
+    """Return the overlap of a method's segment with a manual segment, or the labels that it has there instead."""
     share = one.overlaps[method]
     return f"{share:.0%}" if share else f"missed ({', '.join(one.labels[method]) or 'nothing'})"

@@ -1,4 +1,4 @@
-"""Test takes, which are annotated and judged: takes of the store or clips laid end to end, with their ground truth."""
+"""Make test takes, which are annotated and evaluated: takes of the store or concatenated clips, with labels."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from kinedex.pipelines.evaluation.scheme import Split
 from kinedex.pipelines.templates.learning import TrainingClips
 
 WHOLE = "all"
-"""This is the name of the only fold of a fixed split."""
+"""The name of the only fold of a fixed split."""
 
 Truth = tuple[str, int, int]
-"""A class, and the first analysis frame and the one after the last of a segment of it."""
+"""A segment: its class, its first analysis frame, and the frame after its last."""
 
 
 @dataclass(frozen=True)
 class TestTake:
-    """A take that is annotated and judged: one of the store, or several clips of the store laid end to end.
+    """A take that is annotated and evaluated: a take of the store, or several clips of the store concatenated.
 
     Attributes
     ----------
@@ -34,9 +34,9 @@ class TestTake:
     group : str
         The value of the column that results are divided by (thesis, Table 5.2).
     take_ids : tuple of int
-        The takes of the store that it is made of.
+        The takes of the store that it consists of.
     frames : int
-        Its analysis frames.
+        The number of its analysis frames.
     truth : tuple of Truth
         The segments of its ground truth.
     """
@@ -48,7 +48,9 @@ class TestTake:
     truth: tuple[Truth, ...]
 
     def known(self, masks: Mapping[int, int]) -> int:
-        """Return the mask of the features that all its takes know; `masks` has those of takes that lack some."""
+        """Return the mask of the features known in all its takes; `masks` has the masks of takes that lack some
+        features.
+        """
         return reduce(and_, (masks[take_id] for take_id in self.take_ids if take_id in masks), int(ALL_KNOWN))
 
 
@@ -91,16 +93,16 @@ def as_they_are(tested: pl.DataFrame, placed: GroundTruth, column: str) -> list[
 
 
 def laid_out(split: Split, fold: str, clips: pl.DataFrame, classes: Classes, column: str) -> list[TestTake]:
-    """Lay clips end to end in drawn orders; the clips of one take are of one value of a column.
+    """Concatenate clips in random orders; all clips of a test take have the same value in a column of takes.
 
     Parameters
     ----------
     split : Split
-        The number of clips of a take, of clips of a class in each order, and of orders.
+        The number of clips per take, the largest number per class in each order, and the number of orders.
     fold : str
         The name of the fold.
     clips : polars.DataFrame
-        Rows of takes, each of a class.
+        Rows of takes, each with a class.
     classes : Classes
         The classes of the labels.
     column : str
@@ -121,12 +123,12 @@ def laid_out(split: Split, fold: str, clips: pl.DataFrame, classes: Classes, col
 
 
 def group_of(row: dict[str, object], column: str) -> str:
-    """Return the value of the column of a take that results are divided by."""
+    """Return the value of the column that results are divided by."""
     return f"no {column}" if row.get(column) is None else str(row[column])
 
 
 def how_clips_are_used(split: Split, clips: int, test_takes: Sequence[TestTake]) -> str:
-    """Return a remark on how many of the clips are laid out, and how often."""
+    """Return a remark on how many of the clips are used, and how often."""
     uses = [take_id for test_take in test_takes for take_id in test_take.take_ids]
     used = len(set(uses))
     return (
@@ -136,7 +138,7 @@ def how_clips_are_used(split: Split, clips: int, test_takes: Sequence[TestTake])
 
 
 def _drawn(split: Split, rows: Sequence[dict[str, object]], random: np.random.Generator) -> list[dict[str, object]]:
-    """Return clips in a drawn order, of each class at most `most_clips`."""
+    """Return clips in random order, at most `most_clips` of each class."""
     chosen = []
     for label in sorted({str(row["class"]) for row in rows}):
         own = [row for row in rows if row["class"] == label]

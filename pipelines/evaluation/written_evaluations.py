@@ -1,4 +1,4 @@
-"""Evaluations read from stores, from folders of reports, or from JSON files."""
+"""Read evaluations from stores, from folders of reports, or from JSON files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from kinedex.storage.snapshot.shown_results import pipelines_by_use
 from kinedex.storage.store.report_sums import refuse_damaged_report
 
 MARK = "::"
-"""This stands between a path and the name of a method."""
+"""The separator between a path and the name of a pipeline or method."""
 
 FORMAT = "kinedex evaluation 1"
 
@@ -28,13 +28,13 @@ class MethodEvaluation:
     evaluation : str
         The name of the split, or of the evaluation.
     method : str
-        The name of the method; empty where the file has one only.
+        The name of the method; empty if the file has only one.
     pooled : Counts
-        The counts over everything.
+        The counts over all takes and classes.
     classes, takes : dict of str to Counts
         The counts of each class and take.
     settings : dict
-        The parameters of the annotation, as far as the file has them.
+        The parameters of the annotation that the file contains.
     """
 
     evaluation: str
@@ -46,15 +46,15 @@ class MethodEvaluation:
 
     @property
     def name(self) -> str:
-        """The name of evaluation and method."""
+        """The name of the evaluation, followed by that of the method if there is one."""
         return f"{self.evaluation}: {self.method}" if self.method else self.evaluation
 
 
 @dataclass(frozen=True)
 class ReadEvaluations:
-    """The evaluations of a path, as the user wrote it; of one method, or of all where `method` is None.
+    """The evaluations at a path as the user wrote it: those of one method, or of all if `method` is None.
 
-    `remark` names the pipeline where a store has evaluations of several, and none was chosen.
+    `remark` names the pipeline that was used if a store has evaluations of several and none was chosen.
     """
 
     text: str
@@ -64,19 +64,19 @@ class ReadEvaluations:
 
 
 def read_run(text: str) -> ReadEvaluations:
-    """Read the evaluations of a path.
+    """Read the evaluations at a path.
 
     Parameters
     ----------
     text : str
         A store, a folder of reports (`…/results/reports/<pipeline>`), or a JSON file (methods.json, metrics.json, or
-        leave_one_out.json of earlier versions). `::PIPELINE` behind a store chooses a pipeline, the current one unless
-        given, and `::METHOD` a method; both can be given, in this order.
+        leave_one_out.json of earlier versions). `::PIPELINE` after a store selects a pipeline, by default the current
+        one, and `::METHOD` a method; both can be given, in this order.
 
     Raises
     ------
     KinedexError
-        There is no evaluation, a file is none of these, or there is no such pipeline or method.
+        There is no evaluation, a file is not one of these, or there is no such pipeline or method.
     """
     where, *names = text.split(MARK)
     path = Path(where).expanduser()
@@ -103,7 +103,7 @@ def read_run(text: str) -> ReadEvaluations:
 
 
 def _files_by_pipeline(path: Path) -> dict[str, list[Path]]:
-    """Return the JSON files of a path by pipeline, the current one of a store first."""
+    """Return the JSON files at a path by pipeline, the current pipeline of a store first."""
     if path.is_file():
         return {"": [path]}
     if not path.is_dir():
@@ -124,7 +124,7 @@ _NAMES = ("methods.json", "metrics.json", "leave_one_out.json")
 
 
 def _files_in(folder: Path) -> list[Path]:
-    """Return the evaluations of a folder by kind; those of a second stage of a kind have its name in front."""
+    """Return the evaluation files of a folder by kind; names of a second stage of a kind begin with its name."""
     files = sorted(folder.glob("*.json"))
     return [file for name in _NAMES for file in files if file.name == name or file.name.endswith(f".{name}")]
 
@@ -170,9 +170,9 @@ def _counts(content: dict[str, Any]) -> Counts:
 def pairs(
     a: ReadEvaluations, b: ReadEvaluations, split: str | None = None
 ) -> list[tuple[MethodEvaluation, MethodEvaluation]]:
-    """Pair the evaluations of A and B: the same evaluation of the same method, or of the methods asked for.
+    """Pair the evaluations of A and B: the same evaluation of the same method, or of the chosen methods.
 
-    A file with one method only fits any method of the other side.
+    A file with only one method is paired with any method of the other side.
 
     Raises
     ------

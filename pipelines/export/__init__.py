@@ -1,1 +1,1 @@
-"""Data sets that leave a store as files: what is cut out, in which form, and the record of where it comes from."""
+"""Export data sets from a store as files: choose clips, write them in a format, and record their origin."""

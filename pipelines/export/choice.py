@@ -1,4 +1,4 @@
-"""The choice among clips: the split of each, balanced classes, and clips that show what an earlier one shows."""
+"""Choose among clips: assign splits, balance classes, and limit the clips of a class."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from kinedex.storage.store.store import Store
 
 
 def split_clips(store: Store, clips: Sequence[Clip], how: How) -> list[Clip]:
-    """Put each clip into the folder of its split; clips of takes with one value of the column are in one split.
+    """Assign each clip to the folder of a split; clips of takes with the same value of a column share a split.
 
     Takes without a value count as one group.
 
@@ -64,17 +64,17 @@ def _group(value: object) -> str:
 
 
 def _draw(seed: int, *content: object) -> str:
-    """Return a text to sort by that follows from the content alone, in no order that anybody could see."""
+    """Return a pseudo-random sort key that depends only on the seed and the content."""
     return hashlib.sha256(json.dumps([seed, *content], default=str).encode()).hexdigest()
 
 
 def at_most_per_class(clips: Sequence[Clip], how: How) -> list[Clip]:
-    """Return at most `how.per_class` clips of each class, drawn by their content and the seed."""
+    """Return at most `how.per_class` clips of each class, selected pseudo-randomly by content and seed."""
     return list(clips) if how.per_class is None else _drawn(clips, how.per_class, how.seed)
 
 
 def balanced_clips(clips: Sequence[Clip], how: How) -> list[Clip]:
-    """Return in each split as many clips of each class as its rarest class has there, drawn by content and seed.
+    """Return in each split as many clips of each class as its rarest class has, selected by content and seed.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def balanced_clips(clips: Sequence[Clip], how: How) -> list[Clip]:
 
 
 def _drawn(clips: Sequence[Clip], most: int, seed: int) -> list[Clip]:
-    """Return, in their order, at most so many clips of each class."""
+    """Return at most `most` clips of each class, in the given order."""
     order = sorted(clips, key=lambda clip: _draw(seed, clip.take, clip.start, clip.stop, clip.label))
     taken: Counter[str | None] = Counter()
     kept = set()

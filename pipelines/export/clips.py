@@ -1,4 +1,4 @@
-"""The clips of a data set: intervals with margins and surroundings, mirrored twins, and the names of their files."""
+"""Make the clips of a data set: intervals with margins and context, mirrored copies, and the names of their files."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ class Clip:
     Attributes
     ----------
     interval : Interval
-        The interval that was chosen.
+        The selected interval.
     start, stop : int
-        The frames that are meant: the interval with its margins, in analysis frames of the take.
+        The frames of the clip: the interval with its margins, in analysis frames of the take.
     first, last : int
-        The frames [first, last) that the file holds: those that are meant, with their surroundings.
+        The frames [first, last) in the file: those of the clip, with their context.
     label : str or None
-        The class; of a mirrored twin that of the other side.
+        The class; for a mirrored clip, that of the other side.
     mirrored : bool
-        True for a twin with left and right exchanged.
+        True for a copy with left and right exchanged.
     folder : str
-        The folder of the file in the data set: that of its split.
+        The folder of the file in the data set, which is that of its split.
     name : str
         Name of the file without its ending.
     """
@@ -57,9 +57,9 @@ class Clip:
 
 
 def clips_of(store: Store, intervals: Sequence[Interval], how: How) -> list[Clip]:
-    """Return the clips of intervals, without those that are shorter than asked for.
+    """Return the clips of intervals, without those that are shorter than requested.
 
-    Margins and surroundings end where the take ends. Intervals of a class that are one clip with their margins are one
+    Margins and context end at the ends of the take. Intervals of a class that become equal with their margins make one
     clip.
 
     Parameters
@@ -69,7 +69,7 @@ def clips_of(store: Store, intervals: Sequence[Interval], how: How) -> list[Clip
     intervals : sequence of Interval
         The intervals, by take and start.
     how : How
-        The margins, the surroundings and the least length.
+        The margins, the context and the least length.
 
     Raises
     ------
@@ -100,14 +100,14 @@ def _frames(seconds: float, rate_hz: float) -> int:
 
 
 def with_twins(clips: Sequence[Clip], known: Iterable[str] = ()) -> list[Clip]:
-    """Return clips, each with its mirrored twin behind it.
+    """Return clips, each followed by its mirrored copy.
 
     Parameters
     ----------
     clips : sequence of Clip
         The clips.
     known : iterable of str
-        Classes that there are (`mirrored_class`).
+        The existing classes (`mirrored_class`).
     """
     classes = frozenset(known)
     images = {label: mirrored_class(label, classes) for label in {clip.label for clip in clips} if label is not None}
@@ -119,18 +119,18 @@ def with_twins(clips: Sequence[Clip], known: Iterable[str] = ()) -> list[Clip]:
 
 
 def mirrored_class(name: str, known: Collection[str] = ()) -> str:
-    """Return the class of a mirrored motion: the words left and right, and L and R, of its name exchanged.
+    """Return the class of a mirrored motion: left and right, and L and R, are exchanged in its name.
 
-    Words end at capital letters and at everything that is no letter: "kickLFront1Reps" becomes "kickRFront1Reps", and
-    "wave-left-hand" becomes "wave-right-hand". A small l or r counts where it stands alone. A word that begins with L
-    or R, as in "startLelbow", is another side only where "startRelbow" is a class that there is.
+    Words end at capital letters and at all characters other than letters: "kickLFront1Reps" becomes "kickRFront1Reps",
+    and "wave-left-hand" becomes "wave-right-hand". A lower-case l or r counts if it stands alone. A word that begins
+    with L or R, as in "startLelbow", is exchanged only if "startRelbow" is an existing class.
 
     Parameters
     ----------
     name : str
         The class.
     known : collection of str
-        Classes that there are.
+        The existing classes.
     """
 
     def exchanged(match: re.Match[str]) -> str:
@@ -141,7 +141,7 @@ def mirrored_class(name: str, known: Collection[str] = ()) -> str:
             return word
         return other.upper() if word.isupper() else other.capitalize() if word[0].isupper() else other
 
-    # a letter before a word that begins with a capital one is a word of its own, as in LFront
+    # a letter before a word that begins with a capital is a word of its own, as in LFront
     image = _WORD.sub(exchanged, re.sub(r"(?<![A-Z])([LR])(?=[A-Z][a-z])", "\\1\0", name)).replace("\0", "")
     if image == name:
         other = re.sub(r"(?<![A-Z])[LR](?=[a-z])", lambda match: _SIDES[match[0].lower()].upper(), name)
@@ -150,16 +150,17 @@ def mirrored_class(name: str, known: Collection[str] = ()) -> str:
 
 
 def with_names(clips: Sequence[Clip], whole: bool) -> list[Clip]:
-    """Return clips with the names of their files, which every system can have and no two share.
+    """Return clips with unique names of files that are valid on every operating system.
 
-    A whole take has its own name; an interval that of its take, its frames and its class; a twin ends in "_mirrored".
+    The name of a whole take is that of the take; the name of an interval is that of its take, its frames and its class;
+    a mirrored clip ends in "_mirrored".
 
     Parameters
     ----------
     clips : sequence of Clip
         The clips.
     whole : bool
-        True where the clips are whole takes.
+        True if the clips are whole takes.
     """
     raw: list[str] = []
     used: set[str] = set()

@@ -1,4 +1,4 @@
-"""The export of a data set: clips of a store as files in a folder, with the record of where each comes from."""
+"""Export a data set: write clips of a store as files in a folder, and record where each comes from."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ class Exported:
     rows : list of dict
         The rows of `metadata.csv`.
     written, reused : int
-        Clips that were written, and that were there already.
+        The numbers of clips that were written, and that existed already.
     excluded : dict of str to str
         File of a clip that could not be written → the reason.
     remarks : tuple of str
-        Remarks about what was left out.
+        Remarks on excluded intervals and clips.
     """
 
     folder: Path
@@ -50,23 +50,23 @@ def export_data_set(
 ) -> Exported:
     """Write the clips of a request to a folder, with `metadata.csv` and `dataset.json`.
 
-    The same request writes the same bytes. Clips that are there already as they would be written are not written
-    again, so that an export that was stopped goes on where it was.
+    The same request writes the same bytes. Clips that exist already with the right content are not written again, so
+    that an interrupted export continues where it stopped.
 
     Parameters
     ----------
     store : Store
         The store to read.
     what : What
-        The intervals that are cut out.
+        The intervals to export.
     how : How
-        The form of the clips and what is done to them.
+        The format and processing of the clips.
     folder : Path
         The folder: new, empty, or that of an earlier export.
     executor : Executor
         Spreads the clips over workers.
     progress : callable
-        Shows how far the export is.
+        Shows the progress of the export.
 
     Raises
     ------
@@ -98,13 +98,13 @@ def export_data_set(
 
 
 def _matched(results: Sequence[Done], rest: Sequence[Job]) -> Iterable[tuple[Done, Job]]:
-    """Pair what workers have done with the jobs of this process."""
+    """Pair the results of workers with the jobs of this process."""
     jobs = {job.files: job for job in rest}
     return ((one, jobs[one.job.files]) for one in results)
 
 
 def _finished(target: Folder, jobs: Sequence[Job]) -> tuple[list[Done], list[Job]]:
-    """Divide jobs into those whose files are there already, and the others."""
+    """Divide jobs into those whose files exist already, and the others."""
     finished, rest = [], []
     for job in jobs:
         sums = target.checksums([(file, job.fingerprint) for file in job.files])
@@ -117,7 +117,7 @@ def _finished(target: Folder, jobs: Sequence[Job]) -> tuple[list[Done], list[Job
 
 
 def summary_lines(done: Exported, how: How) -> list[str]:
-    """Return what an export has made, in lines for a person."""
+    """Return a summary of an export as lines for people."""
     seconds = sum(row["seconds"] for row in done.rows)
     reused = f" ({done.reused:,} of them were there already)" if done.reused else ""
     lines = [f"{counted(len(done.rows), 'clip')}, {seconds / 60:.1f} minutes, in {done.folder}{reused}"]

@@ -1,4 +1,4 @@
-"""The folder of a data set: finished clips, the journal of an unfinished export, and files of earlier ones."""
+"""The folder of a data set: finished clips, the journal of an unfinished export, and files of earlier exports."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class Written:
     Attributes
     ----------
     file : str
-        Its path, relative to the folder of the data set, with /.
+        Its path, relative to the folder of the data set, with / as separator.
     fingerprint : str
-        Hash of all that its content follows from.
+        Hash of everything that determines its content.
     sha256 : str
         Checksum of its content.
     """
@@ -46,20 +46,20 @@ class Written:
 
 
 class Folder:
-    """The folder of a data set while it is written; a context manager that keeps others out of it.
+    """The folder of a data set during an export; a context manager that locks it against other exports.
 
-    A journal names each file that is finished, so that an export that was killed goes on where it was. It is removed
-    when `finish` has written the metadata.
+    A journal lists each finished file, so that an export that was killed continues where it stopped. It is removed when
+    `finish` has written the metadata.
 
     Parameters
     ----------
     path : Path
-        The folder; made where there is none.
+        The folder; it is created if missing.
 
     Raises
     ------
     KinedexError
-        The folder holds files of somebody else, cannot be written, or another export writes into it.
+        The folder has files of other origin, cannot be written, or another export writes into it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -87,7 +87,7 @@ class Folder:
         (self.path / _LOCK).unlink(missing_ok=True)
 
     def checksums(self, wanted: Iterable[tuple[str, str]]) -> list[str] | None:
-        """Return the checksums of the files of a clip if all are there as they would be written.
+        """Return the checksums of the files of a clip, or None unless all exist with the right content.
 
         Parameters
         ----------
@@ -103,7 +103,7 @@ class Folder:
         return found
 
     def begin(self, folders: Iterable[str]) -> None:
-        """Make the folders of clips, and turn the metadata of an earlier export into a journal."""
+        """Create the folders of clips, and turn the metadata of an earlier export into a journal."""
         for name in folders:
             (self.path / name).mkdir(exist_ok=True)
         with whole_file(self.path / _JOURNAL) as unfinished:
@@ -113,7 +113,7 @@ class Folder:
         self._journal = (self.path / _JOURNAL).open("a", encoding="utf-8")
 
     def add(self, written: Iterable[Written]) -> None:
-        """Record files that are whole on disk."""
+        """Record files that are completely written to disk."""
         assert self._journal is not None
         for one in written:
             self.known[one.file] = one
@@ -121,7 +121,7 @@ class Folder:
         self._journal.flush()
 
     def finish(self, files: Iterable[str], data_set: str, metadata: str) -> None:
-        """Remove files of earlier exports, and write the metadata; `dataset.json` comes last.
+        """Remove files of earlier exports, and write the metadata, with `dataset.json` last.
 
         Parameters
         ----------
@@ -148,7 +148,7 @@ class Folder:
 
 
 def sha256_of(path: Path) -> str | None:
-    """Return the SHA-256 of a file; None where it cannot be read."""
+    """Return the SHA-256 of a file; None if it cannot be read."""
     digest = hashlib.sha256()
     try:
         with path.open("rb") as file:
@@ -160,7 +160,7 @@ def sha256_of(path: Path) -> str | None:
 
 
 def require_own(path: Path) -> None:
-    """Raise a KinedexError if a folder holds anything but an export."""
+    """Raise a KinedexError if a folder contains files other than those of an export."""
     if path.exists() and not path.is_dir():
         raise KinedexError(f"{path}: is a file; a data set is a folder: give another name with -o")
     if not path.is_dir():
@@ -204,7 +204,7 @@ def _of_data_set(path: Path) -> list[Written]:
 
 
 def _of_journal(path: Path) -> list[Written]:
-    """Return the files that an unfinished export has written; the last line may be torn."""
+    """Return the files that an unfinished export has written; its last line may be incomplete."""
     try:
         lines = (path / _JOURNAL).read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
@@ -221,7 +221,7 @@ def _of_journal(path: Path) -> list[Written]:
 
 
 def _written(row: object) -> Written | None:
-    """Return the record of a file; None where it is no record, or not of a file that an export would write."""
+    """Return the record of a file; None if it is invalid, or names a file that an export would not write."""
     if not isinstance(row, dict):
         return None
     file, fingerprint, sha256 = (row.get(name) for name in ("file", "fingerprint", "sha256"))

@@ -1,4 +1,4 @@
-"""The forms of exported files: their endings, and their writers from joints or from the channels of a source."""
+"""The formats of exported files: their file endings, and their writers from joints or from the channels of a source."""
 
 from __future__ import annotations
 
@@ -19,19 +19,18 @@ _MOTION = "kinedex.storage.formats.motion"
 
 @dataclass(frozen=True)
 class Form:
-    """A form of exported files. A writer is named "module:function" and imported when it is first used.
+    """A format of exported files; writers are named "module:function" and imported when first used.
 
     Attributes
     ----------
     meaning : str
-        Its description, for lists of forms.
+        Its description, for lists of formats.
     endings : tuple of str
         Endings of the files of one clip, without the dot. A writer from joints writes the first one.
     joints : str or None
-        Function of (path, JointMotion) that writes the 24 joints; None where there is none.
+        Function of (path, JointMotion) that writes the 24 joints; None if there is none.
     channels : str or None
-        Function of (paths, SourceCut) that cuts a source's own channels, with one path for each of `endings`; None
-        where there is none.
+        Function of (paths, SourceCut) that cuts a source's own channels, with one path for each of `endings`; None if there is none.
     sources : tuple of str
         Formats of takes (column `format`) whose channels `channels` can cut.
     """
@@ -43,13 +42,13 @@ class Form:
     sources: tuple[str, ...] = ()
 
     def write_joints(self, path: Path, motion: JointMotion) -> None:
-        """Write a motion of joints to one file."""
+        """Write a motion of joints to a file."""
         assert self.joints is not None
         write: Callable[[Path, JointMotion], None] = _function(self.joints)
         write(path, motion)
 
     def cut_channels(self, paths: Sequence[Path], cut: SourceCut) -> None:
-        """Write a cut of a source's own channels, one file for each of `endings`."""
+        """Write an interval of a source's own channels, to one file for each of `endings`."""
         assert self.channels is not None
         write: Callable[[Sequence[Path], SourceCut], None] = _function(self.channels)
         write(paths, cut)
@@ -78,16 +77,16 @@ FORMS = {
     "gif": Form("a film of a stick figure, a minute at most", ("gif",), "kinedex.reports.film:write_gif"),
     "mp4": Form("such a film of any length (kinedex[film])", ("mp4",), "kinedex.reports.film:write_mp4"),
 }
-"""Name of a form → the form."""
+"""The formats by name."""
 
 
 def form_named(name: str) -> Form:
-    """Return a form by its name.
+    """Return a format by its name.
 
     Raises
     ------
     KinedexError
-        There is no such form; the message names those that there are.
+        There is no such format; the message lists the existing ones.
     """
     if name not in FORMS:
         raise KinedexError(f"no export format '{name}'{did_you_mean(name, FORMS)}; there are {', '.join(FORMS)}")

@@ -1,4 +1,4 @@
-"""The record of a data set: `metadata.csv`, one row per clip, and `dataset.json`, which adds how it was made."""
+"""Write the record of a data set: `metadata.csv`, one row per clip, and `dataset.json`, which adds how it was made."""
 
 from __future__ import annotations
 
@@ -23,31 +23,31 @@ from kinedex.storage.store.store import Store
 _LICENCES = ("licence", "license")
 
 _DESCRIBING = ("pattern", "metadata")
-"""The origins of columns that people fill: groups of paths, and tables of metadata."""
+"""The origins of columns with metadata from users: named groups of paths, and tables of metadata."""
 
 _MEASURED = ("height_m",)
-"""The measured columns of takes that are of use beside a clip; the others judge whole takes (`suspect_takes`)."""
+"""The measured columns of takes that are useful metadata of a clip; the others rate whole takes (`suspect_takes`)."""
 
 _DIGITS = 4
-"""The digits behind the point of numbers that kinedex has computed."""
+"""The number of decimals of numbers that kinedex has computed."""
 
 
 @dataclass(frozen=True)
 class Facts:
-    """Facts for the record of a data set, besides its clips.
+    """The facts about an export that the record of the data set contains besides the clips.
 
     Attributes
     ----------
     store : Store
         The store.
     what : What
-        The intervals that were asked for.
+        The requested intervals.
     how : How
-        The form of the clips and what was done to them.
+        The format and processing of the clips.
     excluded : dict of str to str
         File of a clip that could not be written → the reason.
     remarks : tuple of str
-        Remarks about what was left out.
+        Remarks on excluded intervals and clips.
     """
 
     store: Store
@@ -58,10 +58,10 @@ class Facts:
 
 
 def metadata_rows(facts: Facts, done: Sequence[Done]) -> list[dict[str, Any]]:
-    """Return the rows of `metadata.csv`: one for each clip, with columns of its take behind its own.
+    """Return the rows of `metadata.csv`: one for each clip, with columns of the clip followed by those of its take.
 
-    These are the columns that named groups of paths and tables of metadata fill, and the height. A column of takes, or
-    of the SQL query, whose name is one of the others' begins with `take_` or `sql_`.
+    Columns of the take are those filled by named groups of paths and by tables of metadata, and the height. If a column
+    of takes or of the SQL query has the name of another column, it gets the prefix `take_` or `sql_`.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def _row(facts: Facts, done: Done) -> dict[str, Any]:
     }
     for prefix, columns in (("take_", more), ("sql_", interval.more)):
         for name, value in columns.items():
-            # JSON has no number for NaN and infinity
+            # JSON cannot represent NaN and infinity
             unknown = isinstance(value, float) and not math.isfinite(value)
             measured = prefix == "take_" and name in _MEASURED
             row[f"{prefix}{name}" if name in row else name] = (
@@ -135,7 +135,7 @@ def _rounded(value: Any) -> Any:
 
 
 def metadata_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return the content of `metadata.csv`; no cell is one that a spreadsheet would compute."""
+    """Return the content of `metadata.csv`, in which no cell can be taken for a formula by a spreadsheet."""
     names = list(dict.fromkeys(name for row in rows for name in row))
     return csv_line(names) + "".join(csv_line([_cell(row.get(name)) for name in names]) for row in rows)
 
@@ -187,7 +187,7 @@ def data_set_text(facts: Facts, rows: Sequence[Mapping[str, Any]], done: Sequenc
 
 
 def split_facts(rows: Sequence[Mapping[str, Any]], how: How) -> dict[str, dict[str, Any]]:
-    """Return for each split its clips, seconds, share of all seconds, and classes.
+    """Return for each split its number of clips, seconds, share of all seconds, and classes.
 
     Parameters
     ----------
@@ -211,7 +211,7 @@ def split_facts(rows: Sequence[Mapping[str, Any]], how: How) -> dict[str, dict[s
 
 
 def _with_values(splits: dict[str, dict[str, Any]], done: Sequence[Done], how: How) -> dict[str, dict[str, Any]]:
-    """Return the facts of splits with the values of their column."""
+    """Return the facts of splits with the values of the column that defines them."""
     if how.split is None:
         return splits
     values = {name: {one.job.row[how.split] for one in done if one.job.clip.folder == name} for name in splits}

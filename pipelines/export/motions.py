@@ -1,4 +1,4 @@
-"""The motion of a clip: its joints from the store, or the interval of its source file, with the changes asked for."""
+"""Compute the motion of a clip from the store's joints or its source file, with the requested processing."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ _PAIRS = ("hip", "shoulder")
 def clip_motion(frames: pa.Table, clip: Clip, how: How, features: FeatureSet, rate_hz: float) -> JointMotion:
     """Return the motion of a clip's joints.
 
-    Between two frames places are interpolated; a word is that of the nearest frame. A twin's words are those of the
-    clip with left and right exchanged; it has none where the feature set does not name their pairs.
+    Positions are interpolated between frames; words are those of the nearest frame. The words of a mirrored clip are
+    those of the clip with left and right exchanged; it has none if the feature set does not define the pairs.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def clip_motion(frames: pa.Table, clip: Clip, how: How, features: FeatureSet, ra
     clip : Clip
         The clip.
     how : How
-        The changes that are asked for.
+        The requested processing.
     features : FeatureSet
         The features of the store.
     rate_hz : float
@@ -52,7 +52,7 @@ def clip_motion(frames: pa.Table, clip: Clip, how: How, features: FeatureSet, ra
     Raises
     ------
     KinedexError
-        The body's place or direction is not known in the frame that should lie at the origin.
+        The body's position or facing direction is unknown in the frame that should lie at the origin.
     """
     rows = frames.slice(clip.first, clip.last - clip.first).combine_chunks()
     places: F64 = joint_positions(rows, features.joints).transpose(2, 0, 1).astype(np.float64)
@@ -75,19 +75,19 @@ def clip_motion(frames: pa.Table, clip: Clip, how: How, features: FeatureSet, ra
 
 
 def frames_at(frames: int, before_hz: float, after_hz: float) -> int:
-    """Return the number of frames that so many become at another rate (`ops.body.resample`)."""
+    """Return the number of frames after resampling to another rate (`ops.body.resample`)."""
     if before_hz == after_hz or frames < 2:
         return frames
     return int(np.floor(round((frames - 1) * after_hz / before_hz, 9))) + 1
 
 
 def clip_placement(places: F64, joints: tuple[str, ...], clip: Clip) -> Placement:
-    """Return the place and the direction of a body in one frame, from its root, hips and shoulders.
+    """Return the position and facing direction of a body in one frame, from its root, hips and shoulders.
 
     Parameters
     ----------
     places : float64 array (J, 3)
-        Places of the joints in the frame, in metres.
+        Positions of the joints in the frame, in metres.
     joints : tuple of str
         Their names.
     clip : Clip
@@ -96,7 +96,7 @@ def clip_placement(places: F64, joints: tuple[str, ...], clip: Clip) -> Placemen
     Raises
     ------
     KinedexError
-        They are not known there.
+        Position or direction are unknown in this frame.
     """
     known = dict(zip(joints, places, strict=True))
     gap = np.full(3, np.nan)
@@ -113,7 +113,7 @@ def clip_placement(places: F64, joints: tuple[str, ...], clip: Clip) -> Placemen
 def source_cut(
     row: Mapping[str, Any], clip: Clip, how: How, skeleton: Path | None, mappings: Mappings | None
 ) -> SourceCut:
-    """Return the cut of a clip from the source of its take.
+    """Return the part of a take's source that a clip covers.
 
     Parameters
     ----------
@@ -122,11 +122,11 @@ def source_cut(
     clip : Clip
         The clip.
     how : How
-        The changes that are asked for.
+        The requested processing.
     skeleton : Path or None
         The skeleton file of an AMC file.
     mappings : Mappings or None
-        Skeleton mappings of the store; the shipped ones for None.
+        Skeleton mappings of the store; None for the shipped ones.
     """
     from kinedex.storage.formats.motion.source_cut import SourceCut
 
@@ -149,6 +149,6 @@ def source_cut(
 
 
 def source_frames(row: Mapping[str, Any], start: int, stop: int) -> tuple[int, int]:
-    """Return the frames of a take's source at analysis frames [start, stop); the whole source for the whole take."""
+    """Return the frames of a take's source for analysis frames [start, stop); the whole source for the whole take."""
     rates = float(row["source_rate_hz"]), float(row["rate_hz"])
     return covered_frames(start, stop, int(row["source_frames"]), *rates)

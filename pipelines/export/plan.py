@@ -1,4 +1,4 @@
-"""The plan of an export: which clips it will write, from what, and into which files."""
+"""Plan an export: which clips it will write, from which data, and into which files."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ class Plan:
     jobs : tuple of Job
         The clips, by take and frames.
     remarks : tuple of str
-        Remarks about what was left out.
+        Remarks on excluded intervals and clips.
     mappings : Mappings or None
-        Skeleton mappings of the store, where channels are cut.
+        Skeleton mappings of the store, if channels of sources are exported.
     """
 
     jobs: tuple[Job, ...]
@@ -53,24 +53,24 @@ class Plan:
 def planned(store: Store, what: What, how: How, progress: Progress) -> Plan:
     """Return the plan of an export.
 
-    Intervals are chosen; short ones and near-duplicates are left out; each class is cut down to `how.per_class`; the
-    rest is split, and balanced within each split; then twins are added.
+    Intervals are selected; short ones and near-duplicates are excluded; each class is limited to `how.per_class`; the
+    rest is split, and balanced within each split; then mirrored copies are added.
 
     Parameters
     ----------
     store : Store
         The store to read.
     what : What
-        The intervals that are cut out.
+        The intervals to export.
     how : How
-        The form of the clips and what is done to them.
+        The format and processing of the clips.
     progress : callable
-        Shows how far the comparison of clips is.
+        Shows the progress of the comparison of clips.
 
     Raises
     ------
     KinedexError
-        Nothing is selected, or sources that are to be cut are missing.
+        Nothing is selected, or sources whose channels are exported are missing.
     """
     selected = selected_intervals(store, what)
     remarks = list(selected.remarks)
@@ -93,10 +93,10 @@ def planned(store: Store, what: What, how: How, progress: Progress) -> Plan:
 
 
 def needed_mappings(store: Store, jobs: Sequence[Job]) -> Mappings | None:
-    """Return the skeleton mappings that are shipped and those that a store holds; None where no channels are cut."""
+    """Return the shipped skeleton mappings and those of a store; None if no channels are exported."""
     if not any(job.channels for job in jobs):
         return None
-    # numba comes with them
+    # imported here because they import numba
     from kinedex.catalog.skeletons.mappings import load_mappings
     from kinedex.catalog.skeletons.own_mappings import with_own
     from kinedex.pipelines.ingestion.chosen_mappings import stored_files
@@ -108,9 +108,9 @@ def needed_mappings(store: Store, jobs: Sequence[Job]) -> Mappings | None:
 
 
 def _distinct(store: Store, clips: Sequence[Clip], most: float, progress: Progress) -> list[Clip]:
-    """Return clips without those that show what an earlier one shows.
+    """Return clips without near-duplicates of earlier clips.
 
-    A clip whose body has no place or direction at its start is compared with none.
+    A clip whose body has no position or direction at its start is not compared with others.
     """
     by_take: dict[int, list[int]] = {}
     for number, clip in enumerate(clips):
@@ -136,7 +136,7 @@ def _distinct(store: Store, clips: Sequence[Clip], most: float, progress: Progre
 
 
 def jobs_of(store: Store, clips: Sequence[Clip], how: How) -> tuple[Job, ...]:
-    """Return the jobs of clips.
+    """Return the jobs that write clips.
 
     Parameters
     ----------
@@ -145,12 +145,12 @@ def jobs_of(store: Store, clips: Sequence[Clip], how: How) -> tuple[Job, ...]:
     clips : sequence of Clip
         The clips, with the names of their files.
     how : How
-        The form of the clips and what is done to them.
+        The format and processing of the clips.
 
     Raises
     ------
     KinedexError
-        The form cannot be made of some takes, or their sources are missing; the message lists all of them.
+        Some takes cannot be written in this format, or their sources are missing; the message lists all of them.
     """
     form = form_named(how.form)
     rows = {row["name"]: row for row in store.take_rows.to_pylist()}
@@ -206,7 +206,7 @@ def _require_sources(rows: dict[str, dict[str, Any]], cut: set[str], skeletons: 
 
 
 def _fingerprint(store: Store, clip: Clip, how: How, row: dict[str, Any], channels: bool) -> str:
-    """Return a hash of all that the content of a clip's files follows from."""
+    """Return a hash of everything that determines the content of a clip's files."""
     content = [
         kinedex_version(), how.form, channels, store.feature_set.digest, store.rate_hz, row["checksum"], row["recipe"],
         row.get("person"), clip.name, clip.start, clip.stop, clip.first, clip.last,

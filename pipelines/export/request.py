@@ -1,4 +1,4 @@
-"""The request for an export: what is cut out of a store, and how."""
+"""The request for an export: the intervals to export, and the format and processing of their clips."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from kinedex.pipelines.export.forms import form_named
 Kind = Literal["takes", "annotations", "labels", "hits", "ranges", "sql"]
 
 SPLITS = ("train", "val", "test")
-"""The names of splits, in the order of `Form.shares`; they are folders, too."""
+"""The names of splits, in the order of `How.shares`, which are also names of folders."""
 
 CLIPS = "clips"
-"""The folder of clips that are not split."""
+"""The folder of clips if there is no split."""
 
 SHARES = (0.8, 0.1, 0.1)
 
 FORBID = {"extra": "forbid", "strict": True}
-"""Requests of the explorer have no other fields than these."""
+"""Settings of pydantic for requests from the explorer: unknown fields and values of other types are errors."""
 
 
 @dataclass(frozen=True)
 class What:
-    """The intervals that are cut out.
+    """The intervals to export.
 
     Attributes
     ----------
@@ -35,15 +35,15 @@ class What:
     name : str or Path or None
         The name of the saved hits, the file of ranges, or the SQL query.
     takes : tuple of str
-        Names of takes; all unless given.
+        Names of takes; empty for all.
     where : str or None
         A SQL filter over the columns of takes.
     classes : tuple of str
-        Only intervals of these classes or subclasses; all unless given.
+        Classes or subclasses of the intervals; empty for all.
     pipeline : str or None
-        The pipeline, stage or run of the annotations; the current pipeline unless given.
+        The pipeline, stage or run of the annotations; None for the current pipeline.
     min_confidence : float or None
-        Least confidence.
+        The least confidence; None for any.
     """
 
     __pydantic_config__ = FORBID
@@ -64,7 +64,7 @@ class What:
 def source_of(
     *, annotations: bool, labels: bool, hits: str | None, ranges: str | PathLike[str] | None, sql: str | None
 ) -> tuple[Kind, str | Path | None]:
-    """Return the kind of the intervals and their name; whole takes where nothing is given.
+    """Return the kind of the intervals and their name; whole takes if nothing is given.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def source_of(
     Raises
     ------
     KinedexError
-        There are two sources.
+        More than one source is given.
     """
     given: dict[Kind, str | Path | None] = {}
     given |= {"annotations": None} if annotations else {}
@@ -96,38 +96,38 @@ def source_of(
 
 @dataclass(frozen=True)
 class How:
-    """The form of the clips and what is done to them.
+    """The format and processing of clips.
 
     Attributes
     ----------
     form : str
-        Name of the form, one of `FORMS`.
+        Name of the format, one of `FORMS`.
     joints : bool
-        Write the 24 joints even where the form could be cut from the source's own channels.
+        Write the 24 joints even if the source's own channels could be exported in this format.
     margin : float
-        Seconds that are added before and after each interval.
+        Seconds added before and after each interval.
     context : float
-        Seconds of surroundings that the files hold besides; the metadata name the inner interval.
+        Further seconds before and after, which are in the files; the metadata gives the inner interval.
     min_length : float
-        Least seconds of an interval, without its margins.
+        Least duration of an interval in seconds, without margins.
     mirror : bool
-        Add a twin of each clip with left and right exchanged.
+        Add a copy of each clip with left and right exchanged.
     rate_hz : float or None
-        Frames per second of the files; those of the store, or of the source's channels, for None.
+        Frames per second of the files; None for the rate of the store, or of the source's channels.
     in_place : bool
-        Begin each clip above the origin, facing +Z.
+        Move and turn each clip to start above the origin, facing +Z.
     split : str or None
-        Column of takes: no value of it is in two of the splits.
+        Column of takes; takes with the same value are in the same split.
     shares : tuple of float
         Shares of the seconds of training, validation and test; two are training and test.
     seed : int
-        Another number makes another of the equally good splits, and balances with other clips.
+        Seed of the choice among equally good splits, and of the clips that are kept for balance.
     balance : bool
-        In each split, take as many clips of each class as of the rarest one.
+        In each split, keep as many clips of each class as the rarest class has.
     per_class : int or None
-        Most clips of a class.
+        The largest number of clips of a class; None for all.
     distinct : float or None
-        Leave out clips whose joints differ from those of an earlier clip by less, in metres.
+        Exclude clips whose joints differ from those of an earlier clip by less than this, in metres.
     """
 
     __pydantic_config__ = FORBID
@@ -164,7 +164,7 @@ class How:
 
     @property
     def folders(self) -> tuple[str, ...]:
-        """The folders that the clips lie in."""
+        """The folders that contain the clips."""
         if self.split is None:
             return (CLIPS,)
         return SPLITS if len(self.shares) == 3 else (SPLITS[0], SPLITS[2])

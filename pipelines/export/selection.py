@@ -1,4 +1,4 @@
-"""The intervals of takes that a request means: whole takes, annotations, labels, saved hits, ranges, rows of SQL."""
+"""Select the intervals of a request: whole takes, annotations, labels, saved hits, ranges, or rows of SQL."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _PLACE = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*(s?)")
 
 @dataclass(frozen=True)
 class Interval:
-    """An interval [start, stop) of a take in analysis frames, and the statement that it was chosen by.
+    """An interval [start, stop) of a take in analysis frames, with its origin.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Interval:
     label : str or None
         The class.
     confidence : float or None
-        The confidence of the statement.
+        The confidence of the annotation or label.
     origin : str
         Source of the interval: take, annotation, label, hit, range or sql.
     stage : str or None
@@ -44,7 +44,7 @@ class Interval:
     run : str or None
         Id of the run of that stage.
     more : dict
-        Further columns of a SQL query.
+        The other columns of a SQL query.
     """
 
     take: str
@@ -59,20 +59,20 @@ class Interval:
 
     @property
     def place(self) -> tuple[str, int, int, str]:
-        """The take, the frames and the class: two intervals with the same are one."""
+        """The take, frames and class, which identify an interval."""
         return self.take, self.start, self.stop, self.label or ""
 
 
 @dataclass(frozen=True)
 class Selected:
-    """The intervals of a request, by take, start, stop and class, each once; and remarks about what is missing."""
+    """The distinct intervals of a request, by take, start, stop and class; and remarks about missing ones."""
 
     intervals: tuple[Interval, ...]
     remarks: tuple[str, ...]
 
 
 def selected_intervals(store: Store, what: What) -> Selected:
-    """Find the intervals that a request means.
+    """Find the intervals of a request.
 
     Parameters
     ----------
@@ -84,8 +84,8 @@ def selected_intervals(store: Store, what: What) -> Selected:
     Raises
     ------
     KinedexError
-        The request names what the store does not have, or means nothing; the message tells which of its conditions
-        leaves nothing.
+        The request names something that the store does not have, or selects nothing; the message names the condition
+        that excludes everything.
     """
     for name in what.takes:
         store.take_id(name)
@@ -123,7 +123,7 @@ def _nothing_left(store: Store, what: What, found: list[Interval], words: str) -
 
 
 def _inside(store: Store, found: Iterable[Interval]) -> list[Interval]:
-    """Return intervals in their order, each once; an error names one that is not inside its take."""
+    """Return distinct intervals, sorted; raise an error if one is not inside its take."""
     lengths = {name: store.take_frames[take_id] for name, take_id in store.take_ids.items()}
     once: dict[tuple[str, int, int, str], Interval] = {}
     for one in sorted(found, key=lambda one: (one.place, -(one.confidence or 0.0))):
@@ -144,12 +144,12 @@ def _takes(store: Store, what: What, remarks: list[str]) -> Iterator[Interval]:
 
 
 def _annotations(store: Store, what: What, remarks: list[str]) -> Iterator[Interval]:
-    # numba comes with them, and takes longer to import than one take to export
+    # imported here because it imports numba, which takes longer than exporting one take
     from kinedex.pipelines.annotation.labels import annotate_stage
     from kinedex.pipelines.annotation.tables import annotated_takes
 
     stage = annotate_stage(store, what.pipeline)
-    annotated_takes(store, stage)  # an error if takes were replaced since
+    annotated_takes(store, stage)  # raises an error if takes were replaced since then
     run = store.manifest.stages[stage].run
     rejections = Rejections(store)
     rows = store.result("annotations", run=run).to_pylist()
@@ -230,7 +230,7 @@ def _sql(store: Store, what: What, remarks: list[str]) -> Iterator[Interval]:
 
 
 def _row(store: Store, row: dict[str, Any], origin: str) -> Interval:
-    """Return the interval of a row of a file or of SQL."""
+    """Return the interval in a row of a file or of a SQL query."""
     take = str(row["take"])
     length = store.take_frames[store.take_id(take)]
     start, stop = _frame(store, row.get("start"), "start", 0), _frame(store, row.get("stop"), "stop", length)

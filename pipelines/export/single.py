@@ -1,4 +1,4 @@
-"""The export of one take to one file."""
+"""Export one take to one file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from kinedex.storage.store.store import Store
 
 
 def export_take(store: Store, take: str, how: How, path: Path) -> list[Path]:
-    """Write a whole take to a file, whole or not at all.
+    """Write a whole take to a file, completely or not at all.
 
     Parameters
     ----------
@@ -24,9 +24,9 @@ def export_take(store: Store, take: str, how: How, path: Path) -> list[Path]:
     take : str
         The take's name.
     how : How
-        The form, and whether the motion is resampled or begins at the origin.
+        The format, and whether the motion is resampled or moved to the origin.
     path : Path
-        The file to write; an existing one is replaced. A form of several files puts the others beside it.
+        The file to write; an existing one is replaced. Formats of several files write the others beside it.
 
     Returns
     -------
@@ -36,7 +36,7 @@ def export_take(store: Store, take: str, how: How, path: Path) -> list[Path]:
     Raises
     ------
     KinedexError
-        There is no such take, it cannot be written in this form, the request makes a data set, or the file cannot be
+        There is no such take, it cannot be written in this format, the request makes a data set, or the file cannot be
         written.
     """
     asked = {

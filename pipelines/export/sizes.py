@@ -1,4 +1,4 @@
-"""The sizes of the files of an export before it is written, from a sample of its clips."""
+"""Estimate the sizes of the files of an export from a sample of its clips."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from kinedex.pipelines.export.work import Batch, Job, write_batch
 from kinedex.storage.store.store import Store
 
 SAMPLE = 6
-"""Clips of a sample, of each kind of source."""
+"""The number of clips in a sample, for each kind of source."""
 
 MOST_FRAMES = 20_000
-"""A sample ends with the clip that reaches so many frames; films end with a hundredth of it."""
+"""The number of frames at which a sample ends; samples of videos end at a hundredth of it."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,9 @@ class Sizes:
     Attributes
     ----------
     clips : list of int or None
-        Bytes of the files of each clip, in the order of the plan; None where no clip of the sample can be written.
+        Bytes of the files of each clip, in the order of the plan; None if no clip of the sample can be written.
     remark : str
-        Describes the sample.
+        A description of the sample.
     """
 
     clips: list[int] | None
@@ -41,15 +41,15 @@ class Sizes:
 def estimated_bytes(store: Store, how: How, plan: Plan) -> Sizes:
     """Estimate the bytes of the files of each clip.
 
-    A few clips, from the shortest to the longest, are written into a temporary folder, which is removed. The others
-    have a size that is linear in their frames, as the sample has by least squares.
+    A few clips, from the shortest to the longest, are written into a temporary folder, which is removed. The sizes of
+    the others are estimated by a line through the sizes of the sample over frames, by least squares.
 
     Parameters
     ----------
     store : Store
         The store to read.
     how : How
-        The form of the clips.
+        The format of the clips.
     plan : Plan
         The clips.
     """
@@ -98,7 +98,7 @@ def _sample(jobs: Sequence[Job], how: How) -> list[Job]:
 
 
 def _line(frames: Sequence[int], sizes: Sequence[int]) -> tuple[float, float]:
-    """Return slope and start of a line through sizes; a line through zero where the frames are all the same."""
+    """Return slope and intercept of a line through sizes; a line through zero if all clips have the same length."""
     if len(set(frames)) == 1:
         return float(np.mean(sizes)) / max(1, frames[0]), 0.0
     slope, start = np.polyfit(frames, sizes, 1)

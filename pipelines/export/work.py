@@ -1,4 +1,4 @@
-"""The writing of clips, take by take, in this process or in workers."""
+"""Write clips, take by take, in this process or in workers."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ class Job:
     files : tuple of str
         Its files, relative to the folder of the data set.
     fingerprint : str
-        Hash of all that their content follows from.
+        Hash of everything that determines their content.
     row : dict
         The row of the take.
     channels : bool
-        True for a cut of the source's own channels, False for the 24 joints.
+        True to write an interval of the source's own channels, False to write the 24 joints.
     skeleton : Path or None
         The skeleton file of an AMC file.
     """
@@ -53,7 +53,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Done:
-    """A job that was done: its files, or the fault for which the clip is excluded."""
+    """A finished job: its files, or the reason why the clip is excluded."""
 
     job: Job
     files: tuple[Written, ...] = ()
@@ -62,7 +62,7 @@ class Done:
 
 @dataclass(frozen=True)
 class Batch:
-    """The jobs of a task, all of the clips of some takes that lie beside each other in the store."""
+    """The jobs of a task: all clips of takes that are stored next to each other."""
 
     store: Store
     folder: Path
@@ -72,7 +72,7 @@ class Batch:
 
     @property
     def subject(self) -> str:
-        """The takes, for messages."""
+        """The names of the takes, for messages."""
         return ", ".join(dict.fromkeys(job.clip.take for job in self.jobs))
 
 
@@ -82,7 +82,7 @@ def write_batch(batch: Batch) -> list[Done]:
     Raises
     ------
     KinedexError
-        A file cannot be written; the message is about the disk. The fault of a single clip excludes that clip.
+        A file cannot be written to the disk. A clip with any other error is excluded.
     """
     done = []
     by_take: dict[int, list[Job]] = {}
@@ -101,7 +101,7 @@ def _done(batch: Batch, job: Job, frames: pa.Table | None) -> Done:
     try:
         write_files(batch, job, paths, frames)
     except UnwritableError as fault:
-        # neither can the next one
+        # nor could the next file be written
         raise UnwritableError(f"{fault}; mend that, then run the same command again: it goes on where it was") from None
     except KinedexError as fault:
         return Done(job, fault=str(fault))
@@ -110,11 +110,11 @@ def _done(batch: Batch, job: Job, frames: pa.Table | None) -> Done:
 
 
 class UnwritableError(KinedexError):
-    """The disk refuses a file, whatever its content is."""
+    """The disk refuses to write a file, whatever its content."""
 
 
 def write_files(batch: Batch, job: Job, paths: Sequence[Path], frames: pa.Table | None) -> None:
-    """Write the files of a clip, each whole or not at all.
+    """Write the files of a clip, each completely or not at all.
 
     Parameters
     ----------
@@ -125,14 +125,14 @@ def write_files(batch: Batch, job: Job, paths: Sequence[Path], frames: pa.Table 
     paths : sequence of Path
         Its files.
     frames : pyarrow.Table or None
-        All frames of the take; not needed for a cut of channels.
+        All frames of the take; not needed if channels are exported.
 
     Raises
     ------
     UnwritableError
         A file cannot be written.
     KinedexError
-        The clip cannot be written in this form.
+        The clip cannot be written in this format.
     """
     store, how = batch.store, batch.how
     form = FORMS[how.form]
@@ -155,7 +155,7 @@ def write_files(batch: Batch, job: Job, paths: Sequence[Path], frames: pa.Table 
 def batches_of_jobs(
     store: Store, folder: Path, how: How, mappings: Mappings | None, jobs: Sequence[Job]
 ) -> Iterator[Batch]:
-    """Yield jobs in batches of takes that lie beside each other in the store.
+    """Yield jobs in batches of takes that are stored next to each other.
 
     Parameters
     ----------
@@ -164,9 +164,9 @@ def batches_of_jobs(
     folder : Path
         The folder of the data set.
     how : How
-        The changes that are asked for.
+        The format and processing of the clips.
     mappings : Mappings or None
-        Skeleton mappings of the store, where channels are cut.
+        Skeleton mappings of the store, if channels of sources are exported.
     jobs : sequence of Job
         The clips to be written.
     """
@@ -182,4 +182,4 @@ def batches_of_jobs(
 
 
 CLIPS_A_TASK = 50
-"""A task has about so many clips: as many are written again after a kill, for each worker."""
+"""The approximate number of clips of a task; after a kill, each worker writes at most as many again."""

@@ -1,1 +1,1 @@
-"""The history of a store: what its pipeline runs changed, and pipeline files that run them again."""
+"""The history of a store: list and compare its pipeline runs, and write pipeline files that repeat them."""

@@ -1,4 +1,4 @@
-"""Overviews of the pipeline runs of a store: a table of all, everything about one, and what each changed."""
+"""Describe the pipeline runs of a store: a table of all runs, the details of one run, and the changes between runs."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from kinedex.storage.store.history import PipelineRun, StageRun
 FIRST = "first run"
 
 _MOST = 60
-"""Characters of a value in a phrase about a change."""
+"""The largest number of characters of a value in the description of a change."""
 
 
 def find_run(runs: Sequence[PipelineRun], wanted: str, store: Path) -> PipelineRun:
-    """Return the run that a user means.
+    """Return the run that a user has named.
 
     Parameters
     ----------
     runs : sequence of PipelineRun
         The runs of the store, oldest first.
     wanted : str
-        Its id, the beginning of its id, or the name of a pipeline, which stands for its last run.
+        The id of the run, the beginning of the id, or the name of a pipeline, which selects its last run.
     store : Path
         The directory of the store, for messages.
 
     Raises
     ------
     KinedexError
-        No run has this id, or several ids begin so.
+        No run has this id, or several ids begin with this text.
     """
     of_pipeline = [run for run in runs if run.pipeline == wanted]
     fitting = [run for run in runs if run.run == wanted] or of_pipeline[-1:]
@@ -49,7 +49,7 @@ def find_run(runs: Sequence[PipelineRun], wanted: str, store: Path) -> PipelineR
 
 
 def changes(run: PipelineRun, before: PipelineRun | None) -> list[str]:
-    """Return the differences of a run from the one of the same pipeline before it, in words.
+    """Return the differences between a run and the run of the same pipeline before it, as text.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def changes(run: PipelineRun, before: PipelineRun | None) -> list[str]:
 
 
 def _follows(reason: str, stages: set[str]) -> bool:
-    """Return whether a stage ran only because another one did."""
+    """Return whether a stage ran only because another one of the run did."""
     return reason.endswith(" runs") and reason.removesuffix(" runs") in stages
 
 
@@ -97,7 +97,7 @@ def _short(value: Any) -> str:
 
 
 def versions_with_results(store: Path) -> dict[str, int]:
-    """Return the newest version that has the results of each run of a stage, by the id of that run."""
+    """Return the newest version that holds the results of each stage run, by the id of that stage run."""
     found: dict[str, int] = {}
     for version in versions(store):
         try:
@@ -109,7 +109,7 @@ def versions_with_results(store: Path) -> dict[str, int]:
 
 
 def results_of(run: PipelineRun, places: dict[str, int], newest: int) -> str:
-    """Describe where the results are that a run made: "newest version", "version 12", "partly gone" or "gone"."""
+    """Describe which version holds the results of a run: "newest version", "version 12", "partly gone" or "gone"."""
     found = [places.get(stage.run) for stage in run.ran]
     if not found:
         return "none"
@@ -139,7 +139,7 @@ def runs_table(store: Path, every: Sequence[PipelineRun], shown: Sequence[Pipeli
     every : sequence of PipelineRun
         All runs of the store, oldest first.
     shown : sequence of PipelineRun
-        Those of the rows.
+        The runs that the table shows.
     """
     before, places, newest = before_each(every), versions_with_results(store), versions(store)[-1]
     rows = [
@@ -164,7 +164,7 @@ def runs_table(store: Path, every: Sequence[PipelineRun], shown: Sequence[Pipeli
 
 
 def run_lines(run: PipelineRun, before: PipelineRun | None, results: str) -> Iterator[str]:
-    """Yield everything that is known about a run, in lines of text."""
+    """Yield the details of a run as lines of text."""
     yield f"pipeline run {run.run} of {run.pipeline}: {run.state}"
     facts = {
         "begun": run.begun,

@@ -1,4 +1,4 @@
-"""A pipeline file that runs a recorded pipeline run again, with all settings in it."""
+"""Write a pipeline file that repeats a recorded pipeline run with all its settings."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ _REFERENCE = "${"
 
 @dataclass(frozen=True)
 class RunFile:
-    """A pipeline file that was made of a recorded run.
+    """A pipeline file that was made from a recorded run.
 
     Attributes
     ----------
     text : str
         Its content.
     files : dict of Path to bytes
-        The files beside it that its parameters name: copies of the user's own, and skeleton mappings of the store.
+        The files beside it that its parameters name: copies of the user's files, and skeleton mappings of the store.
     remarks : tuple of str
-        What the file alone does not reproduce, and what to do about it.
+        Remarks on what the file alone does not reproduce, and on how to reproduce it.
     """
 
     text: str
@@ -75,7 +75,7 @@ def export_run(store: Path, run: PipelineRun, output: Path) -> RunFile:
 
 
 def run_file(store: Path, run: PipelineRun, output: Path) -> RunFile:
-    """Return what `export_run` writes; parameters and errors as there."""
+    """Return what `export_run` writes; parameters and errors are those of `export_run`."""
     if not run.stages:
         raise KinedexError(f"run {run.run}: the store does not know the stages of this run")
     folder = Path(os.path.abspath(output)).with_suffix("")
@@ -86,7 +86,7 @@ def run_file(store: Path, run: PipelineRun, output: Path) -> RunFile:
 
 @dataclass
 class _RunFile:
-    """A pipeline file on its way."""
+    """Builds a pipeline file from a recorded run."""
 
     store: Path
     run: PipelineRun
@@ -134,7 +134,7 @@ class _RunFile:
         return "".join(f"# {_CONTROL.sub(' ', fact)}\n" for fact in facts) + "\n"
 
     def _copies(self) -> dict[str, str]:
-        """Place the copies of the user's own files, and return old path → new path, of their folders too."""
+        """Add copies of the user's files, and return old path → new path for them and their folders."""
         if not self.run.files:
             return {}
         strange = [kept.path for kept in self.run.files if not os.path.isabs(kept.path)]
@@ -153,7 +153,7 @@ class _RunFile:
         return places
 
     def _mappings(self) -> list[str]:
-        """Place the skeleton mappings that the store held, and return their paths."""
+        """Add the skeleton mappings that the store held, and return their paths."""
         paths = []
         for number, (name, text) in enumerate(sorted(self.run.mappings.items()), 1):
             path = self.folder / "mappings" / f"{number:02d}-{re.sub(r'[^A-Za-z0-9_-]', '_', name)[:40]}.yaml"
@@ -164,7 +164,7 @@ class _RunFile:
     def _params(
         self, given: dict[str, Any], places: dict[str, str], source: str, mappings: list[str]
     ) -> dict[str, Any]:
-        """Return parameters as the file has them: sources as settings, files by the paths of their copies."""
+        """Return parameters as written in the file: sources as settings, files by the paths of their copies."""
         params = {key: self._value(value, places) for key, value in given.items()}
         if mappings:
             params["skeletons"] = [*params.get("skeletons", []), *mappings]
@@ -183,7 +183,7 @@ class _RunFile:
         return places.get(value, value) if isinstance(value, str) else value
 
     def _setting(self, name: str, value: str) -> str:
-        """Return the reference to a setting that holds a text; equal texts share one."""
+        """Return the reference to a setting that holds a text; equal texts share a setting."""
         known = next((key for key, other in self.settings.items() if other == value), None)
         if known is None:
             known = _free_name(name, self.settings)
@@ -200,7 +200,7 @@ def _free_name(name: str, taken: Iterable[str]) -> str:
 
 
 def _remarks(store: Path, run: PipelineRun) -> list[str]:
-    """Return what the file of a run alone does not reproduce, and what to do about it."""
+    """Return remarks on what the file alone does not reproduce, and on how to reproduce it."""
     remarks = []
     if run.state != "finished":
         remarks.append(f"this run did not finish (it is {run.state}); the file runs all of its stages")
@@ -227,9 +227,9 @@ def _remarks(store: Path, run: PipelineRun) -> list[str]:
 
 
 def changed_defaults(run: PipelineRun, file: Path) -> list[str]:
-    """Return remarks on parameters that were not given and whose defaults have changed since the run.
+    """Return remarks on unset parameters whose defaults have changed since the run.
 
-    A file that this kinedex cannot run has one remark, with the reason.
+    For a file that this version of kinedex cannot run, the only remark gives the reason.
     """
     try:
         loaded = load_pipeline(file)
