@@ -30,7 +30,8 @@ class Form:
     joints : str or None
         Function of (path, JointMotion) that writes the 24 joints; None if there is none.
     channels : str or None
-        Function of (paths, SourceCut) that cuts a source's own channels, with one path for each of `endings`; None if there is none.
+        Function of (paths, SourceCut) that writes an interval of a source's own channels, with one path for each of
+        `endings`; None if there is none.
     sources : tuple of str
         Formats of takes (column `format`) whose channels `channels` can cut.
     """

@@ -1,1 +1,1 @@
-"""Limbs of takes, sensors worn on them, and sensors that are simulated."""
+"""Limbs of takes, inertial sensors worn on them, errors between the two, and simulated errors."""

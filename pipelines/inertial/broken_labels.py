@@ -1,4 +1,4 @@
-"""The label files of broken takes, in which the labels of unchanged takes stay."""
+"""Read and write the label files of takes with simulated errors; labels of unchanged takes are kept."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from kinedex.storage.formats.csv_cells import unguarded
 
 
 class BrokenLabels:
-    """The labels of broken takes in two files: of simulated annotators, and of the true errors.
+    """The labels of takes with simulated errors, in two files: those of simulated annotators, and the true errors.
 
     Parameters
     ----------
     labels, truth : Path
-        The files, which may be those of an earlier run, or not there.
+        The files, which may exist from an earlier run.
     """
 
     def __init__(self, labels: Path, truth: Path) -> None:
@@ -27,11 +27,11 @@ class BrokenLabels:
         self._labels, self._truth = _read(labels), _read(truth)
 
     def put(self, take: str, labels: Sequence[LimbLabel], truth: Sequence[LimbLabel]) -> None:
-        """Set the labels of a take."""
+        """Set the labels of a take, by annotators and by the truth."""
         self._labels[take], self._truth[take] = list(labels), list(truth)
 
     def digest(self, take: str) -> str:
-        """Return a hash of the labels of a take; empty where a file lacks the take."""
+        """Return a hash of the labels of a take; empty if the take is missing in one of the files."""
         if take not in self._labels or take not in self._truth:
             return ""
         return hash_of(label_text([take], self._labels[take]), label_text([take], self._truth[take], with_kinds=True))
@@ -43,7 +43,7 @@ class BrokenLabels:
         return labels, truth
 
     def write(self, takes: Sequence[str]) -> None:
-        """Write the labels of takes, in their order, in place of both files."""
+        """Write the labels of takes, in their order, and replace both files."""
         labels, truth = self.of(takes)
         texts = (label_text(takes, labels), label_text(takes, truth, with_kinds=True))
         for path, text in zip(self.files, texts, strict=True):
@@ -52,7 +52,7 @@ class BrokenLabels:
 
 
 def _read(file: Path) -> dict[str, list[LimbLabel]]:
-    """Return the labels of a file that `BrokenLabels.write` has made, by take; none where it is another one."""
+    """Return the labels by take in a file that `BrokenLabels.write` has made; empty for any other file."""
     found: dict[str, list[LimbLabel]] = {}
     try:
         for row in csv.DictReader(io.StringIO(file.read_bytes().decode(), newline=""), strict=True):

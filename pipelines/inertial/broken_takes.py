@@ -1,4 +1,4 @@
-"""Takes whose limbs are broken on purpose, with labels of the errors and of simulated annotators."""
+"""Put simulated errors into the limbs of takes, and make labels of the errors and of simulated annotators."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from kinedex.pipelines.inertial.limb_tables import StoredLimbs
 from kinedex.storage.formats.csv_cells import csv_line
 
 NOISE_HZ = 6.0
-"""The noise of trackers is smooth below this frequency."""
+"""The frequency, in Hz, below which the simulated noise of trackers lies."""
 
 ERROR = "error"
-"""The class of labels of wrong limbs."""
+"""The class of labels that mark wrong limbs."""
 
 _LABELS = ("take", "class", "start", "stop", "limb", "annotator")
 _TRUTH = ("take", "class", "start", "stop", "limb", "annotator", "kind", "degrees")
@@ -28,20 +28,20 @@ _TRUTH = ("take", "class", "start", "stop", "limb", "annotator", "kind", "degree
 
 @dataclass(frozen=True)
 class LimbLabel:
-    """A label of a wrong limb.
+    """A label that marks a wrong limb.
 
     Attributes
     ----------
     take, limb : str
         The take and the limb.
     start, stop : int
-        Its frames [start, stop) of the source.
+        The frames [start, stop) of the source.
     annotator : str
-        The person or, in brackets of the name, what stands for one.
+        The name of the person or of the simulated annotator.
     kind : str
-        The kind of error, for the truth.
+        The kind of error; only in labels of the truth.
     degrees : float
-        The largest error in it, to a hundredth.
+        The largest error within the label, in degrees, rounded to two decimals.
     """
 
     take: str
@@ -55,7 +55,7 @@ class LimbLabel:
 
 @dataclass(frozen=True, eq=False)
 class BrokenTake:
-    """A broken take: its limbs, the true labels, and those of annotators."""
+    """A take with simulated errors: its limbs, the true labels, and those of annotators."""
 
     limbs: dict[str, LimbMotion]
     truth: list[LimbLabel]
@@ -68,16 +68,16 @@ def annotator_name(number: int) -> str:
 
 
 def break_take(take: StoredLimbs, limbs: Iterable[str], noise_deg: float, annotators: int, seed: int) -> BrokenTake:
-    """Put errors into the limbs of a take.
+    """Put simulated errors into the limbs of a take.
 
     Parameters
     ----------
     take : StoredLimbs
         The limbs.
     limbs : iterable of str
-        The limbs that are broken; those without an orientation stay as they are.
+        The limbs that get errors; limbs without an orientation are not changed.
     noise_deg : float
-        Smooth noise of all limbs, root mean square degrees.
+        Root mean square of the smooth noise of all limbs, in degrees.
     annotators : int
         The number of simulated annotators.
     seed : int
@@ -123,16 +123,16 @@ def _noisy(one: LimbMotion, rate_hz: float, noise_deg: float, random: np.random.
 
 
 def label_text(takes: Sequence[str], labels: Sequence[LimbLabel], with_kinds: bool = False) -> str:
-    """Return labels as a CSV file; a take that nobody marked has a row of its name alone.
+    """Return labels as CSV text; a take without labels has a row with only its name.
 
     Parameters
     ----------
     takes : sequence of str
-        All takes that were looked at.
+        All takes that were examined.
     labels : sequence of LimbLabel
         The labels.
     with_kinds : bool, optional
-        Write the kinds of errors and their largest angles, too.
+        True to write the kinds of errors and their largest angles as well.
     """
     header = _TRUTH if with_kinds else _LABELS
     by_take: dict[str, list[LimbLabel]] = {take: [] for take in takes}

@@ -11,7 +11,7 @@ from kinedex.pipelines.engine.file_parameters import NamesFile
 Degrees = Annotated[float, Field(ge=0, le=180, allow_inf_nan=False)]
 
 TAUS = tuple(float(tau) for tau in range(5, 121, 5))
-"""The thresholds in degrees of the thesis's Figure 7.12."""
+"""The thresholds in Figure 7.12 of the thesis, in degrees."""
 
 
 class LimbErrorsParameters(BaseModel):

@@ -1,4 +1,4 @@
-"""The errors of a take's limbs against their sensors, and the runs of frames in which a limb is wrong or jumps."""
+"""Compute errors of a take's limbs against their sensors, and the runs of frames in which a limb is wrong or jumps."""
 
 from __future__ import annotations
 
@@ -33,22 +33,23 @@ Names = npt.NDArray[np.str_]
 
 @dataclass(frozen=True, eq=False)
 class LimbCurve:
-    """The errors of a limb against its sensor, or against those of several recordings of the take.
+    """The errors of a limb over time against its sensor, or against sensors of several recordings of the take.
 
     Attributes
     ----------
     limb : str
         Its name.
     recording, sensor : str array (T,)
-        The recording and the sensor that judge each frame.
+        The recording and the sensor that each frame is compared with.
     times : float64 array (T,)
-        Seconds of the take.
+        Times in the take, in seconds.
     degrees, swing, twist : float64 array (T,)
-        Degrees; NaN where not known. Of limbs of which only the axis is known, all but the swing are.
+        The whole error angle, its swing and its twist, in degrees; NaN if unknown. If only a limb's axis is known,
+        only the swing is.
     valid : bool array (T,)
-        The frames that count.
+        The frames that are evaluated.
     jump : bool array (T,)
-        The frames in which the limb turns too fast for a person.
+        The frames in which the limb turns faster than a person can.
     """
 
     limb: str
@@ -63,12 +64,12 @@ class LimbCurve:
 
     @property
     def error(self) -> F64:
-        """The error that is judged: the whole angle, or the swing where only that is known."""
+        """The error in degrees, float64 (T,): the whole angle, or the swing if only that is known."""
         return np.where(np.isfinite(self.degrees), self.degrees, self.swing)
 
     @property
     def rate_hz(self) -> float:
-        """Frames per second; 1 for a single frame."""
+        """The frames per second; 1 for a single frame."""
         return (len(self.times) - 1) / float(self.times[-1] - self.times[0]) if len(self.times) > 1 else 1.0
 
 
@@ -85,7 +86,7 @@ class TakeErrors:
     runs : dict of str to (list of Run, list of Run)
         Limb → the runs of wrong frames, and those of jumps.
     left_out : list of str
-        Sentences on sensors that judge nothing.
+        Sentences on sensors that were not used.
     """
 
     curves: tuple[LimbCurve, ...]
@@ -95,7 +96,7 @@ class TakeErrors:
 
 
 Calibrations = Mapping[tuple[int, str, str], Mapping[str, Any]]
-"""The rows of `sensor_calibration` with a mount, by take, recording and sensor."""
+"""The rows of `sensor_calibration` with a mount, by take_id, recording and sensor."""
 
 
 def take_errors(
@@ -103,8 +104,8 @@ def take_errors(
 ) -> TakeErrors:
     """Compare the limbs of a take with the sensors that were worn on them.
 
-    Of several sensors on one limb, the one with the most frames judges it, and the others the frames that it lacks: the
-    recordings of a take may cover one part of it each.
+    If a limb has several sensors, it is compared with the one that has the most frames, and in frames that this one
+    lacks with the others, because each recording may cover a part of the take.
 
     Parameters
     ----------
@@ -115,7 +116,7 @@ def take_errors(
     calibrations : mapping of (int, str, str) to mapping
         The calibrations of sensors.
     params : LimbErrorsParameters
-        Threshold and rules.
+        The threshold and other parameters.
     """
     found: dict[str, LimbCurve] = {}
     left_out = []
@@ -148,7 +149,7 @@ def _sensors(names: list[str]) -> str:
 
 
 def _filled(one: LimbCurve, other: LimbCurve) -> LimbCurve:
-    """Return a curve with the frames of another one where its own do not count."""
+    """Return a curve with frames of another curve filled in where its own frames are not valid."""
     lacks = other.valid & ~one.valid
     names = ("recording", "sensor", "degrees", "swing", "twist", "valid")
     return replace(one, **{name: np.where(lacks, getattr(other, name), getattr(one, name)) for name in names})
@@ -182,7 +183,7 @@ def _curve(limb: LimbMotion, sensor: WornSensor, clock: Clock, row: Mapping[str,
     )  # fmt: skip
 
 
-_ANY = np.array([1.0, 0.0, 0.0])  # the whole angle is the same for every axis
+_ANY = np.array([1.0, 0.0, 0.0])  # any axis gives the same whole angle
 
 
 def _values(row: Mapping[str, float]) -> F64:

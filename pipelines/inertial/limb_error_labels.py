@@ -1,4 +1,4 @@
-"""Runs of wrong limbs as labels, for files that a person corrects."""
+"""Convert runs of wrong limbs to labels, for files that a person corrects."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from kinedex.storage.store.store import Store
 
 
 def limb_error_stage(store: Store, wanted: str | None = None) -> str:
-    """Find the stage whose runs of wrong limbs a user asks for.
+    """Find the stage whose runs of wrong limbs a user has asked for.
 
     Parameters
     ----------
@@ -23,12 +23,12 @@ def limb_error_stage(store: Store, wanted: str | None = None) -> str:
         The store to read.
     wanted : str, optional
         "<pipeline>/<stage>", the name of the pipeline, or the id of the run; the stage of the pipeline whose runs the
-        view `limb_error_runs` shows unless given.
+        view `limb_error_runs` shows by default.
 
     Raises
     ------
     KinedexError
-        No limb was compared with a sensor, none by this stage, or several stages fit.
+        No limb was compared with a sensor, none by this stage, or several stages match.
     """
     stages = sorted({part.stage for part in store.manifest.results.get(ERRORS, ())})
     if not stages:
@@ -53,9 +53,9 @@ def limb_error_stage(store: Store, wanted: str | None = None) -> str:
 def limb_error_labels(
     store: Store, stage: str, takes: Sequence[str] = (), where: str | None = None
 ) -> list[TakeLabels]:
-    """Return the runs in which limbs are wrong as labels of the class `error`, take by take; jumps are none of them.
+    """Return the runs in which limbs are wrong as labels of the class `error`, for each take; jumps are excluded.
 
-    The limbs without such a run are covered, so that files show that they were compared.
+    Limbs without such a run are listed as covered, so that label files show that they were compared.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def limb_error_labels(
     stage : str
         "<pipeline>/<stage>".
     takes : sequence of str
-        The names of the takes to return; all that have sensors unless given.
+        The names of the takes to return; by default all that have sensors.
     where : str, optional
         A SQL filter over the columns of takes.
 

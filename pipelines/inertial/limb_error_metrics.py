@@ -1,4 +1,4 @@
-"""Precision, recall and F of limb errors against manual labels, over thresholds, limbs, groups and annotators."""
+"""Compute precision, recall and F of limb errors against manual labels, by threshold, limb, group and annotator."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from kinedex.pipelines.inertial.limb_labels import PlacedLabel
 I64 = npt.NDArray[np.int64]
 
 SENSORS, RUNS, ALL = "sensors", "runs", "all"
-"""Detectors: the errors above each threshold, and the stored runs; and the name of what is pooled."""
+"""The detectors (errors above each threshold, and stored runs), and the name of rows that pool everything."""
 
 Scope = tuple[str, str]
-"""Scope and name: ("all", "all"), ("group", "legs") or ("limb", "lshank")."""
+"""Scope and name of a row: ("all", "all"), ("group", "legs") or ("limb", "lshank")."""
 
 Pair = tuple[str, str]
-"""Detector and annotator."""
+"""A detector and an annotator."""
 
 
 @dataclass
 class LimbCounts:
-    """The counts of takes, which add up.
+    """Counts that are accumulated over takes.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class LimbCounts:
     between : dict
         Scope, detector and annotator → the counts of stored runs, or of one annotator, against another.
     frames, takes : dict
-        Scope and annotator → the frames of limbs that count, and the ids of takes.
+        Scope and annotator → the number of evaluated frames of limbs, and the ids of takes.
     """
 
     taus: Sequence[float]
@@ -59,16 +59,16 @@ class LimbCounts:
         labels: Iterable[PlacedLabel],
         runs: Sequence[tuple[int, int]],
     ) -> None:
-        """Count a limb of a take against everybody who looked at the take.
+        """Count a limb of a take against every annotator who has examined the take.
 
-        Frames that do not count are taken out of both sides first.
+        Frames that are not valid are first removed from both sides.
 
         Parameters
         ----------
         limb : JudgedLimb
-            Its errors.
+            The limb with its errors.
         annotators : iterable of str
-            Who looked at the take.
+            The annotators who have examined the take.
         labels : iterable of PlacedLabel
             Their labels of this limb.
         runs : sequence of (int, int)
@@ -113,20 +113,20 @@ def _scopes(limb: str) -> tuple[Scope, Scope, Scope]:
 
 
 def _without_gaps(segments: Sequence[tuple[int, int]], place: I64) -> I64:
-    """Return segments in the numbers of the frames that count; those without such a frame are dropped."""
+    """Return segments with frames renumbered over the valid frames; segments without a valid frame are dropped."""
     found = place[np.asarray(segments, np.int64).reshape(-1, 2)]
     return found[found[:, 0] < found[:, 1]]
 
 
 def metric_rows(counts: LimbCounts, printed: PrintedFigures | None) -> Iterator[dict[str, Any]]:
-    """Yield the rows of `limb_error_metrics`: all, groups and limbs; sensors over τ, runs, annotators.
+    """Yield the rows of `limb_error_metrics` for all limbs, groups and limbs: errors over τ, stored runs, annotators.
 
     Parameters
     ----------
     counts : LimbCounts
         The counts of all takes.
     printed : PrintedFigures or None
-        Figures that stand beside ours.
+        Published figures for comparison.
     """
     for (scope, annotator), several in sorted(counts.above.items()):
         for tau, one in zip(counts.taus, several, strict=True):
@@ -154,7 +154,7 @@ def _row(counts: LimbCounts, scope: Scope, pair: Pair, one: Counts) -> dict[str,
 
 
 def runs_by_limb(rows: Iterable[Mapping[str, Any]]) -> dict[tuple[int, str], list[tuple[int, int]]]:
-    """Return the ranges of the stored runs of wrong frames by take and limb."""
+    """Return the frame ranges of the stored runs of wrong frames, by take_id and limb."""
     found: dict[tuple[int, str], list[tuple[int, int]]] = {}
     for row in rows:
         if row["kind"] == "distance":

@@ -1,4 +1,4 @@
-"""Tables of the results `limb_errors` and `limb_error_runs`, and the curves of takes from their rows."""
+"""Make tables of the results `limb_errors` and `limb_error_runs`, and read curves of limbs from their rows."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ERRORS, RUNS = "limb_errors", "limb_error_runs"
 
 
 def error_table(take_id: int, take: str, found: TakeErrors, run: str, fingerprint: str | None) -> pa.Table:
-    """Return the rows of a take's errors, limb by limb, in the order of frames."""
+    """Return the rows of a take's errors, sorted by limb and frame."""
     schema = result_schema(ERRORS)
     shared = {"run": run, "take_id": take_id, "take": take, "tau_deg": found.tau_deg, "fingerprint": fingerprint}
     tables = [_rows(one, shared, schema) for one in found.curves]
@@ -45,7 +45,7 @@ def _rows(one: LimbCurve, shared: Mapping[str, object], schema: pa.Schema) -> pa
 
 
 def run_rows(take_id: int, take: str, found: TakeErrors) -> Iterator[dict[str, Any]]:
-    """Yield the rows of a take's runs, limb by limb: wrong frames, then jumps."""
+    """Yield the rows of a take's runs, limb by limb: first runs of wrong frames, then jumps."""
     for curve in found.curves:
         for kind, own in zip(("distance", "jump"), found.runs[curve.limb], strict=True):
             for one in own:
@@ -76,14 +76,14 @@ def _range(one: Run, curve: LimbCurve) -> dict[str, Any]:
 
 @dataclass
 class ErrorFigures:
-    """Sums over the frames of a limb that count.
+    """Sums over the evaluated frames of a limb.
 
     Attributes
     ----------
     frames, wrong : int
-        The number of frames, and of those above τ.
+        The numbers of all frames, and of frames above τ.
     total, squares : float
-        The sums of errors and of their squares.
+        The sums of errors (degrees) and of their squares.
     """
 
     frames: int = 0
@@ -92,14 +92,14 @@ class ErrorFigures:
     squares: float = 0.0
 
     def add(self, error: F64, tau_deg: F64) -> None:
-        """Add frames, with the τ of each."""
+        """Add frames by their errors in degrees, with the τ of each frame."""
         self.frames += len(error)
         self.wrong += int(np.count_nonzero(error > tau_deg))
         self.total += float(error.sum())
         self.squares += float(error @ error)
 
     def texts(self) -> tuple[str, str, str]:
-        """Return mean, standard deviation, and the share of wrong frames."""
+        """Return mean, standard deviation, and the share of wrong frames, as text."""
         if not self.frames:
             return "–", "–", "–"
         mean = self.total / self.frames
@@ -109,14 +109,14 @@ class ErrorFigures:
 
 @dataclass(frozen=True)
 class StoredFigures:
-    """The figures of the errors that a stage has stored: those of each limb, and the τ of each take."""
+    """The error statistics that a stage has stored: those of each limb, and the τ of each take."""
 
     limbs: dict[str, ErrorFigures]
     taus: dict[int, float]
 
 
 def error_figures(store: Store, stage: str) -> StoredFigures:
-    """Return the figures of all errors that a stage has stored."""
+    """Return the error statistics of all takes that a stage has stored."""
     found = StoredFigures({}, {})
     parts = [part for part in store.manifest.results.get(ERRORS, ()) if part.stage == stage]
     for rows in store.result_pieces(ERRORS, parts, ["take_id", "limb", "degrees", "swing_deg", "valid", "tau_deg"]):
@@ -132,7 +132,7 @@ def error_figures(store: Store, stage: str) -> StoredFigures:
 
 @dataclass(frozen=True, eq=False)
 class JudgedLimb:
-    """The errors of a limb of a take, as the store has them.
+    """The stored errors of a limb of a take.
 
     Attributes
     ----------
@@ -141,9 +141,9 @@ class JudgedLimb:
     take, limb : str
         Names.
     error : float64 array (T,)
-        Degrees: the whole angle, or the swing where only that is known; NaN where neither is.
+        The whole error angle in degrees, or the swing if only that is known; NaN if neither is.
     valid : bool array (T,)
-        The frames that count.
+        The frames that are evaluated.
     rate_hz : float
         Frames per second.
     """
@@ -157,7 +157,7 @@ class JudgedLimb:
 
 
 def judged_limbs(store: Store, stage: str) -> Iterator[list[JudgedLimb]]:
-    """Yield the limbs of takes whose errors a stage has stored, one take at a time."""
+    """Yield the limbs of each take whose errors a stage has stored, one take at a time."""
     groups = RowGroups(store, ERRORS, stage, "take_id")
     for take_id in groups.values:
         rows = groups.rows(take_id)

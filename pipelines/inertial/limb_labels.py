@@ -1,4 +1,4 @@
-"""Labels of wrong limbs on the takes that sensors judge: who marked which frames of which limb."""
+"""Assign labels of wrong limbs to takes with sensors: which annotator marked which frames of which limb."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from kinedex.storage.snapshot.labels import is_of_limbs
 from kinedex.storage.store.store import Store
 
 UNNAMED = "unnamed"
-"""The annotator of labels that name nobody."""
+"""The annotator of labels that name none."""
 
 WITHOUT_LIMBS = {".vtt": "WebVTT", ".txt": "Audacity labels"}
-"""Endings of the formats of labels that have no place for a limb."""
+"""File endings of the label formats that cannot store a limb."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class LimbLabels:
     segments : dict of (str, str, str) to list of ManualSegment
         Annotator, take and limb → the segments.
     looked_at : dict of str to set of str
-        Annotator → the takes that they looked at: all that a file of theirs names.
+        Annotator → the takes that the annotator has examined: all that one of his or her files names.
     remarks : list of str
-        Labels that were excluded, and those that belong to several takes.
+        Remarks on excluded labels, and on labels that belong to several takes.
     unmatched : tuple of UnmatchedLabels
         The labels of files that match no take.
     """
@@ -61,7 +61,7 @@ def read_limb_labels(store: Store, paths: Iterable[Path]) -> LimbLabels:
     store : Store
         The store of the takes that the files name.
     paths : iterable of Path
-        CSV or JSON files with `limb`, or files of ELAN with a tier for each limb.
+        CSV or JSON files with `limb`, or ELAN files with a tier for each limb.
 
     Raises
     ------
@@ -88,21 +88,21 @@ def read_limb_labels(store: Store, paths: Iterable[Path]) -> LimbLabels:
 
 
 def _add(labels: LimbLabels, file: LabelFile) -> set[str]:
-    """Add the labels of a file; return the classes that are not those of errors."""
+    """Add the labels of a file; return the classes other than `error` in it."""
     own = [one for one in file.segments if one.label == ERROR]
     for one in own:
         if one.limb not in LIMB_NAMES:
             raise one.error(_unknown_limb(one))
         place = (one.annotator or UNNAMED, one.take, one.limb)
         labels.segments.setdefault(place, []).append(one)
-    # a file in which nobody marked anything still shows that somebody looked
+    # a file without labels shows that somebody has examined its takes
     for annotator, takes in (file.looked_at or {"": set(file.takes)}).items():
         labels.looked_at.setdefault(annotator or UNNAMED, set()).update(takes)
     return {one.label for one in file.segments} - {ERROR}
 
 
 def stored_limb_labels(store: Store) -> LimbLabels:
-    """Return the labels of limb errors that a store keeps.
+    """Return the labels of limb errors in a store.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def _unknown_limb(one: ManualSegment) -> str:
 
 @dataclass(frozen=True)
 class PlacedLabel:
-    """A label in the source frames [start, stop) of a judged limb."""
+    """A label in the source frames [start, stop) of an evaluated limb."""
 
     judged: JudgedLimb
     annotator: str
@@ -158,7 +158,7 @@ class PlacedLabel:
 
 
 def placed_labels(labels: LimbLabels, take: Sequence[JudgedLimb]) -> list[PlacedLabel]:
-    """Return the labels of a take's judged limbs, by annotator, limb and start; those that are there twice once.
+    """Return the distinct labels of a take's evaluated limbs, sorted by annotator, limb and start.
 
     Raises
     ------
@@ -171,7 +171,7 @@ def placed_labels(labels: LimbLabels, take: Sequence[JudgedLimb]) -> list[Placed
             for one in labels.segments.get((annotator, judged.take, judged.limb), ()):
                 start, stop = one.source_frames(judged.rate_hz)
                 if one.in_seconds and stop == len(judged.error) + 1:
-                    stop -= 1  # the last frame ends half a frame before a time that is rounded up
+                    stop -= 1  # the last frame ends half a frame before the time, which is rounded up
                 if stop > len(judged.error):
                     length = counted(len(judged.error), "source frame")
                     raise one.error(f"the label ends at source frame {stop}, beyond {judged.take}, which has {length}")
@@ -182,16 +182,16 @@ def placed_labels(labels: LimbLabels, take: Sequence[JudgedLimb]) -> list[Placed
 
 
 def unused_labels(labels: LimbLabels, judged: Collection[tuple[str, str]], takes: Collection[str]) -> list[str]:
-    """Return remarks on labels of takes, or limbs of takes, that no sensor judges.
+    """Return remarks on labels of takes or limbs that no sensor was compared with.
 
     Parameters
     ----------
     labels : LimbLabels
         The labels.
     judged : collection of (str, str)
-        The takes and limbs that are judged.
+        The takes and limbs that were compared with sensors.
     takes : collection of str
-        The takes that are judged.
+        The takes that were compared with sensors.
     """
     named = {take for looked_at in labels.looked_at.values() for take in looked_at}
     named -= {take for one in labels.unmatched for take in one.takes}

@@ -1,4 +1,4 @@
-"""The limbs of a take over time, and how their orientations are known: by nodes, markers, hinges, or not at all."""
+"""Compute the limbs of a take over time; their orientations come from nodes, markers or hinges, or are unknown."""
 
 from __future__ import annotations
 
@@ -27,33 +27,33 @@ F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
 _TRUNK = {"pelvis": ("root", "lhip", "rhip"), "torso": ("chest", "neck", "lshoulder", "rshoulder")}
-"""The joints that stand for markers of a limb of the trunk where it has neither a node nor markers."""
+"""The joints used as markers of a limb of the trunk that has neither a node nor markers."""
 
 
 @dataclass(frozen=True, eq=False)
 class LimbMotion:
-    """One limb over time.
+    """The motion of one limb over time.
 
     Attributes
     ----------
     limb : str
         Its name.
     basis : str
-        full, hinge or none.
+        The source of the orientation: full, hinge or none.
     times : float64 array (T,)
-        Seconds from the beginning of the take.
+        Times from the beginning of the take, in seconds.
     orientation : float64 array (T, 4)
-        Unit quaternions w x y z from the limb's own frame to the world; NaN where not known.
+        Unit quaternions (w, x, y, z) from the limb's own frame to the world; NaN if unknown.
     position : float64 array (T, 3)
-        The middle between its joints in metres, Y up; NaN where not known.
+        The midpoint of its two joints in metres, Y up; NaN if unknown.
     direction : float64 array (T, 3)
-        Unit vectors from the near to the far joint; NaN where not known.
+        Unit vectors from the proximal to the distal joint; NaN if unknown.
     valid : bool array (T,)
-        The frames with an orientation; for basis none, with a direction.
+        The frames with an orientation, or with a direction if the basis is none.
     jump : bool array (T,)
-        The frames at a turn that is too fast for a person.
+        The frames in which the limb turns faster than a person can.
     fit_m : float64 array (T,) or None
-        Root mean square distance of the markers to their shape; None where there are none.
+        Root mean square distance of the markers from their rigid shape, in metres; None without markers.
     """
 
     limb: str
@@ -78,7 +78,7 @@ class TakeLimbs:
     limbs : dict of str to LimbMotion
         The limbs that are known, by name.
     lacking : dict of str to str
-        Limb → the reason for which it is not known.
+        Limb → the reason why it is unknown.
     remarks : tuple of str
         Sentences on limbs whose markers were not used.
     """
@@ -90,16 +90,16 @@ class TakeLimbs:
 
 
 def take_limbs(segments: Segments, joints: Sequence[str], limbs: Iterable[str]) -> TakeLimbs:
-    """Return the limbs of a take from what its source knows of them.
+    """Return the limbs of a take from the joints, node orientations and markers of its source.
 
     Parameters
     ----------
     segments : Segments
-        Joints, turns and markers of the source.
+        Joints, node orientations and markers of the source.
     joints : sequence of str
         The named joints, in the order of the body.
     limbs : iterable of str
-        The limbs that are wanted.
+        The names of the limbs to return.
     """
     body = segments.body
     places = {joint: body.positions[i].T for i, joint in enumerate(joints) if joint not in body.unknown}
@@ -130,7 +130,7 @@ def take_limbs(segments: Segments, joints: Sequence[str], limbs: Iterable[str]) 
 def _orientation(
     limb: Limb, segments: Segments, places: dict[str, F64], remarks: list[str]
 ) -> tuple[str, F64, SegmentFit | None]:
-    """Return the basis of a limb's orientation, the orientation, and the fit of its markers if there are some."""
+    """Return the basis of a limb's orientation, the orientation (T, 4), and the fit of its markers if there are any."""
     if limb.name in segments.turns:
         return FULL, segments.turns[limb.name], None
     if limb.name in segments.markers:
@@ -156,7 +156,7 @@ def _orientation(
 
 
 def _missing(limb: Limb, places: dict[str, F64], estimated: Sequence[str]) -> str:
-    """Return the reason for which a limb does not even have a direction; empty if it has one."""
+    """Return the reason why a limb has not even a direction; empty if it has one."""
     for joint in (limb.near, limb.far):
         if joint not in places:
             return f"the skeleton has no {joint}"
@@ -166,9 +166,9 @@ def _missing(limb: Limb, places: dict[str, F64], estimated: Sequence[str]) -> st
 
 
 def common_markers(markers: F64) -> F64:
-    """Return the markers (T, M, 3) without those that are seen least, so that one frame has all that are left.
+    """Return the markers (T, M, 3) without those seen least often, so that at least one frame has all that remain.
 
-    Three markers stay in any case.
+    At least three markers are kept.
     """
     seen = np.logical_and.reduce(np.isfinite(markers), axis=2)
     kept = list(range(markers.shape[1]))

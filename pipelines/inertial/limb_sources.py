@@ -1,4 +1,4 @@
-"""The limbs of stored takes, read again from their sources at the rate of these."""
+"""Read the limbs of stored takes from their source files, at the rate of these files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from kinedex.storage.store.store import Store
 
 @dataclass(frozen=True, eq=False)
 class LimbTask:
-    """A take whose limbs are wanted; it is read in any process.
+    """A take whose limbs are to be read, as a task for a worker.
 
     Attributes
     ----------
@@ -34,15 +34,15 @@ class LimbTask:
     joints : tuple of str
         The named joints of the store.
     limbs : tuple of str
-        The limbs that are wanted.
+        The names of the limbs to read.
     file : MotionFile or None
-        Its source; None for a take of a recording, whose joints are those of the store.
+        Its source file; None for a take made from a recording, whose joints are read from the store.
     mappings : Mappings or None
         The skeleton mappings that it was read with.
     settings : ReadSettings or None
         The settings that it was read with.
     body : Body or None
-        The joints of a take of a recording.
+        The joints of a take made from a recording.
     """
 
     take_id: int
@@ -61,7 +61,7 @@ def sources_of(store: Store) -> Sources:
 
 
 def limb_tasks(store: Store, takes: Sequence[str], limbs: tuple[str, ...]) -> list[LimbTask]:
-    """Return what reads the limbs of takes, in the order of the takes.
+    """Return the tasks that read the limbs of takes, in the order of the takes.
 
     Parameters
     ----------
@@ -70,12 +70,12 @@ def limb_tasks(store: Store, takes: Sequence[str], limbs: tuple[str, ...]) -> li
     takes : sequence of str
         Names of takes.
     limbs : tuple of str
-        The limbs that are wanted.
+        The names of the limbs to read.
 
     Raises
     ------
     KinedexError
-        The source of a take is gone or was changed; the message names it and the way out.
+        The source of a take no longer exists or was changed; the message names it and the remedy.
     """
     wanted = set(takes)
     rows = {row["name"]: row for row in store.take_rows.to_pylist() if row["name"] in wanted}
@@ -103,7 +103,7 @@ def limb_tasks(store: Store, takes: Sequence[str], limbs: tuple[str, ...]) -> li
 
 
 def with_stored_body(task: LimbTask, store: Store) -> LimbTask:
-    """Return the task with the joints of the store, for a take of a recording; any other one as it is."""
+    """Return the task with joints from the store if its take was made from a recording; else return it unchanged."""
     if task.file is not None:
         return task
     table = store.frames(task.take).combine_chunks()
@@ -115,7 +115,7 @@ def with_stored_body(task: LimbTask, store: Store) -> LimbTask:
 
 
 def read_limbs(task: LimbTask) -> TakeLimbs:
-    """Return the limbs of a take.
+    """Read the limbs of a take.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def read_limbs(task: LimbTask) -> TakeLimbs:
 
 
 def reading_digest(store: Store, takes: Sequence[str]) -> str:
-    """Return a hash of all in a store that the limbs of takes follow from: their sources, and what mappings state."""
+    """Return a hash of everything in a store that determines the limbs of takes: sources and skeleton mappings."""
     wanted = set(takes)
     rows = [row for row in store.take_rows.to_pylist() if row["name"] in wanted]
     return hash_of(
@@ -144,9 +144,9 @@ def reading_digest(store: Store, takes: Sequence[str]) -> str:
 
 
 def limb_fingerprints(store: Store, takes: Sequence[str], *more: object) -> dict[int, str]:
-    """Return a hash of all that the limbs of each take follow from, by the take's id in the order of names."""
+    """Return a hash of everything that determines the limbs of each take, by take_id, in the order of names."""
     wanted = set(takes)
-    # another folder with the same mappings changes nothing for the takes that are there
+    # another source folder with the same mappings does not change the hashes of existing takes
     stated = {repr(_stated_limbs(mappings)) for mappings in sources_of(store).mappings}
     shared = hash_of([list(store.feature_set.joints), store.rate_hz, *more], sorted(stated))
     return {

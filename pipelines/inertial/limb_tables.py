@@ -1,4 +1,4 @@
-"""Tables of the results `limb_orientations`, and the limbs of takes from their rows."""
+"""Make tables of the results `limb_orientations`, and read the limbs of takes from their rows."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ KIND = "limb_orientations"
 
 @dataclass(frozen=True, eq=False)
 class StoredLimbs:
-    """The limbs of a take as the store has them.
+    """The stored limbs of a take.
 
     Attributes
     ----------
@@ -43,21 +43,21 @@ class StoredLimbs:
     def rate_hz(self) -> float:
         """Frames per second; 0 for a take of one frame."""
         times = next(iter(self.limbs.values())).times
-        # nine digits: times are multiples of 1/rate as far as doubles are
+        # nine digits: times are multiples of 1/rate only up to the precision of doubles
         return float(f"{(len(times) - 1) / (times[-1] - times[0]):.9g}") if len(times) > 1 else 0.0
 
 
 def limb_table(
     take_id: int, take: str, limbs: Mapping[str, LimbMotion], run: str, fingerprint: str | None = None
 ) -> pa.Table:
-    """Return the rows of a take's limbs, limb by limb, in the order of frames."""
+    """Return the rows of a take's limbs, sorted by limb and frame."""
     schema = result_schema(KIND)
     tables = [_rows(take_id, take, one, run, fingerprint, schema) for one in limbs.values()]
     return pa.concat_tables(tables) if tables else schema.empty_table()
 
 
 def limb_pieces(rows: pa.Table) -> Iterator[pa.Table]:
-    """Yield the rows of a take limb by limb, so that a reader of one limb of a long take reads little else."""
+    """Yield the rows of a take limb by limb, so that one limb of a long take can be read without the others."""
     limbs = rows.column("limb").combine_chunks().dictionary_encode().indices.to_numpy() if rows.num_rows else ()
     for start, stop in _runs(np.asarray(limbs, np.int64)):
         yield rows.slice(start, stop - start)
@@ -65,7 +65,7 @@ def limb_pieces(rows: pa.Table) -> Iterator[pa.Table]:
 
 @dataclass
 class LimbFigures:
-    """The figures of the limbs that a stage has stored.
+    """Statistics of the limbs that a stage has stored.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class LimbFigures:
     frames : int
         The number of source frames of the takes.
     jumped : int
-        The number of takes with jumps.
+        The number of takes that have jumps.
     """
 
     bases: Counter[str]
@@ -83,7 +83,7 @@ class LimbFigures:
 
 
 def limb_figures(store: Store, stage: str) -> LimbFigures:
-    """Return the figures of all limbs that a stage has stored."""
+    """Return statistics of all limbs that a stage has stored."""
     parts = [part for part in store.manifest.results.get(KIND, ()) if part.stage == stage]
     limbs, columns = ["take_id", "limb", "basis"], ["take_id", "limb", "basis", "jump"]
     counted = [rows.group_by(limbs).aggregate(_SUMS) for rows in store.result_pieces(KIND, parts, columns)]
@@ -129,30 +129,30 @@ def _millimetres(fit_m: F64 | None, frames: int) -> pa.Array:
 
 
 def struct_array(rows: F64, axes: str) -> pa.Array:
-    """Return rows (T, K) as structures with a field for each axis; rows with a NaN are null."""
+    """Return an array (T, K) as structures with a field for each axis; rows with a NaN are null."""
     lost = ~np.isfinite(rows).all(axis=1)
     parts = [pa.array(np.ascontiguousarray(rows[:, i])) for i in range(len(axes))]
     return pa.StructArray.from_arrays(parts, names=list(axes), mask=pa.array(lost))
 
 
 def struct_rows(column: pa.ChunkedArray, axes: str) -> F64:
-    """Return structures as rows (T, K), NaN where they are null."""
+    """Return structures as an array (T, K), with NaN for null."""
     whole = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
-    fields = [pc.struct_field(whole, axis) for axis in axes]  # null where the structure is
+    fields = [pc.struct_field(whole, axis) for axis in axes]  # null if the structure is null
     return np.stack([field.to_numpy(zero_copy_only=False).astype(np.float64) for field in fields], axis=1)
 
 
 def stored_limbs(store: Store, stage: str, takes: Iterable[str] | None = None) -> Iterator[StoredLimbs]:
-    """Yield the limbs of takes that a stage has stored, one take at a time.
+    """Yield the stored limbs of takes, one take at a time.
 
     Parameters
     ----------
     store : Store
         The store.
     stage : str
-        The stage that has made them, "<pipeline>/<stage>".
+        The stage that has stored them, "<pipeline>/<stage>".
     takes : iterable of str, optional
-        Names of the takes that are wanted; all of the stage unless given.
+        Names of the takes to return; by default all takes of the stage.
     """
     wanted = None if takes is None else pa.array(sorted(set(takes)), pa.string())
     parts = [part for part in store.manifest.results.get(KIND, ()) if part.stage == stage]
@@ -173,7 +173,7 @@ def _take_id(rows: pa.Table) -> int:
 
 
 def _by_take(rows: pa.Table) -> Iterator[pa.Table]:
-    """Divide rows where the take changes."""
+    """Divide consecutive rows by take."""
     ids = rows.column("take_id").to_numpy()
     for start, stop in _runs(ids):
         yield rows.slice(start, stop - start)
@@ -185,7 +185,7 @@ def _runs(values: npt.NDArray[np.int64]) -> list[tuple[int, int]]:
 
 
 def limbs_of_rows(rows: pa.Table) -> StoredLimbs:
-    """Return the limbs of a take from all rows of that take, one or more."""
+    """Return the limbs of a take from all of its rows."""
     names = rows.column("limb").to_pylist()
     first = {name: place for place, name in reversed(list(enumerate(names)))}
     limbs = {}

@@ -1,4 +1,4 @@
-"""The parameters of the stages of limbs and simulated sensors."""
+"""The parameters of the stages `limb_orientations`, `simulate_imu` and `break_track`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from kinedex.pipelines.engine.file_parameters import NamesFile
 
 
 def known_limbs(limbs: list[str]) -> list[str]:
-    """Return names of limbs or groups; a ValueError names the nearest where one is neither."""
+    """Check names of limbs or groups, and return them; a ValueError for an unknown name suggests the nearest."""
     try:
         chosen_limbs(limbs)
     except KinedexError as fault:
@@ -42,7 +42,7 @@ class LimbOrientationsParameters(BaseModel):
 
     @property
     def chosen(self) -> tuple[str, ...]:
-        """The names of the limbs."""
+        """The names of the selected limbs."""
         return chosen_limbs(self.limbs)
 
 

@@ -1,4 +1,4 @@
-"""The recordings of sensors below a folder: which files belong together, and to which take."""
+"""Find the sensor recordings below a folder: which files belong together, and to which take."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from kinedex.storage.formats.imu.recording import belongs_to, has_readings, sess
 from kinedex.storage.formats.motion.sources import readable
 
 ENDINGS = (".txt", ".csv", ".tsv", ".parquet", ".h5", ".hdf5", ".mvnx")
-"""Endings of sensor files."""
+"""The file endings of sensor files."""
 
 
 @dataclass(frozen=True)
 class SensorRecording:
-    """Files of sensors that share a clock.
+    """Sensor files that share a clock.
 
     Attributes
     ----------
     name : str
-        Its name: the path of its file below the source, without what tells its sensors apart.
+        Its name: the path of its file below the source, without the part that names the sensor.
     take : str
-        The take that it was made with.
+        The take during which it was recorded.
     take_id : int
         The id of the take.
     files : tuple of Path
         The files that are read.
     beside : tuple of Path
-        Further files that are read with them.
+        Further files, which are read together with `files`.
     """
 
     name: str
@@ -56,9 +56,9 @@ class FoundRecordings:
     recordings : list of SensorRecording
         The recordings, by name.
     failures : list of Failure
-        Files that belong to no take, or that are no sensor files.
+        Files that belong to no take, or are not sensor files.
     passed_over : list of str
-        Tables without columns of a sensor.
+        Tables without columns of sensor data, which were skipped.
     """
 
     root: Path
@@ -68,7 +68,7 @@ class FoundRecordings:
 
 
 def source_root(source: str) -> Path:
-    """Return the folder of recordings; a KinedexError reports that there is none."""
+    """Return the folder of recordings as an absolute path; raise a KinedexError if it does not exist."""
     root = Path(os.path.realpath(Path(source).expanduser()))
     if not root.is_dir():
         raise KinedexError(f"source '{readable(source)}' is no folder: give the folder that holds the sensors' files")
@@ -76,7 +76,7 @@ def source_root(source: str) -> Path:
 
 
 def sensor_files(root: Path) -> list[Path]:
-    """Return all files below a folder with the ending of a sensor file; links that lead out of it are none."""
+    """Return all files below a folder with the ending of a sensor file, without links that lead out of it."""
     found = []
     for folder, folders, names in os.walk(root):
         folders[:] = sorted(name for name in folders if not name.startswith("."))
@@ -104,15 +104,15 @@ def find_recordings(
     takes : mapping of str to int
         The takes of the store, name → id.
     sensor_set : SensorSet
-        The file of sensors.
+        The description of the sensors.
     made : mapping of str to sequence of str
-        The takes that were made of recordings of cameras: name of the recording → names of the takes. Sensors in a
+        The takes that were made from camera recordings: name of the recording → names of the takes. Sensors in a
         folder with the name of such a recording belong to all of them.
 
     Raises
     ------
     KinedexError
-        The source is no folder, or has no sensor files.
+        The source is not a folder, or has no sensor files.
     """
     root = source_root(params.source)
     paths = sensor_files(root)
@@ -151,7 +151,7 @@ def find_recordings(
 def _with_made(
     groups: Mapping[tuple[str, str], list[Path]], made: Mapping[str, Sequence[str]]
 ) -> dict[tuple[str, str], list[Path]]:
-    """Return take and name → files, those of a recording also for the takes made of it that have no own folder."""
+    """Return (take, name) → files; those of a camera recording also for takes made from it without own folder."""
     own = {take for take, _ in groups}
     found = dict(groups)
     for (take, name), files in groups.items():
@@ -162,7 +162,7 @@ def _with_made(
 
 
 def _named(path: Path, relative: str, pattern: re.Pattern[str], takes: Mapping[str, object]) -> tuple[str, str]:
-    """Return the take of a file and the name of its recording, by its path below the source."""
+    """Return the take of a file and the name of its recording, from its path below the source."""
     found = pattern.search(relative)
     if found is None or not found["take"]:
         raise KinedexError(
@@ -180,7 +180,7 @@ def _named(path: Path, relative: str, pattern: re.Pattern[str], takes: Mapping[s
 
 
 def rejection(root: Path, path: Path, fault: Exception) -> Failure:
-    """Return a row of `ingest_log` about a file that was not read."""
+    """Return the failure of a file that was not read, for `ingest_log`."""
     source, file = readable(path.relative_to(root).as_posix()), readable(str(path))
     line = fault.line if isinstance(fault, SourceError) else None
     message = str(fault) if isinstance(fault, SourceError) else f"{file}: {fault}"
@@ -188,7 +188,7 @@ def rejection(root: Path, path: Path, fault: Exception) -> Failure:
 
 
 def stamps(paths: Iterable[Path]) -> list[tuple[str, int, int]]:
-    """Return path, size and time of files; a KinedexError names one that cannot be read."""
+    """Return path, size and modification time of files; raise a KinedexError for a file that cannot be read."""
     found = []
     for path in paths:
         try:

@@ -1,4 +1,4 @@
-"""The parameters of the stage that reads recordings of sensors."""
+"""The parameters of the stage `read_imu`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the files of a recording to rows of `imu_recordings` and `imu_samples`, in any process."""
+"""Read the files of a recording, and make rows of `imu_recordings` and `imu_samples`."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from kinedex.storage.snapshot.schemas import result_schema
 F64 = npt.NDArray[np.float64]
 
 _LONGEST_BRIDGE_S = 1.0
-_LARGEST_OFFSET = 0.05  # share of the field by which a calibrated magnetometer may be off
+_LARGEST_OFFSET = 0.05  # share of the field that the offset of a calibrated magnetometer may have
 _MOST_FILLED = 4
-"""Samples of the even grid for each sample of the file: a recording with more holes is none."""
+"""The largest number of samples of the even grid per sample of the file; with larger gaps a recording is rejected."""
 
 
 @dataclass(frozen=True)
 class ReadTask:
-    """The reading of one recording.
+    """A task that reads one recording.
 
     Attributes
     ----------
@@ -39,13 +39,13 @@ class ReadTask:
     recording : SensorRecording
         Its files.
     sensors : str or None
-        The file of sensors.
+        The path of the file that describes the sensors.
     orientation : {"file", "estimate"}
         The source of orientations.
     rate_hz : float or None
-        Samples per second of files that do not state them.
+        Samples per second of files that do not state their rate.
     fingerprint : str
-        A hash of all that the rows follow from.
+        A hash of everything that determines the rows.
     run : str
         Id of the run.
     """
@@ -61,7 +61,7 @@ class ReadTask:
 
 @dataclass(frozen=True, eq=False)
 class ReadRows:
-    """The rows of one recording, or the reason for which there are none.
+    """The rows of one recording, or the reasons why it was rejected.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class ReadRows:
     tables : dict of str to pyarrow.Table
         Its results by kind; empty for a recording that was rejected.
     failures : tuple of Failure
-        The reasons.
+        The reasons for the rejection, or for excluding a sensor.
     """
 
     recording: SensorRecording
@@ -79,17 +79,17 @@ class ReadRows:
 
 
 def sensor_set_of(name: str | None) -> SensorSet:
-    """Return the file of sensors of a stage; an empty one where it has none."""
+    """Return the description of sensors in a file; an empty description for None."""
     return SensorSet() if name is None else load_sensor_set(name)
 
 
 def read_rows(task: ReadTask) -> ReadRows:
-    """Read a recording; a file that is wrong is a failure of this recording alone.
+    """Read a recording; an error in a file rejects only this recording.
 
     Raises
     ------
     MissingPackageError
-        Orientations are to be estimated, and the filter is not installed.
+        Orientations are to be estimated, but the filter is not installed.
     """
     recording = task.recording
     try:
@@ -132,12 +132,12 @@ def _claim(what: str) -> str:
 
 
 def oriented(sensor: ImuSensor, source: Literal["file", "estimate"]) -> tuple[ImuSensor, str]:
-    """Return a sensor with its orientation, and its source: file, 9D or 6D.
+    """Return a sensor with its orientation, and the source of the orientation: file, 9D or 6D.
 
     Raises
     ------
     KinedexError
-        There is neither an orientation nor what one can be estimated from.
+        There is neither an orientation nor data from which it can be estimated.
     MissingPackageError
         The filter is not installed.
     """
@@ -155,10 +155,10 @@ def oriented(sensor: ImuSensor, source: Literal["file", "estimate"]) -> tuple[Im
 
 
 def estimated(sensor: ImuSensor) -> tuple[F64, list[str]]:
-    """Return orientations estimated of the readings, NaN in gaps, and warnings.
+    """Return orientations estimated from the readings, NaN in gaps, and warnings.
 
-    The filter runs over an even grid of the sensor's rate. Holes of the readings are bridged by straight lines, so that
-    it goes on behind them; what is estimated within a gap is not used.
+    The filter runs over an even grid at the sensor's rate. Gaps in the readings are interpolated linearly, so that the
+    filter can continue after them; estimates within gaps are discarded.
     """
     assert sensor.acc is not None
     assert sensor.gyr is not None
@@ -187,7 +187,7 @@ def estimated(sensor: ImuSensor) -> tuple[F64, list[str]]:
 
 
 def _offset_warning(mag: F64, offset: F64) -> list[str]:
-    """Return a warning of a magnetometer that is clearly not calibrated."""
+    """Return a warning if a magnetometer is clearly not calibrated."""
     share = float(np.linalg.norm(offset) / np.median(np.linalg.norm(mag - offset, axis=1)))
     if share < _LARGEST_OFFSET:
         return []
@@ -195,7 +195,7 @@ def _offset_warning(mag: F64, offset: F64) -> list[str]:
 
 
 def _filled(times: F64, values: F64, grid: F64) -> F64 | None:
-    """Return readings at the times of a grid, by straight lines between known ones; None without any."""
+    """Return readings interpolated linearly at the times of a grid; None if there are no known readings."""
     known = np.isfinite(values).all(axis=1)
     if not known.any():
         return None
@@ -229,7 +229,7 @@ def _row(
 
 
 def _samples(task: ReadTask, sensor: ImuSensor) -> pa.Table:
-    """Return the samples of a sensor."""
+    """Return the samples of a sensor as a table."""
     count = len(sensor.times)
     schema = result_schema("imu_samples")
     columns = {
@@ -245,7 +245,7 @@ def _samples(task: ReadTask, sensor: ImuSensor) -> pa.Table:
 
 
 def structures(values: F64 | None, kind: pa.StructType, count: int) -> pa.Array:
-    """Return the rows (T, n) of an array as structures; null where a number is NaN, or without an array."""
+    """Return an array (T, n) as structures; rows with a NaN are null, and so are all rows if `values` is None."""
     if values is None:
         return pa.nulls(count, kind)
     missing = ~np.isfinite(values).all(axis=1)

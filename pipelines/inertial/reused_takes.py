@@ -1,4 +1,4 @@
-"""Takes whose results a stage reuses: those that follow from the same as before, by fingerprints in their rows."""
+"""Reuse a stage's results of takes whose fingerprints have not changed."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Pieces = Callable[[pa.Table], Iterable[pa.Table]]
 
 
 class ReusedTakes:
-    """The takes of a stage, divided into those whose rows are reused and those that are computed.
+    """The takes of a stage, divided into those whose rows are reused and those that are computed again.
 
-    A take is computed unless its earlier rows have its present fingerprint. Where the stage runs with `--force`, where
-    its code is not known, or where a part of its earlier results is damaged, all takes are.
+    A take is computed unless its earlier rows have its current fingerprint. All takes are computed if the stage runs
+    with `--force`, if its code is unknown, or if a part of its earlier results is damaged.
 
     Parameters
     ----------
@@ -30,8 +30,8 @@ class ReusedTakes:
     store : Store
         The store with its earlier results.
     prints : mapping of int to (str or None)
-        The ids of all takes in the order of results, each with a hash of all that its rows follow from; None where
-        that is not known.
+        The ids of all takes in the order of results, each with a hash of everything that determines its rows; None if
+        it is unknown.
     kinds : str
         The kinds of results of the stage, all with a column `take_id`, the first one with `fingerprint`.
     """
@@ -42,7 +42,7 @@ class ReusedTakes:
         reusable = bool(context.code) and not context.anew and _are_sound(store, context.key(), kinds)
         before = stored_fingerprints(store, kinds[0], context.key()) if reusable else {}
         self.fresh = tuple(one for one, print_ in prints.items() if print_ is None or before.get(one) != print_)
-        """The ids of the takes that are computed, in their order."""
+        """The ids of the takes that are computed, in order."""
 
     @property
     def unchanged(self) -> int:
@@ -52,7 +52,7 @@ class ReusedTakes:
     def rows(
         self, kind: str, tables: Iterable[pa.Table], pieces: Pieces = lambda rows: (rows,)
     ) -> Iterator[pa.Table | ResultPart]:
-        """Yield the rows of all takes in their order, as `StoreWriter.put_results` takes them.
+        """Yield the rows of all takes in their order, in the form that `StoreWriter.put_results` takes.
 
         Parameters
         ----------
@@ -61,7 +61,7 @@ class ReusedTakes:
         tables : iterable of pyarrow.Table
             The rows of each take of `fresh`, in their order.
         pieces : callable, optional
-            Divides the rows of one take at the places where a row group may end.
+            Divides the rows of one take into pieces, between which a row group may end.
         """
         context = self._context
         return rows_in_order(
@@ -69,14 +69,14 @@ class ReusedTakes:
         )
 
     def put(self, kind: str, tables: Iterable[pa.Table], pieces: Pieces = lambda rows: (rows,)) -> None:
-        """Store the rows of all takes in a commit of their own; parameters as `rows`."""
+        """Store the rows of all takes in a commit of their own; parameters are those of `rows`."""
         with self._context.writer() as writer:
             rows = self.rows(kind, tables, pieces)
             writer.put_results(kind, rows, stage=self._context.key(), run=self._context.run)
             writer.commit()
 
     def report(self, what: str) -> None:
-        """Show how many takes were reused, if any; `what` is not done again, such as "not read"."""
+        """Show how many takes were reused, if any; `what` names the work that was saved, such as "not read"."""
         if self.unchanged:
             self._context.say(f"unchanged: {counted(self.unchanged, 'take')}, {what} again")
 
@@ -87,5 +87,5 @@ def _are_sound(store: Store, stage: str, kinds: Iterable[str]) -> bool:
     try:
         store.checked.parts(parts)
     except StoreError:
-        return False  # repair removes them, and the stage makes all of them again
+        return False  # repair removes damaged parts, and the stage then computes all rows again
     return True

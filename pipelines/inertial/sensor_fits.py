@@ -1,4 +1,4 @@
-"""Mounts of sensors on limbs, by take, by wearing, or from one take."""
+"""Calibrate the mounts of sensors on limbs: for each take, for takes that share mounts, or from one given take."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake,
 F64 = npt.NDArray[np.float64]
 
 MOST_FRAMES = 100_000
-"""Frames of a limb that takes of one wearing are calibrated from together, spread evenly."""
+"""The largest number of frames of a limb that a calibration of several takes uses, spread evenly."""
 
 Clocks = Mapping[tuple[int, str], Clock]
-"""The clock of each recording, by the id of its take and its name."""
+"""The clock of each recording, by take_id and name of the recording."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,13 +38,13 @@ class SensorFit:
     take, recording, sensor, limb, basis : str
         Names.
     fit : StreamFit or None
-        None where there is none, and for limbs of which only the axis is known.
+        The calibration; None if there is none, or if only the limb's axis is known.
     q_global : float64 array (4,) or None
-        F_GI → the take's world.
+        Unit quaternion (w, x, y, z) from the sensors' world F_GI to the take's world.
     direction : float64 array (3,) or None
-        The limb's long axis in the sensor's axes, where only that is known.
+        The limb's long axis in the sensor's axes, if only the axis is known.
     left_out : str
-        The reason for which there is no mount; empty where there is one.
+        The reason why there is no mount; empty if there is one.
     """
 
     take_id: int
@@ -61,7 +61,7 @@ class SensorFit:
 
 @dataclass(frozen=True, eq=False)
 class _Worn:
-    """One sensor in one take, on its way to a calibration."""
+    """One sensor in one take, before its calibration."""
 
     take: WornTake
     sensor: WornSensor
@@ -75,7 +75,7 @@ class _Worn:
 
 @dataclass(frozen=True, eq=False)
 class FitTask:
-    """Takes whose sensors are calibrated together, in any process.
+    """Takes whose sensors are calibrated together, as a task for a worker.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class FitTask:
     given : mapping of str to StreamFit or None
         The fits of limbs in the take that `from` names.
     foreign : bool
-        The takes are of another wearing than the take that `from` names.
+        True if the sensors may be mounted differently than in the take that `from` names.
     """
 
     takes: tuple[WornTake, ...]
@@ -100,12 +100,12 @@ class FitTask:
 
 @dataclass(frozen=True)
 class FitGroups:
-    """The takes that are calibrated together, and the take that gives its mounts to all others, if one does.
+    """The groups of takes that are calibrated together, and the take whose mounts all others use, if there is one.
 
     Attributes
     ----------
     groups : tuple of (tuple of int)
-        Ids of takes, each in one group.
+        The ids of takes in each group; each take is in one group.
     source : int or None
         The take that `from` names.
     """
@@ -115,21 +115,21 @@ class FitGroups:
 
 
 def fit_groups(takes: WornTakes, wearing: Mapping[int, Hashable], params: CalibrationSettings) -> FitGroups:
-    """Return which takes are calibrated together: each by itself, or those of a wearing.
+    """Return which takes are calibrated together: each take alone, or those between which sensors stayed in place.
 
     Parameters
     ----------
     takes : WornTakes
         The takes with sensors.
     wearing : mapping of int to hashable
-        The wearing of each take, by its id.
+        The key of the takes that share sensor mounts (a "wearing"), by take_id.
     params : CalibrationSettings
         The parameters of the stage.
 
     Raises
     ------
     KinedexError
-        `from` names no take with sensors.
+        `from` does not name a take with sensors.
     """
     groups: dict[Hashable, list[int]] = {}
     for take_id in takes.names:
@@ -149,16 +149,16 @@ def fit_groups(takes: WornTakes, wearing: Mapping[int, Hashable], params: Calibr
 def fit_fingerprints(
     groups: FitGroups, wearing: Mapping[int, Hashable], prints: Mapping[int, str | None]
 ) -> dict[int, str | None]:
-    """Return a hash of all that the calibration of each take follows from, those of other takes among it.
+    """Return a hash of everything that determines the calibration of each take, including the takes of its group.
 
     Parameters
     ----------
     groups : FitGroups
         The takes that are calibrated together.
     wearing : mapping of int to hashable
-        The wearing of each take.
+        The key of the takes that share sensor mounts, by take_id.
     prints : mapping of int to (str or None)
-        A hash of all that each take brings in; None where it is not known.
+        A hash of the data of each take; None if unknown.
     """
     found: dict[int, str | None] = {}
     for group in groups.groups:
@@ -177,7 +177,7 @@ def fit_tasks(
     wearing: Mapping[int, Hashable],
     params: CalibrationSettings,
 ) -> Iterator[FitTask]:
-    """Yield the groups with takes that are to be calibrated.
+    """Yield tasks for the groups whose takes are to be calibrated.
 
     Parameters
     ----------
@@ -188,9 +188,9 @@ def fit_tasks(
     fresh : collection of int
         The takes that are to be calibrated: all of a group, or none.
     clocks : mapping of (int, str) to Clock
-        The clocks of recordings; sensors of others are left out.
+        The clocks of recordings; sensors of recordings without a clock are excluded.
     wearing : mapping of int to hashable
-        The wearing of each take, by its id.
+        The key of the takes that share sensor mounts, by take_id.
     params : CalibrationSettings
         The parameters of the stage.
     """
@@ -211,7 +211,7 @@ def _own(clocks: Clocks, take_ids: Sequence[int]) -> Clocks:
 
 
 def fit_together(task: FitTask) -> list[SensorFit]:
-    """Calibrate the sensors of takes that are calibrated together."""
+    """Calibrate the sensors of all takes of a task together."""
     worn = [one for take in task.takes for one in _worn(take, task.clocks)]
     if task.given is not None:
         worn = [_with_mount(one, task.given, task.params.source, task.foreign) for one in worn]
@@ -219,12 +219,12 @@ def fit_together(task: FitTask) -> list[SensorFit]:
 
 
 def _lacking(take: WornTake) -> list[SensorFit]:
-    """Return the sensors of a take that cannot be compared, with the reasons."""
+    """Return the sensors of a take that cannot be compared with it, with the reasons."""
     return [SensorFit(take.take_id, take.take, *names, "", left_out=text) for names, text in take.lacking.items()]
 
 
 def _with_mount(one: _Worn, fits: Mapping[str, StreamFit], source: str, foreign: bool) -> _Worn:
-    """Return a sensor as it is where the calibrated take gives its mount; else without its stream, with the reason."""
+    """Return the sensor unchanged if the given calibration has its mount; else without its stream, with the reason."""
     if one.left_out:
         return one
     reason = ""
@@ -236,7 +236,7 @@ def _with_mount(one: _Worn, fits: Mapping[str, StreamFit], source: str, foreign:
 
 
 def _worn(take: WornTake, clocks: Clocks) -> list[_Worn]:
-    """Return the sensors of a take with their streams, and those that have none with the reason."""
+    """Return the sensors of a take with their orientation streams, or with the reason why they have none."""
     found = []
     for sensor in take.sensors:
         clock = clocks.get((take.take_id, sensor.recording))
@@ -251,13 +251,13 @@ def _worn(take: WornTake, clocks: Clocks) -> list[_Worn]:
 
 
 def _options(worn: Sequence[_Worn], params: CalibrationSettings) -> Options:
-    """Return what a calibration assumes: what the parameters state, or what magnetometers allow."""
+    """Return the assumptions of a calibration, from the parameters or from the presence of magnetometers."""
     magnetometers = all(one.sensor.magnetometer for one in worn)
     shared = magnetometers if params.world == "auto" else params.world == "shared"
     return Options(
         shared=shared,
         vertical_known=params.vertical == "known",
-        # who states that sensors share a world states that their headings are held
+        # a user who states that sensors share a world states that their headings do not drift
         drift=not (magnetometers or shared) if params.heading == "auto" else params.heading == "drift",
         seed=params.seed,
     )
@@ -268,7 +268,7 @@ def _fits(
     params: CalibrationSettings,
     given: Mapping[str, StreamFit] | None = None,
 ) -> list[SensorFit]:
-    """Calibrate sensors together; of limbs of which only the axis is known, with the world of the others."""
+    """Calibrate sensors together; limbs with a known axis only use the world rotation of the others."""
     options = _options(worn, params)
     usable = [one for one in worn if one.stream is not None and not one.left_out and one.limb.basis != NONE]
     mounts = {limb: fit.q_mount for limb, fit in (given or {}).items()}
@@ -303,7 +303,7 @@ def _fit(one: _Worn, fit: StreamFit | None, shared: F64 | None) -> SensorFit:
 
 
 def _thinned(streams: Sequence[Stream]) -> list[Stream]:
-    """Return streams with fewer valid frames, where a limb has more of them than a calibration needs."""
+    """Return streams with fewer valid frames, if a limb has more of them than a calibration needs."""
     frames: dict[str, int] = {}
     for stream in streams:
         frames[stream.limb] = frames.get(stream.limb, 0) + int(stream.valid.sum())

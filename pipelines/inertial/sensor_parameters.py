@@ -1,4 +1,4 @@
-"""The parameters of the stages that compare takes with sensors."""
+"""The parameters of the stages `synchronise` and `calibrate_sensors`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class SynchroniseParameters(BaseModel):
 
 
 class CalibrationSettings(BaseModel):
-    """The settings of a calibration; those whose names Python reserves are fields of `CalibrateParameters` only."""
+    """The settings of a calibration; those named by Python keywords are fields of `CalibrateParameters` only."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -47,12 +47,12 @@ class CalibrationSettings(BaseModel):
 
     @property
     def source(self) -> str:
-        """The takes that are calibrated from: `take`, `actor`, or the name of a take."""
+        """The takes used for calibration: `take`, `actor`, or the name of a take."""
         return str(getattr(self, "from"))
 
     @property
     def world(self) -> str:
-        """The value of `global`."""
+        """The value of the parameter `global`."""
         return str(getattr(self, "global"))
 
 

@@ -1,4 +1,4 @@
-"""Tables of the results `sensor_sync` and `sensor_calibration`, and the clocks from their rows."""
+"""Make tables of the results `sensor_sync` and `sensor_calibration`, and read clocks and calibrations from them."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def take_tables(kind: str, rows: Iterable[dict[str, Any]], takes: Iterable[int],
     kind : str
         The kind of results.
     rows : iterable of dict
-        Rows with `take_id`; those of a take stay in their order.
+        Rows with `take_id`; the order of rows within a take is kept.
     takes : iterable of int
         The ids of the takes.
     run : str
@@ -101,7 +101,7 @@ def take_tables(kind: str, rows: Iterable[dict[str, Any]], takes: Iterable[int],
 
 
 def stored_clocks(store: Store, stage: str) -> dict[tuple[int, str], Clock]:
-    """Return the clocks that a stage has found, by the id of the take and the recording."""
+    """Return the clocks that a stage has found, by take_id and recording."""
     return {
         (row["take_id"], row["recording"]): Clock(row["offset_s"], row["ppm"])
         for row in store.result(SYNC, stage=stage).to_pylist()
@@ -110,7 +110,7 @@ def stored_clocks(store: Store, stage: str) -> dict[tuple[int, str], Clock]:
 
 
 def stored_calibrations(store: Store, stage: str) -> dict[tuple[int, str, str], dict[str, Any]]:
-    """Return the rows of sensors with a mount that a stage has found, by take, recording and sensor."""
+    """Return the rows of calibrated sensors that a stage has stored, by take_id, recording and sensor."""
     columns = [name for name in result_schema(CALIBRATION).names if name not in ("run", "fingerprint")]
     return {
         (row["take_id"], row["recording"], row["sensor"]): row
@@ -120,7 +120,7 @@ def stored_calibrations(store: Store, stage: str) -> dict[tuple[int, str, str], 
 
 
 def by_take(found: Mapping[tuple[Any, ...], Value]) -> dict[int, list[tuple[tuple[Any, ...], Value]]]:
-    """Return clocks or calibrations with their keys by the id of the take, in order."""
+    """Return clocks or calibrations with their keys, grouped by take_id and sorted."""
     own: dict[int, list[tuple[tuple[Any, ...], Value]]] = {}
     for key in sorted(found):
         own.setdefault(key[0], []).append((key, found[key]))

@@ -1,4 +1,4 @@
-"""The clock of a recording against that of a take: correlation, a first calibration, and the fine search."""
+"""Estimate the clock of a recording relative to a take: correlation, a first calibration, and a fine search."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from kinedex.pipelines.inertial.sensor_parameters import SynchroniseParameters
 from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake, stream_of
 
 LEAST_DRIFT_S = 300.0
-"""Recordings that are shorter tell too little of a clock's drift."""
+"""The shortest recording, in seconds, from which clock drift is estimated."""
 
 MOST_FRAMES = 15_000
-"""Frames of each limb that the first calibration uses, spread evenly."""
+"""The largest number of frames of each limb that the first calibration uses, spread evenly."""
 
 
 MOST_ROUNDS, STILL_S = 4, 1e-4
-"""Calibration and fine search are repeated until the clock moves by less, at most so many times."""
+"""The largest number of rounds of calibration and fine search, and the change in seconds at which they stop."""
 
 
 @dataclass(frozen=True)
 class RecordingClock:
-    """The clock of a recording, and how it was found.
+    """The clock of a recording, and how it was estimated.
 
     Attributes
     ----------
     clock : Clock or None
-        None where it was not found.
+        The clock; None if it could not be estimated.
     correlation, next_best : float or None
         See `ops.inertial.time_offset.TimeOffset`; None for a given offset.
     limbs : int
         The number of limbs that were correlated.
     refined : bool
-        The offset is that of the least orientation errors.
+        True if the offset was refined to the least orientation errors.
     left_out : str
-        The reason for which there is no clock; empty where there is one.
+        The reason why there is no clock; empty if there is one.
     """
 
     clock: Clock | None
@@ -52,7 +52,7 @@ class RecordingClock:
 
 
 def synchronise(take: WornTake, recording: str, params: SynchroniseParameters) -> RecordingClock:
-    """Find the clock of one recording of a take."""
+    """Estimate the clock of one recording of a take."""
     sensors = [sensor for sensor in take.sensors if sensor.recording == recording]
     if params.offset_s != "auto":
         return RecordingClock(Clock(float(params.offset_s)))
@@ -73,7 +73,7 @@ def synchronise(take: WornTake, recording: str, params: SynchroniseParameters) -
 
 
 def _limb_speed(limb: LimbMotion) -> tuple[np.ndarray, np.ndarray]:
-    """Return the angular speeds of a limb; not known where it is not valid."""
+    """Return the times and angular speeds of a limb; the speeds are NaN where the limb is not valid."""
     orientation = np.where(limb.valid[:, None], limb.orientation, np.nan)
     return angular_speed(limb.times, orientation)
 
@@ -86,10 +86,10 @@ def _refused(found: TimeOffset, limbs: int) -> RecordingClock:
 def _refined(
     take: WornTake, sensors: list[WornSensor], clock: Clock, params: SynchroniseParameters
 ) -> tuple[Clock, bool]:
-    """Search the clock with the least orientation errors; the first one stays where nothing can be calibrated.
+    """Return the clock with the least orientation errors, and whether it was refined; the first one if nothing fits.
 
-    The search on a grid leads near it, and least squares on whitened errors to it. A wrong offset spoils the
-    calibration a little, so both are repeated until the clock hardly moves.
+    A search on a grid comes close to it, and least squares on whitened errors refine it. A wrong offset impairs the
+    calibration slightly, so both are repeated until the clock hardly changes.
     """
     for number in range(MOST_ROUNDS):
         before = clock
@@ -107,7 +107,7 @@ def _refined(
 
 
 def _fine_limbs(take: WornTake, sensors: list[WornSensor], clock: Clock) -> list[Fine]:
-    """Calibrate sensors with a clock, and return what each should read beside what it has read."""
+    """Calibrate sensors with a clock, and return the orientations predicted for each sensor beside its readings."""
     pairs = [(sensor, stream_of(take, sensor, clock)) for sensor in sensors]
     pairs = [(sensor, stream) for sensor, stream in pairs if stream.valid.any()]
     if not pairs:
@@ -117,7 +117,7 @@ def _fine_limbs(take: WornTake, sensors: list[WornSensor], clock: Clock) -> list
 
 
 def _first_fits(streams: list[Stream], magnetometers: bool) -> list[StreamFit]:
-    """Calibrate by a part of the frames, with the vertical known unless that fits clearly fewer of them."""
+    """Calibrate with a subset of frames, with the vertical known unless that explains clearly fewer frames."""
     some = []
     for stream in streams:
         valid = np.flatnonzero(stream.valid)
@@ -136,7 +136,7 @@ def _fitted(fits: list[StreamFit]) -> float:
 
 
 def _fine(sensor: WornSensor, stream: Stream, fit: StreamFit) -> Fine:
-    """Return what a sensor should read at the frames of a take, beside what it has read."""
+    """Return the orientations that a sensor should have at the frames of a take, beside its readings."""
     times = stream.times[stream.valid]
     predicted = multiply(multiply(conjugate(fit.q_global), stream.track[stream.valid]), fit.q_mount)
     known = np.isfinite(sensor.orientation).all(axis=1)

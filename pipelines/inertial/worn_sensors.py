@@ -1,4 +1,4 @@
-"""The sensors that were worn in takes, from the results of `read_imu`, beside the limbs that they are worn on."""
+"""Read the sensors worn in takes from the results of `read_imu`, together with the limbs that they were worn on."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ class WornSensor:
     recording, sensor, limb : str
         Names.
     times : float64 array (N,)
-        Seconds of the recording's clock, ascending.
+        Times by the recording's clock in seconds, ascending.
     gyr : float64 array (N, 3) or None
-        Angular velocity in rad/s, NaN where not measured; None for a sensor without.
+        Angular velocity in rad/s, NaN where not measured; None for a sensor without gyroscope.
     orientation : float64 array (N, 4)
-        Sensor → F_GI; NaN where not known.
+        Unit quaternions (w, x, y, z) from the sensor to its world F_GI; NaN if unknown.
     magnetometer : bool
-        The sensor has one, so that its heading is not arbitrary.
+        True if the sensor has a magnetometer, so that its heading is not arbitrary.
     """
 
     recording: str
@@ -57,7 +57,7 @@ class Clock:
     ppm: float = 0.0
 
     def sensor_time(self, times: F64) -> F64:
-        """Return times of the take as times of the recording."""
+        """Convert times of the take, in seconds, to times of the recording."""
         return times * (1.0 + 1e-6 * self.ppm) + self.offset_s
 
 
@@ -76,7 +76,7 @@ class WornTake:
     sensors : tuple of WornSensor
         The sensors on limbs that the take has, by recording and name.
     lacking : dict of (str, str, str) to str
-        Recording, sensor and limb → the reason for which they cannot be compared.
+        Recording, sensor and limb → the reason why they cannot be compared.
     """
 
     take_id: int
@@ -99,9 +99,9 @@ class WornTakes:
     store : Store
         The store.
     limbs : str
-        The stage that has made `limb_orientations`, "<pipeline>/<stage>".
+        The stage that has stored `limb_orientations`, "<pipeline>/<stage>".
     sensors : str
-        The stage that has made `imu_samples`.
+        The stage that has stored `imu_samples`.
     """
 
     def __init__(self, store: Store, limbs: str, sensors: str) -> None:
@@ -119,18 +119,18 @@ class WornTakes:
 
     @property
     def names(self) -> dict[int, str]:
-        """The ids and names of the takes."""
+        """The names of the takes, by take_id."""
         return {take_id: str(rows[0]["take"]) for take_id, rows in self._rows.items()}
 
     def fingerprints(self, *more: object, of: Callable[[int], object] = lambda _: None) -> dict[int, str | None]:
-        """Return a hash of all that the results of each take follow from, by its id; None where it is not known.
+        """Return a hash of everything that determines the results of each take, by take_id; None if it is unknown.
 
         Parameters
         ----------
         more : object
-            All that the results of every take follow from, beside its limbs and its sensors.
+            Further values that the results of all takes depend on, besides limbs and sensors.
         of : callable, optional
-            Returns what those of the take with an id follow from, too.
+            Returns further values that the results of one take depend on, given its take_id.
         """
         limbs = stored_fingerprints(self._store, "limb_orientations", self._stage)
         found: dict[int, str | None] = {}
@@ -187,9 +187,9 @@ def _worn(samples: pa.Table, row: Mapping[str, object]) -> WornSensor:
 
 
 def stream_of(take: WornTake, sensor: WornSensor, clock: Clock) -> Stream:
-    """Return a sensor's orientations at the frames of a take, beside those of its limb.
+    """Return a sensor's orientations at the frames of a take, together with those of its limb.
 
-    Frames in which the limb is not known or jumps, and those in gaps of the sensor, are not valid.
+    Frames in which the limb is unknown or jumps, or that lie in gaps of the sensor, are not valid.
     """
     limb = take.limbs[sensor.limb]
     orientation, known = interpolate(sensor.times, sensor.orientation, clock.sensor_time(limb.times))
