@@ -1,1 +1,1 @@
-"""Ingestion of motion files: changes of a source, batches, reading, and failures."""
+"""Ingestion of motion files: find changes of a source, read files in batches, store takes, and record failures."""

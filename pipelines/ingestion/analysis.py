@@ -1,4 +1,4 @@
-"""Analysis of bodies: frames and words at the analysis rate, and the features that a skeleton lacks joints for."""
+"""Analyse bodies: compute frames and words at the analysis rate, and find features that lack joints."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def analyse(body: Body, feature_set: FeatureSet, rate_hz: float) -> tuple[F64, F
 
 
 def known_features(feature_set: FeatureSet, body: Body) -> int:
-    """Return the mask of the features that are known of a body, with the bits of a word."""
+    """Return the mask of the features that are known for a body, with the bits of a word."""
     known = feature_set.known(body.unknown)
     if np.isnan(body.orientation).all():
         turns = [one.number for one in feature_set.features if any(t.primitive == "turn_rate" for t in one.rule.terms)]
@@ -60,7 +60,7 @@ def known_features(feature_set: FeatureSet, body: Body) -> int:
 
 
 def blind(feature_set: FeatureSet, body: Body) -> list[str]:
-    """Return warnings on joints that a skeleton lacks: features that are unknown, or use the other joints only."""
+    """Return warnings on features that are unknown, or computed from fewer joints, because a skeleton lacks joints."""
     known = known_features(feature_set, body)
     if not body.unknown and known == feature_set.every_bit:
         return []

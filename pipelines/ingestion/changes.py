@@ -1,4 +1,4 @@
-"""Changes of a source since a store read it: files that are new, changed, moved or gone."""
+"""Find the changes of a source since a store read it: files that are new, changed, moved or removed."""
 
 from __future__ import annotations
 
@@ -42,27 +42,27 @@ class Changes:
     tasks : list of Task
         The files to read, in the order of their take ids.
     unchanged : dict of str to KnownFile
-        Path → the file that the store has takes of, for the files that need not be read.
+        Path → the known file, for files that need not be read.
     damaged : list of int
         The ids of takes whose part of the store is damaged.
     restated : list of dict
-        New rows of unchanged takes whose file has another place or time.
+        New rows of unchanged takes whose file has another path or modification time.
     gone : list of int
-        The ids of takes without a file.
+        The ids of takes whose file no longer exists.
     surplus : list of int
-        The ids of takes of persons whom their unchanged files do not hold.
+        The ids of takes of persons that their unchanged files do not contain.
     renamed : list of (int, str, str)
-        Id, old and new name of takes whose file would get another name.
+        The id, old name and new name of takes whose file would get another name.
     failures : list of Failure
         Files that cannot be read or named.
     skeletons : pyarrow.Table
         Rows of `skeleton_files`.
     names : TakeNames
-        The names of all takes, for those of persons to be added.
+        The names of all takes, to which those of persons are added.
     known : dict of str to KnownFile
-        Path → the file that the store has takes of.
+        Path → the file from which the store has takes.
     by_path : dict of str to str
-        Path → name of new files that are named by their paths, since others have the same stem.
+        Path → name of new files that are named by their paths, because others have the same stem.
     recipes : dict of str to str
         Path → recipe of the files.
     """
@@ -91,10 +91,10 @@ def compare(
     patterns: Sequence[str],
     given: ReadSettings,
 ) -> Changes:
-    """Compare a source with a store, by size and time; only files that seem to be changed are read for it.
+    """Compare a source with a store, by size and modification time; only files that seem to be changed are read.
 
-    A file is known by its place, whose takes keep their names, or by its content where it was moved. A file whose take
-    lies in a damaged part of the store counts as changed.
+    A file is identified by its path, so that its takes keep their names, or by its content if it was moved. A file
+    whose take is in a damaged part of the store counts as changed.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def compare(
 
 
 class _Comparison:
-    """The comparison of a source with a store on its way."""
+    """A comparison of a source with a store in progress."""
 
     def __init__(self, writer: StoreWriter, found: Scan, naming: Naming) -> None:
         self.writer = writer
@@ -165,7 +165,7 @@ class _Comparison:
         self.failures = [refusal(refused) for refused in found.refused]
 
     def find_files(self) -> None:
-        """Find the files of the source among those that the store has takes of, by place first, then by content."""
+        """Match the files of the source with those that the store has takes of, by path first, then by content."""
         refused: set[str] = set()
         for motion in self.found.motions:
             if (file := self.files.at_place(motion)) is not None:
@@ -187,7 +187,7 @@ class _Comparison:
         self.motions = [motion for motion in self.found.motions if motion.path not in refused]
 
     def name_files(self) -> None:
-        """Name the files; those that the store knows keep their names, unless the rule for names has changed."""
+        """Name the files; known files keep their names, unless the naming rule has changed."""
         paths = {file.place: path for path, file in self.known.items()}
         owners = {row["name"]: paths.get(file.place, "") for file in self.files for row in file.rows}
         owners |= dict.fromkeys(self.tracks, "")
@@ -215,13 +215,13 @@ class _Comparison:
             ]
 
     def _keeps_names(self, file: KnownFile) -> bool:
-        """Return whether the takes of a file were named by the rule of this ingest, or as it would name them."""
+        """Return whether the takes of a file were named by the current rule, or have the names that it would give."""
         source = self.writer.manifest.sources.get(file.root)
         same_rule = source is not None and source.settings.get("name") == self.naming
         return same_rule or file.name == file_names(self.naming, file.path)[0]
 
     def is_unchanged(self, motion: SourceFile, is_made_so: Callable[[Row], bool], damaged: set[int]) -> bool:
-        """Return whether a file need not be read, and note what its takes change nevertheless."""
+        """Return whether a file need not be read, and collect the new rows of its takes."""
         file = self.known.get(motion.path)
         rows = file.current_rows(self.contents[motion.path], is_made_so, damaged) if file is not None else ()
         if file is None or not rows:
@@ -233,10 +233,10 @@ class _Comparison:
         return True
 
     def result(self, damaged: list[int], skeletons: pa.Table) -> Changes:
-        """Return the changes, once all files were looked at."""
+        """Return the changes, after all files have been compared."""
         ids = self.writer.assign_take_ids(task.name for task in self.tasks)
         tasks = sorted((replace(task, take_id=ids[task.name]) for task in self.tasks), key=lambda task: task.take_id)
-        # the roots of this archive, now and before it was moved
+        # the roots of this archive before and after it was moved
         others = (file for path, file in self.known.items() if path == file.path and file.root != self.root)
         former = {self.root, *(file.root for file in others if not file.is_there)}
         here = {(self.root, motion.path) for motion in self.found.motions} | self.places
@@ -250,29 +250,29 @@ class _Comparison:
 
 
 def _no_name(motion: SourceFile) -> SourceError:
-    """Return the error of a file for whose take no name is free."""
+    """Return the error of a file for whose take all possible names are in use."""
     return SourceError(
         motion.absolute, f"other takes have every name that its take could have, such as '{motion.path}'; rename it"
     )
 
 
 def recipe_of(made_by: str, skeleton: str, groups: Mapping[str, str] | None = None) -> str:
-    """Return the recipe of a take: a hash of all that its frames depend on besides its file.
+    """Return the recipe of a take: a hash of everything except its file that its frames depend on.
 
     Parameters
     ----------
     made_by : str
         The recipe of its format, one of `recipes`.
     skeleton : str
-        The checksum of its skeleton file; empty where it has none.
+        The checksum of its skeleton file; empty if it has none.
     groups : mapping of str to str, optional
-        The named groups of its path, which were part of a recipe in earlier checkouts.
+        The named groups of its path, which were part of the recipe in earlier development versions.
     """
     return digest([made_by, skeleton, sorted((groups or {}).items())])
 
 
 def has_recipe(made_by: str, skeleton: str, row: Mapping[str, Any]) -> bool:
-    """Return whether a take was made by a recipe, also where an earlier checkout has put its groups into it."""
+    """Return whether a take was made with a recipe, including the form of recipes in earlier development versions."""
     if row["recipe"] == recipe_of(made_by, skeleton):
         return True
     groups = {name: row[name] for name in EVERYWHERE if row[name] is not None} | json.loads(row["groups"] or "{}")
@@ -280,9 +280,10 @@ def has_recipe(made_by: str, skeleton: str, row: Mapping[str, Any]) -> bool:
 
 
 def recipes(feature_set: FeatureSet, mappings: Mappings, settings: ReadSettings) -> dict[str, str]:
-    """Return for each ending a hash of all that its takes depend on besides their files; takes are read again for it.
+    """Return for each file ending a hash of everything except the files that its takes depend on.
 
-    The format of an .npz is known when it is read: settings that count for any reader of an ending count for all.
+    If the hash changes, takes are read again. The format of an .npz file is known only when it is read, so the settings
+    of all readers of an ending count.
     """
     code = code_digest(read_body, persons_of, analyse, blind, known_features, judged)
     return {
@@ -299,7 +300,7 @@ def _reader_recipe(reader: Reader, mappings: Mappings, settings: ReadSettings) -
 
 
 def features_digest(feature_set: FeatureSet) -> str:
-    """Return a hash of features, with the plugins whose primitives they use."""
+    """Return a hash of a feature set, and of the plugins that define its primitives."""
     plugins = [part_digest(PRIMITIVES, name) for name in feature_set.plugin_primitives]
     return digest([feature_set.digest, *plugins]) if plugins else feature_set.digest
 

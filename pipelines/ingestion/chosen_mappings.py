@@ -1,4 +1,4 @@
-"""The skeleton mappings of an ingest: shipped ones, those that its parameters name, and those that the store holds."""
+"""Select the skeleton mappings of an ingest: shipped ones, those that its parameters name, and those in the store."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from kinedex.storage.snapshot.manifest import Manifest
 
 
 def stored_files(store: Path, texts: Mapping[str, str]) -> tuple[OwnFile, ...]:
-    """Return the mappings and vocabularies that a store holds (`Manifest.mappings`), as files."""
+    """Return the skeleton mappings and vocabularies in a store (`Manifest.mappings`), as files."""
     return tuple(OwnFile(Path(f"{store} (mapping {name})"), text, stored=True) for name, text in sorted(texts.items()))
 
 
 def chosen_mappings(
     params: IngestParameters, joints: tuple[str, ...], store: Path, manifest: Manifest | None
 ) -> Mappings:
-    """Return the mappings that the files of an ingest are read with.
+    """Return the skeleton mappings with which the files of an ingest are read.
 
     Parameters
     ----------
@@ -30,12 +30,12 @@ def chosen_mappings(
     store : Path
         The directory of the store.
     manifest : Manifest or None
-        Its version; None before there is a store.
+        The manifest of the store; None before the store exists.
 
     Raises
     ------
     ConfigError
-        There is no such mapping, or it is wrong.
+        There is no such mapping, or it is invalid.
     """
     stored = stored_files(store, manifest.mappings) if manifest is not None else ()
     files = (*own_files(params.skeletons), *stored)

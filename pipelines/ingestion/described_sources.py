@@ -1,4 +1,4 @@
-"""Descriptions of the takes of a source by the parameters of its ingest, and the report of what they do not fit."""
+"""Describe the takes of a source by the patterns and tables of its ingest, and report paths that match no pattern."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _EXAMPLES = 2
 
 
 def descriptions(params: IngestParameters, joined: Joined) -> Descriptions:
-    """Return the descriptions that patterns and joined tables give to the takes of a source."""
+    """Return the metadata that patterns and joined tables give to the takes of a source."""
     return Descriptions(tuple(map(re.compile, params.patterns)), joined.values)
 
 
 def refuse_losses(params: IngestParameters, store: Store, found: Scan) -> None:
-    """Refuse an ingest that would take values of columns away from takes.
+    """Raise an error if an ingest would remove values of columns from takes.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def refuse_losses(params: IngestParameters, store: Store, found: Scan) -> None:
     Raises
     ------
     AcceptError
-        Takes would have no value any more in columns where they have one; the message names columns and takes.
+        Takes would lose their values in some columns; the message names columns and takes.
     """
     rows = rows_below(store.take_rows.to_pylist(), found, params.root)
     metadata = load_metadata(params.tables, found)
@@ -62,15 +62,15 @@ def _loss_line(loss: Loss) -> str:
 
 
 def unmatched_paths(params: IngestParameters, found: Scan) -> list[str]:
-    """Return the paths of motion files that none of the patterns fits; none where there are no patterns."""
+    """Return the paths of motion files that match none of the patterns; an empty list if there are no patterns."""
     patterns = [re.compile(pattern) for pattern in params.patterns]
     return [motion.path for motion in found.motions if patterns and path_groups(motion.path, patterns) is None]
 
 
 def unmatched_line(params: IngestParameters, unmatched: Sequence[str], found: Scan, store: Path) -> str:
-    """Return a message about paths that no pattern fits, with the way out.
+    """Return a message about paths that match no pattern, with the remedy.
 
-    `kinedex init` is one where it proposes patterns for some of them; otherwise a pattern has to be written.
+    The remedy is `kinedex init` if it can propose patterns for some of them; otherwise the user has to write one.
     """
     examples = " and ".join(f"'{path}'" for path in dict.fromkeys((unmatched[0], unmatched[-1])))
     verb, whose = ("match", "their takes have") if len(unmatched) > 1 else ("matches", "its take has")

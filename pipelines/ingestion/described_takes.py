@@ -1,4 +1,4 @@
-"""Descriptions of takes: what the patterns of a source and its tables tell about a take, as columns of its row."""
+"""Describe takes by metadata: values from the patterns of a source and its tables, as columns of takes."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from kinedex.storage.formats.motion.sources import Scan, path_groups
 from kinedex.storage.snapshot.schemas import RECORDED_FORMATS, TakeColumn
 
 EVERYWHERE = ("actor", "class", "clip")
-"""The columns of every store that patterns and tables fill."""
+"""The columns that every store has, and that patterns and tables fill."""
 
 NO_PATTERN = "its path matches no pattern of the config"
-"""The warning of a take whose path no pattern fits."""
+"""The warning on a take whose path matches no pattern."""
 
 _ORIGINS = ("pattern", "metadata")
 
@@ -27,21 +27,21 @@ def described_columns(columns: Mapping[str, TakeColumn]) -> tuple[str, ...]:
 
 
 def group_values(groups: Mapping[str, str]) -> dict[str, Any]:
-    """Return the columns of every store that named groups fill, with the further groups as JSON text."""
+    """Return the columns of every store that named groups fill, and all other groups as JSON text."""
     others = {name: value for name, value in groups.items() if name not in EVERYWHERE}
     return {name: groups.get(name) for name in EVERYWHERE} | {"groups": json.dumps(others, sort_keys=True)}
 
 
 @dataclass(frozen=True)
 class Descriptions:
-    """The descriptions of the takes of one source.
+    """The metadata of the takes of one source.
 
     Attributes
     ----------
     patterns : tuple of re.Pattern
         Regular expressions for paths, whose named groups are values.
     tables : mapping of int to dict
-        Take id → values of tables by column, which go before those of patterns.
+        Take id → values of tables by column, which take precedence over those of patterns.
     """
 
     patterns: tuple[re.Pattern[str], ...]
@@ -70,7 +70,7 @@ class Descriptions:
         return values | {"warnings": [NO_PATTERN, *warnings] if unmatched else warnings}
 
     def changed(self, rows: Iterable[Row], columns: Mapping[str, TakeColumn]) -> Iterator[Row]:
-        """Yield the rows that describe their takes otherwise now, as they are then."""
+        """Yield the rows of takes whose metadata has changed, with the new values."""
         for row in rows:
             values = self.of(row, columns)
             if any(row.get(name) != value for name, value in values.items()):
@@ -79,7 +79,7 @@ class Descriptions:
 
 @dataclass(frozen=True)
 class Loss:
-    """The takes that would lose their value in a column.
+    """The takes that would lose their values in a column.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ class Loss:
 
 
 def losses(rows: Iterable[Row], columns: Mapping[str, TakeColumn], now: Descriptions) -> list[Loss]:
-    """Return the columns in which takes would have no value any more, with these takes.
+    """Return the columns in which takes would lose their values, with these takes.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def losses(rows: Iterable[Row], columns: Mapping[str, TakeColumn], now: Descript
     columns : mapping of str to TakeColumn
         The declared columns of the store.
     now : Descriptions
-        The descriptions that they would get.
+        The metadata that the takes would get.
     """
     described = described_columns(columns)
     lost: dict[str, dict[str, Any]] = {}
@@ -116,7 +116,7 @@ def losses(rows: Iterable[Row], columns: Mapping[str, TakeColumn], now: Descript
 
 
 def rows_below(rows: Sequence[Row], found: Scan, root: str) -> list[Row]:
-    """Return the rows of the takes of a source, those whose archive was moved to it among them.
+    """Return the rows of the takes of a source, including those whose archive was moved to it.
 
     Parameters
     ----------

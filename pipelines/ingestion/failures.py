@@ -1,4 +1,4 @@
-"""Failures of ingestion: files that could not be read, and the reasons, as rows of `ingest_log`."""
+"""Represent failures of ingestion: files that could not be read, and the reasons, as rows of `ingest_log`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MOST_MESSAGES = 10
 
 @dataclass(frozen=True)
 class Failure:
-    """A file that could not be read, and the reason; every text can be written anywhere.
+    """A file that could not be read, and the reason; all texts are valid Unicode that can be printed.
 
     Attributes
     ----------
@@ -32,9 +32,9 @@ class Failure:
     file : str
         The absolute path of the file.
     line : int, optional
-        The line of the fault.
+        The line of the error.
     person : str
-        The person of a file of several who could not be read; empty for the whole file.
+        The person that could not be read, in a file with several; empty if the whole file failed.
     """
 
     source: str
@@ -53,8 +53,8 @@ class Failure:
 def failure(motion: SourceFile, fault: Exception, person: str | None = None) -> Failure:
     """Return the failure of a motion file.
 
-    An error that is neither the project's own nor of the operating system is a defect of kinedex: the other files are
-    read all the same, and the message asks for a report.
+    An error that is neither one of kinedex nor of the operating system is a defect of kinedex: other files are still
+    read, and the message asks the user to report it.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def failure(motion: SourceFile, fault: Exception, person: str | None = None) -> 
     fault : Exception
         The error.
     person : str, optional
-        The person of a file of several.
+        The person, in a file with several.
     """
     if person:
         return _of_person(failure(motion, fault), person)
@@ -92,14 +92,14 @@ def failure(motion: SourceFile, fault: Exception, person: str | None = None) -> 
 
 
 def _of_person(found: Failure, person: str) -> Failure:
-    """Return the failure of a person, whose message names the person behind the place."""
+    """Return the failure of a person, whose name the message states after the path of the file."""
     place = found.file if found.line is None else f"{found.file}:{found.line}"
     reason = found.message.removeprefix(f"{place}: ")
     return replace(found, message=f"{place}: person '{readable(person)}': {reason}", person=person)
 
 
 def killer(motion: SourceFile, fault: Exception, person: str | None = None) -> Failure:
-    """Return the failure of a file, or of a person of it, that ends every process that reads it."""
+    """Return the failure of a file, or of a person in it, that kills every process that reads it."""
     if person:
         return _of_person(killer(motion, fault), person)
     file = readable(str(motion.absolute))
@@ -116,7 +116,7 @@ def refusal(refused: Refused) -> Failure:
 
 
 def failure_messages(failures: Sequence[Failure]) -> list[str]:
-    """Return messages for the terminal, ten at most."""
+    """Return messages for the terminal, at most ten and a line for the rest."""
     lines = [f"excluded: {one.message}" for one in failures[:MOST_MESSAGES]]
     more = len(failures) - MOST_MESSAGES
     return lines + ([f"… and {more} more: SELECT * FROM ingest_log lists them all"] if more > 0 else [])

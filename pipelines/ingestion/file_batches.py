@@ -1,4 +1,4 @@
-"""Batches of motion files that worker processes read."""
+"""Read batches of motion files in worker processes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Task:
     Attributes
     ----------
     name : str
-        The name of the take; of a file of several persons, that of the file.
+        The name of the take; for a file with several persons, the name of the file.
     take_id : int
         The id of the take.
     motion : SourceFile
@@ -46,11 +46,11 @@ class Task:
     groups : dict of str to str
         The named groups of its path.
     recipe : str
-        A hash of all that the take depends on besides the file.
+        A hash of everything except the file that the take depends on.
     warnings : tuple of str
-        Reservations about the file.
+        Warnings about the file.
     person : str or None
-        The person to read, empty for a file of one; None where it is not known yet whether the file holds several.
+        The person to read; empty for a file with one person; None if it is not yet known how many there are.
     persons : int
         The number of persons in the file.
     """
@@ -67,13 +67,13 @@ class Task:
 
     @property
     def described(self) -> dict[str, Any]:
-        """The columns of its row by which tables of metadata name the take."""
+        """The columns by which tables of metadata identify the take."""
         return {"take_id": self.take_id, "name": self.name, "source": self.motion.path}
 
 
 @dataclass(frozen=True)
 class Batch:
-    """The files that one task reads and writes as one frames part, with the columns of figures that the store has."""
+    """The files that one task reads and writes as one part of frames, with the columns of figures in the store."""
 
     store: Path
     feature_set: FeatureSet
@@ -93,18 +93,18 @@ class Batch:
 
 @dataclass(frozen=True)
 class Written:
-    """The outcome of a batch.
+    """The result of reading a batch.
 
     Attributes
     ----------
     takes : list of dict
         Rows of `takes`.
     part : Part or None
-        The frames part; None where no file was read.
+        The part with the frames; None if no file was read.
     failures : list of Failure
         The files and persons that could not be read.
     persons : dict of str to tuple of str
-        Path → persons of the files of several, which are not read before each person has an id.
+        Path → persons in files with several; such a file is read only after each person has an id.
     """
 
     takes: list[dict[str, Any]]
@@ -124,7 +124,7 @@ def read_batch(batch: Batch) -> Written:
             except StoreError:
                 raise
             except Exception as fault:
-                # whatever one file brings about, even a defect or a lack of memory, must not cost the others
+                # an error in one file, even a defect or a lack of memory, must not affect the others
                 done.failures.append(failure(task.motion, fault, person=task.person))
                 if batch.strict:
                     break
@@ -136,7 +136,7 @@ def read_batch(batch: Batch) -> Written:
                 writer = FramesWriter(batch.store, batch.feature_set, batch.rate_hz)
             writer.add(task.take_id, *found.frames)
             done.takes.append(found.row)
-            del found  # not to be there while the next file is read
+            del found  # free the memory before the next file is read
         return replace(done, part=writer.close()) if writer is not None else done
     except BaseException:
         if writer is not None:
@@ -153,7 +153,7 @@ class _Take:
 
 
 def _analysed(batch: Batch, task: Task) -> _Take | tuple[str, ...]:
-    """Return the take of a file, or the persons of a file of several."""
+    """Return the take in a file, or the names of the persons if the file has several."""
     found = _read(batch, task)
     if not isinstance(found[1], Body):
         return found[1]
@@ -163,9 +163,10 @@ def _analysed(batch: Batch, task: Task) -> _Take | tuple[str, ...]:
 
 
 def _read(batch: Batch, task: Task) -> tuple[str, Body | tuple[str, ...]]:
-    """Return the checksum of a file and its body, of the same bytes: read once if it is short, else unchanged since.
+    """Return the checksum of a file and its body, computed from the same bytes.
 
-    Of a file of several persons, they are returned where the task names none of them.
+    A short file is read once; of a longer one it is checked that it has not changed between two reads. If the file has
+    several persons and the task names none, their names are returned instead of a body.
     """
     motion, asf = task.motion.absolute, task.skeleton.absolute if task.skeleton is not None else None
     before = _stamp(motion)
@@ -174,7 +175,7 @@ def _read(batch: Batch, task: Task) -> tuple[str, Body | tuple[str, ...]]:
     data = source_bytes(motion) if reader_of(motion).reads_whole and before[0] <= BLOCK else None
     if task.person is None and (persons := persons_of(MotionFile(motion, asf, data), batch.mappings)):
         return "", persons
-    # not before: it reads the whole file, which is work for many processes
+    # computed last: it reads the whole file, which would delay the division of work among processes
     content = checksum(motion) if data is None else hashlib.sha256(data).hexdigest()
     body = read_body(motion, asf, batch.mappings, batch.feature_set.joints, batch.given, data, task.person or "")
     if data is None and _stamp(motion) != before:

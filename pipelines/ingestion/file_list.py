@@ -1,4 +1,4 @@
-"""The list of all files of a source, with what became of each, as rows of `source_files`."""
+"""List all files of a source with their outcomes, as rows of `source_files`."""
 
 from __future__ import annotations
 

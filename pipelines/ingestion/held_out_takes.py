@@ -1,4 +1,4 @@
-"""A division of takes that all have a class: those to learn from, and those to annotate and to evaluate."""
+"""Divide takes that all have a class into those to learn from, and those to annotate and evaluate."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ _MOST = 0.34
 """The largest share of the takes that is held out."""
 
 _VALUES = 5
-"""The largest number of values that are held out, so that a filter can be read."""
+"""The largest number of values that are held out, so that the filter stays readable."""
 
 _EVERY = 4
-"""Without a column to divide by, each take with a number that this divides is held out."""
+"""If there is no column to divide by, each take whose number is divisible by this is held out."""
 
 
 @dataclass(frozen=True)
 class Division:
-    """Filters over the columns of takes that divide an archive in two.
+    """SQL filters over the columns of takes that divide an archive in two.
 
     Attributes
     ----------
     train : str
-        The takes to learn from.
+        The filter of the takes to learn from.
     annotate : str
-        The takes to annotate.
+        The filter of the takes to annotate.
     reason : str
-        The values that are held out, in words.
+        A description of the values that are held out.
     """
 
     train: str
@@ -38,14 +38,14 @@ class Division:
 
 
 def division(proposals: Sequence[Proposal]) -> Division | None:
-    """Divide takes by actor, else by clip, else by another column of their paths, so that training keeps every class.
+    """Divide takes by actor, by clip, or by another column from their paths, so that training has every class.
 
-    Without such a column each fourth take is held out; None where the takes are too few for that.
+    Without such a column every fourth take is held out. The result is None if there are too few takes.
 
     Parameters
     ----------
     proposals : sequence of Proposal
-        The patterns of all paths, each of which gives a class.
+        The patterns of all paths; each of them yields a class.
     """
     columns = [{token.role: token.column.values for token in one.tokens if token.role} for one in proposals]
     shared = [role for role in columns[0] if all(role in one for one in columns) and role != "class"]
@@ -71,9 +71,9 @@ def _order(role: str) -> int:
 
 
 def _held_out(classes: Sequence[str], values: Sequence[str]) -> list[str]:
-    """Return few values that together have takes of many classes, while others have takes of every class, too.
+    """Return a few values whose takes cover many classes, while the takes of the other values cover every class.
 
-    Empty where less than half of the classes would be evaluated.
+    The list is empty if less than half of the classes would be evaluated.
     """
     of_value: dict[str, Counter[str]] = defaultdict(Counter)
     for name, value in zip(classes, values, strict=True):

@@ -1,4 +1,4 @@
-"""The files that a store has takes of, looked up by place and by name, to compare a source with them."""
+"""Look up the files from which a store has takes, by path, name or content, to compare a source with them."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ Row = dict[str, Any]
 
 
 def file_name(row: Mapping[str, Any]) -> str:
-    """Return the name that a take has of its file, without that of the person."""
+    """Return the name that the file of a take has given it, without that of the person."""
     person = row.get("person")
     return str(row["name"]).removesuffix(f"-{person}") if person else str(row["name"])
 
 
 class FileContent:
-    """A motion file of a source, whose content is read once at most.
+    """A motion file of a source, whose content is read at most once.
 
     Parameters
     ----------
@@ -35,13 +35,13 @@ class FileContent:
 
     @cached_property
     def checksum(self) -> str:
-        """The SHA-256 of the file; a SourceError reports that it cannot be read."""
+        """The SHA-256 of the file; a SourceError is raised if it cannot be read."""
         return checksum(self.motion.absolute)
 
 
 @dataclass(frozen=True)
 class KnownFile:
-    """A file of which a store has takes.
+    """A file from which a store has takes.
 
     Attributes
     ----------
@@ -64,25 +64,25 @@ class KnownFile:
 
     @property
     def name(self) -> str:
-        """The name that its takes have of it."""
+        """The name that the file gives its takes."""
         return file_name(self.rows[0])
 
     @cached_property
     def is_there(self) -> bool:
-        """True if the file is still at its place."""
+        """True if the file still exists at its path."""
         return (Path(self.root) / self.path).exists()
 
     def current_rows(
         self, content: FileContent, is_made_so: Callable[[Row], bool], damaged: Iterable[int]
     ) -> tuple[Row, ...]:
-        """Return the rows of takes that need not be read again; none if a person of the file is not among them.
+        """Return the rows of takes that need not be read again; none if a person in the file is missing.
 
         Parameters
         ----------
         content : FileContent
             The file as it is now.
         is_made_so : callable
-            Returns whether a take was made of its file as it would be now.
+            Returns whether a take was made as it would be made now.
         damaged : collection of int
             The ids of takes whose part of the store is damaged.
 
@@ -96,11 +96,11 @@ class KnownFile:
         return rows if rows and len(rows) >= (rows[0].get("persons") or 1) else ()
 
     def has_content_of(self, content: FileContent) -> bool:
-        """Return whether a take was read from a file of this content; a SourceError reports an unreadable file."""
+        """Return whether a take was read from a file with this content; raise a SourceError if it is unreadable."""
         return any(self._has_content(row, content) for row in self.rows)
 
     def _has_content(self, row: Row, content: FileContent) -> bool:
-        """Compare contents; the file is read only where place, size or time differ."""
+        """Compare contents; the file is read only if path, size or modification time differ."""
         motion = content.motion
         if row["source_bytes"] != motion.size:
             return False
@@ -109,11 +109,11 @@ class KnownFile:
         return bool(untouched or row["checksum"] == content.checksum)
 
     def is_elsewhere(self, motion: SourceFile) -> bool:
-        """Return whether a motion file of this content is a copy of the file, which is still at its place."""
+        """Return whether a motion file with this content is a copy of the file, which still exists at its own path."""
         return self.place != (motion.root, motion.path) and self.is_there
 
     def rows_at(self, motion: SourceFile, rows: Iterable[Row]) -> list[Row]:
-        """Return those rows that change with the new place or time of their file, as they are then."""
+        """Return the rows that change with the new path or time of their file, with the new values."""
         place = {"source_root": motion.root, "source": motion.path, "source_mtime_ns": motion.mtime_ns}
         if self.is_elsewhere(motion):
             return []
@@ -121,12 +121,12 @@ class KnownFile:
 
 
 class KnownFiles:
-    """All files of which a store has takes.
+    """All files from which a store has takes.
 
     Parameters
     ----------
     rows : iterable of dict
-        The rows of its takes; tracks come from no motion file and do not count.
+        The rows of its takes; tracked takes, which have no motion file, are ignored.
     """
 
     def __init__(self, rows: Iterable[Row]) -> None:
@@ -145,7 +145,7 @@ class KnownFiles:
         return iter(self._at.values())
 
     def at_place(self, motion: SourceFile) -> KnownFile | None:
-        """Return the file at the place of a motion file, also where its whole archive was moved to another root."""
+        """Return the known file at the path of a motion file, even if its whole archive was moved to another root."""
         here = self._at.get((motion.root, motion.path))
         moved = (file for file in self._with_path.get(motion.path, ()) if not file.is_there)
         return here or next(moved, None)
@@ -153,21 +153,21 @@ class KnownFiles:
     def of_same_content(
         self, content: FileContent, names: Iterable[str], taken: Container[tuple[str, str]]
     ) -> KnownFile | None:
-        """Return the file that a motion file was before it was moved, or that it is a copy of in another root.
+        """Return the known file with the content of a motion file, from which it was moved or copied.
 
         Parameters
         ----------
         content : FileContent
-            The motion file, at whose place no file is known.
+            The motion file, at whose path no file is known.
         names : iterable of str
-            The names that its take can have.
+            The possible names of its take.
         taken : container of (str, str)
-            The places of files that are other files of the source.
+            Root and path of known files that match other files of the source.
 
         Raises
         ------
         SourceError
-            A take of the same path below another root, which is still there, has other content: it may be another
+            A take with the same path below another root, which still exists, has other content: it may be another
             version of the same motion.
         """
         motion = content.motion
@@ -184,7 +184,7 @@ class KnownFiles:
 
 
 def _stranger(file: KnownFile, motion: SourceFile) -> SourceError:
-    """Return the error of another file with the name of a take; only a changed file replaces its take."""
+    """Return the error of a file with the name of an existing take but other content; it must not replace the take."""
     return SourceError(
         motion.absolute,
         f"the store has a take '{file.rows[0]['name']}' already, from {file.root}/{file.path}, and its content "

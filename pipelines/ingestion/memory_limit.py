@@ -1,4 +1,4 @@
-"""The limit of memory for reading motion files: the need of a file is known before it is read."""
+"""Limit the memory for reading motion files: the memory that a file needs is estimated before it is read."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from kinedex.storage.formats.motion.reader_table import reader_of
 from kinedex.storage.snapshot.parts import ROW_GROUP
 
 PROCESS_BYTES = 300_000_000
-"""The memory of a process besides that of a file: Python, libraries, kernels, and frames that wait to be written."""
+"""The memory of a process without that of a file: Python, libraries, kernels, and frames that wait to be written."""
 
 _UNITS = {"": 1, "k": 1e3, "m": 1e6, "g": 1e9, "ki": 2**10, "mi": 2**20, "gi": 2**30}
 _SIZE = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*([kmg]i?|)b?", re.IGNORECASE | re.ASCII)
 
 
 def parse_size(text: str) -> int:
-    """Parse a size of memory such as "1.5GB" (powers of 1000) or "2GiB" (powers of 1024), in bytes.
+    """Parse a memory size such as "1.5GB" (powers of 1000) or "2GiB" (powers of 1024), and return bytes.
 
     Raises
     ------
     ParameterError
-        The text is no size.
+        The text is not a size.
     """
     found = _SIZE.fullmatch(text.strip())
     if found is None:
@@ -35,7 +35,7 @@ def parse_size(text: str) -> int:
 
 
 def needed_bytes(file: MotionFile, feature_set: FeatureSet, rate_hz: float, settings: ReadSettings) -> int:
-    """Return the most memory of a process that reads one file and writes its frames.
+    """Return the peak memory, in bytes, of a process that reads one file and writes its frames.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def needed_bytes(file: MotionFile, feature_set: FeatureSet, rate_hz: float, sett
     """
     joints = len(feature_set.joints)
     extent = reader_of(file.path).extent(file, joints, settings)
-    # the more a take is stretched, the more it needs
+    # upsampling increases the memory that a take needs
     source_hz = extent.rate_hz or (rate_hz if extent.frames else SLOWEST_HZ)
     sampled = 0
     rate = feature_rate(source_hz, rate_hz)
@@ -64,14 +64,14 @@ def needed_bytes(file: MotionFile, feature_set: FeatureSet, rate_hz: float, sett
         sampled = body_bytes(frames, joints) + 400 * frames
     written = int(frames * rate_hz / rate) + 1
     body = body_bytes(extent.frames, joints)
-    waiting = min(written, 4 * ROW_GROUP)  # the others are in the part already
+    waiting = min(written, 4 * ROW_GROUP)  # the others are already written to the part
     later = body + sampled + max(words_bytes(feature_set.rules) * frames, 3 * waiting * (12 * joints + 28))
     return PROCESS_BYTES + max(extent.bytes, later)
 
 
 @dataclass(frozen=True)
 class MemoryShare:
-    """The part of a limit of memory that each of some workers has.
+    """The part of a memory limit that each worker may use.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class MemoryShare:
 
     @classmethod
     def of(cls, limit: str, workers: int) -> MemoryShare:
-        """Divide a limit such as "1.5GB"; beside several workers, the process that waits for them counts, too."""
+        """Divide a limit such as "1.5GB" among workers; with several workers, the main process is counted as well."""
         whole = parse_size(limit)
         return cls(whole if workers == 1 else max(0, whole - PROCESS_BYTES) // workers, workers)
 
@@ -95,7 +95,7 @@ class MemoryShare:
         try:
             need = needed_bytes(file, feature_set, rate_hz, settings)
         except KinedexError:
-            return  # the reader reports the fault
+            return  # the reader reports the error
         if need > self.bytes:
             had = f"{self.bytes / 1e6:,.0f} MB"
             limit = had if self.workers == 1 else f"{had} that each of {self.workers} workers has of it"

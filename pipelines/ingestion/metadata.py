@@ -1,4 +1,4 @@
-"""Tables of metadata joined to the takes of a source: which row describes which take, and the columns that it fills."""
+"""Join tables of metadata with the takes of a source: match rows to takes, and determine the columns."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ from kinedex.storage.snapshot.schemas import TakeColumn, column_problem
 MEANING = "a column of the user's tables (`metadata` of ingest)"
 
 MOST_PATTERNS = 1000
-"""Most keys with * or ? of all tables: each is compared with every take."""
+"""The largest number of keys with * or ? in all tables, as each is compared with every take."""
 
 
 @dataclass
 class Joined:
-    """The takes that tables describe.
+    """The metadata from tables, by take.
 
     Attributes
     ----------
     values : dict of int to dict
         Take id → column → value.
     unused : list of MetadataRow
-        The rows that no take fits.
+        The rows that match no take.
     without : list of str
         The names of takes without a row.
     """
@@ -57,8 +57,8 @@ class Joined:
 def load_metadata(paths: Iterable[str], found: Scan | None = None) -> Metadata:
     """Read tables of metadata, and the YAML files beside motion files.
 
-    A SourceError or ConfigError reports a fault in a table. A file beside a motion file that describes no take, such as
-    one of a capture program, is a remark.
+    An invalid table raises a SourceError or ConfigError. A file beside a motion file that does not describe a take,
+    such as one from capture software, yields a remark.
 
     Parameters
     ----------
@@ -83,14 +83,14 @@ def load_metadata(paths: Iterable[str], found: Scan | None = None) -> Metadata:
 
 @dataclass(frozen=True)
 class Metadata:
-    """The tables of one source.
+    """The tables of metadata of one source.
 
     Attributes
     ----------
     tables : tuple of MetadataTable
         The tables.
     sidecars : tuple of MetadataRow
-        The content of files beside motion files; the key is the path of both without the ending.
+        The content of YAML files beside motion files; the key is the path of both without the ending.
     remarks : tuple of str
         Files beside motion files that are not used, with the reason.
     """
@@ -101,7 +101,7 @@ class Metadata:
 
     @cached_property
     def types(self) -> dict[str, str]:
-        """The columns of all tables with their types; those that every store has are texts."""
+        """The columns of all tables with their types; the columns that every store has are texts."""
         types: dict[str, str] = {}
         for row in self._rows:
             for name, cell in row.cells.items():
@@ -121,9 +121,9 @@ class Metadata:
         return (row for table in self.tables for row in table.rows)
 
     def columns(self, declared: Mapping[str, TakeColumn]) -> tuple[dict[str, TakeColumn], list[str]]:
-        """Return the columns to declare, and a sentence for each column of a table that cannot be one of takes.
+        """Return the columns to declare, and a sentence for each table column that cannot be a column of takes.
 
-        A declared column of tables gets a wider type where the tables need it.
+        A column that tables have declared gets a wider type if the tables need it.
 
         Parameters
         ----------
@@ -147,11 +147,11 @@ class Metadata:
         return found, problems
 
     def join(self, rows: Sequence[Row], root: str, declared: Mapping[str, TakeColumn]) -> Joined:
-        """Find the takes that the rows of the tables describe.
+        """Match the rows of the tables with takes.
 
         A key is the name of a take; or the path of a file below the source, with or without ending; or the name of a
-        file, with or without ending. It may hold * and ?, for all takes that fit; a file beside the motion file goes
-        before these, the row of a take itself before both, and of several rows with * or ? the last one.
+        file, with or without ending. It may contain * and ?, and then matches several takes. The row of one take takes
+        precedence over a file beside the motion file, and this one over rows with * or ?, of which the last one counts.
 
         Parameters
         ----------
@@ -160,12 +160,12 @@ class Metadata:
         root : str
             The source root.
         declared : mapping of str to TakeColumn
-            The columns of the store, after those of `columns` were declared.
+            The columns of the store, including those that `columns` has returned.
 
         Raises
         ------
         SourceError
-            A key fits several files, or a take has two rows with a value in the same column; the message names the
+            A key matches several files, or a take has two rows with a value in the same column; the message names the
             lines.
         """
         result = Joined()
@@ -214,7 +214,7 @@ def _converted(cells: Mapping[str, Cell], declared: Mapping[str, TakeColumn]) ->
 
 
 def _standing(name: str, declared: Mapping[str, TakeColumn]) -> tuple[str, TakeColumn] | None:
-    """Return the declared column of tables that a name stands for; capital letters do not count."""
+    """Return the table column that a name refers to, ignoring case; None if there is none."""
     columns = ((other, column) for other, column in declared.items() if column.origin == "metadata")
     return next(((other, column) for other, column in columns if other.lower() == name.lower()), None)
 
@@ -229,7 +229,7 @@ def _add(found: dict[str, tuple[MetadataRow, Any]], row: MetadataRow, values: Ma
 
 
 class _Takes:
-    """The takes of a source, looked up by the keys of tables."""
+    """The takes of a source, with lookup by the keys of tables."""
 
     def __init__(self, rows: Sequence[Row], root: str) -> None:
         self.names = {row["take_id"]: row["name"] for row in rows}
@@ -247,7 +247,7 @@ class _Takes:
         self._stages = stages
 
     def of_key(self, row: MetadataRow) -> list[int]:
-        """Return the takes of a key; a SourceError reports that it fits several files."""
+        """Return the takes of a key; raise a SourceError if it matches several files."""
         if row.key in self._by_name:
             return self._by_name[row.key]
         key = row.key.replace("\\", "/").removeprefix(self._root).removeprefix("./")
@@ -264,23 +264,23 @@ class _Takes:
         return []
 
     def beside(self, path: str) -> list[int]:
-        """Return the takes of the motion files with a path without its ending."""
+        """Return the takes of the motion files with the given path without ending."""
         return self._stages[1].get(path, [])
 
     def fitting(self, pattern: re.Pattern[str]) -> list[int]:
-        """Return the takes whose name or path fits a pattern."""
+        """Return the takes whose name or path matches a pattern."""
         return [take for take, name in self.names.items() if pattern.match(name) or pattern.match(self._paths[take])]
 
 
 def lies_in_source(root: str, given: Sequence[str]) -> str | None:
-    """Return the path of a table `metadata.csv` (.tsv, .yaml, .yml) in a source that is not among the given ones."""
+    """Return the path of a table `metadata.csv` (.tsv, .yaml, .yml) in a source that is not among the given tables."""
     tables = (os.path.join(root, f"metadata{ending}") for ending in (".csv", ".tsv", ".yaml", ".yml"))
     known = {os.path.realpath(path) for path in given}
     return next((path for path in tables if os.path.isfile(path) and os.path.realpath(path) not in known), None)
 
 
 def unused_lines(metadata: Metadata) -> list[str]:
-    """Return a message about YAML files beside motion files that are not used; none where all are."""
+    """Return a message about YAML files beside motion files that are not used; an empty list if all are used."""
     if not metadata.remarks:
         return []
     count = len(metadata.remarks)
@@ -290,7 +290,7 @@ def unused_lines(metadata: Metadata) -> list[str]:
 
 
 def join_lines(metadata: Metadata, joined: Joined) -> list[str]:
-    """Return messages about a join: the takes described, the rows without a take, and the takes without a row."""
+    """Return messages about a join: the described takes, the rows without a take, and the takes without a row."""
     lines = unused_lines(metadata)
     if not metadata.tables and not metadata.sidecars:
         return lines
@@ -312,7 +312,7 @@ def join_lines(metadata: Metadata, joined: Joined) -> list[str]:
 
 
 def _unnamed_key_lines(table: MetadataTable) -> list[str]:
-    """Return a message about a table whose first column is the key because no column has the name of one."""
+    """Return a message about a table whose first column is used as key because no column has the name of a key."""
     if table.key.lower() in KEYS:
         return []
     line = f"{table.path} has no column {', '.join(KEYS[:-1])} or {KEYS[-1]}: its first, '{table.key}', names the takes"

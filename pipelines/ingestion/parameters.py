@@ -110,9 +110,9 @@ class IngestParameters(BaseModel):
 
     @property
     def remembered(self) -> dict[str, Any]:
-        """The parameters that a store remembers for a source, as JSON values with absolute paths of files.
+        """The parameters that a store remembers for a source, as JSON values with absolute file paths.
 
-        Those that concern a single run (prune, strict, batch_mb, max_memory) are not among them.
+        Parameters of a single run (prune, strict, batch_mb, max_memory) are excluded.
         """
         values = self.model_dump(mode="json", exclude={"prune", "strict", "batch_mb", "max_memory"})
         values |= {"source": self.root}
@@ -125,33 +125,33 @@ class IngestParameters(BaseModel):
 
     @property
     def root(self) -> str:
-        """The source folder, absolute and without links."""
+        """The absolute path of the source folder, with links resolved."""
         return os.path.realpath(Path(self.source).expanduser())
 
     @property
     def tables(self) -> tuple[str, ...]:
-        """The paths of the tables of metadata, absolute."""
+        """The absolute paths of the tables of metadata."""
         return tuple(str(Path(place).expanduser().absolute()) for place in self.metadata)
 
     @property
     def from_store(self) -> tuple[str, ...]:
-        """The names of the parameters that nobody has given, and that the store remembers for the source."""
+        """The names of the unset parameters whose values the store remembers for the source."""
         return self._from_store
 
     def with_remembered(self, values: Mapping[str, Any]) -> IngestParameters:
-        """Return the parameters with values that the store remembers; `from_store` names those that differ."""
+        """Return the parameters with remembered values; `from_store` names those that differ."""
         merged = IngestParameters.model_validate(self.model_dump(exclude_unset=True) | dict(values))
         merged._from_store = tuple(name for name in values if getattr(merged, name) != getattr(self, name))
         return merged
 
     @property
     def group_columns(self) -> dict[str, TakeColumn]:
-        """The columns of takes for the named groups of the patterns, apart from actor, class and clip."""
+        """The columns of takes for the named groups of the patterns, except actor, class and clip."""
         names = dict.fromkeys(name for pattern in self.patterns for name in re.compile(pattern).groupindex)
         return {name: GROUP_COLUMN for name in names if name not in ("actor", "class", "clip")}
 
     @property
     def given(self) -> ReadSettings:
-        """The settings of the user for reading files."""
+        """The user's settings for reading files."""
         model = None if self.body_model is None else str(Path(self.body_model).expanduser().absolute())
         return ReadSettings(self.rate_hz, self.override_rate_hz, self.fill_gap_frames, model)

@@ -1,4 +1,7 @@
-"""Tokens of file names: the columns that the paths of an archive have in common, for patterns to be proposed.
+"""Divide file paths into tokens: the columns that the paths of an archive have in common, for proposing patterns.
+
+Paths of one layout have the same number of folders, and the same number of fields in their names, between separators
+that are found from all names. Nothing but the text of the paths is used.
 
 Paths of one layout have as many folders, and as many fields in their names, between separators that are found by
 looking at all names. No archive is known here; the text of the names is all there is.
@@ -16,7 +19,7 @@ from functools import cached_property
 SEPARATORS = ("_", "-", " ", ".")
 
 USUAL = 0.8
-"""The share of names that a separator must be in to divide them."""
+"""The least share of names that must contain a separator for it to divide them."""
 
 _MOST_FIELDS = 12
 
@@ -27,16 +30,16 @@ _WORDS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 
 @dataclass(frozen=True)
 class Column:
-    """The values of one token in the paths of a layout.
+    """The values of one token in all paths of a layout.
 
     Attributes
     ----------
     values : tuple of str
-        The value of each path.
+        The value in each path.
     folder : bool
         True for a folder, False for a field of the file's name.
     free : bool
-        True for a field that holds separators itself.
+        True for a field that contains separators itself.
     """
 
     values: tuple[str, ...]
@@ -45,7 +48,7 @@ class Column:
 
     @cached_property
     def counts(self) -> Counter[str]:
-        """The number of paths of each value."""
+        """The number of paths with each value."""
         return Counter(self.values)
 
     @property
@@ -60,25 +63,25 @@ class Column:
 
     @cached_property
     def prefix(self) -> str:
-        """The letters in front of a number, if every value is a number after these; empty otherwise."""
+        """The letters before the number, if every value is a number after the same letters; empty otherwise."""
         found = [re.fullmatch(r"([^0-9]+)[0-9]+", value) for value in self.counts]
         prefixes = {match[1] for match in found if match is not None}
         return prefixes.pop() if len(prefixes) == 1 and all(found) else ""
 
     @cached_property
     def shapes(self) -> frozenset[str]:
-        """The forms of the values: letters as "a", digits as "9"."""
+        """The shapes of the values: letters become "a", digits become "9"."""
         return frozenset(re.sub(r"[^\W\d_]", "a", re.sub(r"[0-9]", "9", value)) for value in self.counts)
 
     @cached_property
     def words(self) -> list[list[str]]:
-        """The words of each different value, in small letters."""
+        """The words of each distinct value, in lower case."""
         return [[word.lower() for word in _WORDS.findall(value)] for value in self.counts]
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Paths with the same columns.
+    """Paths that have the same columns.
 
     Attributes
     ----------
@@ -87,7 +90,7 @@ class Layout:
     columns : tuple of Column
         The columns: folders first, then the fields of the name.
     separator : str
-        The text between two fields; empty where they follow one another.
+        The text between two fields; empty if there is none.
     """
 
     paths: tuple[str, ...]
@@ -101,7 +104,7 @@ class Layout:
 
 
 def layouts(paths: Iterable[str]) -> list[Layout]:
-    """Divide paths into layouts, the one with most paths first.
+    """Divide paths into layouts, the one with the most paths first.
 
     Parameters
     ----------
@@ -118,12 +121,12 @@ def layouts(paths: Iterable[str]) -> list[Layout]:
 
 
 def stem_of(path: str) -> str:
-    """Return the name of a file without folder and ending."""
+    """Return the name of a file without its folder and ending."""
     return os.path.splitext(os.path.basename(path))[0]
 
 
 def _of_depth(paths: list[str]) -> list[Layout]:
-    """Return the layouts of paths with as many folders, whose names one separator divides."""
+    """Return the layouts of paths of the same depth, whose names are divided by one separator."""
     separator, split = _splitter([stem_of(path) for path in paths])
     by_count: dict[int, list[str]] = {}
     for path in paths:
@@ -141,7 +144,7 @@ def _layout(paths: Sequence[str], fields: Sequence[Sequence[str]], separator: st
 
 
 def _splitter(stems: Sequence[str]) -> tuple[str, Callable[[str], list[str]]]:
-    """Return the separator that divides most names, and the function that divides one by it."""
+    """Return the separator that divides most names, and the function that divides a name by it."""
     for separator in SEPARATORS:
         if sum(separator in stem.strip(separator) for stem in stems) >= USUAL * len(stems):
             return separator, lambda stem, by=separator: stem.split(by)
@@ -153,15 +156,15 @@ def _splitter(stems: Sequence[str]) -> tuple[str, Callable[[str], list[str]]]:
 
 
 def _numbered(stem: str) -> list[str]:
-    """Divide a name from the number at its end."""
+    """Divide a name before the number at its end."""
     found = _NUMBERED.fullmatch(stem)
     return [found[1], found[2]] if found else [stem]
 
 
 def _with_free_field(by_count: dict[int, list[str]], separator: str) -> Layout | None:
-    """Return a layout in which one field holds separators itself; None if the names have no fields in common.
+    """Return a layout in which one field contains separators itself; None if the names have no fields in common.
 
-    The other fields, counted from both ends, have values in common whatever the number of fields.
+    The other fields, counted from both ends, have common values whatever the number of fields.
     """
     groups = [[stem_of(path).split(separator) for path in paths] for paths in by_count.values()]
     least = min(by_count)
@@ -193,7 +196,7 @@ def _joined(names: list[str], before: int, after: int, separator: str) -> list[s
 
 
 def _alike(sets: Sequence[set[str]]) -> bool:
-    """Return whether values of one field are of one kind: all numbers, or half of the smaller set in the largest."""
+    """Return whether sets of values are of one kind: all numbers, or each with half its values in the largest set."""
     numbers = {all(value.isdecimal() for value in values) for values in sets}
     if numbers == {True}:
         return True

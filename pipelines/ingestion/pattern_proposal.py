@@ -1,4 +1,4 @@
-"""Proposals of patterns for the paths of an archive: which token looks like actor, class, number or style."""
+"""Propose patterns for the paths of an archive: find tokens that look like actor, class, number or style."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from functools import cached_property
 from kinedex.pipelines.ingestion.path_tokens import Column, Layout, layouts
 
 MOST_PATTERNS = 8
-"""Most patterns of a proposal; further layouts are counted as unmatched."""
+"""The largest number of patterns in a proposal; paths of further layouts count as unmatched."""
 
 _MOTIONS = frozenset(
     """
@@ -38,16 +38,16 @@ _SHARE = 0.3
 
 @dataclass(frozen=True)
 class Token:
-    """A column of a layout, with what it looks like.
+    """A column of a layout, with the role that it appears to have.
 
     Attributes
     ----------
     column : Column
         Its values.
     role : str
-        The name of its group: "actor", "class", "clip", "style", "tag", …; empty where it has none.
+        The name of its group: "actor", "class", "clip", "style", "tag", …; empty if it has none.
     why : str
-        The reason for that, or what it is otherwise.
+        The reason for the role, or for having none.
     """
 
     column: Column
@@ -81,7 +81,7 @@ class Proposal:
 
     @cached_property
     def fits(self) -> bool:
-        """True if the pattern gives every path of the layout the values of its tokens."""
+        """True if the pattern extracts the values of all tokens from every path of the layout."""
         compiled = re.compile(self.pattern)
         for number, path in enumerate(self.layout.paths):
             found = compiled.search(path)
@@ -93,7 +93,7 @@ class Proposal:
 
 
 def propose(paths: Iterable[str]) -> list[Proposal]:
-    """Propose patterns for paths; those of deeper paths and of more fields come first, as they must be tried.
+    """Propose patterns for paths; those for deeper paths and more fields come first, because they must be tried first.
 
     Parameters
     ----------
@@ -115,13 +115,13 @@ def propose(paths: Iterable[str]) -> list[Proposal]:
 
 
 def matched(proposals: Sequence[Proposal], paths: Iterable[str]) -> int:
-    """Return the number of paths that one of the patterns matches."""
+    """Return the number of paths that at least one of the patterns matches."""
     compiled = [re.compile(proposal.pattern) for proposal in proposals]
     return sum(any(pattern.search(path) for pattern in compiled) for path in paths)
 
 
 def _tokens(layout: Layout, known: Sequence[Proposal]) -> Iterator[Token]:
-    """Yield what each column of a layout looks like."""
+    """Yield each column of a layout with its role."""
     columns = layout.columns
     roles = _inherited(layout, known)
     plain = [n for n, column in enumerate(columns) if not column.is_constant and not _is_repeated(columns, n)]
@@ -144,7 +144,7 @@ def _tokens(layout: Layout, known: Sequence[Proposal]) -> Iterator[Token]:
 
 
 def _inherited(layout: Layout, known: Sequence[Proposal]) -> dict[int, str]:
-    """Return the roles of columns that look like those at the same place of a layout that was looked at before."""
+    """Return the roles of columns that look like those at the same position in a layout examined before."""
     roles: dict[int, str] = {}
     fields = [number for number, column in enumerate(layout.columns) if not column.folder]
     for proposal in known:
@@ -159,7 +159,7 @@ def _inherited(layout: Layout, known: Sequence[Proposal]) -> dict[int, str]:
 
 
 def _is_repeated(columns: Sequence[Column], number: int) -> bool:
-    """Return whether a column is a folder whose name another column has, too, in nearly every path."""
+    """Return whether a column is a folder whose name another column repeats in nearly every path."""
     column = columns[number]
     others = [other for other in columns[number + 1 :] if not other.is_constant]
     return column.folder and any(
@@ -169,7 +169,7 @@ def _is_repeated(columns: Sequence[Column], number: int) -> bool:
 
 
 def _actor(columns: Sequence[Column], plain: Sequence[int]) -> int | None:
-    """Return the column of people: short codes, numbers after a word for people, or the first of two numbers."""
+    """Return the column of actors: short codes, numbers after a word for people, or the first of two numbers."""
     for number in plain:
         if columns[number].prefix.strip("-. ").lower() in _PEOPLE:
             return number
@@ -187,7 +187,7 @@ def _actor(columns: Sequence[Column], plain: Sequence[int]) -> int | None:
 
 
 def _clip(columns: Sequence[Column], plain: Sequence[int]) -> int | None:
-    """Return the column that counts: the last one of numbers, or of numbers after a word for takes."""
+    """Return the column that numbers takes: the last one with numbers, or with numbers after a word for takes."""
     for number in reversed(plain):
         if columns[number].is_number or columns[number].prefix.strip("-. ").lower() in _TRIALS:
             return number
@@ -195,7 +195,7 @@ def _clip(columns: Sequence[Column], plain: Sequence[int]) -> int | None:
 
 
 def _share(column: Column, known: frozenset[str]) -> float:
-    """Return the share of the values with one of the words, in any form: walking and walks are of walk."""
+    """Return the share of the values that contain one of the words in any form, such as walking and walks for walk."""
     hits = sum(any(_has(word, known) for word in words) for words in column.words)
     return hits / len(column.counts)
 
@@ -206,7 +206,7 @@ def _has(word: str, known: frozenset[str]) -> bool:
 
 
 def _class(layout: Layout, plain: Sequence[int]) -> int | None:
-    """Return the column of motions: the one with most words for motions, else with most values that are repeated."""
+    """Return the column of motion classes: the one with most words for motions, else with most repeated values."""
     texts = [number for number in plain if not layout.columns[number].is_number]
     texts = [number for number in texts if not layout.columns[number].prefix or layout.columns[number].free]
     columns = layout.columns
@@ -245,7 +245,7 @@ _RESERVED = frozenset(
 
 
 def _why(layout: Layout, number: int, role: str) -> str:
-    """Return what a column looks like, or why it has no role."""
+    """Return a description of a column, or the reason why it has no role."""
     column = layout.columns[number]
     if not role:
         if _is_repeated(layout.columns, number):

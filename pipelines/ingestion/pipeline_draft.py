@@ -1,4 +1,4 @@
-"""Drafts of pipelines: the main job with patterns that were proposed for an archive, as commented YAML."""
+"""Draft pipeline files with patterns proposed for an archive, as commented YAML."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from kinedex.pipelines.ingestion.held_out_takes import Division, division
 from kinedex.pipelines.ingestion.pattern_proposal import Proposal, Token
 
 MOST_VALUES = 12
-"""Most values of a token that a comment lists."""
+"""The largest number of values of a token that a comment lists."""
 
 _WIDEST = 110
 
@@ -54,22 +54,22 @@ _FILTERS = """
 
 
 def value_counts(token: Token, most: int) -> str:
-    """Return the values of a token with their numbers, most frequent first, such as "walk (12), run (3)"."""
+    """Return the values of a token with their counts, most frequent first, such as "walk (12), run (3)"."""
     counts = sorted(token.column.counts.items(), key=lambda item: (-item[1], item[0]))
     shown = ", ".join(f"{visible(value) or 'nothing'} ({count:,})" for value, count in counts[:most])
     return shown + (f" and {len(counts) - most:,} more" if len(counts) > most else "")
 
 
 def pipeline_name(folder: Path) -> str:
-    """Return a name for the pipeline of a folder, of the letters that names of pipelines may have."""
+    """Return a name for the pipeline of a folder, with only the characters that such names may have."""
     return re.sub(r"[^A-Za-z0-9_-]+", "-", folder.name).strip("-_") or "archive"
 
 
 def draft(proposals: Sequence[Proposal], source: Path, count: int, matched: int, output: str) -> str:
     """Return the text of a pipeline file.
 
-    Where every take has a class, some are held out of training, annotated, and evaluated by their classes. Stages that
-    need example clips, or takes to annotate, are comments where the archive has none.
+    If every take has a class, some takes are held out of training, annotated, and evaluated by their classes. Stages
+    that need example clips, or takes to annotate, are commented out if the archive has none.
 
     Parameters
     ----------
@@ -138,10 +138,10 @@ def _patterns(proposals: Sequence[Proposal]) -> list[str]:
 
 
 def _filters(divided: Division | None) -> list[str]:
-    """Return the settings that choose the takes to learn from and those to annotate."""
+    """Return the settings that select the takes to learn from and those to annotate."""
     if divided is None:
         return _FILTERS.strip("\n").splitlines()
-    quote = '"'  # the filters have single ones
+    quote = '"'  # the filters contain single quotes
     return [
         f"  # every take has a class: {visible(divided.reason)} are annotated, evaluated by their own classes, and not",
         "  # learned from; once there are takes without a class, write `class IS NOT NULL` and `class IS NULL`",
@@ -151,7 +151,7 @@ def _filters(divided: Division | None) -> list[str]:
 
 
 def _rest(with_class: int, count: int, divided: Division | None) -> list[str]:
-    """Return the stages after the index; as comments, with the reason, where they would find no takes."""
+    """Return the stages after the index; those that would find no takes are commented out, with the reason."""
     stages = _STAGES.rstrip().splitlines()
     place = stages.index("  evaluate:")
     if divided is not None:
@@ -165,7 +165,7 @@ def _rest(with_class: int, count: int, divided: Division | None) -> list[str]:
     )
     learn = stages.index("") + 1
     first = stages[:0] if not with_class else stages[learn - 1 : stages.index("", learn)]
-    # a comment within a comment would be one more thing to uncomment
+    # comments within commented-out stages are removed
     others = [line for line in stages[len(first) :] if not line.lstrip().startswith("#")]
     return [
         *first,

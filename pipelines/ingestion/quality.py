@@ -1,4 +1,4 @@
-"""Quality of takes: the figures that ingest measures, their columns of `takes`, and the warnings on them."""
+"""Rate the quality of takes: the figures that ingest measures, their columns of `takes`, and warnings."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ RECOGNITION_COLUMNS = {
         "VARCHAR", "quality", "", "the joints that the file does not hold and that are estimated, with a blank between"
     ),
 }
-"""The declarations of the columns of recognition."""
+"""The declarations of the columns that describe how a skeleton was recognised."""
 
 QUALITY_COLUMNS = RECOGNITION_COLUMNS | {
     figure.name: TakeColumn(figure.type, "quality", figure.unit, figure.meaning) for figure in FIGURES
 }
-"""The declarations of the columns of recognition and of figures."""
+"""The declarations of the columns of recognition and of quality figures."""
 
 
 def figures_of(body: Body, joints: tuple[str, ...]) -> Plausibility:
-    """Measure the figures of a body, whose joints have these names."""
+    """Measure the quality figures of a body with the given joint names."""
     return plausibility(body.positions, joints, body.rate_hz, body.valid)
 
 
 def judged(body: Body, joints: tuple[str, ...], stored: Collection[str]) -> tuple[dict[str, Any], list[str]]:
-    """Return figures and warnings of a body.
+    """Return the quality figures of a body, and warnings about it.
 
     Parameters
     ----------
@@ -58,12 +58,12 @@ def judged(body: Body, joints: tuple[str, ...], stored: Collection[str]) -> tupl
 
 
 def stored_figures(columns: Mapping[str, TakeColumn]) -> frozenset[str]:
-    """Return the figures among the declared columns of a store; a name that the user's columns have is none of them."""
+    """Return the names of figures among the declared columns of a store, excluding columns of the user."""
     return frozenset(name for name, column in columns.items() if name in QUALITY_COLUMNS and column.origin == "quality")
 
 
 def declarable_figures(columns: Mapping[str, TakeColumn]) -> tuple[dict[str, TakeColumn], list[str]]:
-    """Return the columns of figures that a store can declare, and a sentence for each that it cannot."""
+    """Return the columns of figures that a store can declare, and a sentence for each that it cannot declare."""
     problems = {name: column_problem(name, column, columns) for name, column in QUALITY_COLUMNS.items()}
     sentences = [
         f"the figure '{name}' of the quality of takes is no column: {problem}; name that column otherwise to have both"

@@ -1,4 +1,4 @@
-"""Rounds of reading: first the files, then the persons of those files that turned out to hold several."""
+"""Read files in rounds: first all files, then the persons of files that turned out to contain several."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ PERSON_COLUMNS = {
     "person": TakeColumn("VARCHAR", "file", meaning="the person, of a file that holds several"),
     "persons": TakeColumn("BIGINT", "file", meaning="the number of persons in the file, where it holds several"),
 }
-"""The declared columns of takes in a store with files of several persons."""
+"""The columns of takes that a store declares for files with several persons."""
 
 
 @dataclass
 class FilesRead:
-    """The outcome of all rounds.
+    """The result of all rounds.
 
     Attributes
     ----------
@@ -49,9 +49,9 @@ class FilesRead:
     takes : dict of str to list of str
         Path → names of the takes that were read from a file.
     persons : dict of str to int
-        Path → number of persons of the files that hold several.
+        Path → number of persons, for files with several.
     surplus : list of int
-        The ids of takes of persons whom their files do not hold any more.
+        The ids of takes of persons that their files no longer contain.
     skeletons : set of str
         The names of the mappings that takes were read with.
     """
@@ -112,7 +112,7 @@ class ReadRounds:
         return self.params.strict and bool(self.done.failures)
 
     def _read(self, tasks: Sequence[Task]) -> list[tuple[Task, tuple[str, ...]]]:
-        """Read one round, and return the files that hold several persons."""
+        """Read one round, and return the files that contain several persons."""
         workers = self.context.executor.workers
         memory = MemoryShare.of(self.params.max_memory, workers) if self.params.max_memory is not None else None
         several: list[tuple[Task, tuple[str, ...]]] = []
@@ -143,7 +143,7 @@ class ReadRounds:
         for task in batch.tasks:
             file = self.plan.known.get(task.motion.path)
             if task.person is None and file is not None and any(row["name"] == task.name for row in written.takes):
-                # a file that held several persons holds one now
+                # a file that contained several persons now contains one
                 self.done.surplus += [row["take_id"] for row in file.rows if row["name"] != task.name]
         if written.part is not None:
             rows = pa.Table.from_pylist(written.takes, schema=self.writer.takes_schema)
@@ -152,7 +152,7 @@ class ReadRounds:
             self.done.frames += written.part.rows
 
     def _persons(self, several: Sequence[tuple[Task, tuple[str, ...]]]) -> list[Task]:
-        """Return a task for each person, whose take has the name of the file and of the person."""
+        """Return a task for each person, whose take is named after the file and the person."""
         if not several:
             return []
         problems = [
@@ -171,7 +171,7 @@ class ReadRounds:
         return sorted((replace(task, take_id=ids[task.name]) for task in tasks), key=lambda task: task.take_id)
 
     def _named(self, task: Task, persons: tuple[str, ...]) -> Iterator[Task]:
-        """Yield the tasks of the persons of a file; those whom the store knows keep their names."""
+        """Yield the tasks for the persons in a file; persons known to the store keep the names of their takes."""
         path = task.motion.path
         rows = self.plan.known[path].rows if path in self.plan.known else ()
         names = {row.get("person"): row["name"] for row in rows}
@@ -190,7 +190,7 @@ def _split(batch: Batch, written: Written) -> list[Task]:
 
 
 def _no_column(task: Task, persons: Sequence[str]) -> SourceError:
-    """Return the error of a file of several persons in a store that has other columns of these names."""
+    """Return the error of a file with several persons in a store whose columns `person` or `persons` are the user's."""
     return SourceError(
         task.motion.absolute,
         f"holds {len(persons)} persons ({', '.join(persons)}), and the columns `person` and `persons` of takes, which "
@@ -204,13 +204,13 @@ def _give_up(batch: Batch, fault: Exception) -> Written:
 
 
 def _batches(tasks: Sequence[Task], limit: int, workers: int) -> list[tuple[Task, ...]]:
-    """Divide tasks by bytes: at most `limit` each, and two for every worker where there is enough work."""
+    """Divide tasks by bytes: at most `limit` per batch, and two batches per worker if there is enough work."""
     sizes = [task.motion.size for task in tasks]
     return batches_of(tasks, sizes, min(limit, max(4 * MEGABYTE, sum(sizes) // (2 * workers) + 1)))
 
 
 def _compile_kernels(feature_set: FeatureSet) -> None:
-    """Compile kernels into the cache, before several processes would each do so."""
+    """Compile kernels into the cache, so that worker processes need not all compile them."""
     node = kinematics.Node("root", -1, np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), ())
     kinematics.forward((node,), np.zeros((2, 1)))
     textnumbers.parse_frames(b"1\nroot 0\n", 0, 1, ["root"], [1])

@@ -1,4 +1,4 @@
-"""Settings of a source that a store remembers, for parameters that nobody gives at the next ingest."""
+"""Look up settings of a source that a store remembers, for parameters left unset at the next ingest."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from kinedex.storage.store.store import Store
 
 
 def with_remembered(params: IngestParameters, unset: frozenset[str], store: Store) -> IngestParameters:
-    """Return the parameters of an ingest, with those of the last ingest of the source in place of unset ones.
+    """Return the parameters of an ingest, with those of the source's last ingest in place of unset ones.
 
     Parameters
     ----------
     params : IngestParameters
         The parameters.
     unset : frozenset of str
-        The names of those that nobody has given.
+        The names of the parameters that the user has not set.
     store : Store
         The store.
     """
     settings = _settings_of(params.root, store)
-    # a store has one feature set for good
+    # a store never changes its feature set
     return params.with_remembered({name: settings[name] for name in settings if name in unset - {"features"}})
 
 
 def _settings_of(root: str, store: Store) -> dict[str, Any]:
-    """Return the settings of a source, or of the one that was moved to its place; empty for a new one."""
+    """Return the settings of a source, or of the source that was moved to its path; empty for a new one."""
     sources = store.manifest.sources
     if root in sources:
         return sources[root].settings

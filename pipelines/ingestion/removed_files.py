@@ -1,4 +1,4 @@
-"""Files of a source whose takes a person has removed from the store: an ingest passes them over."""
+"""Find the files of a source whose takes a person has removed from the store, which an ingest skips."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from kinedex.storage.formats.motion.sources import PassedOver, Scan
 from kinedex.storage.snapshot.manifest import Manifest
 
 KIND = "files whose takes were removed (`kinedex takes readmit` reads them again)"
-"""The kind of these files among those that an ingest passes over."""
+"""The description of these files among those that an ingest skips."""
 
 
 def removed_below(source: str | Path, manifest: Manifest | None) -> tuple[str, ...]:
@@ -21,12 +21,12 @@ def removed_below(source: str | Path, manifest: Manifest | None) -> tuple[str, .
 
 
 def without_removed(found: Scan, manifest: Manifest | None) -> Scan:
-    """Return a scan in which files whose takes were removed are passed over.
+    """Return a scan without the motion files whose takes were removed; they are listed as skipped.
 
     Raises
     ------
     KinedexError
-        No other motion file is left.
+        No other motion file remains.
     """
     root = found.motions[0].root
     removed = frozenset(removed_below(root, manifest))

@@ -1,4 +1,4 @@
-"""Reading one motion file outside of an archive, with the skeleton file that belongs to it."""
+"""Read one motion file outside of an archive, with the skeleton file that belongs to it."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from kinedex.storage.formats.motion.reader_table import motion_endings, persons_
 from kinedex.storage.formats.motion.sources import UNREAD, SourceFile, skeleton_of
 
 ABOVE = 3
-"""So many folders above an AMC file are searched for its ASF file where no source root is given."""
+"""The number of folders above an AMC file that are searched for its ASF file if no source root is given."""
 
 
 def motion_ending(file: Path) -> str:
-    """Return the ending of a motion file in small letters, such as ".bvh".
+    """Return the ending of a motion file in lower case, such as ".bvh".
 
     Raises
     ------
@@ -35,7 +35,7 @@ def motion_ending(file: Path) -> str:
 
 
 def skeleton_beside(amc: Path, source: Path | None = None) -> Path:
-    """Find the skeleton file of an AMC file by the rule of ingest.
+    """Find the skeleton file of an AMC file by the same rule as ingest.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def skeleton_beside(amc: Path, source: Path | None = None) -> Path:
     KinedexError
         The file does not lie below the source root.
     SourceError
-        No skeleton file fits, or several fit equally well.
+        No skeleton file matches, or several match equally well.
     """
     amc = amc.resolve()
     root = source.resolve() if source is not None else [amc.parent, *amc.parent.parents][: ABOVE + 1][-1]
@@ -62,7 +62,7 @@ def skeleton_beside(amc: Path, source: Path | None = None) -> Path:
 
 
 def chosen_person(file: Path, skeleton: Path | None, mappings: Mappings, person: str) -> str:
-    """Return the person to read in a file; empty for a file of one person.
+    """Return the person to read in a file; empty for a file with one person.
 
     Parameters
     ----------
@@ -73,12 +73,12 @@ def chosen_person(file: Path, skeleton: Path | None, mappings: Mappings, person:
     mappings : Mappings
         Skeleton mappings in which the file's nodes are looked up.
     person : str
-        The person that the user asks for, or nothing.
+        The person that the user has chosen, or an empty text.
 
     Raises
     ------
     SourceError
-        The file holds several persons and none is asked for, or it does not hold this one.
+        The file contains several persons and none is chosen, or it does not contain the chosen one.
     """
     persons = persons_of(MotionFile(file, skeleton), mappings)
     if person in persons or (not persons and not person):

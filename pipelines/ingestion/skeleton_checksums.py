@@ -1,4 +1,4 @@
-"""Checksums of skeleton files, on which takes depend; unchanged files are not read again."""
+"""Compute checksums of skeleton files, on which takes depend, without reading unchanged files again."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ _SCHEMA = result_schema("skeleton_files").remove(0)  # `run` is written by the s
 
 
 class SkeletonSums:
-    """The checksums of skeleton files; those of an earlier run where place, size and time are the same."""
+    """The checksums of skeleton files; those of an earlier run are reused if path, size and modification time match."""
 
     def __init__(self, known: pa.Table) -> None:
-        """Start with the checksums of earlier runs, rows of `skeleton_files`."""
+        """Start with the checksums of earlier runs, given as rows of `skeleton_files`."""
         self._known: dict[tuple[object, ...], str] = {
             tuple(row[name] for name in _SCHEMA.names[:-1]): row["checksum"] for row in known.to_pylist()
         }
@@ -34,7 +34,7 @@ class SkeletonSums:
         return self._found[state]
 
     def table(self) -> pa.Table:
-        """Return the checksums for the next run, rows of `skeleton_files`, also those of other sources."""
+        """Return the checksums for the next run as rows of `skeleton_files`, including those of other sources."""
         here = {root for root, *_ in self._found}
         others = {state: content for state, content in self._known.items() if state[0] not in here}
         rows = [(*state, content) for state, content in (others | self._found).items()]

@@ -1,4 +1,4 @@
-"""Names of takes: one for every file and person, by the stem of the file, or by its path where stems are equal."""
+"""Name takes: one name for every file and person, by the stem of the file, or by its path if stems are equal."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Iterable, Mapping
 from typing import Literal
 
 Naming = Literal["stem", "path", "file"]
-"""The name of a take: the stem of its file, its path without the ending, or with it."""
+"""The rule for the name of a take: the stem of its file, its path without the ending, or its path."""
 
 
 def file_names(naming: Naming, path: str) -> tuple[str, ...]:
-    """Return the names that the take of a file can have, the one that the rule asks for first.
+    """Return the names that the take of a file can have, the one by the given rule first.
 
     Parameters
     ----------
@@ -27,14 +27,14 @@ def file_names(naming: Naming, path: str) -> tuple[str, ...]:
 
 
 def person_name(file_name: str, person: str) -> str:
-    """Return the name of the take of one person in a file of several."""
+    """Return the name of the take of one person in a file with several."""
     return f"{file_name}-{person}" if person else file_name
 
 
 class TakeNames:
     """The names of the takes of a store, to which those of new files are added.
 
-    A name that was given stays: a file that comes later never takes it nor changes it.
+    An existing name is never changed: a file that is added later gets another name.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class TakeNames:
         self._owners = dict(owners)
 
     def add_files(self, paths: Iterable[str], named: Mapping[str, str]) -> dict[str, str]:
-        """Name the files of a source; those of equal stems by their paths, those of equal paths with their endings.
+        """Name the files of a source; files with equal stems are named by their paths, then with their endings.
 
         Parameters
         ----------
@@ -61,7 +61,7 @@ class TakeNames:
         Returns
         -------
         dict of str to str
-            Path → name of every file for which a name is free.
+            Path → name of every file for which a name was free.
         """
         choices = {path: file_names(self.naming, path) for path in paths}
         self._owners.update((name, path) for path, name in named.items())
@@ -76,7 +76,7 @@ class TakeNames:
         return names
 
     def add_person(self, path: str, file_name: str, person: str) -> str | None:
-        """Name the take of a person in a file of several; None if every name is another take's.
+        """Name the take of a person in a file with several; return None if every possible name is in use.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Batches of tasks, in which one task that kills its worker does not affect the others."""
+"""Run batches of tasks such that one task that kills its worker does not affect the others."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from kinedex.pipelines.engine.executors import Executor, WorkerDied
 
 
 class Batch(Protocol):
-    """A dataclass with some tasks, and all that its work needs."""
+    """Protocol of a batch: a dataclass with tasks, and everything that its work needs."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
     @property
     def tasks(self) -> tuple[Any, ...]:
-        """The tasks, each of which the work is done for."""
+        """The tasks of the batch."""
         ...
 
 
@@ -26,7 +26,7 @@ Work = TypeVar("Work", bound=Batch)
 Result = TypeVar("Result")
 
 PIECES = 8
-"""A batch that cannot be finished is cut into so many pieces, to find the task that is the cause."""
+"""The number of pieces into which a batch that fails is divided, to find the task that is the cause."""
 
 
 def run_batches(
@@ -35,11 +35,11 @@ def run_batches(
     batches: Iterable[Work],
     give_up: Callable[[Work, Exception], Result],
 ) -> Generator[tuple[Work, Result]]:
-    """Do the work of every batch, also where workers die.
+    """Do the work of every batch, even if workers die.
 
-    A batch whose workers die again and again, or whose work ends in an error that is not the project's own, is done
-    again in smaller and smaller pieces, until the task that is the cause is alone; that task is given up. Other work in
-    progress may be done twice.
+    A batch whose workers die repeatedly, or whose work raises an error other than a KinedexError, is repeated in
+    smaller and smaller pieces, until the task that is the cause is alone; that task is given up. Other work in progress
+    may be done twice.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def run_batches(
     work : callable
         Does the work of a batch; picklable, may be called twice, and does nothing for a batch without tasks.
     batches : iterable of Batch
-        Each with one task at least.
+        Batches with at least one task each.
     give_up : callable
         Returns the result of a batch of one task that cannot be finished, given the error.
 
@@ -60,14 +60,14 @@ def run_batches(
     Raises
     ------
     KinedexError
-        The work raised one; it concerns the store or the set-up, not a task.
+        The work raised it, because of the store or the set-up, not because of a task.
     """
     waiting = deque(batches)
     trouble = False
     while waiting:
         todo = list(waiting)
         if trouble and len(todo) == 1:
-            # executors do a lone item in this process, which must outlive it
+            # executors run a single item in this process, which must survive
             todo.append(replace(todo[0], tasks=()))
         results = executor.map(work, todo)
         for batch in todo:

@@ -1,1 +1,1 @@
-"""Inspection of one motion file: its content, how it is read, and a picture."""
+"""Inspect motion, depth and sensor files: their content, how they are read, and duplicates among takes."""

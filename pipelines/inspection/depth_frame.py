@@ -1,4 +1,4 @@
-"""Inspection of one frame of a depth camera: what is foreground, its graph and its geodesic extrema."""
+"""Inspect one frame of a depth camera: its foreground points, their graph, and geodesic extrema."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ F32 = npt.NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class InspectedFrame:
-    """A frame with what was found in it.
+    """A depth frame with the results of its analysis.
 
     Attributes
     ----------
@@ -34,17 +34,17 @@ class InspectedFrame:
     image : float32 array (H, W)
         Depths in metres.
     stride : int
-        Every how many rows and columns a pixel is used.
+        Step between the rows and columns whose pixels are used.
     placement : Placement
-        The place of the camera.
+        The position and orientation of the camera.
     cloud : FrameCloud
-        The foreground's points.
+        The points of the foreground.
     graph : PointGraph
-        Their graph.
+        The graph of the points.
     source : int
-        The source of extrema, −1 without a body.
+        The index of the point from which extrema are computed; −1 without a body.
     extrema : Extrema or None
-        The extrema, tips of limbs first; None without a body.
+        The geodesic extrema, tips of limbs first; None without a body.
     """
 
     camera: DepthCamera
@@ -60,18 +60,18 @@ class InspectedFrame:
 def inspect_depth_frame(
     file: Path, camera_file: Path, background: Path | None = None, stride: int | None = None
 ) -> InspectedFrame:
-    """Prepare a frame of a depth camera as the tracker does.
+    """Analyse a frame of a depth camera in the same way as the tracker.
 
     Parameters
     ----------
     file : Path
-        An image or a cloud.
+        A depth image or a point cloud.
     camera_file : Path
-        The camera.
+        The file that describes the camera.
     background : Path, optional
-        The empty room; unless given all that is measured is foreground.
+        A frame of the empty room; by default all measured pixels are foreground.
     stride : int, optional
-        Every how many rows and columns a pixel is used; the least with at most 6,000 points unless given.
+        Step between the rows and columns whose pixels are used; by default the least with at most 6,000 points.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Takes that hold the same file or the same motion: also cut, moved, turned, mirrored, or at another rate."""
+"""Find takes with the same file or the same motion, even if it is cut, moved, turned, mirrored, or at another rate."""
 
 from __future__ import annotations
 
@@ -26,35 +26,35 @@ from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.writer import StoreWriter
 
 STAGE = "duplicates/find"
-"""The stage that the rows are stored under."""
+"""The stage under whose name the rows are stored."""
 
 HELD_BYTES = 512 * 2**20
-"""The places of takes are held two blocks at a time, of so many bytes each."""
+"""The size of a block of takes in bytes; the joint positions of two blocks are held in memory at a time."""
 
 CACHED_BYTES = 256 * 2**20
-"""Poses that are kept at once."""
+"""The largest size, in bytes, of the cache of poses."""
 
 _FRAMES = (("root", "lhip", "rhip"), ("neck", "lshoulder", "rshoulder"))
-"""The joints that poses are placed and turned by: those of the pelvis, else those of the shoulders."""
+"""The joints that define the position and direction of poses: those of the pelvis, else those of the shoulders."""
 
 F32 = npt.NDArray[np.float32]
 I64 = npt.NDArray[np.int64]
 
 Candidate = tuple[int, int, int, bool]
-"""An alignment: both takes, the shift, and whether the second one is mirrored."""
+"""A possible alignment of two takes: both names, the shift in frames, and whether the second is mirrored."""
 
 
 def find_duplicates(store: Snapshot, display: Display) -> pa.Table:
-    """Find the takes that hold the same file or the same motion as another take.
+    """Find the takes that contain the same file or the same motion as another take.
 
     Takes with one checksum and the same words are copies of a file. Of each, one take is compared with all others:
-    alignments come from equal sequences of runs (`ops.duplicates.alignments`), and the places of the joints decide
+    equal sequences of runs yield alignments (`ops.duplicates.alignments`), and the joint positions decide
     (`ops.duplicates.same_motion`).
 
     Parameters
     ----------
     store : Snapshot
-        The version to look through.
+        The version of the store to search.
     display : Display
         Shows progress.
 
@@ -73,14 +73,14 @@ def find_duplicates(store: Snapshot, display: Display) -> pa.Table:
 
 
 def hold_one_motion(store: Snapshot, names: Sequence[str]) -> bool:
-    """Return whether takes hold the same motion as a whole: a label of the frames of one fits each of them.
+    """Return whether takes contain the same motion from start to end, so that a label of one applies to each of them.
 
     Parameters
     ----------
     store : Snapshot
         The version of their store.
     names : sequence of str
-        The takes; a single one does.
+        The names of the takes; a single one gives True.
     """
     if len(names) < 2:
         return True
@@ -97,7 +97,7 @@ def hold_one_motion(store: Snapshot, names: Sequence[str]) -> bool:
 
 
 def save_duplicates(store: Snapshot, table: pa.Table, run: str) -> None:
-    """Store the duplicates as results, in place of those that were found before.
+    """Store the duplicates as results, replacing earlier ones.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def save_duplicates(store: Snapshot, table: pa.Table, run: str) -> None:
 
 
 def copies_line(store: Snapshot) -> str | None:
-    """Return a line that counts the takes whose file is a copy of another take's; None where there are none."""
+    """Return a line that counts the takes whose file is a copy of another take's; None if there are none."""
     rows, _ = _same_files(store)
     if not rows:
         return None
@@ -143,7 +143,7 @@ def _same_files(store: Snapshot) -> tuple[list[dict[str, Any]], list[str]]:
 
 
 def _same_motions(store: Snapshot, names: list[str], progress: Progress) -> list[dict[str, Any]]:
-    """Return the rows of takes, of those given, that hold the same motion."""
+    """Return the rows of those of the given takes that contain the same motion."""
     words = store.words([store.take_id(name) for name in names])
     named = {take_id: name for name, take_id in store.take_ids.items()}
     ordered = [named[take_id] for take_id in words.take_ids.tolist()]
@@ -164,7 +164,7 @@ def _same_motions(store: Snapshot, names: list[str], progress: Progress) -> list
 
 
 def _candidates(store: Snapshot, words: TakeWords, progress: Progress) -> list[Candidate]:
-    """Return the alignments that can be of one motion, as far as words tell, in order of the takes."""
+    """Return possible alignments of the same motion according to the words, in order of the takes."""
     runs = word_runs(words.words, words.offsets)
     mirrored = store.feature_set.mirrored if store.feature_set.mirror else lambda _: None
     run_images, images = mirrored(runs.word), mirrored(words.words)
@@ -180,7 +180,7 @@ def _candidates(store: Snapshot, words: TakeWords, progress: Progress) -> list[C
 
 
 def _blocks(found: Sequence[Candidate], sizes: I64) -> Iterator[list[Candidate]]:
-    """Yield alignments in groups, each of takes of two blocks; the poses of a block have `HELD_BYTES` at most."""
+    """Yield alignments in groups between two blocks of takes; the poses of a block have at most `HELD_BYTES`."""
     number = ((np.cumsum(sizes) - sizes) // HELD_BYTES).tolist()
 
     def blocks(one: Candidate) -> tuple[int, int]:
@@ -191,7 +191,7 @@ def _blocks(found: Sequence[Candidate], sizes: I64) -> Iterator[list[Candidate]]
 
 
 def _common(store: Snapshot, poses: _Poses, one: str, two: str, shift: int, image: bool) -> dict[str, Any] | None:
-    """Return the row of two takes at an alignment; None where their motion differs."""
+    """Return the row of two takes at an alignment; None if their motion differs."""
     frames = store.take_frames
     lengths = {name: frames[store.take_id(name)] for name in (one, two)}
     other, take = sorted((one, two), key=lambda name: (-lengths[name], name))
@@ -218,7 +218,7 @@ def _row(
 
 
 class _Poses:
-    """The poses of takes: the places of some takes are held, and of the takes that were used last the poses."""
+    """The poses of takes: the joint positions of some takes are held in memory, and recently used poses are cached."""
 
     def __init__(self, store: Snapshot) -> None:
         self._store = store
@@ -228,13 +228,13 @@ class _Poses:
         self._bytes = 0
 
     def hold(self, takes: set[str]) -> None:
-        """Hold the places of some takes and no others; those that are not held are read, in the order of the store."""
+        """Hold the joint positions of the given takes in memory, and free all others."""
         self._held = {take: places for take, places in self._held.items() if take in takes}
         for take, frames in self._store.frames_of(takes - self._held.keys()):
             self._held[take] = np.ascontiguousarray(joint_positions(frames, self._joints).transpose(2, 0, 1))
 
     def of(self, take: str, mirrored: bool) -> F32:
-        """Return the poses of a take that is held, or of its mirror image; see `local_poses`."""
+        """Return the poses of a take held in memory, or of its mirror image; see `local_poses`."""
         key = (take, mirrored)
         if key not in self._cached:
             self._cached[key] = self._local(take, mirrored)
@@ -253,7 +253,7 @@ class _Poses:
 
     @staticmethod
     def _turned_by(joints: list[str], places: F32) -> Iterator[list[int]]:
-        """Yield the joints that poses can be turned by."""
+        """Yield the sets of joints by which poses can be turned."""
         for names in _FRAMES:
             if all(name in joints for name in names):
                 found = [joints.index(name) for name in names]
@@ -262,6 +262,6 @@ class _Poses:
 
 
 def _other_side(joint: str, joints: list[str]) -> str:
-    """Return the joint of the other side; a joint in the middle is its own."""
+    """Return the joint of the other side of the body; a joint in the middle is returned unchanged."""
     other = {"l": "r", "r": "l"}.get(joint[:1], "") + joint[1:]
     return other if other in joints else joint

@@ -1,4 +1,4 @@
-"""Statistics of the features of a take: shares of frames, runs, and features that lack a joint."""
+"""Compute statistics of the features of a take: shares of frames, runs, and missing joints."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def feature_shares(
     Returns
     -------
     pyarrow.Table
-        A row for each feature, in order: `feature` (F1, …), `name`, `percent` of the valid frames, `runs`,
+        A row for each feature, in order: `feature` (F1, …), `name`, `percent` of the valid frames, number of `runs`,
         `longest_seconds` of a run, and `remark`: the joints that the feature lacks, and whether it is unknown without
         them; NULL where it lacks none.
     """
@@ -58,7 +58,7 @@ def feature_shares(
 
 
 def _remarks(feature_set: FeatureSet, unknown: set[str]) -> list[str | None]:
-    """Return for each feature the joints that it lacks, in words, and whether it is unknown without them."""
+    """Return for each feature a remark on the joints that it lacks, and on whether it is unknown without them."""
     affected = feature_set.without(unknown)
     remarks: list[str | None] = []
     for feature in feature_set.features:

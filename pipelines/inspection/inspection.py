@@ -1,4 +1,4 @@
-"""Inspection of a motion file: format, joints, time, mapping, features, and the reason where it is unreadable."""
+"""Inspect a motion file: format, joints, time, mapping, features, and the reason why it cannot be read."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from kinedex.storage.formats.motion.reader_table import persons_of, read_body, r
 F64 = npt.NDArray[np.float64]
 
 SHOWN = 6
-"""Number of frames that the picture shows, the first and the last among them."""
+"""The number of frames in the picture, including the first and the last."""
 
 _FORMATS = {
     ".amc": "Acclaim (AMC with an ASF skeleton)", ".bvh": "BVH", ".c3d": "C3D, markers", ".trc": "TRC, positions",
@@ -49,9 +49,9 @@ _FORMATS = {
     ".mvnx": "MVNX (Xsens MVN)", ".glb": "glTF", ".gltf": "glTF", ".vrm": "VRM (glTF)", ".vrma": "VRM (glTF)",
     ".fbx": "FBX",
 }  # fmt: skip
-_UPRIGHT = {"x": "yxz", "y": "xyz", "z": "xzy"}  # axis that is up → the axes drawn to the right, up, and to the right
+_UPRIGHT = {"x": "yxz", "y": "xyz", "z": "xzy"}  # up axis → the axes drawn to the right, up, and to the right from the side
 _AXES = ("x to the right, y up", "z to the right, y up")
-_DRAWN = 1e9  # units; a joint farther away is an error of the file and would make the rest too small
+_DRAWN = 1e9  # units; a joint farther away is an error of the file and would make the others too small
 _RATE_HZ = 30.0  # the analysis rate of a store
 
 
@@ -62,13 +62,13 @@ class Inspection:
     Attributes
     ----------
     lines : list of (str, str)
-        Names and texts of the facts, in order.
+        The names and texts of the facts, in order.
     fault : KinedexError or None
-        The reason why the file cannot be read, None where it can.
+        The reason why the file cannot be read; None if it can be read.
     figure : Figure or None
-        The picture, None where no positions are known.
+        The picture; None if no positions are known.
     features : pyarrow.Table or None
-        Statistics of the features (`feature_shares`), None where there are no words.
+        Statistics of the features (`feature_shares`); None if there are no words.
     """
 
     lines: list[tuple[str, str]] = field(default_factory=list)
@@ -81,14 +81,14 @@ class Inspection:
         self.lines.append((name, text))
 
     def add_all(self, name: str, texts: Iterable[str]) -> None:
-        """Add facts one below the other, the first with their name."""
+        """Add facts on consecutive lines, the first one with their name."""
         for i, text in enumerate(texts):
             self.add("" if i else name, text)
 
 
 @dataclass(frozen=True)
 class _Skeleton:
-    """The nodes of a file before any mapping, with their figure where their positions are known."""
+    """The nodes of a file before mapping, with their figure if their positions are known."""
 
     form: Format
     nodes: dict[str, int]
@@ -102,7 +102,7 @@ def inspect_file(
     given: ReadSettings = DEFAULT_SETTINGS,
     person: str = "",
 ) -> Inspection:
-    """Collect the facts about a motion file, as far as they can be known where it is unreadable.
+    """Collect the facts about a motion file, as far as they are known if it cannot be read.
 
     Parameters
     ----------
@@ -111,21 +111,21 @@ def inspect_file(
     skeleton : str
         `auto`, the name of a shipped mapping, or the path of one.
     source : Path or None
-        The source root; the ASF of an AMC file is looked for up to it, or up to three folders above the file.
+        The source root, up to which the ASF of an AMC file is searched; by default up to three folders above the file.
     given : ReadSettings
-        Rate, gaps and body model that the user gives.
+        The rate, gaps and body model given by the user.
     person : str
-        The person to describe in a file of several; unless given, the first, and the others in a line each.
+        The person to describe in a file with several; by default the first, and one line for each of the others.
 
     Returns
     -------
     Inspection
-        The facts, with the reason where the file cannot be read.
+        The facts, with the reason if the file cannot be read.
 
     Raises
     ------
     KinedexError
-        If it is no motion file, or there is no such mapping.
+        If it is not a motion file, or there is no such mapping.
     """
     ending = motion_ending(file)
     feature_set = load_feature_set()
@@ -166,7 +166,7 @@ def inspect_file(
 
 
 def _add_persons(found: Inspection, file: Path, persons: list[str], mappings: Mappings, given: ReadSettings) -> None:
-    """Add a line for each of some persons in a file."""
+    """Add a line for each of the given persons in a file."""
     joints = load_feature_set().joints
     for person in persons:
         try:
@@ -182,7 +182,7 @@ def _add_persons(found: Inspection, file: Path, persons: list[str], mappings: Ma
 def _raw(
     found: Inspection, file: Path, asf: Path | None, mappings: Mappings, given: ReadSettings, person: str = ""
 ) -> _Skeleton | None:
-    """Add the facts known before any mapping, and return the nodes; None for a reader of a plugin."""
+    """Add the facts that are known before mapping, and return the nodes; None for a reader from a plugin."""
     if asf is not None:
         nodes = read_asf(asf, INCH_M).bones
         _add_nodes(found, nodes)
@@ -227,7 +227,7 @@ def _raw_scene(found: Inspection, scene: SceneFigure, file: Path) -> _Skeleton:
 
 
 def _raw_poses(found: Inspection, file: Path, given: ReadSettings) -> _Skeleton:
-    """Add the facts about a file of joint angles, and return its joints: those of the body model where one is given."""
+    """Add the facts about a file of joint angles, and return its joints, which are those of the body model if given."""
     poses = parse_amass(file)
     names = poses.names if given.body_model is None else load_body_model(given.body_model, poses.gender).names
     _add_nodes(found, names)
@@ -267,7 +267,7 @@ def _raw_points(
 def _raw_figure(
     file: Path, points: F64, bones: list[tuple[int, int, str]], times: list[str], axes: str = "xyz"
 ) -> Figure | None:
-    """Return the figure of the joints of a file in its own axes, None where positions are unknown or far away."""
+    """Return the figure of a file's joints in its own axes; None if positions are unknown or far away."""
     known = np.isfinite(points).all(axis=1)
     if not known.any(axis=0).all() or not np.nanmax(np.abs(points)) < _DRAWN:
         return None
@@ -296,7 +296,7 @@ def _add_time(found: Inspection, rate_hz: float, frames: int, note: str = "") ->
 
 
 def _add_mapping(found: Inspection, raw: _Skeleton, mappings: Mappings) -> None:
-    """Add the mapping that fits; where none does, the nearest one and the nodes that the file lacks."""
+    """Add the mapping that matches; if none does, add the nearest one and the nodes that the file lacks."""
     near = mappings.nearest(raw.form, raw.nodes)
     try:
         fit = mappings.detect("", raw.form, raw.nodes)
@@ -325,7 +325,7 @@ _NO_RATE = "the rate is not in the file"
 
 
 def _rate_note(given: ReadSettings, ending: str, stated: bool) -> str:
-    """Return how the rate of a file is known, as a note behind it; nothing for one that the file states."""
+    """Return a note on the origin of a file's rate; empty if the file states the rate."""
     if given.override_rate_hz or (given.rate_hz and not stated):
         return " (given)"
     if stated:
@@ -365,7 +365,7 @@ def _add_body(found: Inspection, body: Body, feature_set: FeatureSet, given: Rea
 
 
 def _add_recognition(found: Inspection, body: Body, figures: Plausibility, joints: tuple[str, ...]) -> None:
-    """Add how surely and by what the body was recognised, the joints that are estimated, and the figures."""
+    """Add the confidence and evidence of the recognised skeleton, the estimated joints, and the quality figures."""
     if body.evidence or body.confidence < 1:
         found.add("confidence", f"{body.confidence:.2f} of 1")
         found.add_all("evidence", body.evidence)
@@ -379,7 +379,7 @@ def _add_recognition(found: Inspection, body: Body, figures: Plausibility, joint
         limits = f", expected {figure.limits()}" if figure.limits() else ""
         if figure.name == "fastest_m_s" and figures.fastest is not None:
             limits = ", {} from source frame {}".format(*figures.fastest)
-        if value == value:  # not for NaN, the value of a figure that the joints do not show
+        if value == value:  # not for NaN, the value of a figure that these joints do not determine
             unit = f" {figure.unit}" if figure.unit else ""
             lines.append(f"{figure.name} {shown}{unit}{limits}{': OFF' if figure.off(value) else ''}")
     found.add_all("quality", lines)
@@ -390,7 +390,7 @@ def _percent(share: float) -> str:
 
 
 def _figure(file: Path, body: Body, joints: tuple[str, ...]) -> Figure:
-    """Return the figure of the mapped joints, each frame seen from the direction that the hips face."""
+    """Return the figure of the mapped joints, with each frame seen from the front of the hips."""
     valid = np.flatnonzero(body.valid) if body.valid is not None else np.arange(body.frames)
     shown = valid[_shown(len(valid))].tolist()
     points = _facing(body.positions[:, :, shown], joints)

@@ -1,4 +1,4 @@
-"""A skeleton mapping for a motion file, written for a person to edit: of recognition, or of the nearest mapping."""
+"""Propose a skeleton mapping for a motion file, from recognition or the nearest mapping, for a person to edit."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from kinedex.storage.formats.motion.reader_table import read_body
 def propose_mapping(
     file: Path, name: str, person: str = "", source: Path | None = None, given: ReadSettings = DEFAULT_SETTINGS
 ) -> str:
-    """Return a mapping for a motion file as YAML, also where the file is refused.
+    """Return a mapping for a motion file as YAML, even if the file is rejected.
 
     Parameters
     ----------
@@ -32,16 +32,16 @@ def propose_mapping(
     name : str
         The name of the mapping.
     person : str, optional
-        The person of a file of several.
+        The person, in a file with several.
     source : Path, optional
-        The source root, up to which the ASF of an AMC file is looked for.
+        The source root, up to which the ASF of an AMC file is searched.
     given : ReadSettings, optional
-        Rate, gaps and body model that the user gives.
+        The rate, gaps and body model given by the user.
 
     Raises
     ------
     KinedexError
-        The file is damaged, is no motion file, or holds no nodes with names.
+        The file is damaged, is not a motion file, or has no named nodes.
     """
     joints = load_feature_set().joints
     mappings = WatchedMappings.of_mappings(load_mappings("auto", joints))
@@ -58,7 +58,7 @@ def propose_mapping(
 
 
 def _proposal(asked: Question, mappings: WatchedMappings, joints: tuple[str, ...], name: str) -> str:
-    """Return the mapping that fits, that recognition proposes, or the nearest one with what it lacks."""
+    """Return the mapping that matches, the one that recognition proposes, or the nearest one with its missing nodes."""
     if asked.form is None:
         return ""
     if asked.fit is not None and not asked.fit.reasons:
@@ -74,7 +74,7 @@ def _proposal(asked: Question, mappings: WatchedMappings, joints: tuple[str, ...
 
 
 def _of_nodes(fit: Fit, nodes: Mapping[str, int]) -> Fit:
-    """Return a fit without the ends of bones that mappings do not see, since they lie where their joint is."""
+    """Return a fit without bone ends that mappings ignore because they coincide with their joints."""
 
     def seen(name: str) -> str:
         joint = name.removesuffix("_end")
@@ -95,7 +95,7 @@ def _of_nodes(fit: Fit, nodes: Mapping[str, int]) -> Fit:
 
 
 def _comment(file: Path, person: str, fault: SourceError | None) -> str:
-    """Return the lines above a mapping."""
+    """Return the comment lines above a mapping."""
     whose = f", person {person}" if person else ""
     lines = [f"# A skeleton mapping for files like {file.name}{whose}.".replace("\n", " ")]
     if fault is not None:
@@ -112,6 +112,6 @@ def _renamed(fit: Fit, name: str) -> str:
 
 
 def _lacking(near: Fit, asked: Question) -> str:
-    """Return comments on what the nearest mapping lacks in a file, and on the nodes that the file has."""
+    """Return comments on the nodes of the nearest mapping that a file lacks, and on the nodes that the file has."""
     lines = [f"# The file has no '{node}', for {what}." for what, node in near.missing.items()]
     return "\n".join([*lines, f"# Its nodes: {', '.join(asked.nodes)}"]) + "\n"

@@ -1,4 +1,4 @@
-"""Inspection of a file of inertial sensors: format, rates, channels, gaps, units against gravity, and rests."""
+"""Inspect a file of inertial sensors: format, rates, channels, gaps, units checked against gravity, and rests."""
 
 from __future__ import annotations
 
@@ -16,46 +16,46 @@ from kinedex.storage.formats.imu.recording import FORMATS, ImuRecording, ImuSens
 from kinedex.storage.formats.imu.signals import GRAVITY
 
 _SHOWN = 5
-_TURNING_RAD_S = 0.1  # a sensor that turns less shows its noise
+_TURNING_RAD_S = 0.1  # a sensor that turns more slowly shows mainly its noise
 
 
 @dataclass(frozen=True)
 class InspectedSensor:
-    """The figures of a sensor; None for one that its channels do not show.
+    """The figures of a sensor; those that its channels do not determine are None.
 
     Attributes
     ----------
     sensor : str
         Its name.
     limb : str or None
-        The limb that the file of sensors gives it.
+        The limb to which the sensor description assigns it.
     channels : tuple of str
-        Of acc, gyr, mag and orientation.
+        The channels among acc, gyr, mag and orientation.
     rate_hz : float
         Samples per second.
     samples : int
-        Their number.
+        The number of samples.
     lost : int
-        The samples that the rate leaves room for and that the file does not have.
+        The number of samples that are missing, according to the rate.
     seconds : float
-        From the first to the last one.
+        The duration from the first to the last sample.
     frame : str or None
-        The world of the file's own orientations.
+        The world frame of the file's own orientations.
     frame_assumed : bool
-        Nothing shows that world: neither the file, the field, a format that was checked on real files, nor the file of
-        sensors.
+        True if the world frame is a guess, shown neither by the file, the magnetic field, a verified format, nor the
+        sensor description.
     mean_acc_m_s2 : float or None
         The mean of |acc|.
     median_acc_m_s2 : float or None
-        The median of |acc|, which gravity is compared with.
+        The median of |acc|, which is compared with gravity.
     gyr_correlation, gyr_ratio : float or None
-        Correlation and ratio of gyr and the rate of the orientations; 1 and 1 where both are right.
+        Correlation and ratio of gyr and the angular rate of the orientations; both are 1 if both channels are right.
     gaps : tuple of (float, float)
-        Intervals of more than 50 ms without samples, seconds.
+        Intervals of more than 50 ms without samples, as times in seconds.
     rests : tuple of (float, float)
-        Intervals of a second or more at rest, seconds.
+        Intervals of a second or more at rest, as times in seconds.
     warnings : tuple of str
-        What is odd.
+        Warnings about implausible figures.
     """
 
     sensor: str
@@ -90,14 +90,14 @@ def inspect_sensor_file(
     file : Path
         The file.
     sensor_set : SensorSet
-        Limbs, units, world and columns.
+        The sensor description: limbs, units, world and columns.
     rate_hz : float, optional
-        Samples per second, for a file that states neither them nor times.
+        Samples per second, for a file that states neither its rate nor times.
 
     Returns
     -------
     tuple of (Inspection, list of InspectedSensor)
-        The facts in words, and the figures of each sensor.
+        The facts as text, and the figures of each sensor.
 
     Raises
     ------

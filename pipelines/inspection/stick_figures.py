@@ -1,4 +1,4 @@
-"""Stick figures of a few frames of a motion: the numbers of a picture, from the front and from the side."""
+"""Stick figures of a few frames of a motion: the data of a picture from the front and from the side."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ class Figure:
     times : sequence of str
         The text below each frame.
     views : sequence of (str, int, int)
-        For each row its title and the axes to the right and up.
+        For each row of the picture its title and the axes drawn to the right and up.
     ground : float
         Height of the ground line, in the unit of the points.
     title, note : str
         The lines at the top.
     legend : sequence of (str, str)
-        Texts with the colours that they explain.
+        Texts, each with the colour that it explains.
     """
 
     points: F64

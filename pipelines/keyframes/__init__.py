@@ -1,1 +1,1 @@
-"""Keyframe queries that are learned, in rounds that any number of workers share."""
+"""Learn keyframe queries in rounds of learning runs, which are spread over workers."""

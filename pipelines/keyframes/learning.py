@@ -1,4 +1,4 @@
-"""The learning of keyframe queries: training sets, runs and their consensus in workers, and the queries they give."""
+"""Learn keyframe queries: make training sets, run learners and find their consensus in workers, and return queries."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ from kinedex.pipelines.templates.learning import TrainingClips
 Learner = Literal["genetic", "random", "greedy"]
 
 REACH = 0.04
-"""Keyframes of two runs are the same where they are at most this share of the template apart; the thesis gives none."""
+"""The largest distance, as a share of the template, of keyframes of two runs that count as equal; not in the thesis."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """The numbers that queries are learned with; `KeyframeParameters` describes each of them."""
+    """The parameters with which queries are learned; `KeyframeParameters` describes each of them."""
 
     learner: Learner
     evolution: EvolutionSettings
@@ -71,10 +71,10 @@ class TrainingSet:
     positives : tuple of uint64 arrays (L,)
         The words of its clips.
     negatives : tuple of uint64 arrays (L,)
-        The words of clips of other classes, as far as they know these features, and of intervals that a person has
+        The words of clips of other classes in which these features are known, and of intervals that a person has
         rejected.
     known : int
-        The mask of the features that the clips know, with the bits of a word; keyframes fix no others.
+        The mask of the features known in the clips, with the bits of a word; keyframes use no others.
     """
 
     subclass: str
@@ -85,14 +85,14 @@ class TrainingSet:
 
     @property
     def subject(self) -> str:
-        """The subject of a task, for messages."""
+        """The subject of the task, for messages."""
         return f"the keyframe query of {self.subclass}"
 
     def key(self, setting: Setting) -> str:
-        """Return a hash of all that a run depends on except its number: runs of the same key are the same.
+        """Return a hash of everything that a run depends on except its number.
 
-        It begins with that of the clips (`clips_key`) and a hyphen. Numbers that concern finished runs only are not
-        part of it.
+        It begins with the hash of the clips (`clips_key`) and a hyphen. Parameters that affect only the evaluation of
+        finished runs are excluded.
         """
         same = replace(setting, margins="learned", alternatives=0, at_least="median")
         return f"{self.clips_key()}-{_digest(repr(sorted(asdict(same).items(), key=str)))}"
@@ -114,13 +114,13 @@ def _digest(text: str, *groups: Sequence[U64]) -> str:
 
 @lru_cache(maxsize=1)
 def _code() -> str:
-    """Return a hash of the code of a run, so that runs of other code are not reused."""
+    """Return a hash of the code of a run, so that runs made by other code are not reused."""
     return code_digest(learn_runs)
 
 
 @dataclass(frozen=True)
 class RunTask:
-    """The runs of one training set that one worker makes."""
+    """A task: some of the runs of one training set."""
 
     training: TrainingSet
     setting: Setting
@@ -134,7 +134,7 @@ class RunTask:
 
 @dataclass(frozen=True)
 class ConsensusTask:
-    """The runs of one training set, whose consensus one worker finds."""
+    """A task: to find the consensus of the runs of one training set."""
 
     training: TrainingSet
     setting: Setting
@@ -148,7 +148,7 @@ class ConsensusTask:
 
 @dataclass(frozen=True)
 class Chosen:
-    """A chosen query, and the frames before and after a hit that the motion may reach."""
+    """A selected query, and the margins: frames before and after a hit into which the motion may extend."""
 
     query: Individual
     left: int
@@ -157,7 +157,7 @@ class Chosen:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of the runs of one subclass.
+    """The result of the runs of one subclass.
 
     Attributes
     ----------
@@ -168,10 +168,10 @@ class Outcome:
     chosen : tuple of Chosen
         The queries that preselect for the subclass.
     precision, recall : float
-        Those of all chosen queries together, on the clips as they are: unlike the fitness without joined clips, and
-        without what `steady` and `tempo` demand.
+        Those of all selected queries together, on the clips; unlike the fitness without joined clips, and
+        without the conditions of `steady` and `tempo`.
     columns : int
-        The columns of the template.
+        The number of columns of the template.
     clips : tuple of str
         The names of the positive clips.
     runs : int
@@ -191,9 +191,10 @@ class Outcome:
 def training_sets(
     clips: Sequence[TrainingClips], classes: Classes, rejected: Sequence[Rejected] = ()
 ) -> list[TrainingSet]:
-    """Make the training set of each subclass: clips of other classes are negative, other subclasses of its own are not.
+    """Make the training set of each subclass; its negatives are the clips of other classes.
 
-    Clips of other classes that lack a feature which the subclass knows are no negatives: of it they state nothing.
+    Clips of other subclasses of the same class are not negatives, nor are clips that lack a feature known in the
+    subclass.
 
     Parameters
     ----------
@@ -202,8 +203,8 @@ def training_sets(
     classes : Classes
         The classes; a subclass in none of them is a class of its own.
     rejected : sequence of Rejected, optional
-        Intervals that a person has rejected for a class, which are negative for it: for one of its subclasses, or for
-        all of them where the class is named. They come last.
+        Intervals that a person has rejected for a class, which are its negatives: for one of its subclasses, or for
+        all of them if the class is named. They come last.
     """
     of = classes.of_subclass()
     label = {one.subclass: of.get(one.subclass, one.subclass) for one in clips}
@@ -232,15 +233,15 @@ def training_sets(
 
 
 def allowed_features(feature_set: FeatureSet, sets: Sequence[str]) -> int:
-    """Return the features of some sets as a mask, bit i − 1 for F_i; all features where no set is named."""
+    """Return the features of some sets as a mask, bit i − 1 for F_i; all features if no set is named."""
     numbers = [number for name in sets or feature_set.sets for number in feature_set.word_set(name).numbers]
     return sum(1 << (number - 1) for number in set(numbers))
 
 
 def strict_template(training: TrainingSet, setting: Setting) -> QuantisedTemplate:
-    """Return the template whose columns become keyframes: entries that do not vary, and hold for `steady` columns.
+    """Return the template whose columns become keyframes: entries that agree and hold for `steady` columns.
 
-    Where no entry holds so long, entries that hold in their own column count.
+    If no entry is constant for so long, entries that are constant in their own column are used.
 
     Raises
     ------
@@ -270,7 +271,7 @@ def training_task(training: TrainingSet, setting: Setting) -> TrainingTask:
 
 
 def _joined(training: TrainingSet, setting: Setting) -> list[U64]:
-    """Join negative clips two by two in random order, as a query must not reach from one motion into the next."""
+    """Join pairs of negative clips in random order, because a query must not reach from one motion into the next."""
     random = np.random.default_rng([setting.seed, crc32(training.subclass.encode())])
     pairs = []
     for _ in range(setting.joins):
@@ -281,7 +282,7 @@ def _joined(training: TrainingSet, setting: Setting) -> list[U64]:
 
 @lru_cache(maxsize=4)
 def _cached(key: str) -> list[TrainingTask]:
-    # One training task per training set and worker, filled by its first task.
+    # One training task per training set and worker, created by the first task that needs it.
     return []
 
 
@@ -293,7 +294,7 @@ def _cached_task(training: TrainingSet, setting: Setting) -> TrainingTask:
 
 
 def learn_runs(task: RunTask) -> list[LearningRun]:
-    """Make runs of one training set, in a worker; a run depends on seed, subclass and number alone."""
+    """Make runs of one training set, in a worker; a run depends only on seed, subclass and number."""
     material = _cached_task(task.training, task.setting)
     evolution = task.setting.evolution
     results = []
@@ -309,7 +310,7 @@ def learn_runs(task: RunTask) -> list[LearningRun]:
 
 
 def make_outcome(task: ConsensusTask) -> Outcome:
-    """Find the consensus of the runs of one training set, and choose its queries, in a worker."""
+    """Find the consensus of the runs of one training set, and select its queries, in a worker."""
     training, setting = task.training, task.setting
     material = _cached_task(training, setting)
     reach = max(1, round(REACH * len(material.masks)))
@@ -329,7 +330,7 @@ def make_outcome(task: ConsensusTask) -> Outcome:
 
 
 def _queries(found: Consensus, runs: Sequence[LearningRun], alternatives: int) -> list[Individual]:
-    """Return the consensus, then the runs of highest rank, each with other keyframes than those before."""
+    """Return the consensus, then the runs of highest rank, each with different keyframes than those before it."""
     queries = [found.query]
     for run in sorted(runs, key=lambda run: -run.rank):
         if len(queries) < alternatives and all(run.query.masks.tolist() != one.masks.tolist() for one in queries):
@@ -338,13 +339,13 @@ def _queries(found: Consensus, runs: Sequence[LearningRun], alternatives: int) -
 
 
 def every_query(outcomes: Sequence[Outcome], feature_set: FeatureSet) -> list[KeyframeQuery]:
-    """Return the chosen queries of all outcomes; no two have the same name."""
+    """Return the selected queries of all outcomes, with distinct names."""
     taken = {one.subclass for one in outcomes}
     return [query for one in outcomes for query in keyframe_queries(one, feature_set, taken)]
 
 
 def keyframe_queries(outcome: Outcome, feature_set: FeatureSet, taken: Collection[str] = ()) -> list[KeyframeQuery]:
-    """Return the chosen queries as people write them: named after the subclass, keyframes divided into feature sets.
+    """Return the selected queries in their written form: named after the subclass, keyframes divided into feature sets.
 
     Parameters
     ----------
@@ -353,7 +354,7 @@ def keyframe_queries(outcome: Outcome, feature_set: FeatureSet, taken: Collectio
     feature_set : FeatureSet
         The features of its keyframes.
     taken : collection of str
-        The names of all subclasses: the second query of "walk" is "walk 2", unless a subclass has that name.
+        The names of all subclasses: the second query of "walk" is named "walk 2", unless a subclass has that name.
     """
     result: list[KeyframeQuery] = []
     free = (name for number in count(2) if (name := f"{outcome.subclass} {number}") not in taken)

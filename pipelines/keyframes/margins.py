@@ -1,4 +1,4 @@
-"""Margins: the frames around hits of keyframe queries that motions may reach, learned from clips."""
+"""Learn margins from clips: the frames around hits of keyframe queries into which motions may extend."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from kinedex.ops.words import I64, U64, TakeWords
 Margins = Literal["learned", "shared"]
 
 ALONE = 3
-"""A query that shares its margins keeps at least one part in so many of those that it would have alone."""
+"""With shared margins, a query keeps at least one part in this many of the margins that it would have alone."""
 
 
 def hit_ranges(words: TakeWords, query: Individual, features: int) -> tuple[I64, I64]:
-    """Search takes, and return the index of the take, int64 (n,), and the frames, int64 (n, 2), of each hit range."""
+    """Search takes; return for each hit range the index of its take, int64 (n,), and its frames, int64 (n, 2)."""
     slices = slice_words(words.words, words.offsets, features)
     return from_axis(search_slices(slices, query.masks.tolist(), query.values.tolist(), query.gaps))
 
 
 def clips_hit(clips: Sequence[U64], queries: Sequence[Individual], features: int) -> Bool:
-    """Return for each clip if any of some queries has a hit in it, bool (T,)."""
+    """Return for each clip whether any of the queries has a hit in it, bool (T,)."""
     hit = np.zeros(len(clips), np.bool_)
     words = as_takes(clips)
     for query in queries:
@@ -37,7 +37,7 @@ def clips_hit(clips: Sequence[U64], queries: Sequence[Individual], features: int
 
 
 def as_takes(clips: Sequence[U64]) -> TakeWords:
-    """Return clips as words of takes, numbered from 0."""
+    """Return clips as words of takes that are numbered from 0."""
     offsets = np.concatenate([[0], np.cumsum([len(words) for words in clips])]).astype(np.int64)
     return TakeWords(np.arange(len(clips)), offsets, np.concatenate(clips))
 
@@ -45,7 +45,7 @@ def as_takes(clips: Sequence[U64]) -> TakeWords:
 def margins_of(
     queries: Sequence[Individual], clips: Sequence[U64], features: int, policy: Margins
 ) -> list[tuple[int, int]]:
-    """Return the frames before and after a hit of each query that the motion may reach.
+    """Return the margins of each query: frames before and after a hit into which the motion may extend.
 
     Parameters
     ----------
@@ -56,9 +56,9 @@ def margins_of(
     features : int
         The number of features.
     policy : {"learned", "shared"}
-        "learned": as far as clips reach out of their hits, so that each clip that is hit is covered whole. "shared":
-        the same of all queries together; a frame that one of them covers need not be covered by the others, whose
-        margins keep a third at least.
+        "learned": as far as clips extend beyond their hits, so that each clip with a hit is covered. "shared":
+        the same for all queries together; a frame that one of them covers need not be covered by the others, whose
+        margins keep at least a third.
 
     Returns
     -------
@@ -72,7 +72,7 @@ def margins_of(
 
 
 class Reach:
-    """The hits of one query in clips that follow each other on one axis of frames."""
+    """The hits of one query in concatenated clips."""
 
     def __init__(self, takes: TakeWords, query: Individual, features: int) -> None:
         clips, ranges = hit_ranges(takes, query, features)
@@ -81,7 +81,7 @@ class Reach:
         self.frames = len(takes.words)
 
     def farthest(self) -> tuple[int, int]:
-        """Return the margins by which each clip that is hit is covered whole, also between its hits."""
+        """Return the margins that cover each clip with a hit completely, including frames between its hits."""
         first = np.diff(self.begins, prepend=-1) != 0
         last = np.diff(self.ends, append=-1) != 0
         left = int((self.starts - self.begins)[first].max(initial=0))
@@ -91,7 +91,7 @@ class Reach:
         return left + lacking // 2, right + lacking - lacking // 2
 
     def covered(self, left: int, right: int) -> Bool:
-        """Return the frames within hits that are extended by margins, in their own clips; bool (frames,)."""
+        """Return the frames in hits extended by margins, limited to the clip of each hit; bool (frames,)."""
         change = np.zeros(self.frames + 1, np.int64)
         np.add.at(change, np.maximum(self.starts - left, self.begins), 1)
         np.add.at(change, np.minimum(self.stops + right, self.ends), -1)
@@ -100,9 +100,10 @@ class Reach:
 
 
 def _shared(reached: Sequence[Reach], learned: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Shorten margins frame by frame while no frame of a clip is lost, always the longest that can be shortened.
+    """Shorten margins frame by frame while no frame of a clip is uncovered, always the longest that can be shortened.
 
-    None becomes shorter than one part in `ALONE`: a motion of another person may be found by one of the queries only.
+    No margin becomes shorter than one part in `ALONE`, because a motion of another person may be found by only one of
+    the queries.
     """
     margins = [list(pair) for pair in learned]
     wanted = _covered_by(reached, margins)
@@ -112,7 +113,7 @@ def _shared(reached: Sequence[Reach], learned: Sequence[tuple[int, int]]) -> lis
         margins[query][end] -= 1
         least = -(-learned[query][end] // ALONE)
         if margins[query][end] < least or not (_covered_by(reached, margins) >= wanted).all():
-            # The others only become shorter, so this one cannot be shortened later.
+            # The others only become shorter, so this margin cannot be shortened later.
             margins[query][end] += 1
             sides.discard((query, end))
     return [(left, right) for left, right in margins]

@@ -1,4 +1,4 @@
-"""The parameters of keyframe learning."""
+"""The parameters of the stage `learn_keyframes`."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from kinedex.storage.store.store import Store
 
 
 class KeyframeParameters(ExampleParameters):
-    """The parameters of the stage `learn_keyframes`, with the numbers of the thesis (Chapter 4) as defaults.
+    """The parameters of the stage `learn_keyframes`, with the values of the thesis (Chapter 4) as defaults.
 
-    `configs/pipelines/keyframes.yaml` sets the numbers that find the motions of people best who were not in the
-    training. Numbers that are no parameters here are constants: those of the genetic algorithm are the defaults of
+    `configs/pipelines/keyframes.yaml` sets the values that are best for finding motions of people who are not in the
+    training set. Values that are not parameters are constants: those of the genetic algorithm are the defaults of
     `EvolutionSettings`, those of rounds are in `kinedex.pipelines.keyframes.runs`.
     """
 
@@ -64,17 +64,17 @@ class KeyframeParameters(ExampleParameters):
     joins: int = Field(0, ge=0, description="how often all negative clips are joined two by two as further negatives")
 
     def evolution(self) -> EvolutionSettings:
-        """Return the numbers of the genetic algorithm."""
+        """Return the settings of the genetic algorithm."""
         own = EvolutionSettings.__dataclass_fields__.keys() & type(self).model_fields.keys()
         return EvolutionSettings(**{name: getattr(self, name) for name in own})
 
     def rounds(self) -> Rounds:
-        """Return the number of runs and of rounds; the greedy learner has nothing to repeat."""
+        """Return the numbers of runs and rounds; the greedy learner is deterministic and runs once."""
         return Rounds(1 if self.learner == "greedy" else self.runs, GROUP, PATIENCE, SETTLED)
 
 
 def setting_of(params: KeyframeParameters, store: Store) -> Setting:
-    """Return the numbers that queries of a store are learned with."""
+    """Return the learning parameters for the features of a store."""
     return Setting(
         learner=params.learner,
         evolution=params.evolution(),

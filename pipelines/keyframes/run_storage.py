@@ -1,4 +1,4 @@
-"""The finished runs of keyframe learning that a stage stores, of all settings."""
+"""Store the finished runs of keyframe learning of a stage, for all settings."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 
 class StoredRuns:
-    """The stored runs of a stage, of any number and setting, for the same clips and algorithm.
+    """The stored runs of a stage, with any number and setting, for the same clips and algorithm.
 
-    Runs of other classes or clips are dropped by the next save, as nothing could use them.
+    The next save removes runs of other classes or clips, because they cannot be reused.
     """
 
     def __init__(self, context: StageContext, trainings: Sequence[TrainingSet]) -> None:

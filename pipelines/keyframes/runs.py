@@ -1,4 +1,4 @@
-"""The runs of keyframe learning: in rounds over all classes, stored as they finish, ended where outcomes settle."""
+"""Run keyframe learning in rounds over all classes; finished runs are stored, and classes end when they settle."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from kinedex.pipelines.keyframes.learning import (
 from kinedex.storage.snapshot.schemas import result_schema
 
 SAVE_SECONDS = 20.0
-"""Finished runs are stored at least so often."""
+"""The longest time, in seconds, after which finished runs are stored."""
 
 GROUP = 8
-"""Runs of a round, after which it is decided which classes need more; the study of learned queries has 8, 16 and 48."""
+"""The number of runs in a round, after which classes that need more are determined; the study uses 8, 16 and 48."""
 
 PATIENCE = 2
-"""A class settles after so many rounds without a better outcome."""
+"""The number of rounds without a better outcome after which a class settles."""
 
 SETTLED = 0.001
-"""An outcome is better where its rank rises by more than this."""
+"""The least rise in rank by which an outcome counts as better."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class ClassRuns:
     outcomes : list of Outcome
         The outcome after each round.
     settled : bool
-        True where no more runs are needed.
+        True if no more runs are needed.
     """
 
     training: TrainingSet
@@ -74,30 +74,30 @@ class ClassRuns:
 
     @property
     def outcome(self) -> Outcome:
-        """The outcome of the highest rank, of equal ones the last: with more runs a consensus can become worse."""
+        """The outcome of the highest rank, the last of equal ones; with more runs a consensus can become worse."""
         return max(reversed(self.outcomes), key=lambda one: one.consensus.rank)
 
     @property
     def used(self) -> dict[int, LearningRun]:
-        """The runs that count; there may be more, of an earlier call that asked for more."""
+        """The runs that the last outcome uses; there may be more, from an earlier call with more runs."""
         wanted = self.outcomes[-1].runs if self.outcomes else 0
         return {number: run for number, run in sorted(self.runs.items()) if number < wanted}
 
 
 @dataclass(frozen=True)
 class Rounds:
-    """The number of runs of a class.
+    """The number of runs of a class, and the rule for ending them.
 
     Attributes
     ----------
     runs : int
         The largest number of runs.
     group : int
-        The runs of a round.
+        The number of runs in a round.
     patience : int
-        A class settles after so many rounds without a better outcome.
+        The number of rounds without a better outcome after which a class settles.
     settled : float
-        An outcome is better where its rank rises by more than this.
+        The least rise in rank by which an outcome counts as better.
     """
 
     runs: int
@@ -116,24 +116,24 @@ def learn(
     advance: Callable[[int], None] | None = None,
     say: Callable[[str], None] | None = None,
 ) -> list[ClassRuns]:
-    """Make all runs that are needed; runs and outcomes do not depend on the workers.
+    """Make all runs that are needed; runs and outcomes do not depend on the number of workers.
 
     Parameters
     ----------
     trainings : sequence of TrainingSet
         The training set of each class.
     setting : Setting
-        The numbers of the learning.
+        The parameters of learning.
     rounds : Rounds
-        The number of runs.
+        The numbers of runs and rounds.
     executor : Executor
         The workers.
     known : sequence of FinishedRun
-        Runs that were finished before; those of these training sets and this setting are not made again.
+        Finished runs; those of these training sets and this setting are reused.
     save : callable, optional
         Stores finished runs; called every `SAVE_SECONDS` and after each round.
     advance : callable, optional
-        Called with the number of runs that are finished, or not needed any more.
+        Called with the number of runs that were finished, or are no longer needed.
     say : callable, optional
         Called with a message after each round.
 
@@ -191,13 +191,13 @@ def _run_round(
                 save()
                 stored = time.monotonic()
     finally:
-        # Finished runs are stored also where a dead cluster or Ctrl-C ends the round.
+        # Finished runs are stored even if a dead cluster or Ctrl-C ends the round.
         if save is not None and work:
             save()
 
 
 def _settled(outcomes: Sequence[Outcome], rounds: Rounds) -> bool:
-    """Return if the outcome has not become better over the last rounds."""
+    """Return whether the outcome has not become better over the last rounds."""
     if len(outcomes) <= rounds.patience:
         return False
     ranks = [outcome.consensus.rank for outcome in outcomes]

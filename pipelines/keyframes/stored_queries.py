@@ -1,4 +1,4 @@
-"""The learned queries of a store: of which stage, and of which classes."""
+"""Read the learned queries of a store, of one stage and of given classes."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from kinedex.storage.store.store import Store
 
 @dataclass(frozen=True)
 class StoredQueries:
-    """Learned queries of one stage.
+    """The learned queries of one stage.
 
     Attributes
     ----------
     outcomes : tuple of Outcome
-        The outcomes of the classes asked for, each once.
+        The distinct outcomes of the requested classes.
     classes : frozenset of str
         All classes that were learned together.
     stage : str
         The stage that learned them, "<pipeline>/<stage>".
     other_stages : tuple of str
-        Older stages that fit the request as well.
+        Older stages that match the request as well.
     """
 
     outcomes: tuple[Outcome, ...]
@@ -42,9 +42,9 @@ def stored_queries(store: Store, classes: Sequence[str] | None = None, pipeline:
     store : Store
         The store.
     classes : sequence of str, optional
-        The classes to read; all unless given.
+        The classes to read; by default all.
     pipeline : str, optional
-        The pipeline that learned them, or "<pipeline>/<stage>"; the one that the view `queries` shows unless given.
+        The pipeline that learned them, or "<pipeline>/<stage>"; by default the one that the view `queries` shows.
 
     Returns
     -------
@@ -56,7 +56,7 @@ def stored_queries(store: Store, classes: Sequence[str] | None = None, pipeline:
     KinedexError
         If there are no learned queries, none of this pipeline, or none for a class.
     """
-    # the parts are in the order of writing
+    # parts are in the order in which they were written
     stages = [part.stage for part in store.manifest.results.get("queries", ())]
     if not stages:
         raise KinedexError(f"{store.path} has no learned queries; learn some: kinedex keyframes learn {store.path}")

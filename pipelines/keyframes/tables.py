@@ -1,4 +1,4 @@
-"""Learned keyframe queries as a table."""
+"""Format learned keyframe queries as tables and as text."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ _OVERVIEW = pa.schema(
 def overview(outcomes: Sequence[Outcome], feature_set: FeatureSet, taken: Collection[str]) -> pa.Table:
     """Return a row for each query with its origin, its keyframes, and the scores of the queries of its class.
 
-    Precision and recall are those of all queries of a class together, on the training clips, in its first row only.
+    Precision and recall are those of all queries of a class together on the training clips, and are in its first row
+    only.
 
     Parameters
     ----------
@@ -64,7 +65,7 @@ reach. Precision and recall are those of all queries of a class together, in its
 
 
 def sentence(query: KeyframeQuery, feature_set: FeatureSet) -> str:
-    """Return a query in one line: features that are on, those that are off with a minus, and gaps in frames."""
+    """Return a query as one line: features that are on, features that are off with a minus, and gaps in frames."""
     text = _words(query.keyframes[0], feature_set)
     for gap, keyframe in zip(query.gaps, query.keyframes[1:], strict=True):
         text += " & " if gap.high == 0 else f" →{gap.low}–{gap.high}→ "
