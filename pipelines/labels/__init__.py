@@ -1,1 +1,1 @@
-"""Labels of people: kept in a store, compared with annotations, and taken from label files."""
+"""Labels of people: record them in a store, compare them with annotations, and import them from label files."""

@@ -1,4 +1,4 @@
-"""Decisions of people as labels of a store: drawn, imported, accepted, corrected, rejected, and taken back."""
+"""Record decisions of people as labels: drawn, imported, accepted, corrected, rejected and withdrawn ones."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Proposed:
     rows : tuple of dict
         Rows for `record`.
     remarks : tuple of str
-        What was excluded.
+        Remarks on what was excluded.
     unmatched : tuple of UnmatchedLabels
         The labels that match no take, file by file.
     """
@@ -52,11 +52,11 @@ class Recorded:
     rows : pyarrow.Table
         The new rows of labels.
     known : int
-        The number of decisions that the store had already.
+        The number of decisions that the store already had.
     remarks : tuple of str
-        What was excluded.
+        Remarks on what was excluded.
     unmatched : tuple of UnmatchedLabels
-        The labels of files that match no take, file by file; `remarks` has them in words.
+        The labels of files that match no take, file by file; `remarks` describes them.
     """
 
     rows: pa.Table
@@ -66,9 +66,9 @@ class Recorded:
 
     @property
     def counts(self) -> dict[str, int]:
-        """The number of new rows by origin, those with a negative verdict as "rejected".
+        """The number of new rows by origin; rows with a negative verdict count as "rejected".
 
-        Imported rows with a negative verdict, on limbs that were looked at, count as "without errors".
+        Imported rows with a negative verdict, on limbs that were examined, count as "without errors".
         """
         pairs = zip(*(self.rows.column(name).to_pylist() for name in ("verdict", "origin")), strict=True)
         names = {("negative", "imported"): "without errors"}
@@ -77,18 +77,18 @@ class Recorded:
 
 
 def record(store: Store, rows: Sequence[Mapping[str, Any]], remarks: Iterable[str] = ()) -> Recorded:
-    """Record decisions; those that the store has already are skipped, and one of the other verdict is replaced.
+    """Record decisions; those that the store already has are skipped, and those with another verdict are replaced.
 
     Parameters
     ----------
     store : Store
         The store; it shows the new labels afterwards.
     rows : sequence of mapping
-        Columns of labels; `take`, `class`, `start`, `stop` and `origin` must be given. `names` are all names of the
-        class of the interval, where a decision on one of them is a decision on all. Where `of_person` is true, or
-        `limb` is given, another person may have decided the same.
+        Columns of labels; `take`, `class`, `start`, `stop` and `origin` are required. `names` are all names of the
+        class of the interval, if a decision on one of them is a decision on all. If `of_person` is true, or
+        `limb` is given, decisions of several persons are kept separately.
     remarks : iterable of str, optional
-        What was excluded before.
+        Remarks on what was excluded before.
     """
     new, known = new_rows(store, rows)
     table = pa.Table.from_pylist(new, schema=labels_schema())
@@ -98,16 +98,16 @@ def record(store: Store, rows: Sequence[Mapping[str, Any]], remarks: Iterable[st
 
 
 def new_rows(store: Store, rows: Iterable[Mapping[str, Any]]) -> tuple[list[Row], int]:
-    """Return the rows of decisions that a store does not have yet, and the number of those that it has.
+    """Return the rows of decisions that a store does not have yet, and the number of decisions that it has.
 
-    A decision of the other verdict than the standing one replaces it; parameters as for `record`.
+    A decision replaces an existing one with another verdict; parameters are those of `record`.
     """
     standing = {key: row for row in store.labels().to_pylist() for key in _keys(row, row["class"])}
     new: list[Row] = []
     known = 0
     for row in rows:
         verdict = row.get("verdict", "positive")
-        own = row.get("limb") or row.get("of_person")  # what several people state about one interval stays apart
+        own = row.get("limb") or row.get("of_person")  # decisions of several persons on one interval are kept separately
         found = (standing.get(_keys(row, name)[bool(own)]) for name in row.get("names", (row["class"],)))
         earlier = next((one for one in found if one is not None), None)
         if earlier is not None and earlier["verdict"] == verdict and row.get("replaces") is None:
@@ -122,22 +122,22 @@ def new_rows(store: Store, rows: Iterable[Mapping[str, Any]]) -> tuple[list[Row]
 
 
 def _keys(row: Mapping[str, Any], name: str) -> tuple[tuple[object, ...], tuple[object, ...]]:
-    """Return the keys of a decision, whoever made it, and of that person's."""
+    """Return two keys of a decision: one independent of the person, and one that includes the person."""
     key = (row["take"], name, row["start"], row["stop"], row.get("limb"))
     return key, (*key, row.get("annotator"))
 
 
 def annotations_of(store: Store, stage: str | None) -> tuple[str, pa.Table]:
-    """Return a stage that has annotated, "<pipeline>/<stage>", and its annotations; unless named, the current one."""
+    """Return the name of an annotation stage, "<pipeline>/<stage>", by default the current one, and its annotations."""
     chosen = annotate_stage(store, stage)
     return chosen, store.result("annotations", run=store.manifest.stages[chosen].run)
 
 
 def decide(store: Store, annotations: pl.DataFrame, *, accept: bool, source: str = "", **more: str | None) -> Recorded:
-    """Make annotations labels: accepted ones are positive, rejected ones negative.
+    """Record decisions on annotations as labels: accepted ones are positive, rejected ones negative.
 
-    An accepted label has the subclass of the annotation, whose examples it joins; a rejected one its class, of which
-    the interval is no example whatever the subclass.
+    The label of an accepted annotation has its subclass, and becomes an example of it; the label of a rejected one has
+    its class, because the interval is no example of any of its subclasses.
 
     Parameters
     ----------
@@ -146,9 +146,9 @@ def decide(store: Store, annotations: pl.DataFrame, *, accept: bool, source: str
     annotations : polars.DataFrame
         Rows of the view `annotations`.
     accept : bool
-        True accepts, False rejects.
+        True to accept, False to reject.
     source : str, optional
-        The stage of the annotations; that which their columns `pipeline` and `stage` name unless given.
+        The stage of the annotations; by default the one in their columns `pipeline` and `stage`.
     **more : str, optional
         `annotator` and `note`.
     """
@@ -157,13 +157,13 @@ def decide(store: Store, annotations: pl.DataFrame, *, accept: bool, source: str
 
 
 def _stage_of(annotation: Mapping[str, Any]) -> str:
-    """Return the stage of a row of the view `annotations`; empty where the row does not name it."""
+    """Return the stage in a row of the view `annotations`; empty if the row does not name it."""
     pipeline, stage = annotation.get("pipeline"), annotation.get("stage")
     return f"{pipeline}/{stage}" if pipeline and stage else ""
 
 
 def decision_row(one: Mapping[str, Any], accept: bool, source: str, more: Mapping[str, str | None]) -> Row:
-    """Return the row of a decision about an annotation; parameters as for `decide`."""
+    """Return the row of a decision on an annotation; parameters are those of `decide`."""
     return {
         "take": one["take"],
         "class": (one.get("subclass") or one["class"]) if accept else one["class"],
@@ -179,7 +179,7 @@ def decision_row(one: Mapping[str, Any], accept: bool, source: str, more: Mappin
 
 
 def withdraw(store: Store, labels: pl.DataFrame, **more: str | None) -> Recorded:
-    """Take labels back: each gets a row that withdraws it, and stays in the history.
+    """Withdraw labels: each gets a row that withdraws it, and remains in the history.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ def labels_by_id(store: Store, ids: Sequence[str]) -> pl.DataFrame:
     Raises
     ------
     KinedexError
-        No label, or more than one, has an id that begins so.
+        No label, or more than one, has an id that begins with the given text.
     """
     labels = data_frame(store.labels())
     for one in ids:
@@ -220,22 +220,22 @@ def labels_by_id(store: Store, ids: Sequence[str]) -> pl.DataFrame:
 def import_labels(store: Store, files: Sequence[LabelFile], **more: str | None) -> Recorded:
     """Record the segments of label files as labels, with their limbs and annotators.
 
-    Where somebody has looked at a limb of a take, or at all limbs, without marking an error, a negative label `error`
-    of the whole take states it.
+    If somebody has examined a limb of a take, or all limbs, without marking an error, a negative label `error` of the
+    whole take records this.
 
     Parameters
     ----------
     store : Store
         The store.
     files : sequence of LabelFile
-        The files; segments that the store has as labels are skipped.
+        The files; segments that the store already has as labels are skipped.
     **more : str, optional
-        `annotator`, where a file names nobody, and `note`.
+        `annotator`, used where a file names none, and `note`.
 
     Raises
     ------
     KinedexError
-        No take of the files is in the store, or a segment ends behind its take.
+        No take of the files is in the store, or a segment ends after its take.
     """
     return _record(store, proposed_labels(store, files, **more))
 
@@ -245,7 +245,7 @@ def _record(store: Store, proposed: Proposed) -> Recorded:
 
 
 def proposed_labels(store: Store, files: Sequence[LabelFile], **more: str | None) -> Proposed:
-    """Return what `import_labels` records; parameters and errors as there."""
+    """Return what `import_labels` would record; parameters and errors are those of `import_labels`."""
     placed = placed_files(store, files)
     rows = [_drawn(one, "imported", more) for one in placed.segments]
     rows += [_drawn(one, "imported", more) | {"verdict": "negative", "of_person": True} for one in placed.covered]
@@ -257,9 +257,9 @@ def import_corrections(
 ) -> Recorded:
     """Record label files as a person's corrections of annotations.
 
-    Of the takes that the files name, an annotation that stands in them unchanged is accepted, a moved one is corrected,
-    one that is not there any more is rejected, and a new one is drawn. One of another class is corrected, and rejected
-    for the class that it had. An unchanged one that a person has rejected or moved before stays as decided.
+    In the takes that the files name, an annotation that is unchanged in them is accepted, a moved one is corrected, a
+    missing one is rejected, and a new segment is drawn. An annotation with another class is corrected, and rejected for
+    its former class. An unchanged annotation that a person has rejected or moved before keeps that decision.
 
     Parameters
     ----------
@@ -268,14 +268,14 @@ def import_corrections(
     files : sequence of LabelFile
         The files, which `labels export` wrote and a person changed.
     stage : str, optional
-        The stage whose annotations were corrected; that of the current pipeline unless given.
+        The stage whose annotations were corrected; by default that of the current pipeline.
     **more : str, optional
         `annotator` and `note`.
 
     Raises
     ------
     KinedexError
-        Nothing was annotated, or none of the takes was; a segment ends behind its take.
+        There are no annotations, none of the takes was annotated, or a segment ends after its take.
     """
     return _record(store, proposed_corrections(store, files, stage, **more))
 
@@ -283,7 +283,7 @@ def import_corrections(
 def proposed_corrections(
     store: Store, files: Sequence[LabelFile], stage: str | None = None, **more: str | None
 ) -> Proposed:
-    """Return what `import_corrections` records; parameters and errors as there."""
+    """Return what `import_corrections` would record; parameters and errors are those of `import_corrections`."""
     placed = placed_files(store, files)
     chosen, annotations = annotations_of(store, stage)
     annotated = set(annotated_takes(store, chosen)["name"])
@@ -310,7 +310,7 @@ def proposed_corrections(
 
 
 def _decided_otherwise(store: Store, annotations: Iterable[Row]) -> list[Segment]:
-    """Return annotations that a person has rejected, or whose edges a person has corrected, as labels of the store."""
+    """Return annotations that a person has rejected, or whose start or stop a person has corrected."""
     labels: dict[str, list[Row]] = defaultdict(list)
     for label in store.labels().to_pylist():
         labels[label["take"]].append(label)
@@ -347,7 +347,7 @@ def import_corrected_labels(store: Store, files: Sequence[LabelFile], **more: st
 
 
 def proposed_label_corrections(store: Store, files: Sequence[LabelFile], **more: str | None) -> Proposed:
-    """Return what `import_corrected_labels` records; parameters and errors as there."""
+    """Return what `import_corrected_labels` would record; parameters and errors are as in `import_corrected_labels`."""
     placed = placed_files(store, files)
     known = {
         Segment(
@@ -378,13 +378,13 @@ def _corrections(
     if one.after is not None:
         row = _drawn(one.after, "drawn" if before is None else "corrected", more)
         if before is not None and one.change == "moved":
-            row["class"] = before["subclass"] or before["class"]  # the examples that it joins
+            row["class"] = before["subclass"] or before["class"]  # it becomes an example of this
         rows.append(row)
     return rows
 
 
 def _drawn(one: Segment, origin: str, more: Mapping[str, str | None]) -> Row:
-    """Return a label of a segment; its file names the person, except where somebody else corrects a class."""
+    """Return a label for a segment; its file names the annotator, unless somebody else corrects its class."""
     edges = {"start": int(one.start), "stop": int(one.stop)}
     row = {"take": one.take, "class": one.label, **edges, "origin": origin, "source": one.where or None, **more}
     named = bool(one.annotator) and (bool(one.limb) or origin == "imported" or not more.get("annotator"))

@@ -1,4 +1,6 @@
-"""Edits of labels, as a person makes them in lanes: draw, change, split, join, withdraw, accept, reject, and undo.
+"""Edit labels as in a timeline editor: draw, change, split, join, withdraw, accept, reject, and undo.
+
+Every edit adds rows of labels and changes no existing row, so that the history is complete.
 
 Every edit becomes rows of labels: nothing is changed in place, so that the history has all of it.
 """
@@ -27,24 +29,24 @@ _CONTENT = ("take", "class", "start", "stop", "limb", "verdict", "origin", "anno
 class LabelEdits:
     """Edits of the labels of a store, which become rows for `pipelines.labels.decisions.record`.
 
-    The ids of new rows are the caller's, so that a request that is sent twice is recorded once: an edit whose ids the
-    store has already adds nothing.
+    The caller chooses the ids of new rows, so that a request that is sent twice is recorded once: an edit with ids that
+    the store already has adds nothing.
 
     Parameters
     ----------
     history : iterable of dict
         All rows of labels, in the order in which they were made.
     frames : mapping of str to int
-        Name of a take → its frames.
+        Name of a take → its number of frames.
     annotator : str, optional
-        The person.
+        The name of the person who edits.
 
     Attributes
     ----------
     rows : list of dict
         The new rows.
     restored : dict of str to str
-        Id of a label that counts again → the id that it has now.
+        Id of a label that is valid again → its new id.
     known : dict of str to dict
         All rows by their ids, the new ones included.
     """
@@ -65,7 +67,7 @@ class LabelEdits:
             self._add({"id": id, "take": take, "class": label, "start": start, "stop": stop, "origin": "drawn", **more})
 
     def change(self, id: str, label: str, **values: Any) -> None:
-        """Give a label, by its id, another class, other edges or another verdict."""
+        """Change the class, the start or stop, or the verdict of a label, given by its id."""
         if id in self.known:
             return
         before = self._standing(label)
@@ -75,7 +77,7 @@ class LabelEdits:
         self._add({**self._copy(before), **given, "id": id, "origin": "corrected", "replaces": label})
 
     def split(self, ids: Sequence[str], label: str, at: int) -> None:
-        """Divide a label in two at a frame; the two ids are those of the parts."""
+        """Split a label at a frame; `ids` are the ids of the two parts."""
         first, second = ids
         if first in self.known:
             return
@@ -87,9 +89,9 @@ class LabelEdits:
         self._add({**self._copy(before), **more, "id": second, "start": at})
 
     def join(self, ids: Sequence[str], labels: Sequence[str]) -> None:
-        """Make one label of several of a take and a class: from the first start to the last stop.
+        """Join several labels of one take and class into one, from the first start to the last stop.
 
-        The first id is that of the whole, the others are those of the rows that withdraw the other labels.
+        The first id is that of the joined label, the others are those of the rows that withdraw the other labels.
         """
         if ids[0] in self.known:
             return
@@ -105,7 +107,7 @@ class LabelEdits:
         self._add({**self._copy(parts[0]), **edges, "id": ids[0], "origin": "corrected", "replaces": labels[0]})
 
     def withdraw(self, id: str, label: str) -> None:
-        """Take a label back."""
+        """Withdraw a label."""
         if id not in self.known:
             self._standing(label)
             self._withdraw(id, label)
@@ -122,14 +124,14 @@ class LabelEdits:
         source : str
             The stage of the annotation.
         seen : str or None
-            The id of the label with its class and edges that the person saw; None for none.
+            The id of the label with the same class, start and stop that the person saw; None if there was none.
         accept : bool
-            True accepts, False rejects.
+            True to accept, False to reject.
 
         Raises
         ------
         ConflictError
-            There is another label with its class and edges.
+            There is another label with the same class, start and stop.
         """
         if id in self.known:
             return
@@ -144,24 +146,23 @@ class LabelEdits:
             self._add({**row, "id": id, "replaces": standing and standing["id"]})
 
     def restore(self, ids: Sequence[str], made: Sequence[str], back: Sequence[str]) -> None:
-        """Undo the edit that made some rows: the labels before it count again, and what it made does not any more.
+        """Undo the edit that made some rows: earlier labels become valid again, and its rows become invalid.
 
-        To do the edit again, restore once more: `made` are then the rows of the undo, and `back` the labels of the
-        edit.
+        To redo the edit, call this again: `made` are then the rows of the undo, and `back` the labels of the edit.
 
         Parameters
         ----------
         ids : sequence of str
-            Ids of new rows: one for each label that counts again, then one for each that does not any more.
+            Ids of new rows: one for each label that becomes valid again, then one for each that becomes invalid.
         made : sequence of str
-            The ids of the rows of the edit, as far as they count, or as `restored` names them since.
+            The ids of the valid rows of the edit, or their newer ids in `restored`.
         back : sequence of str
-            The ids of the labels that count again, with their class and edges.
+            The ids of the labels that become valid again, with their class, start and stop.
 
         Raises
         ------
         ConflictError
-            One of the rows has been replaced since.
+            One of the rows has been replaced since then.
         """
         if not ids or ids[0] in self.known:
             return
@@ -190,7 +191,7 @@ class LabelEdits:
         return self.known[id]
 
     def _standing(self, id: str) -> Row:
-        """Return a label that counts."""
+        """Return a valid label by its id; raise a ConflictError if it was replaced or does not exist."""
         row = self.known.get(id)
         if row is None:
             raise ConflictError(f"no label has the id {id}")
@@ -203,7 +204,7 @@ class LabelEdits:
         return row
 
     def _at(self, row: Mapping[str, Any], names: Iterable[str]) -> Row | None:
-        """Return the label that counts with the edges of a row and one of some classes."""
+        """Return the valid label with the start and stop of a row and one of the given classes, or None."""
         chosen = set(names)
         place = row["take"], row["start"], row["stop"], row.get("limb")
         for one in self.known.values():
@@ -213,7 +214,7 @@ class LabelEdits:
         return None
 
     def _copy(self, row: Row) -> Row:
-        """Return the columns of a label that its successor keeps; its checksum becomes that of the take as it is."""
+        """Return the columns of a label that its successor inherits; its checksum becomes that of the take."""
         kept = ("take", "class", "start", "stop", "limb", "verdict", "source", "note")
         return {key: row[key] for key in kept}
 
@@ -223,7 +224,7 @@ class LabelEdits:
         self._add({**row, "id": id, "replaces": label, "verdict": "withdrawn"})
 
     def _add(self, row: Row, *, restored: bool = False) -> None:
-        """Add a row, complete and checked against its take."""
+        """Add a row after filling in its columns and checking it against its take."""
         empty = dict.fromkeys((*_CONTENT, "replaces"), None) | {"verdict": "positive"}
         full = empty | ({} if restored else {"annotator": self._annotator}) | row
         if full["verdict"] != "withdrawn":
@@ -251,7 +252,7 @@ class LabelEdits:
 
 
 def label_edits(store: Store, take: str, annotator: str | None = None) -> LabelEdits:
-    """Return the edits of the labels of one take, as the disk has them now.
+    """Return an editor of the labels of one take, with the labels that are on disk now.
 
     Parameters
     ----------
@@ -260,7 +261,7 @@ def label_edits(store: Store, take: str, annotator: str | None = None) -> LabelE
     take : str
         Name of the take.
     annotator : str, optional
-        The person.
+        The name of the person who edits.
     """
     rows = all_labels(store.path, store.manifest, store.checked)
     history = rows.filter(pc.equal(rows.column("take"), take)).to_pylist()
@@ -269,14 +270,14 @@ def label_edits(store: Store, take: str, annotator: str | None = None) -> LabelE
 
 
 def record_edits(store: Store, edits: LabelEdits) -> Recorded:
-    """Record edits of labels; the store shows them afterwards."""
+    """Record edits of labels; afterwards the store shows them."""
     recorded = record_labels(store.path, pa.Table.from_pylist(edits.rows, schema=labels_schema()))
     store.forget_labels()
     return Recorded(recorded)
 
 
 def change_label(store: Store, id: str, *, annotator: str | None = None, **values: Any) -> Recorded:
-    """Give a label another class, other edges or another verdict.
+    """Change the class, start, stop or verdict of a label.
 
     Parameters
     ----------
@@ -287,12 +288,12 @@ def change_label(store: Store, id: str, *, annotator: str | None = None, **value
     annotator : str, optional
         The person who corrects it.
     **values : str or int, optional
-        `class`, `start`, `stop` (frames) and `verdict`; the others stay.
+        `class`, `start`, `stop` (frames) and `verdict`; values that are not given are unchanged.
 
     Raises
     ------
     KinedexError
-        No label, or more than one, has such an id; or another label says the same already.
+        No label, or more than one, has such an id; or an equal label exists already.
     ParameterError
         Nothing would change, or the interval is not within the take.
     """

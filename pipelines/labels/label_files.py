@@ -1,4 +1,4 @@
-"""Label files and folders of them: what they hold, and the differences of two."""
+"""Read label files and folders of them, and find the differences between two."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from kinedex.storage.formats.labels.tables import OPTIONAL
 from kinedex.storage.store.store import Store
 
 _SECONDS = 0.0015
-"""Times of two formats that are at most so far apart are the same: some have milliseconds."""
+"""Times, in seconds, that differ by at most this are equal, because some formats have milliseconds."""
 
 _SCHEMA = pa.schema(
     [(name, pa.string()) for name in ("take", "change", "class", "new_class")]
@@ -27,7 +27,7 @@ _SCHEMA = pa.schema(
 
 
 def label_files(paths: Iterable[Path]) -> list[LabelFile]:
-    """Read label files, and all of those in folders.
+    """Read label files, and all label files in folders.
 
     Parameters
     ----------
@@ -55,12 +55,12 @@ def label_files(paths: Iterable[Path]) -> list[LabelFile]:
 
 @dataclass(frozen=True)
 class Differences:
-    """The differences of label files.
+    """The differences between label files.
 
     Attributes
     ----------
     rows : pyarrow.Table
-        Columns take, change, class, new_class, start, stop, new_start, new_stop and unit; limb and annotator where a
+        Columns take, change, class, new_class, start, stop, new_start, new_stop and unit; limb and annotator if a
         segment has one of them.
     unit : str
         The unit of all rows: "frames" of the store's rate, "source frames" or "seconds".
@@ -77,22 +77,22 @@ class Differences:
 
 
 def label_differences(before: Path, after: Path, store: Store | None = None, *, every: bool = False) -> Differences:
-    """Return the differences of label files as rows.
+    """Return the differences between label files as rows.
 
     Parameters
     ----------
     before, after : Path
         A label file, or a folder of them.
     store : Store, optional
-        The store of their takes, in whose frames the rows are then; files of all formats can be compared. Without one,
+        The store of their takes; rows are then in its frames, and files of all formats can be compared. Without one,
         the rows have the unit of the files.
     every : bool, optional
-        True includes segments that are the same.
+        True to include segments that are equal.
 
     Raises
     ------
     KinedexError
-        The one counts seconds and the other source frames, and no store is given; or the store has none of the takes.
+        One file has seconds and the other source frames, and no store is given; or the store has none of the takes.
     """
     files = [label_files([path]) for path in (before, after)]
     remarks: list[str] = []
@@ -124,14 +124,14 @@ def label_differences(before: Path, after: Path, store: Store | None = None, *, 
 
 
 def known_columns(rows: list[dict[str, object]], schema: pa.Schema) -> pa.Table:
-    """Return rows as a table, with the columns limb and annotator only where a row has one of them."""
+    """Return rows as a table; the columns limb and annotator are included only if a row has one of them."""
     table = pa.Table.from_pylist(rows, schema=schema)
     empty = all(table.column(name).null_count == table.num_rows for name in OPTIONAL)
     return table.drop_columns(list(OPTIONAL)) if empty else table
 
 
 def _row(one: Difference, unit: str) -> dict[str, object]:
-    """Return a difference as a row; a segment that was added has nothing before, one that was removed nothing after."""
+    """Return a difference as a row; an added segment has no values before, a removed one none after."""
     known = one.after or one.before
     assert known is not None
     row: dict[str, object] = {"change": one.change, "unit": unit}

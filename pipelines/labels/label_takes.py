@@ -1,4 +1,4 @@
-"""The takes of a store that label files speak of, by the names in the files."""
+"""Find the takes of a store that label files refer to, by the names in the files."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from kinedex.storage.snapshot.snapshot import Snapshot
 
 
 def on_takes(store: Snapshot, files: Sequence[LabelFile]) -> tuple[list[LabelFile], list[str]]:
-    """Give the labels of names that no take has to the takes whose files have that name.
+    """Replace names in label files that are no takes' names by the takes whose files have these names.
 
-    Where files have equal stems, their takes are named by paths, and a label file that names the stem fits several
-    takes. Its labels belong to each of them if all hold the same motion.
+    If files have equal stems, their takes are named by paths, and a label file that gives the stem matches several
+    takes. Its labels are assigned to each of them if all contain the same motion.
 
     Parameters
     ----------
@@ -32,8 +32,8 @@ def on_takes(store: Snapshot, files: Sequence[LabelFile]) -> tuple[list[LabelFil
     files : list of LabelFile
         The files with the names of takes.
     remarks : list of str
-        Names that stand for several takes, those that are one take's and fit others as well, and those that fit takes
-        of different motion and stay as they are.
+        Remarks on names of several takes, on names of one take that match others as well, and on names that match takes
+        with different motion and are not replaced.
     """
     rows = _rows(store)
     named = {take for file in files for take in file.takes}
@@ -77,7 +77,7 @@ def _rows(store: Snapshot) -> list[dict[str, Any]]:
 
 
 def _of_one_motion(store: Snapshot, fitting: dict[str, list[dict[str, Any]]]) -> set[str]:
-    """Return the names all of whose takes hold the same motion; takes of equal files need no comparison."""
+    """Return the names for which all matching takes contain the same motion; takes of equal files are not compared."""
     from kinedex.pipelines.inspection.duplicates import hold_one_motion
 
     firsts = {name: _first_of_each_file(rows) for name, rows in fitting.items()}
@@ -92,7 +92,7 @@ def _first_of_each_file(rows: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def _renamed(file: LabelFile, chosen: dict[str, list[str]]) -> LabelFile:
-    """Return a file whose labels bear the names of takes; those of several takes stand there for each."""
+    """Return a label file with names of takes; labels of several takes are repeated for each take."""
     if not chosen.keys() & set(file.takes):
         return file
 

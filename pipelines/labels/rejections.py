@@ -1,4 +1,4 @@
-"""Annotations that people have rejected: what leaves a store as labels or clips goes without them."""
+"""Look up annotations that people have rejected, to exclude them from exported labels and clips."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Rejections:
         )
 
     def include(self, annotation: Mapping[str, Any]) -> bool:
-        """Return whether an annotation, a row with class and subclass, was rejected with exactly these edges."""
+        """Return whether an annotation, a row with class and subclass, was rejected with exactly its start and stop."""
         place = annotation["start"], annotation["stop"]
         names = annotation["class"], annotation["subclass"]
         return any((annotation["take"], name, *place) in self._rejected for name in names)

@@ -1,4 +1,4 @@
-"""Segments of label files and of annotations, placed on the takes of a store, and the differences of two lists."""
+"""Assign segments of label files to the takes of a store, and find the differences between two lists of segments."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Change = Literal["same", "moved", "renamed", "added", "removed"]
 
 @dataclass(frozen=True)
 class Segment:
-    """A class in an interval [start, stop) of a take, in frames or in seconds, and the place where it stands."""
+    """A class in an interval [start, stop) of a take, in frames or seconds, and its place in a file."""
 
     take: str
     label: str
@@ -31,13 +31,13 @@ class Segment:
 
     @property
     def about(self) -> tuple[str, str, str]:
-        """The take, and the limb and the person of a statement about a limb: only segments of one are compared."""
+        """The take and, for a label of a limb, limb and annotator; only segments that agree in it are compared."""
         return self.take, self.limb, self.annotator if self.limb else ""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """A segment before and after: one that was added has nothing before, one that was removed nothing after."""
+    """A segment before and after a change; an added segment has no `before`, a removed one no `after`."""
 
     change: Change
     before: Segment | None
@@ -46,16 +46,16 @@ class Difference:
 
 @dataclass(frozen=True)
 class PlacedFiles:
-    """The segments of label files on the takes of a store.
+    """The segments of label files, assigned to the takes of a store.
 
     Attributes
     ----------
     takes : tuple of str
-        The takes of the store that the files name, also those without a segment.
+        The takes of the store that the files name, including those without a segment.
     segments : tuple of Segment
-        The segments in analysis frames, each once.
+        The distinct segments, in analysis frames.
     covered : tuple of Segment
-        Whole takes in which an annotator has looked at a limb, or at all limbs, without marking an error.
+        Whole takes in which an annotator has examined a limb, or all limbs, without marking an error.
     remarks : tuple of str
         Takes and segments that were excluded.
     unmatched : tuple of UnmatchedLabels
@@ -70,7 +70,7 @@ class PlacedFiles:
 
 
 def placed_files(store: Store, files: Sequence[LabelFile]) -> PlacedFiles:
-    """Put the segments of label files on the takes of a store, in analysis frames.
+    """Assign the segments of label files to the takes of a store, in analysis frames.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def placed_files(store: Store, files: Sequence[LabelFile]) -> PlacedFiles:
 
 
 def _covered(files: Iterable[LabelFile]) -> Iterator[tuple[str, str, str, str]]:
-    """Yield path, take, limb and annotator of what was looked at in files without an error being marked."""
+    """Yield path, take, limb and annotator for limbs that were examined without an error being marked."""
     for file in files:
         for take, limb, annotator in file.covered:
             yield file.path, take, limb, annotator
@@ -131,23 +131,23 @@ def _covered(files: Iterable[LabelFile]) -> Iterator[tuple[str, str, str, str]]:
 
 
 def differences(before: Iterable[Segment], after: Iterable[Segment], tolerance: float = 0.0) -> list[Difference]:
-    """Compare two lists of segments take by take, and those about a limb limb by limb and person by person.
+    """Compare two lists of segments take by take; segments about limbs are compared by limb and person.
 
-    Segments of a class with the same edges are the same; then those with the same edges and another class are renamed;
-    then those of a class that overlap are moved, pairs with the largest shared part first. What is left was removed
-    or added.
+    Segments with the same class, start and stop are equal; then those with the same start and stop but another class
+    are renamed; then those of a class that overlap are moved, pairs with the largest overlap first. The remaining ones
+    were removed or added.
 
     Parameters
     ----------
     before, after : iterable of Segment
         The lists.
     tolerance : float, optional
-        Edges that are at most so far apart are the same.
+        Starts or stops that differ by at most this are equal.
 
     Returns
     -------
     list of Difference
-        By take and start.
+        The differences, sorted by take and start.
     """
     groups: dict[tuple[str, str, str], tuple[list[Segment], list[Segment]]] = defaultdict(lambda: ([], []))
     for place, segments in enumerate((before, after)):
@@ -192,6 +192,6 @@ def _equal(one: Segment, other: Segment, tolerance: float) -> bool:
 
 
 def _shared(one: Segment, other: Segment) -> float:
-    """Return the share of two segments' union that both have."""
+    """Return the intersection over union of two segments."""
     common = min(one.stop, other.stop) - max(one.start, other.start)
     return max(0.0, common) / (max(one.stop, other.stop) - min(one.start, other.start))

@@ -1,4 +1,4 @@
-"""The choice of annotations or labels by take, class, interval, SQL filter, or the rows of a table file."""
+"""Select annotations or labels by take, class, interval, SQL filter, or the rows of a table file."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from kinedex.storage.formats.csv_cells import unguarded
 from kinedex.storage.store.store import data_frame
 
 KEY = ("take", "class", "start", "stop")
-"""The columns that name an annotation or a label in a file of rows."""
+"""The columns that identify an annotation or a label in a file of rows."""
 
 
 @dataclass(frozen=True)
 class Selection:
-    """The rows that a user means.
+    """The criteria by which a user selects rows.
 
     Attributes
     ----------
     takes, classes : tuple of str
-        Names; all unless given. A class also means its subclasses.
+        Names; empty for all. A class includes its subclasses.
     start, stop : int, optional
-        Only rows that overlap these frames.
+        Frames that the rows must overlap.
     where : str, optional
         A SQL filter over the columns of the rows.
     rows : Path, optional
         A file (.csv, .json, .parquet) with the columns of `KEY`, such as `kinedex sql` writes.
     every : bool
-        True for all rows where nothing else is given.
+        True to select all rows if no other criterion is given.
     """
 
     takes: tuple[str, ...] = ()
@@ -47,20 +47,20 @@ class Selection:
 
     @property
     def is_empty(self) -> bool:
-        """True if nothing is chosen."""
+        """True if no criterion is given."""
         edges = self.start is not None or self.stop is not None
         return not (self.takes or self.classes or edges or self.where or self.rows or self.every)
 
 
 def selected(table: pa.Table, selection: Selection, noun: str, *, keep_order: bool = False) -> pl.DataFrame:
-    """Return the rows that a selection means.
+    """Return the rows that match a selection.
 
     Parameters
     ----------
     table : pyarrow.Table
         Annotations or labels.
     selection : Selection
-        The choice.
+        The criteria.
     noun : str
         The noun for a row, such as "annotation".
     keep_order : bool, optional
@@ -69,7 +69,7 @@ def selected(table: pa.Table, selection: Selection, noun: str, *, keep_order: bo
     Raises
     ------
     KinedexError
-        The filter or the file does not work, or names a row that is not there.
+        The filter or the file is invalid, or names a row that does not exist.
     """
     if selection.where is not None:
         try:
@@ -123,9 +123,9 @@ def _of_file(found: pl.DataFrame, path: Path, noun: str) -> pl.DataFrame:
 
 
 def least_confident_first(annotations: pl.DataFrame) -> pl.DataFrame:
-    """Return annotations in the order in which a person looks at them: the least confident first.
+    """Return annotations in the order in which a person reviews them: the least confident first.
 
-    Of the orders that were measured, this one asks a person the least (docs/studies.md). Equally confident ones have
-    the order of take and start; those without a confidence come last.
+    Of the orders that were compared, this one needs the fewest reviews (docs/studies.md). Annotations of equal
+    confidence are ordered by take and start; those without a confidence come last.
     """
     return annotations.sort("confidence", "take", "start", "stop", "class", nulls_last=True)

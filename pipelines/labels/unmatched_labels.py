@@ -1,4 +1,4 @@
-"""The labels of label files that match no take of a store: counted, in words, and as stages record them."""
+"""Count the labels of label files that match no take of a store, and record them in the summaries of stages."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from kinedex.ops.wording import counted, few
 from kinedex.storage.formats.labels.segments import LabelFile
 
 UNMATCHED = "unmatched_labels"
-"""The key of labels that match no take in the summary of a stage, and in what commands print as JSON."""
+"""The key of labels that match no take, in the summary of a stage and in the JSON output of commands."""
 
 
 @dataclass(frozen=True)
@@ -22,11 +22,11 @@ class UnmatchedLabels:
     file : str
         The label file.
     labels : int
-        The number of its labels that match no take; a take without a segment counts as one label.
+        The number of its labels that match no take; a named take without a segment counts as one label.
     of : int
-        The number of all of its labels.
+        The total number of its labels.
     takes : tuple of str
-        The names in the file that are no take's.
+        The names in the file that match no take.
     """
 
     file: str
@@ -39,26 +39,27 @@ class UnmatchedLabels:
         return f"{self.file}: {self.labels:,} of {counted(self.of, 'label')} {verb} no take: {few(self.takes)}"
 
     def as_json(self) -> dict[str, Any]:
-        """Return the attributes as JSON has them."""
+        """Return the attributes as a JSON object."""
         return {**asdict(self), "takes": list(self.takes)}
 
     @classmethod
     def of_json(cls, known: dict[str, Any]) -> UnmatchedLabels:
-        """Return what `as_json` gave."""
+        """Make an instance from a JSON object that `as_json` has returned."""
         return cls(known["file"], known["labels"], known["of"], tuple(known["takes"]))
 
 
 def unmatched_summary(found: Iterable[UnmatchedLabels]) -> dict[str, object]:
-    """Return labels that match no take as a stage records them, once for each file; nothing where there are none.
+    """Return labels that match no take for the summary of a stage, once per file; empty if there are none.
 
-    Every stage that reads label files adds this to its summary, and the run then ends as one that has lost something.
+    Every stage that reads label files adds this to its summary, and the run then exits with the status of incomplete
+    runs.
     """
     by_file = {one.file: one.as_json() for one in found}
     return {UNMATCHED: list(by_file.values())} if by_file else {}
 
 
 def recorded_unmatched(summaries: Iterable[Mapping[str, Any]]) -> tuple[UnmatchedLabels, ...]:
-    """Return the labels that match no take of the summaries of stages, once for each file."""
+    """Return the labels that match no take from the summaries of stages, once per file."""
     recorded = (one for summary in summaries for one in summary.get(UNMATCHED, ()))
     return tuple({one["file"]: UnmatchedLabels.of_json(one) for one in recorded}.values())
 

@@ -1,1 +1,1 @@
-"""The map of an archive: its takes or windows in two dimensions, with clusters and what sets each apart."""
+"""Compute the map of an archive: its takes or windows in two dimensions, with clusters and their characteristics."""

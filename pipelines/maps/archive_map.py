@@ -1,4 +1,4 @@
-"""The map of the takes of a store, or of windows of them: places by their words, clusters, what sets each apart."""
+"""Compute the map of the takes of a store, or of windows of them: positions by words, clusters, and their traits."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 Unit = Literal["takes", "windows"]
 
 WINDOW_SECONDS = 4.0
-"""The length of windows, more or less: a take is cut into equal ones."""
+"""The approximate length of windows in seconds; a take is divided into windows of equal length."""
 
 MOST_POINTS = 100_000
-"""Windows are twice as long, or four times, and so on, if there would be more of them."""
+"""The largest number of windows; the length is doubled until there are no more."""
 
 
 @dataclass(frozen=True)
@@ -37,13 +37,13 @@ class Cluster:
     hours : float
         The duration of its points.
     traits : tuple of Trait
-        The features that set it apart.
+        The features that distinguish it from the rest.
     classes : tuple of (str or None, int)
         The classes of its takes with their numbers of takes, the most frequent first; None for takes without a class.
     typical : tuple of int
-        Three points near its middle.
+        The indices of three points near its centre.
     outline : float32 array (C, 2)
-        The corners of its convex hull.
+        The vertices of its convex hull.
     """
 
     points: int
@@ -64,13 +64,13 @@ class ArchiveMap:
     take_ids, starts, stops : int64 array (P,)
         The take and the half-open range of analysis frames of each point, ascending.
     places : float32 array (P, 2)
-        The places, between −1 and 1.
+        The positions, with coordinates between −1 and 1.
     numbers : int64 array (P,)
         The cluster of each point, −1 for none.
     clusters : tuple of Cluster
         The clusters, the largest first.
     laid_out : int
-        The number of points that t-SNE laid out; the others lie beside the most similar of these.
+        The number of points placed by t-SNE; each other point lies beside the most similar one of these.
     window_seconds : float or None
         The length of windows, None for a map of takes.
     """
@@ -86,7 +86,7 @@ class ArchiveMap:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Sentences about what is not as a reader would expect."""
+        """Sentences about limitations of the map."""
         found = []
         noun = "takes" if self.window_seconds is None else "windows"
         if self.window_seconds is not None and self.window_seconds > WINDOW_SECONDS:
@@ -103,14 +103,14 @@ class ArchiveMap:
 
 
 def archive_map(store: Store, unit: Unit = "takes", progress: Progress | None = None) -> ArchiveMap:
-    """Return the map of a store.
+    """Compute the map of a store.
 
     Parameters
     ----------
     store : Store
         The store.
     unit : {"takes", "windows"}, optional
-        A point is a take, or a window of one.
+        The unit that a point represents.
     progress : callable, optional
         Called with steps done and steps in all.
 
@@ -139,7 +139,7 @@ def archive_map(store: Store, unit: Unit = "takes", progress: Progress | None = 
 
 
 def window_seconds(frames: I64, rate_hz: float) -> float:
-    """Return the length of windows for which takes of some lengths have at most `MOST_POINTS` of them.
+    """Return the window length, in seconds, for which takes of the given lengths have at most `MOST_POINTS` windows.
 
     Examples
     --------
@@ -153,21 +153,21 @@ def window_seconds(frames: I64, rate_hz: float) -> float:
 
 
 def windows(frames: I64, length: float | None) -> tuple[I64, I64]:
-    """Cut takes into equal windows of about one length.
+    """Divide takes into windows of equal length, close to a given length.
 
     Parameters
     ----------
     frames : int64 array (T,)
         The number of frames of each take.
     length : float or None
-        The length in frames; None for one window a take.
+        The length in frames; None for one window per take.
 
     Returns
     -------
     owner : int64 array (P,)
         The index of the take of each window.
     bounds : int64 array (P + 1,)
-        Window p has the frames bounds[p] to bounds[p + 1] − 1 of the takes laid end to end.
+        Window p has the frames bounds[p] to bounds[p + 1] − 1 of the concatenated takes.
 
     Examples
     --------
@@ -217,7 +217,7 @@ def _described(store: Store, points: _Points, layout: Layout) -> tuple[Cluster, 
 
 
 def trait_words(found: tuple[Trait, ...], descriptions: list[str]) -> str:
-    """Return the features that set a cluster apart in words; those that it has less often than the rest are negated.
+    """Describe the features that distinguish a cluster; those that it has less often than the rest are negated.
 
     Examples
     --------

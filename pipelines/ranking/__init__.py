@@ -1,1 +1,1 @@
-"""Ranking of whole archives, and its evaluation."""
+"""Rank the places of whole archives by their distance to templates, and evaluate rankings."""

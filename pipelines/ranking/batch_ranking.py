@@ -1,4 +1,4 @@
-"""The ranking of a batch of takes: of those frames that the index does not exclude, or of all of them."""
+"""Rank a batch of takes: in the frames that the index does not exclude, or in all frames."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from kinedex.pipelines.search.preselection import known_queries, preselect_store
 from kinedex.storage.store.store import Store
 
 MOST_PROMISING = 0.4
-"""All frames are ranked together if the index leaves a greater share of them."""
+"""The largest share of frames, after exclusion by the index, for which these are ranked alone; else all are ranked."""
 
 
 @dataclass(frozen=True)
@@ -36,13 +36,13 @@ class BatchHits:
     ids : int64 array (T,)
         The ids of the takes.
     frames : int
-        The frames of all of them.
+        The number of frames of all of them.
     hits : tuple of Hits
         The hits of each template.
     reading : float
-        Seconds in which words were read and coded, and keyframes looked up.
+        Seconds for reading and coding words, and for looking up keyframes.
     ranking : tuple of float
-        Seconds of each template.
+        Seconds for ranking by each template.
     """
 
     ids: I64
@@ -61,7 +61,7 @@ def rank_batch(
     top: int | None,
     names: Mapping[int, str],
 ) -> BatchHits:
-    """Return the hits of each template in takes that know the same features; none of a template not applied."""
+    """Return the hits of each template in takes with the same known features; none for a template not applied."""
     if mask & store.feature_set.every_bit == store.feature_set.every_bit:
         return _rank_frames(store, templates, take_ids, taus, top, names)
     applied = {
@@ -78,7 +78,7 @@ def rank_batch(
 
 
 def _known_queries(one: RankedTemplate, feature_set: FeatureSet, mask: int) -> tuple[KeyframeQuery, ...]:
-    """Return the queries of a template that are applied to takes with a mask; without any, all frames are ranked."""
+    """Return the queries of a template that apply to takes with a feature mask; without any, all frames are ranked."""
     columns = one.template.values(len(feature_set.features))
     margins = [widest_margins(query, columns, feature_set) for query in one.queries]
     return known_queries(one.queries, margins, feature_set, mask)
@@ -136,7 +136,7 @@ def _rank_promising(
     top: int | None,
     names: Mapping[int, str],
 ) -> BatchHits | None:
-    """Return the hits in those frames that the index does not exclude; None where it excludes too few."""
+    """Return the hits in the frames that the index does not exclude; None if it excludes too few."""
     begin = time.perf_counter()
     sliced = sound_index(store)
     frames = sum(store.take_frames[take_id] for take_id in take_ids)
@@ -167,24 +167,24 @@ def _rank_promising(
 
 
 def _ranges(store: Store, one: RankedTemplate, words: TakeWords, hits: Mapping[KeyframeQuery, TakeRanges]) -> I64:
-    """Return the frames, of words laid end to end, that the hits of a template's queries leave, int64 (R, 2)."""
+    """Return the frames of concatenated words to which a template's queries restrict it, int64 (R, 2)."""
     columns = one.template.values(len(store.feature_set.features))
     return template_ranges(hits, one.queries, columns, store.feature_set, words.offsets)
 
 
 def _name_order(take_ids: I64, names: Mapping[int, str]) -> I64:
-    """Return the place of each take in the order of names."""
+    """Return the position of each take in the order of names, int64 (T,)."""
     by_name = {take_id: place for place, take_id in enumerate(sorted(take_ids.tolist(), key=lambda each: names[each]))}
     return np.array([by_name[take_id] for take_id in take_ids.tolist()], np.int64)
 
 
 def offsets_of(store: Store, take_ids: I64) -> I64:
-    """Return the first frame of each take where they are laid end to end, and the end."""
+    """Return the first frame of each take in the concatenated takes, followed by their total length, int64 (T + 1,)."""
     return np.cumsum([0, *(store.take_frames[take_id] for take_id in take_ids.tolist())]).astype(np.int64)
 
 
 def sound_index(store: Store) -> SlicedWords | None:
-    """Return the mapped index of a store; None where it has none, or a damaged one, which nothing here needs."""
+    """Return the memory-mapped index of a store; None if it has none, or a damaged one, as ranking works without it."""
     try:
         return sliced_index(store)
     except StoreError:

@@ -1,4 +1,4 @@
-"""Threads that work on batches of takes, in order and with few batches in memory."""
+"""Process batches of takes in threads, in order and with few batches in memory."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ Found = TypeVar("Found")
 
 
 def in_threads(work: Callable[[Asked], Found], items: Iterable[Asked], workers: int) -> Iterator[Found]:
-    """Apply the work to every item in threads, with two items a thread in flight; results come in order.
+    """Apply a function to every item in threads, with two items per thread in flight; yield the results in order.
 
-    The next item is drawn after the results before it were consumed, so that it knows their thresholds. The kernels
-    release the interpreter's lock: threads use all cores, without a copy of the words. Work that is withdrawn ends with
-    the items in flight.
+    The next item is drawn only after earlier results were consumed, so that it can use thresholds from them. The
+    kernels release the interpreter's lock: threads use all cores without copying words. After cancellation, only the
+    items in flight are completed.
     """
     source = iter(items)
     with ThreadPoolExecutor(max(1, workers)) as pool:

@@ -1,4 +1,4 @@
-"""Rankings by templates and by their mirror images together: what one side of the body does, or the other."""
+"""Rank by templates and by their mirror images together, for motions of either side of the body."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from kinedex.storage.store.store import Store
 
 
 def mirrored_template(one: RankedTemplate, feature_set: FeatureSet) -> RankedTemplate:
-    """Return a template, with its queries, for the same motion of the other side of the body.
+    """Return a template, with its queries, for the same motion on the other side of the body.
 
     Raises
     ------
     KinedexError
-        The feature set names no pairs of left and right.
+        The feature set defines no pairs of left and right.
     """
     if not feature_set.mirror:
         raise KinedexError(
@@ -46,10 +46,10 @@ def rank_both_sides(
     where: str | None = None,
     workers: int | None = None,
 ) -> list[Ranking]:
-    """Rank the takes of a store by templates and by their mirror images, in one list of hits for each template.
+    """Rank the takes of a store by templates and by their mirror images, with one list of hits for each template.
 
-    Of hits that overlap, one by the template and one by its image, the better one stays, and of equals the template's
-    own. The best 3 are the head of the best 10, as in `rank_takes`.
+    If a hit of the template and one of its image overlap, the better one is kept, and the template's own if they are
+    equal. The best 3 hits are the first of the best 10, as in `rank_takes`.
 
     Parameters
     ----------
@@ -63,16 +63,16 @@ def rank_both_sides(
     Returns
     -------
     list of Ranking
-        One for each template, in their order. Hits by an image are `mirrored`; frames searched and computed are the
+        One for each template, in their order. Hits of an image are `mirrored`; frames searched and computed are the
         means of both.
 
     Raises
     ------
     KinedexError
-        The feature set names no pairs of left and right, or `rank_takes` raises it.
+        The feature set defines no pairs of left and right, or `rank_takes` raises an error.
     """
     found: dict[int, Ranking] = {}
-    # the same motion of both sides of the body is in both lists, and counts once
+    # a motion of both sides of the body is in both lists, and counts once
     asked = None if top is None else top + top // 2
     while len(found) < len(templates):
         left = [place for place in range(len(templates)) if place not in found]
@@ -91,10 +91,10 @@ def _image(store: Store, one: RankedTemplate) -> RankedTemplate:
 
 
 def _merged(own: Ranking, image: Ranking, asked: int | None) -> tuple[Ranking, bool]:
-    """Return the hits of both that are sure to be the best ones, and whether these are all that there are."""
+    """Return the hits that are certain to be the best of both lists, and whether these are all hits."""
     entries = [(_key(hit, False), hit) for hit in own.hits]
     entries += [(_key(hit, True), replace(hit, mirrored=True)) for hit in image.hits]
-    # A side that was cut off at so many hits may have more of them beyond its last one.
+    # A list that was limited to this number of hits may have more beyond its last one.
     ends = [_key(one.hits[-1], side) for one, side in ((own, False), (image, True)) if len(one.hits) == asked]
     kept: list[Hit] = []
     in_take: dict[int, list[Hit]] = {}
@@ -117,5 +117,5 @@ def _merged(own: Ranking, image: Ranking, asked: int | None) -> tuple[Ranking, b
 
 
 def _key(hit: Hit, side: bool) -> tuple[int, str, int, bool]:
-    """Return the order of a hit: by cost, take, and end, the template's own before its image's."""
+    """Return the sort key of a hit: cost, take and stop, with the template's own hits before those of its image."""
     return round(hit.cost * KEYS), hit.take, hit.stop, side

@@ -1,4 +1,7 @@
-"""Frames of a store that may hold hits, by the coarse copy of its index alone; most takes need not be read then."""
+"""Find frames of a store that may contain hits, by the coarse copy of its index; most takes need not be read then.
+
+A granule is a block of `GRANULE` consecutive frames of a take.
+"""
 
 from __future__ import annotations
 
@@ -18,16 +21,16 @@ from kinedex.pipelines.search.bit_slices import SlicedWords
 
 @dataclass(frozen=True)
 class CandidateGranules:
-    """The granules of some takes in which paths below a threshold may end.
+    """The granules (blocks of frames) of takes in which warping paths with costs below a threshold may end.
 
     Parameters
     ----------
     takes : int64 array (G,)
-        The position of the take of each granule, ascending.
+        The index of the take of each granule, ascending.
     granules : int64 array (G,)
         The number of each granule in its take, ascending within a take.
     bounds : float32 array (G,)
-        No path that ends there costs less.
+        A lower bound of the costs of paths that end in the granule.
     """
 
     takes: I64
@@ -35,23 +38,23 @@ class CandidateGranules:
     bounds: npt.NDArray[np.float32]
 
     def lowest(self, count: int) -> CandidateGranules:
-        """Return those of the lowest bounds, and of equal ones all."""
+        """Return the `count` granules with the lowest bounds, and all others with the same bound as the last."""
         if len(self.bounds) <= count:
             return self
         kept = self.bounds <= np.partition(self.bounds, count - 1)[count - 1]
         return CandidateGranules(self.takes[kept], self.granules[kept], self.bounds[kept])
 
     def ranges(self, columns: int, takes: I64, offsets: I64) -> I64:
-        """Return the frames that decide about hits there: those of all paths, and one on either side.
+        """Return the frames that determine the hits in these granules: those of all paths, and one more on either side.
 
         Parameters
         ----------
         columns : int
             The number of columns N of the template; a path begins at most 2 (N − 1) frames before its end.
         takes : int64 array (T,)
-            The positions of takes, ascending, those of all granules among them.
+            The indices of takes, ascending, including those of all granules.
         offsets : int64 array (T + 1,)
-            The first frame of each of these takes among words laid end to end, and the end.
+            The first frame of each of these takes in their concatenated words, followed by the total length.
         """
         place = np.searchsorted(takes, self.takes)
         starts = offsets[place] + GRANULE * self.granules
@@ -63,7 +66,7 @@ class CandidateGranules:
 def candidate_granules(
     sliced: SlicedWords, take_ids: I64, templates: Sequence[QuantisedTemplate], thresholds: Sequence[float]
 ) -> list[CandidateGranules]:
-    """Return where templates may have hits below thresholds, in takes whose bodies know all features.
+    """Return the granules in which templates may have hits below thresholds, for takes with all features known.
 
     Parameters
     ----------
@@ -74,12 +77,12 @@ def candidate_granules(
     templates : sequence of QuantisedTemplate
         The templates.
     thresholds : sequence of float
-        The threshold of each.
+        The threshold of each template.
 
     Returns
     -------
     list of CandidateGranules
-        One for each template, with positions among the takes.
+        One for each template, with indices into the takes.
     """
     chosen = sliced.select(take_ids)
     found: list[list[tuple[I64, I64, npt.NDArray[np.float32]]]] = [[] for _ in templates]
@@ -106,7 +109,7 @@ def _runs(takes: I64) -> Iterator[tuple[int, int]]:
 
 
 def _joined(parts: Sequence[tuple[I64, I64, npt.NDArray[np.float32]]]) -> CandidateGranules:
-    """Put what several shards hold into the order of the takes."""
+    """Join the granules of several shards, in the order of the takes."""
     takes = np.concatenate([np.empty(0, np.int64), *(one for one, _, _ in parts)])
     granules = np.concatenate([np.empty(0, np.int64), *(one for _, one, _ in parts)])
     bounds = np.concatenate([np.empty(0, np.float32), *(one for _, _, one in parts)])
@@ -115,7 +118,7 @@ def _joined(parts: Sequence[tuple[I64, I64, npt.NDArray[np.float32]]]) -> Candid
 
 
 def joined_batches(parts: Sequence[CandidateGranules], ids: Sequence[I64]) -> CandidateGranules:
-    """Join what several batches of takes hold, with the ids of takes in place of their positions.
+    """Join the granules of several batches of takes, with take ids in place of indices.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Templates of chosen intervals: more like those that were accepted, and less like those that were rejected."""
+"""Learn templates from chosen intervals: similar to accepted ones, and dissimilar to rejected ones."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ F64 = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ChosenInterval:
-    """The frames [start, stop) of a take, or what their mirror image shows."""
+    """The frames [start, stop) of a take, or their mirror image."""
 
     take_id: int
     start: int
@@ -33,16 +33,16 @@ class ChosenInterval:
 
 @dataclass(frozen=True)
 class ChosenTemplate:
-    """A template of chosen intervals.
+    """A template learned from chosen intervals.
 
     Attributes
     ----------
     named : NamedTemplate
         The template, with the weights of features.
     clips : tuple of str
-        The intervals that it was made of, as "name[start:stop]", mirrored ones with a "mirror of " in front.
+        The intervals that it was learned from, as "name[start:stop]", mirrored ones with the prefix "mirror of ".
     remarks : tuple of str
-        Intervals that were excluded.
+        Remarks on intervals that were excluded.
     """
 
     named: NamedTemplate
@@ -51,7 +51,7 @@ class ChosenTemplate:
 
     @property
     def weights(self) -> F64 | None:
-        """The weights of features; None where all count alike."""
+        """The weights of features, float64 (f,); None if all have the same weight."""
         return self.named.template.feature_weights
 
 
@@ -62,12 +62,12 @@ def template_of_chosen(
     rejected: Sequence[ChosenInterval] = (),
     delta: float = DELTA,
 ) -> ChosenTemplate:
-    """Learn a template of intervals that were accepted, in contrast to some that were rejected.
+    """Learn a template from accepted intervals, in contrast to rejected ones.
 
-    One interval is the template as it is; several are averaged as `Template.learn` averages clips. Rejected intervals
-    change the weights of features (`ops.templates.contrast_weights`), so that the template remains one that every
-    ranking of the whole archive understands. One that overlaps an accepted interval does not count: badly cut, it
-    still shows the motion, and did harm in the study of corrections (docs/studies.md).
+    A single interval becomes the template unchanged; several are averaged as in `Template.learn`. Rejected intervals
+    change the weights of features (`ops.templates.contrast_weights`), so that the template can be used in any ranking
+    of the archive. A rejected interval that overlaps an accepted one is ignored: it still shows the motion, and made
+    results worse in the study of corrections (docs/studies.md).
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def template_of_chosen(
     name : str
         The name of the template.
     accepted : sequence of ChosenInterval
-        At least one.
+        Intervals that show the motion; at least one.
     rejected : sequence of ChosenInterval, optional
         Intervals that do not show the motion.
     delta : float, optional
@@ -127,7 +127,7 @@ def _overlap(one: ChosenInterval, other: ChosenInterval) -> bool:
 
 
 class _Words:
-    """The words of the takes of some intervals."""
+    """The words of the takes from which intervals were chosen."""
 
     def __init__(self, store: Store, chosen: Sequence[ChosenInterval]) -> None:
         self.store = store
@@ -146,12 +146,12 @@ class _Words:
         return self._takes[take_id]
 
     def words(self, one: ChosenInterval) -> U64:
-        """Return the words of an interval; of a mirrored one those of the other side of the body."""
+        """Return the words of an interval; for a mirrored one, with left and right exchanged."""
         words = self._takes[one.take_id][one.start : one.stop]
         return self.store.feature_set.mirrored(words) if one.mirrored else words
 
     def known(self, one: ChosenInterval) -> int:
-        """Return the mask of the features that the take of an interval knows."""
+        """Return the mask of the features that are known in the take of an interval."""
         mask = self.store.known.get(one.take_id, int(ALL_KNOWN))
         if not one.mirrored or mask == ALL_KNOWN:
             return mask

@@ -1,4 +1,4 @@
-"""A first look at the index: a threshold below which a template is likely to have hits enough."""
+"""Estimate from the index a threshold below which a template is likely to have enough hits."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from kinedex.pipelines.search.bit_slices import SlicedWords
 from kinedex.storage.store.store import Store
 
 WORTH_FRAMES = 500_000
-"""From so many frames on, a first look at the index for a low threshold saves more than it takes."""
+"""The number of frames from which on it pays to search the index for a low threshold first."""
 
 SAMPLED = 6
-"""So many granules are looked at for each hit that is asked for: several of them belong to one hit."""
+"""The number of granules that are searched for each requested hit, as several of them belong to one hit."""
 
 
 def first_thresholds(
@@ -32,11 +32,11 @@ def first_thresholds(
     top: int | None,
     workers: int,
 ) -> list[float]:
-    """Return a threshold for each template below which there are likely to be hits enough.
+    """Return for each template a threshold below which enough hits are likely.
 
-    It is the cost of the last of the best hits in those granules of the index whose bounds are lowest; `tau` where
-    this would take longer than it saves. Hits below a lower threshold are the first ones below tau: they come in
-    the order of their costs, and only a better one excludes one. If they are enough, they are the answer.
+    It is the cost of the last of the best hits in the granules of the index with the lowest bounds, or `tau` if
+    computing it does not pay. Hits below a lower threshold are the first of the hits below tau: they come in the order
+    of their costs, and only a better hit excludes another. If they are enough, they are the result.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def first_thresholds(
 def _threshold_of(
     store: Store, sliced: SlicedWords, template: QuantisedTemplate, sample: CandidateGranules, tau: float, top: int
 ) -> float:
-    """Return the cost of the last of the best hits in some granules, whose takes are ids; tau if they are few."""
+    """Return the cost of the last of the best hits in some granules, whose `takes` are ids; tau if they are too few."""
     ids = np.unique(sample.takes)
     if not len(ids):
         return tau

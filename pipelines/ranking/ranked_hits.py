@@ -1,4 +1,4 @@
-"""The templates that takes are ranked by, the hits of each, and their table."""
+"""Templates to rank by, the hits of each, and the table of hits."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class RankedTemplate:
 
 @dataclass(frozen=True)
 class Hit:
-    """A range of frames [start, stop) of a take that a template, or its mirror image, fits at a distance `cost`."""
+    """A range of frames [start, stop) of a take that matches a template, or its mirror image, at distance `cost`."""
 
     take_id: int
     take: str
@@ -35,7 +35,7 @@ class Hit:
 
 @dataclass(frozen=True)
 class Ranking:
-    """The hits of one template, with the work that they took; seconds are those of all threads added up.
+    """The hits of one template, with the work to find them; seconds are summed over all threads.
 
     Attributes
     ----------
@@ -44,17 +44,17 @@ class Ranking:
     hits : tuple of Hit
         The hits, the best first.
     frames : int
-        The frames of all takes.
+        The number of frames of all takes.
     searched : int
-        The frames that keyframe queries left, all of them without queries.
+        The number of frames that keyframe queries kept; all frames without queries.
     computed : int
-        The frames of these in which distances were computed, as no bound excluded a hit.
+        The number of these frames in which distances were computed because no bound excluded a hit.
     bounded : bool
-        True where a bound was tried.
+        True if a bound was computed.
     reading : float
-        Seconds of the whole pass in which takes were listed, words read and coded, and keyframes looked up.
+        Seconds of the whole pass for listing takes, reading and coding words, and looking up keyframes.
     ranking : float
-        Seconds of this template; of templates that are ranked together, its share by columns.
+        Seconds for this template; for templates ranked together, its share in proportion to columns.
     """
 
     name: str
@@ -68,14 +68,14 @@ class Ranking:
 
     @property
     def skipped(self) -> float | None:
-        """The share of the searched frames that a bound excluded; None where no bound was tried."""
+        """The share of the searched frames that a bound excluded; None if no bound was computed."""
         if not self.bounded:
             return None
         return max(0.0, 1 - self.computed / self.searched) if self.searched else 0.0
 
     @property
     def kept(self) -> float:
-        """The share of all frames that keyframe queries left, 1 without queries."""
+        """The share of all frames that keyframe queries kept; 1 without queries."""
         return self.searched / self.frames if self.frames else 0.0
 
 

@@ -1,4 +1,4 @@
-"""The pass of a ranking over the takes of a store: batch by batch through threads, the best hits of every template."""
+"""Rank the takes of a store in one pass, batch by batch in threads, and keep the best hits of every template."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from kinedex.storage.snapshot.schemas import sorted_by
 from kinedex.storage.store.store import Store
 
 BATCH_FRAMES = 200_000
-"""A thread reads and ranks so many analysis frames (under two hours) at a time; a longer take is a batch of its own."""
+"""The number of frames that a thread reads and ranks at a time (under two hours); a longer take is its own batch."""
 
 Item = tuple[tuple[int, ...], int, tuple[float, ...]]
-"""The ids of some takes that know the same features, their mask, and the threshold of every template."""
+"""The ids of takes with the same known features, their feature mask, and the threshold of every template."""
 
 
 def rank_takes(
@@ -37,13 +37,13 @@ def rank_takes(
     where: str | None = None,
     workers: int | None = None,
 ) -> list[Ranking]:
-    """Rank the takes of a store by each of some templates, all of them in one pass over the words.
+    """Rank the takes of a store by several templates, in one pass over the words.
 
-    Of equal hits, the one in the take whose name comes first is first, and within a take the one that ends first: the
-    best 3 are the head of the best 10, whatever takes share a batch and in whatever order they were ingested. Memory
-    does not grow with the archive: besides the hits that are kept, each thread holds a batch or two. The hits are the
-    same for any number of threads, and for templates together or one by one; how many frames a bound excludes depends
-    on the hits that are known when a batch begins.
+    Hits of equal cost are ordered by name of the take, and within a take by their stop: the best 3 are the first of the
+    best 10, whatever takes share a batch and in whatever order they were ingested. Memory does not grow with the
+    archive: besides the hits that are kept, each thread holds one or two batches. The hits are the same for any number
+    of threads, and for templates together or separately; the number of frames that a bound excludes depends on the hits
+    that are known when a batch begins.
 
     Parameters
     ----------
@@ -52,13 +52,13 @@ def rank_takes(
     templates : sequence of RankedTemplate
         The templates, each with its keyframe queries.
     tau : float
-        Distances below it make a hit.
+        The threshold below which a distance is a hit.
     top : int, optional
-        The largest number of hits of a template; all hits unless given.
+        The largest number of hits of a template; by default all hits.
     where : str, optional
-        A SQL filter over the columns of takes; all takes unless given.
+        A SQL filter over the columns of takes; by default all takes.
     workers : int, optional
-        The number of threads; that of the cores unless given.
+        The number of threads; by default that of the cores.
 
     Returns
     -------
@@ -68,7 +68,7 @@ def rank_takes(
     Raises
     ------
     KinedexError
-        The filter selects no take, or a query does not fit the features of the store.
+        The filter selects no take, or a query does not match the features of the store.
     """
     begin = time.perf_counter()
     takes = sorted_by(store.takes_table(where), "take_id")
@@ -88,13 +88,13 @@ def rank_takes(
 
 
 def _is_sure(ranking: Ranking, bar: float, top: int | None) -> bool:
-    """Return whether a ranking below a threshold has the hits that one below any greater threshold begins with."""
+    """Return whether the hits below a threshold are certain to be the first ones below any greater threshold."""
     return len(ranking.hits) == top and round(ranking.hits[-1].cost * KEYS) + 2 <= round(bar * KEYS)
 
 
 @dataclass(frozen=True)
 class _Pass:
-    """A pass over some takes, for any templates.
+    """A ranking pass over takes, with which any templates can be ranked.
 
     Attributes
     ----------
@@ -117,15 +117,15 @@ class _Pass:
     workers: int
 
     def rank(self, templates: Sequence[RankedTemplate], first: Sequence[float], reading: float) -> list[Ranking]:
-        """Rank the takes by templates, each below a threshold; `reading` seconds were spent before."""
+        """Rank the takes by templates, each below its own threshold; `reading` seconds were spent before."""
         top, names = self.top, self.names
         best: list[list[tuple[float, str, int, Hit]]] = [[] for _ in templates]
         counts = np.zeros((len(templates), 3), np.int64)
         bounded = np.zeros(len(templates), np.bool_)
         seconds = np.zeros(len(templates))
 
-        # Once `top` hits are known, a hit above the last of them cannot enter any more. The others stay as they are, as
-        # a hit excludes overlapping hits of higher cost only.
+        # Once `top` hits are known, a hit above the last of them cannot enter. The others do not change, because
+        # a hit excludes only overlapping hits of higher cost.
         bars = list(first)
 
         def work(item: Item) -> BatchHits:
@@ -161,15 +161,15 @@ class _Pass:
 def partly_known(
     templates: Sequence[RankedTemplate], feature_set: FeatureSet, known: Mapping[int, int]
 ) -> list[Applicability]:
-    """Return what the takes that lack features know of templates and their queries; `known` has their masks by id."""
+    """Return how templates and queries apply to takes that lack features; `known` has their masks by take_id."""
     queries = (query for one in templates for query in one.queries)
     return applicability(feature_set, known.values(), {one.name: one.template for one in templates}, queries)
 
 
 def _batches(frames: Mapping[int, int], known: Mapping[int, int]) -> Iterator[tuple[int, tuple[int, ...]]]:
-    """Yield batches of takes that know the same features, each with their mask; whole bodies come first.
+    """Yield batches of takes with the same known features, each with its mask; takes with all features come first.
 
-    `frames` has the lengths of the takes by their ids.
+    `frames` maps take_id to the length of the take.
     """
     masks = {take_id: known.get(take_id, int(ALL_KNOWN)) for take_id in frames}
     for mask in sorted(set(masks.values()), reverse=True):

@@ -1,4 +1,4 @@
-"""Evaluation of rankings: hits in takes against manual segments, and clips that were not learned from."""
+"""Evaluate rankings: hits in takes against manual segments, and clips that templates were not learned from."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from kinedex.storage.store.store import Store
 
 
 class Fold(BaseModel):
-    """The clips that templates are learned from, and those that are ranked: SQL filters over the columns of takes."""
+    """The clips to learn templates from, and the clips to rank, as SQL filters over the columns of takes."""
 
     model_config = ConfigDict(extra="forbid")
     name: str
@@ -38,14 +38,14 @@ class Fold(BaseModel):
 
 @dataclass(frozen=True)
 class Judged:
-    """The judgement of one ranking.
+    """The evaluation of one ranking.
 
     Attributes
     ----------
     evaluation : str
         "takes" or "clips".
     fold : str
-        The value that was excluded from learning; empty for none.
+        The column value whose clips were held out; empty for none.
     label : str
         The class.
     relevant : tuple of bool
@@ -53,9 +53,9 @@ class Judged:
     total : int
         The number of segments or clips to find.
     found : int
-        The number of these below τ.
+        The number of these that were found below τ.
     confused : tuple of (str, int)
-        The classes above the last right rank, with their numbers, the most frequent first.
+        The wrong classes ranked above the last right hit, with their numbers, the most frequent first.
     """
 
     evaluation: str
@@ -68,12 +68,12 @@ class Judged:
 
     @property
     def average_precision(self) -> float:
-        """See `ops.evaluation.ranking_metrics.average_precision`."""
+        """The average precision; see `ops.evaluation.ranking_metrics.average_precision`."""
         return average_precision(self.relevant, self.total)
 
     @property
     def recall(self) -> float:
-        """The share of segments or clips to find that is below τ; NaN where there is none."""
+        """The share of segments or clips that was found below τ; NaN if there are none to find."""
         return self.found / self.total if self.total else math.nan
 
 
@@ -105,10 +105,10 @@ def names_filter(takes: Sequence[str]) -> str:
 
 
 def judge_hits(label: str, hits: Sequence[Hit], truth: Sequence[Manual], tau: float) -> Judged:
-    """Judge the ranked hits of a class by the manual segments of all classes.
+    """Evaluate the ranked hits of a class by the manual segments of all classes.
 
-    A hit is right where it shares at least half of the shorter of the two with a segment of its class that no better
-    hit has found; a second hit on one segment counts as wrong.
+    A hit is right if its overlap with a segment of its class, which no better hit has matched, is at least half of the
+    shorter of the two; a second hit on one segment is wrong.
     """
     wanted = [segment for segment in truth if segment.label == label]
     taken: set[int] = set()
@@ -139,7 +139,7 @@ def _same(hit: Hit, segment: Manual) -> bool:
 def clip_costs(templates: Mapping[str, QuantisedTemplate], clips: TakeWords) -> dict[str, np.ndarray]:
     """Return the least distance of each template in each clip, float64 (C,).
 
-    It is ∞ in clips that are too short for a template, and in those that it is not applied to, as they lack features.
+    It is ∞ for clips that are too short for a template, and for clips that lack too many of its features.
     """
     least = np.full((len(templates), len(clips)), np.inf)
     for mask in clips.masks:
@@ -158,7 +158,7 @@ def clip_costs(templates: Mapping[str, QuantisedTemplate], clips: TakeWords) -> 
 def judge_clips(
     fold: str, label: str, costs: np.ndarray, labels: Sequence[str], names: Sequence[str], tau: float
 ) -> Judged:
-    """Judge the clips of a fold, ranked by their least distance; of equal ones the first by name comes first."""
+    """Evaluate the clips of a fold, ranked by their least distance; clips of equal distance are ordered by name."""
     keys = [round(cost * KEYS) if math.isfinite(cost) else math.inf for cost in costs.tolist()]
     order = sorted(range(len(names)), key=lambda i: (keys[i], names[i]))
     relevant = tuple(labels[i] == label for i in order)
@@ -170,7 +170,7 @@ def judge_clips(
 
 
 def mean_average_precision(judged: Sequence[Judged]) -> float:
-    """Return the mean over classes of the mean over folds; NaN where there was nothing to find."""
+    """Return the mean over classes of the mean over folds; NaN if there was nothing to find."""
     by_label: dict[str, list[float]] = {}
     for one in judged:
         if one.total:
@@ -179,13 +179,13 @@ def mean_average_precision(judged: Sequence[Judged]) -> float:
 
 
 def recall_at_tau(judged: Sequence[Judged]) -> float:
-    """Return the share of all segments or clips to find that is below τ."""
+    """Return the share of all segments or clips to find that were found below τ."""
     total = sum(one.total for one in judged)
     return sum(one.found for one in judged) / total if total else math.nan
 
 
 def retrieval_rows(judged: Sequence[Judged], run: str) -> pa.Table:
-    """Return judged rankings as results of the kind `retrieval`."""
+    """Return evaluated rankings as results of the kind `retrieval`."""
     rows = [
         {
             "run": run,
@@ -204,7 +204,7 @@ def retrieval_rows(judged: Sequence[Judged], run: str) -> pa.Table:
 
 
 def retrieval_table(judged: Sequence[Judged], title: str, tau: float) -> ResultTable:
-    """Return a table of judged rankings, folds pooled by class: average precision, recall at τ, and confusions."""
+    """Return a table of evaluated rankings, folds pooled by class: average precision, recall at τ, and confusions."""
     columns = ("class", "to find", "AP", f"recall at {tau:g}", "above the last right one")
     table = ResultTable(columns, texts=frozenset({0, 4}), title=title)
     for label in sorted({one.label for one in judged}):

@@ -1,4 +1,4 @@
-"""The stiffness experiment: frames that queries keep, and precision and recall, for several stiffnesses of gaps."""
+"""Run the stiffness experiment: shares of frames that queries keep, precision and recall, by stiffness of gaps."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ WRITTEN = "as written"
 
 @dataclass(frozen=True)
 class Trial:
-    """The ranking of one class under one variant of its queries.
+    """The ranking of one class with one variant of its queries.
 
     Attributes
     ----------
@@ -34,9 +34,9 @@ class Trial:
     stiffness : float, optional
         The stiffness of all gaps.
     judged : Judged
-        The judgement of the ranking.
+        The evaluation of the ranking.
     kept : float
-        The share of the frames that was ranked.
+        The share of frames that was ranked.
     """
 
     variant: str
@@ -46,10 +46,10 @@ class Trial:
 
 
 def stiffened(query: KeyframeQuery, stiffness: float) -> KeyframeQuery:
-    """Return a query with one stiffness in all gaps (thesis, Figure 3.14: σ ≡ 1.0).
+    """Return a query with the same stiffness in all gaps (thesis, Figure 3.14: σ ≡ 1.0).
 
-    A gap that was given as a range has the nominal distance of the range (Eq. 4.8). Parts of one keyframe stay in one
-    frame, and a gap without an upper bound, which has no distance, is unchanged.
+    A gap that was given as a range gets the nominal distance of the range (Eq. 4.8). Gaps between parts of one
+    keyframe, and gaps without an upper bound, which have no distance, are unchanged.
     """
     gaps = tuple(_gap(gap, stiffness) for gap in query.gaps)
     return replace(query, gaps=gaps, alternatives=tuple(stiffened(other, stiffness) for other in query.alternatives))
@@ -84,7 +84,7 @@ def run_trials(
     workers: int,
     progress: Progress,
 ) -> list[Trial]:
-    """Rank takes to the last hit in all frames, within the hits of the queries as written, and with other stiffnesses.
+    """Rank takes completely in all frames, within the hits of the queries as written, and with other stiffnesses.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def run_trials(
     takes : str
         A SQL filter over the columns of takes.
     stiffnesses : sequence of float
-        Each in [0, 1], for all gaps of all queries.
+        The stiffnesses in [0, 1], each used for all gaps of all queries.
     tau : float
         The threshold of recall.
     workers : int

@@ -1,4 +1,4 @@
-"""Rankings of a store by templates and by examples: which templates are used, which queries they get, the hits."""
+"""Rank a store by templates and by examples: choose templates, assign keyframe queries, and return the hits."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from kinedex.pipelines.templates.stored_templates import choose_templates
 from kinedex.storage.store.store import Store
 
 DELTA, TAU, TOP = 0.1, 0.1, 20
-"""Thresholds of a ranking, as configs/pipelines/retrieval.yaml has them, and a screen of hits."""
+"""Default thresholds δ and τ of a ranking, as in configs/pipelines/retrieval.yaml, and default number of hits."""
 
 FARTHEST = 1.0
-"""The cost of a place where every fixed entry of a template is wrong."""
+"""The cost where every fixed entry of a template is wrong, which is the largest possible."""
 
 
 @dataclass(frozen=True)
@@ -38,12 +38,12 @@ class StoreRanking:
     rate_hz : float
         The analysis rate of the store, in frames per second.
     remarks : tuple of str
-        Templates that were excluded or not applied to some takes, and those that were ranked in all frames though
+        Remarks on templates that were excluded or not applied to some takes, or ranked in all frames although
         others have queries.
     mirror : bool
-        True where mirror images of the templates were searched, too.
+        True if mirror images of the templates were searched as well.
     nearest : tuple of Ranking
-        The places nearest to the templates that have no hit, where they were asked for.
+        The best matches of templates without a hit, if they were requested.
     """
 
     rankings: tuple[Ranking, ...]
@@ -57,7 +57,7 @@ class StoreRanking:
         return self._rows(self.rankings)
 
     def nearest_table(self) -> pa.Table:
-        """Return the nearest places in the same form."""
+        """Return the best matches of templates without a hit, in the same form."""
         return self._rows(self.nearest)
 
     def _rows(self, rankings: Sequence[Ranking]) -> pa.Table:
@@ -68,9 +68,9 @@ class StoreRanking:
         return table.append_column("mirrored", pa.array(sides, pa.bool_()))
 
     def misses(self, tau: float, option: str = "--tau ") -> list[str]:
-        """Return a sentence on each template without a hit below tau: its nearest place and the τ that it takes.
+        """Return a sentence on each template without a hit below tau: its best match, and the τ that would include it.
 
-        `option` is how the caller gives a τ: "--tau " of the command, "tau=" of Python.
+        `option` is the way in which the caller gives τ: "--tau " in a command, "tau=" in Python.
         """
         return [_miss(one, tau, self.rate_hz, option) for one in self.nearest]
 
@@ -90,18 +90,18 @@ def rank_store(
     mirror: bool = False,
     nearest: int = 0,
 ) -> StoreRanking:
-    """Rank the places of an archive by how well templates fit them.
+    """Rank the places in an archive by their distance to templates.
 
     Parameters
     ----------
     store : Store
         The store to search.
     templates : sequence of str or NamedTemplate, optional
-        Subclasses with a learned template, paths of template files, or templates themselves; all learned templates
-        unless given, except those that are wildcards alone.
+        Subclasses with a learned template, paths of template files, or templates themselves; by default all learned
+        templates that have fixed entries.
     queries : sequence of KeyframeQuery, optional
-        A template is ranked within the hits of the queries whose target has its name, and in all frames where it has
-        none; in all frames unless given.
+        A template is ranked within the hits of the queries whose target has its name, and in all frames if it has
+        none; by default in all frames.
     kind : {"soft", "hard"}
         The kind of the learned templates.
     stage : str, optional
@@ -109,17 +109,17 @@ def rank_store(
     delta : float
         Entries of a template within delta of 0 or 1 count, the others are wildcards.
     tau : float
-        Distances below it make a hit.
+        The threshold below which a distance is a hit.
     top : int, optional
         The largest number of hits of a template; None returns all.
     where : str, optional
         A SQL filter over the columns of takes.
     workers : int, optional
-        The number of threads; that of the cores unless given.
+        The number of threads; by default that of the cores.
     mirror : bool
-        True searches the mirror images of the templates, too: the same motions of the other side of the body.
+        True to search the mirror images of the templates as well: the same motions of the other side of the body.
     nearest : int
-        So many places are returned for each template that has no hit.
+        The number of best matches to return for each template without a hit.
 
     Returns
     -------
@@ -129,7 +129,7 @@ def rank_store(
     Raises
     ------
     KinedexError
-        A template cannot be found or is wildcards alone, no query is for any of the templates, no take is selected, or
+        A template cannot be found or has no fixed entry, no query is for any of the templates, no take is selected, or
         features cannot be mirrored.
     """
     names = None if templates is None else [one for one in templates if isinstance(one, str)]
@@ -146,11 +146,11 @@ def rank_store(
 
 
 def _miss(one: Ranking, tau: float, rate_hz: float, option: str) -> str:
-    """Return the sentence on a template without a hit below tau, of which the nearest places are known."""
+    """Return the sentence on a template without a hit below tau, given its best matches."""
     if not one.hits:
         return f"'{one.name}' fits nowhere below {FARTHEST:g}"
     best = one.hits[0]
-    enough = min((floor(best.cost * 100) + 1) / 100, FARTHEST)  # two digits, above the cost
+    enough = min((floor(best.cost * 100) + 1) / 100, FARTHEST)  # rounded up to two digits, above the cost
     return (
         f"no hit of '{one.name}' below {tau:g}; the nearest place costs {best.cost:.3f}: {best.take} at "
         f"{best.start / rate_hz:.2f} s; {option}{enough:g} makes it a hit"
@@ -164,7 +164,7 @@ def ranked_templates(
     *,
     strict: bool = False,
 ) -> tuple[list[RankedTemplate], list[str]]:
-    """Quantise templates, and give each the queries for its name.
+    """Quantise templates, and assign to each the queries whose target has its name.
 
     Parameters
     ----------
@@ -175,19 +175,19 @@ def ranked_templates(
     queries : sequence of KeyframeQuery, optional
         The queries that preselect frames, each for the template that its target names.
     strict : bool
-        True raises where a template is wildcards alone; otherwise it is excluded, with a remark.
+        True to raise an error for a template without fixed entries; otherwise it is excluded, with a remark.
 
     Returns
     -------
     list of RankedTemplate
-        At least one.
+        The quantised templates; at least one.
     list of str
-        Remarks on templates that are excluded, or that have no query where others have one.
+        Remarks on templates that are excluded, or that have no query although others have one.
 
     Raises
     ------
     KinedexError
-        A template is wildcards alone (`strict`), all of them are, or queries are given and none is for any of them.
+        A template has no fixed entry (`strict`), none has any, or queries are given but none is for these templates.
     """
     ranked, vague = [], []
     for one in templates:

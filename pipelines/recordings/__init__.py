@@ -1,1 +1,1 @@
-"""Recordings that become takes: what tracking by cameras and reconstruction from depth have in common."""
+"""Recordings that become takes: the code shared by tracking with cameras and reconstruction from depth."""

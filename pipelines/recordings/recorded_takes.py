@@ -1,4 +1,4 @@
-"""Takes that are made of recordings: how they enter the store, beside those that were read from motion files."""
+"""Store takes that are made from recordings, beside those that were read from motion files."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ RECORDED_COLUMNS = {
 
 @dataclass(frozen=True)
 class Provenance:
-    """The origin of a take of a recording: the files that it follows from.
+    """The origin of a take made from a recording: its files.
 
     Attributes
     ----------
     root : str
         The folder of the main file: the recordings file, or the motion file of a 3D track.
     source : str
-        That file, relative to the folder.
+        The main file, relative to the folder.
     checksum : str
         A hash of the contents of all files of the recording.
     size : int
         Their size in bytes.
     mtime_ns : int
-        Time of the latest change of one of them, in nanoseconds since 1970.
+        Time of the latest change of any of these files, in nanoseconds since 1970.
     recording : str, optional
-        The name of the recording; None for a take that was stabilised without one.
+        The name of the recording; None for a stabilised take without a recording.
     cameras : tuple of str
         The names of its cameras.
     """
@@ -61,41 +61,41 @@ class Provenance:
 
 
 class RecordedTake(Protocol):
-    """A take of a recording, before it is in the store: its name, origin and joints."""
+    """A take made from a recording, before it is stored: its name, origin and joints."""
 
     @property
     def name(self) -> str:
-        """Its name."""
+        """The name of the take."""
 
     @property
     def format(self) -> str:
-        """Its format, one of `RECORDED_FORMATS`."""
+        """The format of the take, one of `RECORDED_FORMATS`."""
 
     @property
     def provenance(self) -> Provenance:
-        """Its origin."""
+        """The origin of the take."""
 
     @property
     def recipe(self) -> str:
-        """A hash of all that it follows from besides its files."""
+        """A hash of everything except its files that determines the take."""
 
     @property
     def actor(self) -> str | None:
         """The actor, if known."""
 
     def joints(self, features: FeatureSet) -> Body:
-        """Return its joints as those of a motion file, in the order of a feature set."""
+        """Return the joints of the take as those of a motion file, in the order of a feature set."""
 
 
 def put_takes(writer: StoreWriter, takes: Sequence[RecordedTake]) -> dict[str, int]:
-    """Add takes of recordings to a store, each whole in place of an earlier one; nothing is committed.
+    """Add takes made from recordings to a store, each replacing an earlier one with its name; nothing is committed.
 
     Parameters
     ----------
     writer : StoreWriter
         The writer of the store.
     takes : sequence of RecordedTake
-        The takes, whose names differ.
+        The takes, with distinct names.
 
     Returns
     -------
@@ -105,7 +105,7 @@ def put_takes(writer: StoreWriter, takes: Sequence[RecordedTake]) -> dict[str, i
     Raises
     ------
     KinedexError
-        A take of a motion file has the name of one, or a column of the user's that of `RECORDED_COLUMNS`.
+        A take of a motion file has the same name, or a column of the user has a name in `RECORDED_COLUMNS`.
     """
     if not takes:
         return {}
@@ -139,7 +139,7 @@ def refuse_names(store: Store, names: Sequence[str]) -> None:
 
 
 def declare_recorded_columns(writer: StoreWriter) -> None:
-    """Declare the columns of takes of recordings; a KinedexError reports a column of the user's with such a name."""
+    """Declare the columns of takes made from recordings; raise a KinedexError if the user has such a column."""
     for name, column in RECORDED_COLUMNS.items():
         if (problem := column_problem(name, column, writer.columns)) is not None:
             raise KinedexError(

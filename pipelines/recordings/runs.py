@@ -1,4 +1,4 @@
-"""Runs over many recordings and takes: each is put into the store as soon as it is done, unchanged ones stay."""
+"""Run tasks that each make a take from a recording; each take is committed when done, unchanged ones are kept."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ COMPILING = "kernels are compiled, once after an installation or update: this ta
 
 @dataclass(frozen=True)
 class Place:
-    """The place of a run: where its results belong, and how it reports.
+    """The stage and run that results belong to, and the workers and display that they use.
 
     Attributes
     ----------
@@ -48,9 +48,9 @@ class Place:
     progress : callable
         Function of a description and a number of steps that returns a progress bar.
     code : str
-        A hash of the sources that run, for reuse; empty for none.
+        A hash of the code that runs; results are reused only if it is not empty.
     anew : bool
-        All is done again.
+        True to do everything again.
     """
 
     stage: str
@@ -63,13 +63,13 @@ class Place:
 
     @classmethod
     def of(cls, context: StageContext) -> Place:
-        """Return the place of a stage."""
+        """Return the place that corresponds to the context of a stage."""
         return cls(
             context.key(), context.run, context.executor, context.say, context.progress, context.code, context.anew
         )
 
     def reusable(self, store: Store, kind: str, key: str) -> dict[str, str]:
-        """Return the values of a column of earlier rows of this stage with their fingerprints."""
+        """Return the fingerprints of this stage's earlier rows, by the values of a column."""
         if self.anew or not self.code:
             return {}
         return {str(row[key]): str(row["fingerprint"]) for row in earlier_rows(store, kind, self.stage)}
@@ -77,16 +77,16 @@ class Place:
 
 @dataclass
 class Outcome:
-    """The outcome of a run.
+    """The result of a run.
 
     Attributes
     ----------
     names : list of str
-        The recordings or takes, those that stayed as they were among them.
+        The recordings or takes, including unchanged ones.
     unchanged : list of str
-        Those that stayed as they were.
+        The unchanged ones.
     remarks : list of str
-        Sentences about what was left out.
+        Sentences about what was excluded.
     """
 
     names: list[str] = field(default_factory=list)
@@ -96,7 +96,7 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False)
 class Finished:
-    """A take of a recording with its results.
+    """A finished take made from a recording, with its results.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class Finished:
     tables : dict of str to pyarrow.Table
         Its results by kind.
     lines : tuple of str
-        Sentences that report it.
+        Sentences that report on it.
     """
 
     take: RecordedTake
@@ -114,7 +114,7 @@ class Finished:
 
 
 class Task(Protocol):
-    """The work that makes one take."""
+    """A task that makes one take."""
 
     @property
     def take(self) -> str:
@@ -122,11 +122,11 @@ class Task(Protocol):
 
     @property
     def take_id(self) -> int:
-        """Its id."""
+        """The id of the take."""
 
     @property
     def fingerprint(self) -> str:
-        """A hash of all that it follows from."""
+        """A hash of everything that determines the take."""
 
 
 AnyTask = TypeVar("AnyTask", bound=Task)
@@ -148,27 +148,27 @@ def run_tasks(
     tasks: Sequence[AnyTask],
     are_kernels_compiled: Callable[[], bool],
 ) -> Outcome:
-    """Do the tasks whose takes are not up to date, and commit each take with its results.
+    """Run the tasks whose takes are not up to date, and commit each take with its results.
 
     Parameters
     ----------
     writer : StoreWriter
         The writer of the store.
     place : Place
-        Where the results belong.
+        The stage and run of the results.
     kind : str
         The kind of results that has a row with `fingerprint` for each take.
     work : callable
-        Makes the take of a task, in any process.
+        Makes the take of a task; must be picklable.
     tasks : sequence of Task
         The tasks.
     are_kernels_compiled : callable
-        Returns whether the kernels that `work` needs are on disk.
+        Returns whether the kernels that `work` needs are compiled on disk.
 
     Raises
     ------
     KinedexError
-        Something is wrong with a task; those of the other tasks are in the store.
+        A task has failed; the takes of the other tasks are in the store.
     """
     before = place.reusable(writer.store, kind, "take")
     damaged = {take for part in damaged_frames(writer.store) for take in part.live}
@@ -198,7 +198,7 @@ def run_tasks(
 
 
 def _attempt(work: Callable[[AnyTask], Finished], task: AnyTask) -> Finished | str:
-    """Return what became of a task, or the message of what is wrong with it: the other tasks go on."""
+    """Return the result of a task, or its error message, so that the other tasks continue."""
     try:
         return work(task)
     except KinedexError as fault:
@@ -210,14 +210,14 @@ def _rest(count: int) -> str:
 
 
 def is_compiled(kernel: object) -> bool:
-    """Return whether a kernel is on disk; True where Python runs it as it is."""
+    """Return whether a kernel is compiled on disk; True if numba is disabled."""
     statistics = getattr(kernel, "stats", None)
     name = getattr(kernel, "__name__", "")
     return statistics is None or any(Path(statistics.cache_path).glob(f"*{name}-*.nbi"))
 
 
 def renew_index(path: Path, wait: Wait) -> None:
-    """Build the index of the takes as they are now."""
+    """Build the index of the current takes."""
     store = open_store(path, at="newest")
     if store.manifest.live_takes:
         build_index(store, wait=wait)

@@ -1,4 +1,4 @@
-"""Results of stages that make takes of recordings: rows of some stay when those of others are put beside them."""
+"""Store results of takes made from recordings; rows of other takes are kept."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def put_beside(
     column: str,
     gone: Collection[int | str],
 ) -> None:
-    """Put results of some takes or recordings; those of others that the stage has stay.
+    """Store results of some takes or recordings, and keep those of the others that the stage has.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def put_beside(
     column : str
         The column that names the take or the recording of a row: take_id or recording.
     gone : collection
-        The values in it whose earlier rows go.
+        The values in this column whose earlier rows are removed.
     """
     store = writer.store
     before = [part for part in store.manifest.results.get(kind, ()) if part.stage == stage]
@@ -60,20 +60,20 @@ def put_beside(
 
 
 def earlier_rows(store: Store, kind: str, stage: str) -> list[dict[str, object]]:
-    """Return the rows of a small kind of results that a stage has; none where they cannot be read."""
+    """Return the rows of a small kind of results that a stage has; an empty list if they cannot be read."""
     parts = [part for part in store.manifest.results.get(kind, ()) if part.stage == stage]
     try:
         return [row for rows in store.result_pieces(kind, parts) for row in rows.to_pylist()]
     except KinedexError:
-        return []  # repair removes them, and the stage makes all of them again
+        return []  # repair removes unreadable rows, and the stage makes all of them again
 
 
 MADE_KINDS = ("tracks", "reconstructions")
-"""The kinds of results that have a row for each take of a recording."""
+"""The kinds of results that have a row for each take made from a recording."""
 
 
 def stages_of_takes(store: Store, take_ids: Collection[int]) -> set[str]:
-    """Return the stages that have made takes of recordings, "<pipeline>/<stage>"."""
+    """Return the stages, as "<pipeline>/<stage>", that have made takes from recordings."""
     return {
         part.stage
         for kind in MADE_KINDS
@@ -83,7 +83,7 @@ def stages_of_takes(store: Store, take_ids: Collection[int]) -> set[str]:
 
 
 def command_of_take(store: Store, take_id: int) -> str:
-    """Return the command that makes a take of a recording again."""
+    """Return the command that makes a take again from its recording."""
     path = shlex.quote(str(store.path))
     for kind in MADE_KINDS:
         for rows in store.result_pieces(kind, store.manifest.results.get(kind, ())):
@@ -96,7 +96,7 @@ def command_of_take(store: Store, take_id: int) -> str:
 
 
 def are_takes_there(store: Store, kind: str, uses: str) -> bool:
-    """Return whether all takes are in the store that stages of a kind have made, by their rows of a kind of results."""
+    """Return whether all takes that stages of a kind have made are in the store, according to their results."""
     live = set(store.manifest.live_takes)
     records = store.manifest.stages
     stages = {

@@ -1,4 +1,4 @@
-"""The truth that takes of recordings are compared with: a take of the store, or a motion file."""
+"""Read the ground truth that takes made from recordings are compared with: a take of the store, or a motion file."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ F64 = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """The places of joints over time, as somebody else knows them.
+    """The true positions of joints over time.
 
     Attributes
     ----------
     name : str
-        Its name: a take, or a file.
+        The name of the take or file.
     joints : float64 array (J, 3, T)
-        Joints in metres, NaN where one is not known.
+        Positions of joints in metres; NaN if unknown.
     rate_hz : float
         Frames per second.
     """
@@ -39,7 +39,7 @@ class Truth:
 
 
 def take_places(store: Store, take: str, joints: tuple[str, ...]) -> F64:
-    """Return joints (J, 3, T) of a take of the store, NaN where one is not known."""
+    """Return joint positions (J, 3, T) of a take of the store in metres; NaN if unknown."""
     places = joint_positions(store.frames(take), store.feature_set.joints).astype(np.float64)
     at = {name: places[j] for j, name in enumerate(store.feature_set.joints)}
     nowhere = np.full(places.shape[1:], np.nan)
@@ -58,14 +58,14 @@ def read_truth(store: Store, truth: str, folder: Path, joints: tuple[str, ...], 
     folder : Path
         The folder that relative paths start from.
     joints : tuple of str
-        The joints, in the order of the result; estimated ones are not known.
+        The joints, in the order of the result; estimated ones count as unknown.
     rate_hz : float, optional
         Frames per second of a file that does not state them.
 
     Raises
     ------
     KinedexError
-        It is neither.
+        `truth` is neither a take nor a motion file.
     """
     if truth in store.take_ids:
         return Truth(truth, take_places(store, truth, joints), store.rate_hz)
@@ -80,7 +80,7 @@ def read_truth(store: Store, truth: str, folder: Path, joints: tuple[str, ...], 
 
 
 def at_rate(places: F64, source_rate_hz: float, rate_hz: float) -> F64:
-    """Return places (J, 3, T) at another rate."""
+    """Return positions (J, 3, T) resampled to another rate."""
     if source_rate_hz == rate_hz:
         return places
     turns = np.tile(np.array([[1.0], [0.0], [0.0], [0.0]]), places.shape[2])

@@ -1,1 +1,1 @@
-"""Repair of stores: takes are read again from their sources, results come back by runs of their pipelines."""
+"""Repair stores: read takes again from their sources, and make results again by running their pipelines."""

@@ -1,4 +1,4 @@
-"""Pipelines as a store knows them: of the records of their stages, a file that runs them again."""
+"""Reconstruct pipeline files from the records of stages in a store."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from kinedex.storage.snapshot.manifest_files import read_version, versions
 def known_stages(store: Path) -> dict[str, StageRecord]:
     """Return the last record of every stage of a pipeline, "<pipeline>/<stage>" → record.
 
-    A stage that was removed to run again has none in the newest version, so older versions are read as well.
+    A stage whose record was removed so that it runs again has none in the newest version, so older versions are read as
+    well.
     """
     found: dict[str, StageRecord] = {}
     for version in reversed(versions(store)):
@@ -27,28 +28,28 @@ def known_stages(store: Path) -> dict[str, StageRecord]:
 
 
 def pipeline_text(records: dict[str, StageRecord], pipeline: str) -> str:
-    """Return the text of a pipeline file with the stages of a pipeline, and the parameters that they were given."""
+    """Return the text of a pipeline file with the stages of a pipeline and the parameters that they were given."""
     stages = {
         key.partition("/")[2]: {name: record.summary[name] for name in ("uses", "inputs")}
-        # records of format 3 do not keep apart the parameters that were given
+        # records of format 3 do not tell given parameters from defaults
         | {"params": record.summary.get("given", record.summary["params"])}
         for key, record in records.items()
         if key.partition("/")[0] == pipeline
     }
-    # JSON is YAML, too
+    # JSON is valid YAML
     document = {"name": pipeline, "description": "the stages as the store records them", "stages": stages}
     return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
 
 
 def ingest_settings(manifest: Manifest, records: dict[str, StageRecord]) -> list[IngestParameters]:
-    """Return the parameters with which sources were ingested, the last ones first.
+    """Return the parameters with which sources were ingested, the most recent first.
 
     Parameters
     ----------
     manifest : Manifest
-        The version of the store, which remembers them for each source.
+        The manifest of the store, which has the parameters of each source.
     records : dict of str to StageRecord
-        `known_stages`; stores that come from format 3 have the parameters there only.
+        The result of `known_stages`; stores upgraded from format 3 have the parameters only there.
     """
     sources = sorted(manifest.sources.values(), key=lambda source: source.recorded, reverse=True)
     ingests = [record for record in records.values() if record.summary["uses"] == "ingest"]

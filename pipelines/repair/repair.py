@@ -1,4 +1,9 @@
-"""Repair of a store: damage is found, and everything that can be made again is made again.
+"""Repair a store: find damage, and make everything again that can be made again.
+
+The steps are ordered such that the store can be opened at any moment, and that a repair that was killed continues when
+it is run again: each step begins with the damage that is left then. Manifests come first, then rows of takes, frames,
+results, the index, and the pipelines whose results were removed. Whatever cannot be made again is put into a quarantine
+before the version without it is published.
 
 The steps follow each other so that the store can be opened at every moment, and so that a repair that was killed goes
 on when it is run again: each step begins with what is damaged then. Manifests come first, then rows of takes, frames,
@@ -49,7 +54,7 @@ from kinedex.storage.store.writer import StoreWriter
 
 @dataclass
 class Repair:
-    """The outcome of a repair, or what one would do.
+    """The result of a repair or, in a dry run, its plan.
 
     Attributes
     ----------
@@ -58,15 +63,15 @@ class Repair:
     found : list of Finding
         The damage.
     lines : list of str
-        What was done about it, or what would be done.
+        Descriptions of what was done, or would be done.
     lost : list of LostTake
         The takes that could not be made again.
     kept : list of KeptFile
-        The damaged files that the quarantine keeps.
+        The damaged files that were put into the quarantine.
     failed_runs : list of PendingRun
-        The pipelines that could not run again.
+        The pipelines that could not be run again.
     remaining : list of Finding
-        The damage that is left; of a dry run, nothing.
+        The damage that is left; empty in a dry run.
     """
 
     store: Path
@@ -87,18 +92,18 @@ def repair_store(
     workers: int | None = None,
     wait: Wait = NO_WAIT,
 ) -> Repair:
-    """Repair a store; a sound one stays as it is.
+    """Repair a store; an undamaged store is not changed.
 
     Parameters
     ----------
     path : str or Path
         The directory of the store.
     terminal : Display
-        Shows what is done.
+        Shows messages and progress.
     dry_run : bool, optional
         Change nothing; only report what is damaged and what would be done.
     executor : {"serial", "processes", "dask"}, optional
-        How reading and stages are spread.
+        The executor of reading and of stages.
     workers : int, optional
         The number of workers.
     wait : Wait, optional
@@ -107,7 +112,7 @@ def repair_store(
     Raises
     ------
     KinedexError
-        There is no store, none of its versions is sound, another writer is at work, or it has an older format.
+        There is no store, all of its versions are damaged, another writer is active, or it has an older format.
     """
     root = Path(path)
     bad = bad_manifests(root)
@@ -126,7 +131,7 @@ def _manifest_finding(store: Path, bad: BadManifest) -> Finding:
 
 
 class _Work:
-    """One repair on its way."""
+    """One repair in progress."""
 
     def __init__(self, root: Path, terminal: Display, executor: str, workers: int | None, wait: Wait) -> None:
         self.root = root
@@ -144,7 +149,7 @@ class _Work:
         self.terminal.say(line)
 
     def repair(self, bad: list[BadManifest]) -> None:
-        """Take every step."""
+        """Run all steps of the repair."""
         require_current_format(self.root, newest_sound(self.root, bad))
         with Lock(self.root / "lock", "this repair", self.wait):
             self._manifests(bad)
@@ -202,7 +207,7 @@ class _Work:
                 self.say(f"{one.file} is damaged and lies in the quarantine; no newer version needs it")
 
     def _flipped_bits(self) -> None:
-        """Give small files back their content where only a bit was flipped, which the checksum proves."""
+        """Restore small files in which a single bit was flipped, as verified by their checksums."""
         parts = {part.path: part for part in open_store(self.root, at="newest").manifest.parts}
         for one in list(self.outcome.found):
             path = self.root / one.file
@@ -217,7 +222,7 @@ class _Work:
                 self.say(f"{one.file}: one bit was flipped, and is as it was")
 
     def _labels(self) -> None:
-        """Restore labels of damaged parts; they are primary data, so the damaged part is kept in any case."""
+        """Restore labels from damaged parts; as labels are primary data, the damaged parts are kept in any case."""
         store = open_store(self.root, at="newest")
         wrong = [part for part in store.manifest.labels if part.path in self._damaged("labels")]
         lines = [one for one in read_journals(self.root) if one.damaged]
@@ -247,7 +252,7 @@ class _Work:
         return {one.file for one in self.outcome.found if one.kind == kind} - self.mended
 
     def _take_rows(self) -> None:
-        """Restore the rows of takes of damaged parts; a store without them cannot be written."""
+        """Restore the rows of takes from damaged parts; a store without them cannot be written."""
         store = open_store(self.root, at="newest")
         wrong = [part for part in store.manifest.takes if part.path in self._damaged("takes")]
         if not wrong:
@@ -274,7 +279,7 @@ class _Work:
             self.say(f"restored the rows of {counted(restored.rows.num_rows, 'take')}")
 
     def _publish(self, manifest: Manifest, changes: dict[str, object]) -> None:
-        """Publish a version that no writer could make, since the store cannot be read whole."""
+        """Publish a version that a regular writer could not make, because the store cannot be read completely."""
         publish(
             self.root,
             replace(
@@ -284,7 +289,7 @@ class _Work:
         )  # fmt: skip
 
     def _leftovers(self) -> None:
-        """Keep files aside that no version names, as far as they are not of killed runs, which a writer removes."""
+        """Put files that no version names into the quarantine, and remove temporary files of killed runs."""
         for one in self.outcome.found:
             if one.kind == "leftover" and (self.root / one.file).is_file():
                 if Path(one.file).name.startswith(TEMPORARY):
@@ -295,13 +300,13 @@ class _Work:
                 self.say(f"{one.file} lies in the quarantine: {one.problem}")
 
     def _frames(self) -> None:
-        """Read the takes of damaged parts of frames again."""
+        """Read takes in damaged parts of frames again."""
         store = open_store(self.root, at="newest")
         wrong = [part for part in store.manifest.frames if part.path in self._damaged("frames")]
         single = {take for one in self.outcome.found if one.kind == "content" for take in one.takes}
         if not wrong and not single:
             return
-        # of a part whose takes have other lengths than their rows say, it is not known how many rows are dropped
+        # if takes have other lengths than their rows state, the number of rows to drop from the part is unknown
         wrong += [part for part in store.manifest.frames if part not in wrong and not single.isdisjoint(part.live)]
         with StoreWriter.open(self.root, store.feature_set, store.rate_hz, self.wait) as writer:
             sources = self._sources(writer.store)
@@ -317,7 +322,7 @@ class _Work:
             writer.commit()
 
     def _read_again(self, writer: StoreWriter, sources: Sources, takes: Iterable[int], part: Part | None) -> None:
-        """Read takes again, put them in place of what a part has of them, and commit."""
+        """Read takes again, replace their rows in a part, and commit."""
         found = sources.find(takes)
         lost = list(found.lost)
         pool = make_executor(self.executor, self.workers)
@@ -331,7 +336,7 @@ class _Work:
                     whys = [one.message for one in written.failures if one.subject == (task.motion.path, task.person)]
                     lost.append(LostTake(task.name, task.take_id, str(task.motion.absolute), "".join(whys[:1])))
             if written.part is None or (part is not None and written.part.sha256 == part.sha256):
-                continue  # the part has its content back, under the same name
+                continue  # the part has its content again, under the same name
             table = pa.Table.from_pylist([_same_row(sources, row) for row in written.takes], schema=writer.takes_schema)
             writer.add_takes(table, written.part)
         pool.close()
@@ -346,7 +351,7 @@ class _Work:
             self.say(f"read otherwise than before, since kinedex or a mapping has changed: {few(found.otherwise)}")
 
     def _salvaged(self, writer: StoreWriter, sources: Sources, lost: list[LostTake], part: Part) -> list[LostTake]:
-        """Put the rows of lost takes that are provably right into a part of their own, and return the other takes."""
+        """Put rows of lost takes that are verifiably right into a new part, and return the remaining lost takes."""
         manifest = writer.manifest
         schema = frames_schema(manifest.feature_set, manifest.rate_hz)
         frames = writer.store.take_frames
@@ -363,7 +368,7 @@ class _Work:
         return [take for take in lost if take.take_id not in found]
 
     def _give_up(self, writer: StoreWriter, lost: list[LostTake], part: Part | None) -> None:
-        """Drop takes that cannot be read again, once the damaged part and their names lie in the quarantine."""
+        """Drop takes that cannot be read again, after the damaged part and their names were put into the quarantine."""
         if part is not None:
             held = f"the frames of {few([take.name for take in lost])}"
             self._keep(part.path, "the part of frames is damaged", held, part.sha256)
@@ -375,7 +380,7 @@ class _Work:
             self.say(f"take {take.name} is lost: {take.why}")
 
     def _results(self) -> None:
-        """Remove the results of stages whose parts are damaged, so that they run again, and note which are to run."""
+        """Remove the results of stages with damaged parts, and record the pipelines that must run again."""
         store = open_store(self.root, at="newest")
         stages = self._hit_stages(store)
         if not stages:
@@ -408,7 +413,7 @@ class _Work:
             writer.commit()
 
     def _index(self) -> None:
-        """Build the index where it is missing, stale or damaged."""
+        """Build the index if it is missing, stale or damaged."""
         store = open_store(self.root, at="newest")
         wrong = {one.file.split("/")[1] for one in self.outcome.found if one.kind == "index" and one.fault}
         for name in wrong:
@@ -421,14 +426,14 @@ class _Work:
             self.say("built the index again")
 
     def _runs(self) -> None:
-        """Run the pipelines whose results were removed, by this repair or by one that was interrupted."""
+        """Run the pipelines whose results were removed by this repair or by an interrupted one."""
         for quarantine in quarantines(self.root):
             for run in quarantine.runs:
                 if not run.done and self._has_run(run):
                     quarantine.finish(run)
 
     def _has_run(self, run: PendingRun) -> bool:
-        """Run a pipeline, and return whether it could."""
+        """Run a pipeline, and return whether it succeeded."""
         try:
             run_pipeline(
                 self.root / run.file, self.root, assignments={}, executor=self.executor, workers=self.workers,
@@ -446,7 +451,7 @@ class _Work:
         return {take for one in self.outcome.found if one.kind in kinds for take in one.takes}
 
     def _hit_stages(self, store: Store) -> dict[str, set[str]]:
-        """Return the stages that have damaged results or reports, each with the paths of its damaged parts."""
+        """Return the stages with damaged results or reports, each with the paths of its damaged parts."""
         wrong = self._damaged("results") | self._damaged("report")
         found: dict[str, set[str]] = {}
         for parts in store.manifest.results.values():
@@ -472,7 +477,7 @@ def _lost_parts(bad: BadManifest) -> str:
 
 
 def _same_row(sources: Sources, row: dict[str, object]) -> dict[str, object]:
-    """Return the row that a take had; what describes the take alone, where it has other frames now."""
+    """Return the former row of a take; if its frames differ now, return the new row with the former metadata."""
     before = sources.row(int(str(row["take_id"])))
     same = all(row[name] == before[name] for name in ("frames", "invalid_frames", "recipe"))
     return before if same else row | {name: before[name] for name in sources.describing if name in before}

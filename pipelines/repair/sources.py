@@ -1,4 +1,4 @@
-"""Takes that are read again from their sources, which must be the files that they were read from."""
+"""Find the source files of takes so that they can be read again; they must be unchanged."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from kinedex.storage.store.store import Store
 
 @dataclass
 class Found:
-    """The takes of which the sources were looked up.
+    """The result of looking up the sources of takes.
 
     Attributes
     ----------
     batches : list of Batch
-        The takes that can be read again, those with the same settings together.
+        The takes that can be read again, grouped by settings.
     lost : list of LostTake
-        The takes whose source is gone or has changed, and tracks, which no motion file holds.
+        The takes whose source is missing or has changed, and takes made from recordings, which have no motion file.
     otherwise : list of str
-        Names of the takes that are read otherwise than before: kinedex or a mapping has changed.
+        Names of takes that may be read differently than before because kinedex or a mapping has changed.
     """
 
     batches: list[Batch] = field(default_factory=list)
@@ -51,7 +51,7 @@ class Sources:
     store : Store
         The store, whose rows of takes can be read.
     settings : iterable of IngestParameters
-        The parameters of the ingests that have filled it, the last one first.
+        The parameters of the ingests that have filled it, the most recent first.
     """
 
     def __init__(self, store: Store, settings: Iterable[IngestParameters]) -> None:
@@ -104,7 +104,7 @@ class Sources:
         return dict(self._rows[take_id])
 
     def _task(self, row: Mapping[str, Any]) -> tuple[int, Task]:
-        """Return the task that reads a take again, with the number of the settings; a KinedexError if none can."""
+        """Return the number of the settings and the task that read a take again; raise a KinedexError if none can."""
         path = Path(row["source_root"]) / row["source"]
         if row["format"] in RECORDED_FORMATS:
             raise KinedexError(
@@ -129,9 +129,9 @@ class Sources:
         return number, replace(task, person=row.get("person") or "", persons=row.get("persons") or 1)
 
     def _reader_of(self, row: Mapping[str, Any], motion: SourceFile, skeleton: str) -> tuple[int, str]:
-        """Return the number of the settings that a take was read with, and its recipe with them."""
+        """Return the number of the settings that a take was read with, and its recipe with these settings."""
         here = [number for number, reader in enumerate(self._readers) if reader.root == row["source_root"]]
-        # the recipe leaves patterns aside: the settings of the own source first
+        # recipes do not cover patterns: try the settings of the take's own source first
         for number in dict.fromkeys([*here, *range(len(self._readers))]):
             if self._readers[number].has_made(row, motion, skeleton):
                 return number, row["recipe"]
@@ -149,7 +149,7 @@ class Sources:
 
 
 class _Reader:
-    """The settings of one ingest, with all that the recipe of a take depends on."""
+    """The settings of one ingest, with everything that the recipe of a take depends on."""
 
     def __init__(self, store: Store, params: IngestParameters) -> None:
         self.params = params
@@ -159,7 +159,7 @@ class _Reader:
 
     @cached_property
     def mappings(self) -> Mappings:
-        """The skeleton mappings; files of the user's own that are gone do without."""
+        """The skeleton mappings; mapping files of the user that no longer exist are ignored."""
         there = [place for place in self.params.skeletons if Path(place).expanduser().exists()]
         params = self.params.model_copy(update={"skeletons": there})
         return chosen_mappings(params, self._store.feature_set.joints, self._store.path, self._store.manifest)
@@ -169,7 +169,7 @@ class _Reader:
         return recipes(self._store.feature_set, self.mappings, self.params.given)
 
     def recipe(self, motion: SourceFile, skeleton: str) -> str:
-        """Return the recipe that a motion file has with these settings; empty if they do not work any more."""
+        """Return the recipe of a motion file with these settings; empty if the settings are no longer valid."""
         try:
             return recipe_of(self._recipes[motion.format], skeleton)
         except KinedexError:
