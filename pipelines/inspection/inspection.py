@@ -49,7 +49,7 @@ _FORMATS = {
     ".mvnx": "MVNX (Xsens MVN)", ".glb": "glTF", ".gltf": "glTF", ".vrm": "VRM (glTF)", ".vrma": "VRM (glTF)",
     ".fbx": "FBX",
 }  # fmt: skip
-_UPRIGHT = {"x": "yxz", "y": "xyz", "z": "xzy"}  # up axis → the axes drawn to the right, up, and (side view) to the right
+_UPRIGHT = {"x": "yxz", "y": "xyz", "z": "xzy"}  # up axis → axes drawn to the right, up, and to the right from the side
 _AXES = ("x to the right, y up", "z to the right, y up")
 _DRAWN = 1e9  # units; a joint farther away is an error of the file and would make the others too small
 _RATE_HZ = 30.0  # the analysis rate of a store

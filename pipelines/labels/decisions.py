@@ -107,7 +107,7 @@ def new_rows(store: Store, rows: Iterable[Mapping[str, Any]]) -> tuple[list[Row]
     known = 0
     for row in rows:
         verdict = row.get("verdict", "positive")
-        own = row.get("limb") or row.get("of_person")  # decisions of several persons on one interval are kept separately
+        own = row.get("limb") or row.get("of_person")  # decisions of several persons on an interval are kept separately
         found = (standing.get(_keys(row, name)[bool(own)]) for name in row.get("names", (row["class"],)))
         earlier = next((one for one in found if one is not None), None)
         if earlier is not None and earlier["verdict"] == verdict and row.get("replaces") is None:

@@ -1,1 +1,1 @@
-"""Reconstruction of recordings of a depth camera (thesis, Chapter 8): services of stages and commands."""
+"""Reconstruct takes from recordings of a depth camera (thesis, Chapter 8), for stages and commands."""

@@ -1,4 +1,4 @@
-"""The votes of reconstructed frames, as a command and a page explain them."""
+"""Read the hypotheses and candidates tried for reconstructed frames, for a command and a page that explain them."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ EXPLAINED = (
 def explained_votes(
     store: Store, stage: str, takes: Collection[str], interval: tuple[int, int] | None = None
 ) -> pa.Table:
-    """Return what was tried in the frames of takes.
+    """Return the hypotheses and candidates that were tried in the frames of takes.
 
     Parameters
     ----------
     store : Store
         The store.
     stage : str
-        The stage that has made the takes, "<pipeline>/<stage>".
+        The stage that has reconstructed the takes, "<pipeline>/<stage>".
     takes : collection of str
-        Their names.
+        The names of the takes.
     interval : tuple of (int, int), optional
-        The first frame and the one after the last; all unless given.
+        The first frame and the one after the last; by default all frames.
 
     Returns
     -------

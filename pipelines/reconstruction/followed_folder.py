@@ -1,4 +1,4 @@
-"""Frames of a depth camera that another program writes into a folder, reconstructed as they appear."""
+"""Reconstruct frames of a depth camera as another program writes them into a folder."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 
 POLL_S = 0.004
-"""The folder is looked into so often."""
+"""Seconds between two checks of the folder for new files."""
 
 PATIENCE_S = 0.5
-"""A file that cannot be read counts as damaged when it has not changed for so long: until then it may be in writing."""
+"""Seconds for which an unreadable file must be unchanged to count as damaged; before, it may still be being written."""
 
 MOST_STEP, STEPS, MOST_JUMP = 5, 3, 100_000
-"""Numbers that rise by more than the first in so many steps do not count frames; no gap is longer than the last."""
+"""Limits for frame numbers in file names: step and number of steps above which they count no frames; largest gap."""
 
 
 @dataclass(frozen=True, eq=False)
 class FollowedFrame:
-    """A frame that was reconstructed as it appeared.
+    """A frame that was reconstructed when its file appeared.
 
     Attributes
     ----------
@@ -45,24 +45,24 @@ class FollowedFrame:
     file : Path
         The file.
     pose : float64 array (24, 3)
-        The joints in the world in metres; NaN without a person.
+        The joint positions in the world in metres; NaN without a person.
     hypothesis : str or None
-        local or database; None without a person.
+        The hypothesis that won, local or database; None without a person.
     cost : float
-        Its cost in the vote; NaN without a person.
+        Its cost in the comparison of hypotheses; NaN without a person.
     work_ms : float
         Time for reading the file and finding the pose, in milliseconds.
     latency_ms : float or None
-        Time from the last change of the file to its pose; None for files that were there before the first frame, or
+        Time from the last change of the file to its pose; None for files that existed before the first frame, or
         before the size of the person was estimated.
     skipped : int
-        The frames before it that are missing.
+        The number of missing frames before it.
     fault : str
-        What is wrong with a damaged file; empty otherwise.
+        The error of a damaged file; empty otherwise.
     bytes : int
         The size of the file.
     estimated_m : float or None
-        The height of the person, in the frame that ends its estimation.
+        The estimated height of the person, in the frame that completes the estimation; None in others.
     """
 
     number: int
@@ -78,7 +78,7 @@ class FollowedFrame:
     estimated_m: float | None = None
 
     def document(self) -> dict[str, Any]:
-        """Return it as JSON values."""
+        """Return the frame as a JSON object."""
         is_seen = self.hypothesis is not None
         return {
             "frame": self.number,
@@ -96,10 +96,10 @@ class FollowedFrame:
 def follow_folder(
     tracker: LiveTracker, folder: Path, idle_s: float | None = None, say: Callable[[str], object] = print
 ) -> Iterator[FollowedFrame]:
-    """Yield the frames of a folder, those that are there and then new ones, by ascending numbers.
+    """Yield the frames of a folder by ascending numbers, first the existing ones and then new ones as they appear.
 
-    A file without a number in its name, or whose number is not above that of the one before, is passed over; the first
-    of either kind is reported.
+    A file without a number in its name, or with a number not above that of the file before, is skipped; the first of
+    either kind is reported.
 
     Parameters
     ----------
@@ -108,14 +108,14 @@ def follow_folder(
     folder : Path
         The folder that files appear in.
     idle_s : float, optional
-        End where no new file has appeared for so long, in seconds; never unless given.
+        Seconds without a new file after which the iteration ends; by default it never ends.
     say : callable, optional
-        Shows a line about files that are passed over.
+        Shows a line about files that are skipped.
 
     Raises
     ------
     KinedexError
-        The folder is not there, or the numbers in the names do not count frames.
+        The folder does not exist, or the numbers in the names do not count frames.
     """
     if not folder.is_dir():
         raise KinedexError(f"{folder}: no such folder; --follow needs the one that frames are written into")
@@ -136,7 +136,7 @@ def follow_folder(
                 steps.append(number - last)
                 _check_steps(path, steps)
             one = _reconstructed(tracker, path, number, last, begin)
-            begin = begin if one.estimated_m is None else time.time()  # others have waited for the estimation
+            begin = begin if one.estimated_m is None else time.time()  # earlier files had to wait for the estimation
             yield one
             last, since = number, time.monotonic()
         if idle_s is not None and time.monotonic() - since > idle_s:
@@ -152,7 +152,7 @@ def _reason(number: int | None, last: int) -> str:
 
 
 def _check_steps(path: Path, steps: Sequence[int]) -> None:
-    """Raise a SourceError where the numbers in the names of the last files do not count frames."""
+    """Raise a SourceError if the numbers in the names of the last files do not count frames."""
     if steps[-1] > MOST_JUMP or (len(steps) == STEPS and min(steps) > MOST_STEP):
         raise SourceError(
             path, f"the last numbers in the names go up by {steps[-1]}, and must count frames; let the camera "
@@ -161,7 +161,7 @@ def _check_steps(path: Path, steps: Sequence[int]) -> None:
 
 
 def _new_files(folder: Path, seen: set[str]) -> list[tuple[int | None, Path]]:
-    """Return number and path of the files that were not seen yet, by number; those without a number come first."""
+    """Return number and path of the new files, sorted by number; those without a number come first."""
     with os.scandir(folder) as entries:
         names = [one.name for one in entries if one.name not in seen]
     paths = [folder / name for name in names if not name.startswith(".") and Path(name).suffix.lower() in IMAGES + RAW]
@@ -190,14 +190,14 @@ def _reconstructed(tracker: LiveTracker, path: Path, number: int, last: int, beg
         if result is not None:
             hypothesis, cost = result.hypothesis, result.cost
     work_ms = 1000.0 * (time.perf_counter() - start)
-    written, size = _written(path) or (begin - 1.0, 0)  # it can be gone already
+    written, size = _written(path) or (begin - 1.0, 0)  # the file may have been deleted
     latency_ms = 1000.0 * (time.time() - written) if written >= begin else None
     estimated_m = tracker.bones.height_m if measuring and not tracker.is_measuring else None
     return FollowedFrame(number, path, pose, hypothesis, cost, work_ms, latency_ms, skipped, fault, size, estimated_m)
 
 
 def _read(path: Path, camera: DepthCamera) -> tuple[F32 | None, str]:
-    """Return the depths of a file, or what is wrong with it; a file that is still being written is waited for."""
+    """Return the depths in a file, or its error; wait for a file that is still being written."""
     state, since = _written(path), time.monotonic()
     while True:
         try:
@@ -212,7 +212,7 @@ def _read(path: Path, camera: DepthCamera) -> tuple[F32 | None, str]:
 
 
 def _written(path: Path) -> tuple[float, int] | None:
-    """Return the time of the last change of a file, and its size; None where it is gone."""
+    """Return the modification time of a file, and its size; None if it does not exist."""
     try:
         found = path.stat()
     except OSError:

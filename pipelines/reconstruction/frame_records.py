@@ -1,4 +1,4 @@
-"""Results of depth frames, packed: what takes and their results need of each frame, in a kilobyte."""
+"""Packed results of depth frames: everything that takes and their results need of a frame, in one kilobyte."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _CANDIDATE = [
 
 
 def _layout(candidates: int) -> np.dtype[np.void]:
-    """Return the fields of a frame with at most so many candidates."""
+    """Return the fields of the record of a frame with at most this number of candidates."""
     fields = [
         ("is_image", "?"), ("hypothesis", "i1"), ("started", "?"), ("people", "<i4"), ("row", "<i4"),
         ("pose", "<f8", (len(JOINTS), 3)), ("extrema", "<f4", (COUNT, 3)), ("facing", "<f8", (3,)),
@@ -34,17 +34,17 @@ def _layout(candidates: int) -> np.dtype[np.void]:
 
 
 class FrameRecords(Sequence[FrameResult | None]):
-    """The results of frames in order of time, packed; `records[t]` is None for a frame without an image.
+    """The results of frames in order of time, in packed form; `records[t]` is None for a frame without an image.
 
-    The two hypotheses' own poses are dropped, extrema are rounded to float32, and of the maps of ends to extrema only
-    those stay that a candidate was found by: others are 0.
+    The poses of the two hypotheses are dropped, extrema are rounded to float32, and of the assignments of end effectors
+    to extrema only those by which a candidate was found are kept; others become 0.
 
     Parameters
     ----------
     candidates : int
-        The greatest number of candidates of a frame.
+        The largest number of candidates of a frame.
     frames : int, optional
-        The number of frames, for which there is room at once; any number has room.
+        The number of frames to allocate; more can be appended.
     """
 
     def __init__(self, candidates: int, frames: int = _FIRST_ROOM) -> None:
@@ -59,18 +59,18 @@ class FrameRecords(Sequence[FrameResult | None]):
         self[self._length - 1] = result
 
     def reverse(self) -> None:
-        """Turn the order of the frames round."""
+        """Reverse the order of the frames."""
         self._rows = self._rows[: self._length][::-1]
 
     @property
     def poses(self) -> F64:
-        """The poses (T, 24, 3); NaN without an image or a person."""
+        """The poses, float64 (T, 24, 3); NaN without an image or a person."""
         rows = self._rows[: self._length]
         return np.where(rows["is_image"][:, None, None], rows["pose"], np.nan)
 
     @property
     def costs(self) -> F64:
-        """The cost (T,) of each pose that was taken; NaN without an image or a person."""
+        """The cost of each chosen pose, float64 (T,); NaN without an image or a person."""
         rows = self._rows[: self._length]
         totals = np.concatenate([np.full((self._length, 1), np.nan), rows["costs"][:, :, 0]], axis=1)
         found: F64 = np.where(rows["is_image"], totals[np.arange(self._length), rows["hypothesis"]], np.nan)
@@ -78,7 +78,7 @@ class FrameRecords(Sequence[FrameResult | None]):
 
     @property
     def nbytes(self) -> int:
-        """The bytes of the records."""
+        """The size of the records in bytes."""
         return self._rows[: self._length].nbytes
 
     def __len__(self) -> int:

@@ -1,4 +1,4 @@
-"""Remarks on the frames of a tracked depth recording: what makes a pose doubtful, or why there is none."""
+"""Make remarks on the frames of a tracked depth recording: reasons to doubt a pose, or why there is none."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ REMARKS = {
     LYING: "the person lies or crouches in {frames}, where errors are larger: {numbers}",
     TURNED: "the person faces more than 45° away from the camera in {frames}, where errors are larger: {numbers}",
 }
-"""The remarks on frames, each with the sentence that lists the frames."""
+"""The kinds of remarks on frames, each with the sentence that lists the frames."""
 
 NEAR_BORDER_PX = 1
-"""A body is cut off where its pixels come so near to the image's border."""
+"""The distance, in pixels, of a body from the image border up to which it counts as cut off."""
 
 LYING_SHARE = 0.4
-"""A person lies or crouches whose joints are in a layer less high than this share of the standing height."""
+"""A person lies or crouches if the joints are within a layer less high than this share of the standing height."""
 
 TURNED_DEGREES = 45.0
-"""A person is turned away who faces farther from the camera."""
+"""The angle, in degrees, between facing direction and camera above which a person counts as turned away."""
 
 MOST_COST_M = 0.1
-"""A body fits badly whose poses cost more in the median; usual are 3 to 6 cm."""
+"""The median cost of poses, in metres, above which a body fits badly; 3 to 6 cm are typical."""
 
 _MOST_RANGES = 8
 
 
 def frame_remarks(track: RecordingTrack, scene: Scene, height_m: float) -> list[tuple[str, ...]]:
-    """Return the remarks on each frame, of `REMARKS`.
+    """Return the remarks on each frame, as keys of `REMARKS`.
 
     Parameters
     ----------
@@ -104,12 +104,12 @@ def remark_sentences(remarks: Sequence[Sequence[str]]) -> list[str]:
 
 
 def fit_remarks(track: RecordingTrack, bones: PersonBones) -> list[str]:
-    """Return sentences on a body that does not fit the points, or whose estimated size is the greatest or least.
+    """Return sentences on a body that fits the points badly, or whose estimated size is at a limit.
 
     Parameters
     ----------
     track : RecordingTrack
-        The tracked recording, with a pose in one frame or more.
+        The tracked recording, with a pose in at least one frame.
     bones : PersonBones
         The bones of the person.
     """
@@ -131,7 +131,7 @@ def fit_remarks(track: RecordingTrack, bones: PersonBones) -> list[str]:
 
 
 def listed_frames(frames: Sequence[int]) -> str:
-    """Return ascending frames as ranges, "3, 7–12"; the first of them where there are many."""
+    """Format ascending frames as ranges such as "3, 7–12"; only the first ones if there are many."""
     ranges: list[list[int]] = []
     for t in frames:
         if ranges and ranges[-1][1] == t - 1:

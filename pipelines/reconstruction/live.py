@@ -1,4 +1,4 @@
-"""A person followed frame by frame before a camera that is read elsewhere."""
+"""Track a person before a depth camera frame by frame, with images that the caller reads."""
 
 from __future__ import annotations
 
@@ -46,16 +46,16 @@ F64 = npt.NDArray[np.float64]
 _DRAWN_M, _DRAWN_PX = 2.5, 160  # the distance of a drawn figure, and the width of its image
 
 USUAL_HZ = 30.0
-"""Frames per second of a camera that does not state them."""
+"""The assumed frames per second of a camera that does not state its rate."""
 
 
 def newest_database(store: Store) -> PoseDatabase:
-    """Return the newest pose database of a store; without one, that of its takes with a class, which is not stored.
+    """Return the newest pose database of a store; if it has none, build one from its takes with a class.
 
     Raises
     ------
     KinedexError
-        No take lends a pose.
+        No take provides a pose.
     """
     parts = sorted(store.manifest.results.get("pose_takes", ()), key=lambda part: part.run, reverse=True)
     for stage in dict.fromkeys(part.stage for part in parts):
@@ -72,14 +72,14 @@ def newest_database(store: Store) -> PoseDatabase:
 
 
 def bones_of(store: Store, database: PoseDatabase, body: str | float | None) -> PersonBones:
-    """Return the bones of a take, the mean ones in proportion to a height in metres, or the mean ones.
+    """Return the bones of a take, or the archive's mean bones, scaled to a height in metres if one is given.
 
-    The mean ones are also those of a person whose size is still to be estimated.
+    The mean bones are also used for a person whose size is yet to be estimated.
 
     Raises
     ------
     KinedexError
-        The store has no such take, or the height is no person's.
+        The store has no such take, or the height is not that of a person.
     """
     if isinstance(body, str) and body != ESTIMATE:
         return take_bones(store, body, "body")
@@ -93,28 +93,28 @@ def bones_of(store: Store, database: PoseDatabase, body: str | float | None) -> 
 
 @dataclass(eq=False)
 class LiveTracker:
-    """A person before a camera.
+    """A tracker of a person before a depth camera.
 
     Attributes
     ----------
     camera : DepthCamera
         The camera.
     background : float32 array (H, W) or None
-        The empty room in metres.
+        The depths of the empty room in metres.
     placement : Placement
-        The place of the camera.
+        The position and orientation of the camera.
     bones : PersonBones
         The bones of the person.
     database : PoseDatabase
         The poses.
     settings : TrackerSettings
-        The choices of the tracker.
+        The settings of the tracker.
     stride : int or None
-        Every how many rows and columns a pixel is used; None until a frame shows a person.
+        Step between the rows and columns whose pixels are used; None until a frame shows a person.
     records : FrameRecords or None
-        The results of all frames from the first on; None where they are not kept.
+        The results of all frames; None if they are not recorded.
     moved, missing : list of int
-        Frames that contradict the background, and frames without an image, by their number from 0.
+        Numbers, from 0, of frames that contradict the background, and of frames without an image.
     """
 
     camera: DepthCamera
@@ -132,8 +132,8 @@ class LiveTracker:
         self._coarse = looked_through(self.camera, self.background, self.placement)
         self._tracker: Reconstructor | None = None
         self._scene: Scene | None = None
-        self._measured: list[F32 | None] | None = None  # the frames that the size is estimated from, if it is
-        self._frames = self._first = 0  # frames so far, and those before the first with a person
+        self._measured: list[F32 | None] | None = None  # the frames from which the size is estimated, if it is
+        self._frames = self._first = 0  # numbers of frames so far, and before the first person
 
     @classmethod
     def open(
@@ -148,7 +148,7 @@ class LiveTracker:
         *,
         keep: bool = False,
     ) -> LiveTracker:
-        """Return a tracker with the poses of a store, which can record its frames; see `kinedex.Reconstructor`."""
+        """Return a tracker with the poses of a store; see `kinedex.Reconstructor`."""
         camera = read_camera(camera_file)
         room: F32 | None = None
         if isinstance(background, str | Path):
@@ -169,7 +169,7 @@ class LiveTracker:
         return made
 
     def load_kernels(self) -> None:
-        """Track a drawn figure for two frames, so that no frame of the camera waits until kernels are loaded."""
+        """Track a synthetic figure for two frames, so that kernels are loaded before the first frame of the camera."""
         camera, placement = self.camera, Placement(np.eye(3), None, np.eye(3), np.zeros(3))
         stride = max(1, camera.size[0] // _DRAWN_PX)
         a, b = camera.rays[..., 0] * _DRAWN_M, camera.rays[..., 1] * _DRAWN_M
@@ -182,20 +182,20 @@ class LiveTracker:
 
     @property
     def scene(self) -> Scene | None:
-        """The camera as frames are seen by; None until a frame shows a person."""
+        """The prepared camera; None until a frame shows a person."""
         return self._scene
 
     @property
     def is_measuring(self) -> bool:
-        """True until the size of the person is estimated; a size that is given is not."""
+        """True until the size of the person has been estimated; always False for a given size."""
         return self._measured is not None
 
     def step(self, values: npt.NDArray[np.generic]) -> tuple[FrameResult | None, F64]:
-        """Return the result of the next frame, and its pose in the world; NaN without a person."""
+        """Return the result of the next frame, and its pose in the world, float64 (24, 3); NaN without a person."""
         return self.follow(self.camera.depths(values))
 
     def follow(self, image: F32) -> tuple[FrameResult | None, F64]:
-        """Return the same for a frame that is in metres, along the axis of the camera."""
+        """Track a frame of depths in metres along the camera's axis; return the same as `step`."""
         nobody = None, np.full((len(JOINTS), 3), np.nan)
         if contradicts(image, self.background):
             self.moved.append(self._frames)
@@ -214,14 +214,14 @@ class LiveTracker:
         return result, self.placement.in_world(result.pose)
 
     def skip(self, frames: int) -> None:
-        """Pass over frames that are missing."""
+        """Skip frames that are missing."""
         self.missing += range(self._frames, self._frames + frames)
         self._pass_over(frames)
 
     def measure(self) -> FrameResult | None:
-        """Estimate the size of the person from the frames so far, and track these anew; return the last result.
+        """Estimate the size of the person from the frames so far, and track these again; return the last result.
 
-        Nothing changes where nobody was seen, or the size is known.
+        Nothing changes if no person was seen, or if the size is known.
         """
         images, self._measured = self._measured, None
         seen = [image for image in images or () if image is not None]
@@ -262,7 +262,7 @@ class LiveTracker:
             self.records.append(result)
 
     def _begin(self, image: F32) -> bool:
-        """Make the tracker as soon as a frame shows a person; return whether there is one."""
+        """Create the tracker if a frame shows a person; return whether it does."""
         if not shows_person(self._coarse, image):
             return False
         camera, placement = self.camera, self.placement

@@ -1,4 +1,4 @@
-"""Takes of live cameras: put into the store, or into a motion file where the store cannot be written."""
+"""Store takes of live cameras, or write them to a motion file if the store cannot be written."""
 
 from __future__ import annotations
 
@@ -38,19 +38,19 @@ from kinedex.storage.store.writer import StoreWriter
 F64 = npt.NDArray[np.float64]
 
 STAGE = "depth/live"
-"""The stage that results of live cameras belong to: beside those of recordings, whose runs leave them alone."""
+"""The stage of results of live cameras, which runs over recordings leave unchanged."""
 
 _MOST_LETTERS = 80
 
 
 @dataclass(eq=False)
 class LiveRecording:
-    """Frames that were followed.
+    """Frames of a live camera that were tracked.
 
     Attributes
     ----------
     tracker : LiveTracker
-        The tracker with the records of all frames.
+        The tracker, with the records of all frames.
     folder, camera : Path
         The folder that was followed, and the camera's file.
     first_frame : int
@@ -58,7 +58,7 @@ class LiveRecording:
     bytes : int
         Size of all files.
     begin : float
-        Seconds since 1970 at which it began.
+        The time at which tracking began, in seconds since 1970.
     """
 
     tracker: LiveTracker
@@ -70,12 +70,12 @@ class LiveRecording:
 
     @property
     def recording(self) -> str:
-        """The name of the recording: that of the folder, without letters that names cannot have."""
+        """The name of the recording: that of the folder, without characters that names must not have."""
         return re.sub(r"[^\w .+-]", "_", self.folder.resolve().name)[:_MOST_LETTERS].lstrip(" .+-") or "camera"
 
     @property
     def poses(self) -> F64:
-        """The poses (T, 24, 3) in the world; NaN without a person."""
+        """The poses in the world, float64 (T, 24, 3), in metres; NaN without a person."""
         assert self.tracker.records is not None
         return self.tracker.placement.in_world(self.tracker.records.poses)
 
@@ -86,14 +86,14 @@ class LiveRecording:
 
 
 def put_live_take(path: Path, live: LiveRecording, wait: Wait = NO_WAIT) -> tuple[str, tuple[str, ...]]:
-    """Put a take of a live camera into a store, under a name that no take has; the index is not renewed.
+    """Store a take of a live camera under an unused name; the index is not rebuilt.
 
     Parameters
     ----------
     path : Path
         The store.
     live : LiveRecording
-        What was followed, with a pose in one frame or more.
+        The tracked frames, with a pose in at least one.
     wait : Wait, optional
         The time to wait for another writer.
 
@@ -132,7 +132,7 @@ def put_live_take(path: Path, live: LiveRecording, wait: Wait = NO_WAIT) -> tupl
 
 
 def write_live_motion(live: LiveRecording, folder: Path) -> Path:
-    """Write the poses as a TRC file into a folder, beside files that are there, and return its path."""
+    """Write the poses as a TRC file with an unused name into a folder, and return its path."""
     names = {one.stem for one in folder.glob("*.trc")}
     path = folder / f"{_free_name(live.recording + LIVE, names)}.trc"
     motion = JointMotion(path.stem, JOINTS, live.poses.astype(np.float32), live.tracker.settings.rate_hz)
@@ -144,7 +144,7 @@ def write_live_motion(live: LiveRecording, folder: Path) -> Path:
 def _result(live: LiveRecording, take: str, take_id: int) -> ReconstructionResult:
     tracker = live.tracker
     assert tracker.records is not None
-    assert tracker.scene is not None  # there is a pose
+    assert tracker.scene is not None  # the scene exists, because there is a pose
     chosen = np.zeros(len(tracker.records), np.int64)
     track = RecordingTrack((tracker.records,), chosen, tuple(tracker.moved), tuple(tracker.missing))
     remarks = frame_remarks(track, tracker.scene, tracker.bones.height_m)
@@ -167,7 +167,7 @@ def _result(live: LiveRecording, take: str, take_id: int) -> ReconstructionResul
 
 
 def _free_name(name: str, taken: set[str]) -> str:
-    """Return a name, with the first number from 2 on where it is taken."""
+    """Return the name, or the name with the lowest unused number from 2 on if it is taken."""
     number, free = 1, name
     while free in taken:
         number += 1

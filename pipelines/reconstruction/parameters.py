@@ -1,4 +1,4 @@
-"""Parameters of the stages that reconstruct motion from depth images."""
+"""The parameters of the stages `pose_database` and `reconstruct`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from kinedex.ops.depth.tracker import Hypothesis, TrackerSettings
 from kinedex.pipelines.engine.file_parameters import NamesFile
 
 ESTIMATE = "estimate"
-"""The body of a recording whose size is estimated from its first second."""
+"""The value of `body` for a recording whose person's size is estimated from its first second."""
 
 
 class PoseDatabaseParameters(BaseModel):
@@ -71,10 +71,10 @@ class ReconstructParameters(BaseModel):
 
     @property
     def both_ways(self) -> bool:
-        """True where recordings are tracked backwards, too."""
+        """True if recordings are also tracked backwards."""
         return self.direction == "both" and self.form == "best"
 
     def settings(self, rate_hz: float) -> TrackerSettings:
-        """Return the settings of the tracker for a recording of so many frames per second."""
+        """Return the settings of the tracker for a recording with the given rate."""
         candidates = 1 if self.form == "printed" else self.candidates
         return TrackerSettings(self.form, tuple(dict.fromkeys(self.hypotheses)), candidates, rate_hz)

@@ -1,4 +1,10 @@
-"""The pose database of a store: built from the frames of takes, kept up to date, and read again.
+"""Build the pose database of a store from the frames of takes, update it, and read it.
+
+Poses are thinned in order of take name and frame, so that the earlier ones determine whether a pose is kept. Each frame
+is represented by a near pose: the frame is dropped as long as that pose is kept. A kept pose remains kept unless a pose
+that is new in the database precedes it and is near. Therefore the frames of an unchanged take are read again only if a
+pose that represents one of them is gone, or if one of its own poses is near a new one; the result equals that of a
+complete build.
 
 Poses are thinned in order of take name and frame, so that whether one is kept depends on all before it. Each frame has
 a pose that stands for it: it keeps the frame out as long as that pose is kept itself. And a pose that was kept stays
@@ -31,17 +37,17 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 BATCH_FRAMES = 500_000
-"""About so many frames are in memory at once while poses are thinned."""
+"""The approximate number of frames in memory while poses are thinned."""
 
 BONE_DIGITS = 3
-"""Mean bones are rounded to so many digits of a metre: they do not change with every take that is added."""
+"""The number of decimals, in metres, to which mean bones are rounded, so that they do not change with every take."""
 
 _PIECE_ROWS, _PIECE_TAKES = 100_000, 1000
 
 
 @dataclass(frozen=True)
 class TakePoses:
-    """A take of the pose database.
+    """A take with its poses in the database.
 
     Attributes
     ----------
@@ -54,15 +60,15 @@ class TakePoses:
     frames : int
         Its length.
     fingerprint : str
-        A hash of all that its directions follow from.
+        A hash of everything that determines its directions.
     bone_lengths : float64 array (24,) or None
-        Its median bones in metres; None where joints are missing.
+        The median lengths of its bones in metres; None if joints are missing.
     rows : int64 array (K,)
-        Its frames that are poses of the database.
+        The frames of the take whose poses are in the database.
     stands_for : int64 array (T,)
-        For each frame the number of a pose that is near it; −1 without a word.
+        For each frame the number of the near pose that represents it; −1 for frames without a word.
     directions : float32 array (K, 24, 3)
-        The directions of its poses.
+        The unit directions of bones in its poses.
     """
 
     take_id: int
@@ -85,9 +91,9 @@ class PoseDatabase:
     takes : tuple of TakePoses
         Its takes by name.
     distance_m : float
-        The distance that it was thinned by.
+        The distance by which it was thinned, in metres.
     read : int
-        The takes whose frames were read to make it.
+        The number of takes whose frames were read to build it.
     """
 
     takes: tuple[TakePoses, ...]
@@ -96,12 +102,12 @@ class PoseDatabase:
 
     @property
     def mean_bones(self) -> F64:
-        """The mean bones of its actors, see `mean_bones`."""
+        """The mean bone lengths of its actors, see `mean_bones`."""
         return mean_bones(self.takes)
 
     @property
     def directions(self) -> F32:
-        """The directions of all poses, float32 (N, 24, 3)."""
+        """The bone directions of all poses, float32 (N, 24, 3)."""
         return np.concatenate([np.empty((0, len(JOINTS), 3), np.float32), *(one.directions for one in self.takes)])
 
     @property
@@ -111,12 +117,12 @@ class PoseDatabase:
 
 
 def mean_bones(takes: Sequence[TakePoses]) -> F64:
-    """Return the mean bones of the actors of takes: the mean over actors of the median over the takes of each.
+    """Return the mean bone lengths of takes: the mean over actors of the median over the takes of each actor.
 
     Returns
     -------
     float64 array (24,)
-        Whole millimetres, in metres; takes without an actor count as those of one.
+        Lengths in metres, rounded to millimetres; takes without an actor count as those of one actor.
 
     Raises
     ------
@@ -135,7 +141,7 @@ def mean_bones(takes: Sequence[TakePoses]) -> F64:
 
 
 def listed_takes(store: Store, where: str, code: str) -> list[TakePoses]:
-    """Return the takes that a filter selects, by name, without poses and bones; takes made from depth lend none.
+    """Return the takes that a filter selects, by name, without poses and bones; takes made from depth are excluded.
 
     Parameters
     ----------
@@ -144,7 +150,7 @@ def listed_takes(store: Store, where: str, code: str) -> list[TakePoses]:
     where : str
         A SQL filter over the columns of takes.
     code : str
-        A hash of the sources that make directions of frames.
+        A hash of the code that computes directions from frames.
 
     Raises
     ------
@@ -175,7 +181,7 @@ def build_pose_database(
     say: Callable[[str], None],
     progress: Progress = no_progress,
 ) -> PoseDatabase:
-    """Build a pose database of takes, from an earlier one as far as it holds.
+    """Build a pose database from takes, reusing an earlier one where it is still valid.
 
     Parameters
     ----------
@@ -184,13 +190,13 @@ def build_pose_database(
     takes : sequence of TakePoses
         The takes by name, see `listed_takes`.
     distance_m : float
-        Poses are dropped where a kept one is so near, in metres.
+        The distance, in metres, to a kept pose below which a pose is dropped.
     earlier : PoseDatabase or None
-        The database before.
+        The database before, if there is one.
     say : callable
         Shows a line.
     progress : callable
-        Makes a progress bar of a description and a number of takes.
+        Returns a progress bar, given a description and a number of takes.
 
     Returns
     -------
@@ -228,7 +234,7 @@ def build_pose_database(
 def _measure(
     store: Store, takes: Sequence[TakePoses], before: Mapping[str, TakePoses], same: set[str], bar: ProgressBar
 ) -> list[TakePoses]:
-    """Return the takes with their bones; those of unchanged ones are known."""
+    """Return the takes with their bone lengths; those of unchanged takes are reused."""
     bones = {name: before[name].bone_lengths for name in same}
     for one, poses, _ in _frames(store, [one for one in takes if one.take not in same]):
         bones[one.take] = bone_lengths_of(poses) if len(poses) else None
@@ -237,7 +243,7 @@ def _measure(
 
 
 def _frames(store: Store, takes: Sequence[TakePoses]) -> Iterator[tuple[TakePoses, F64, I64]]:
-    """Yield takes in their order with the places (K, 24, 3) and the numbers of their whole frames that have a word."""
+    """Yield takes in order, with joint positions (K, 24, 3) and numbers of the complete frames that have a word."""
     waiting: list[TakePoses] = []
     for index, one in enumerate(takes):
         waiting.append(one)
@@ -252,7 +258,7 @@ def _frames(store: Store, takes: Sequence[TakePoses]) -> Iterator[tuple[TakePose
 
 
 class _Build:
-    """One build: the poses kept so far, those of them that the earlier database has not, and the new numbers."""
+    """One build in progress: the poses kept so far, those of them not in the earlier database, and the new numbers."""
 
     def __init__(
         self, store: Store, kept: PoseThinning, fresh: PoseThinning, before: Mapping[str, TakePoses], same: set[str]
@@ -260,7 +266,7 @@ class _Build:
         self.store, self.kept, self.fresh, self.before, self.same = store, kept, fresh, before, same
         self.read = 0
         total = sum(len(one.rows) for one in before.values())
-        self.number = np.full(total, -1, np.int64)  # former number → new number, −1 for one that is gone
+        self.number = np.full(total, -1, np.int64)  # former number → new number, −1 if dropped
         starts = np.cumsum([0, *(len(one.rows) for one in before.values())]).tolist()
         self.first = dict(zip(before, starts, strict=False))
 
@@ -295,7 +301,7 @@ class _Build:
         )  # fmt: skip
 
     def _thinned(self, one: TakePoses, poses: F64, frames: I64) -> TakePoses:
-        """Return a take whose frames are compared with all poses before."""
+        """Return a take after comparing its frames with all poses kept so far."""
         self.read += 1
         directions = bone_directions(poses)
         count = self.kept.count
@@ -379,11 +385,11 @@ def take_tables(database: PoseDatabase, run: str) -> Iterator[pa.Table]:
 
 
 def read_pose_database(store: Store, stage: str) -> PoseDatabase | None:
-    """Return the pose database that a stage has made, "<pipeline>/<stage>"; None where there is no whole one."""
+    """Return the pose database of a stage, "<pipeline>/<stage>"; None if there is none or it is incomplete."""
     rows = store.result("pose_takes", stage=stage)
     poses = store.result("poses", stage=stage)
     if not rows.num_rows or sum(rows.column("poses").to_pylist()) != poses.num_rows:
-        return None  # repair has removed a part
+        return None  # repair has removed a damaged part
     directions = poses.column("directions").combine_chunks().flatten().to_numpy(zero_copy_only=False)
     directions = directions.reshape(-1, len(JOINTS), 3)
     frames = poses.column("frame").to_numpy().astype(np.int64)

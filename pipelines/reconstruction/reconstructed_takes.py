@@ -1,4 +1,4 @@
-"""Takes that were reconstructed from depth recordings, and the tables of their results."""
+"""Takes reconstructed from depth recordings, and the tables of their results."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ Bool = npt.NDArray[np.bool_]
 F64 = npt.NDArray[np.float64]
 
 RECONSTRUCTED = "_reconstructed"
-"""The end of the name of a take that was reconstructed from a recording."""
+"""The suffix of the name of a take that was reconstructed from a recording."""
 
 LIVE = "_live"
-"""The end of the name of a take of a live camera; a number follows where there are several of one folder."""
+"""The suffix of the name of a take of a live camera; a number follows if there are several from one folder."""
 
 RECONSTRUCTION_KINDS = ("reconstructions", "reconstruction_frames", "depth_votes")
 """The kinds of results of a reconstructed take."""
@@ -47,12 +47,12 @@ RECONSTRUCTION_KINDS = ("reconstructions", "reconstruction_frames", "depth_votes
 _PIECE_ROWS = 5000
 
 SKELETON = "depth"
-"""The name of the body of reconstructed takes, in the place of a skeleton mapping's."""
+"""The name that reconstructed takes have in place of a skeleton mapping."""
 
 
 @dataclass(frozen=True, eq=False)
 class ReconstructedTake:
-    """A take that was reconstructed from a depth recording.
+    """A take reconstructed from a depth recording.
 
     Attributes
     ----------
@@ -61,13 +61,13 @@ class ReconstructedTake:
     provenance : Provenance
         Its origin.
     poses : float64 array (T, 24, 3)
-        The joints in the world in metres; NaN without a person.
+        The joint positions in the world in metres; NaN without a person.
     rate_hz : float
         Frames per second.
     recipe : str
-        A hash of all that it follows from besides its files.
+        A hash of everything except its files that determines the take.
     warnings : tuple of str
-        Reservations about it.
+        Warnings about the take.
     actor : str, optional
         The actor.
     """
@@ -82,11 +82,11 @@ class ReconstructedTake:
 
     @property
     def format(self) -> str:
-        """The format of its take."""
+        """The format of the take."""
         return DEPTH_FORMAT
 
     def joints(self, features: FeatureSet) -> Body:
-        """Return its joints as those of a motion file; gaps of up to 0.1 s are closed along straight lines."""
+        """Return the joints as those of a motion file; gaps of up to 0.1 s are interpolated linearly."""
         places, _, _ = fill_gaps(self.poses.transpose(1, 2, 0), round(SHORT_GAP_S * self.rate_hz))
         nowhere = np.full(places.shape[1:], np.nan)
         positions = np.stack([places[JOINTS.index(one)] if one in JOINTS else nowhere for one in features.joints])
@@ -106,7 +106,7 @@ class ReconstructedTake:
 
 @dataclass(frozen=True, eq=False)
 class ReconstructionResult:
-    """A reconstructed take with all that its results follow from.
+    """A reconstructed take with everything that its results are made from.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class ReconstructionResult:
     take, recording : str
         Its name, and that of the recording.
     file : str or None
-        The recordings file; None for frames of a live camera.
+        The path of the recordings file; None for a live camera.
     params : ReconstructParameters
         The parameters.
     track : RecordingTrack
@@ -135,7 +135,7 @@ class ReconstructionResult:
     sentences : tuple of str
         Remarks about the take.
     fingerprint : str
-        A hash of all that it follows from.
+        A hash of everything that determines the take.
     """
 
     take_id: int
@@ -155,7 +155,7 @@ class ReconstructionResult:
 
     @property
     def poses(self) -> F64:
-        """The joints (T, 24, 3) in the world, smoothed if that is wanted; NaN without a person."""
+        """The joint positions in the world, float64 (T, 24, 3), smoothed if requested; NaN without a person."""
         places = self.scene.placement.in_world(self.track.poses)
         return places if self.params.smooth_hz is None else low_pass(places, self.rate_hz, self.params.smooth_hz)
 

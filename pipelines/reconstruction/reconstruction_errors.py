@@ -1,4 +1,4 @@
-"""Reconstructed takes judged by the truth: joints, or markers that are fixed to body parts."""
+"""Evaluate reconstructed takes by ground truth: joints, or markers that are fixed to body parts."""
 
 from __future__ import annotations
 
@@ -29,30 +29,30 @@ F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
 OFF_M = 0.1
-"""Frames that are off by more are counted."""
+"""The error, in metres, above which a frame counts as off."""
 
 OFFSET_SECONDS = 1.0
-"""The place of a marker on its body part is fitted in so much of a recording."""
+"""The length, in seconds, of the part of a recording from which marker positions on body parts are fitted."""
 
-_LARGEST_ROOM = 50.0  # greater coordinates of a file without a unit are millimetres
+_LARGEST_ROOM = 50.0  # larger coordinates in a file without a unit are taken for millimetres
 _UPRIGHT = {"z": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), "x": np.array([[0, 0, -1.0], [1, 0, 0], [0, -1, 0]])}
-"""From axes whose z or x points upwards to axes with Y up."""
+"""Rotations from axes whose z or x points upwards to axes with Y up."""
 
 _MARKER_FILES = (".c3d", ".trc", ".csv", ".npz", ".npy")
 
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """A reconstructed take as the store has it, at the rate of its recording.
+    """A stored reconstructed take, at the rate of its recording.
 
     Attributes
     ----------
     row : dict
         Its row of `reconstructions`.
     poses : float64 array (T, 24, 3)
-        The joints in the world in metres; NaN without a person.
+        The joint positions in the world in metres; NaN without a person.
     extrema : float64 array (T, 5, 3)
-        The first five geodesic extrema; NaN where there are fewer.
+        The first five geodesic extrema in metres; NaN if there are fewer.
     """
 
     row: Mapping[str, Any]
@@ -69,17 +69,17 @@ class Comparison:
     row : dict
         Its row of `reconstructions`.
     reference : str
-        The truth.
+        The name of the truth.
     names : tuple of str
-        The joints or markers.
+        The names of the joints or markers.
     gaps : float64 array (T, J)
-        Distances in metres; NaN where one of the two is not known.
+        Distances in metres; NaN if one of the two positions is unknown.
     known : bool array (T,)
-        Frames with truth.
+        Frames in which the truth is known.
     ends : bool array (T,)
-        Frames whose five ends are found; None for markers.
+        Frames in which all five end effectors are found; None for markers.
     offsets : dict of str to float64 array (3,)
-        The place of each marker in the axes of its body part.
+        The position of each marker in the axes of its body part, in metres.
     """
 
     row: Mapping[str, Any]
@@ -92,7 +92,7 @@ class Comparison:
 
 
 def stored_reconstruction(row: Mapping[str, Any], frames: pa.Table) -> Reconstruction:
-    """Return a reconstructed take.
+    """Return a reconstructed take from its stored rows.
 
     Parameters
     ----------
@@ -122,12 +122,12 @@ def compare(store: Store, found: Reconstruction, file: DepthRecordingsFile, trut
     file : DepthRecordingsFile
         The file of its recording.
     truth : str, optional
-        What it is compared with; that of the recording unless given.
+        The truth; by default that of the recording.
 
     Returns
     -------
     Comparison or None
-        The distances; None where no truth is known.
+        The distances; None if no truth is known.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def compare(store: Store, found: Reconstruction, file: DepthRecordingsFile, trut
 def truth_places(
     store: Store, file: DepthRecordingsFile, name: str, truth: str, rate_hz: float, joints: tuple[str, ...]
 ) -> Truth:
-    """Return the joints of the truth of a recording in the world, at some rate.
+    """Return the true joint positions of a recording in the world, at a given rate.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def truth_places(
     truth : str
         A take, or a motion file.
     rate_hz : float
-        Frames per second; also those of a file that does not state them.
+        Frames per second of the result, and of a file that does not state its rate.
     joints : tuple of str
         The joints, in the order of the result.
 
@@ -188,7 +188,7 @@ def _short(truth: str | Path) -> str:
 
 
 def _in_world(places: F64, pose: WorldPose | None) -> F64:
-    """Return places (J, 3, T) in the world."""
+    """Return positions (J, 3, T) in the world."""
     if pose is None:
         return places
     turned: F64 = np.einsum("ab,jbt->jat", np.array(pose.rotation), places) + np.array(pose.place)[None, :, None]
@@ -224,7 +224,7 @@ def _compare_markers(found: Reconstruction, file: DepthRecordingsFile, path: Pat
 
 
 def _markers(file: DepthRecordingsFile, name: str, path: Path) -> tuple[F64, float | None]:
-    """Return the markers (M, 3, T) that a recording names, in metres with Y up, and their rate where it is stated."""
+    """Return the markers (M, 3, T) that a recording names, in metres with Y up, and their rate if it is stated."""
     entry = file.entry(name)
     ending = path.suffix.lower()
     if ending not in _MARKER_FILES:
@@ -248,7 +248,7 @@ def _markers(file: DepthRecordingsFile, name: str, path: Path) -> tuple[F64, flo
 
 
 def error_rows(found: Sequence[Comparison]) -> list[dict[str, Any]]:
-    """Return the rows of `reconstruction_errors`: of each take with its joints, and of all takes together."""
+    """Return the rows of `reconstruction_errors`: for each take and its joints, and for all takes together."""
     rows: list[dict[str, Any]] = []
     for one in found:
         own = {"take_id": one.row["take_id"], "take": one.row["take"], "reference": one.reference}
@@ -270,7 +270,7 @@ def error_rows(found: Sequence[Comparison]) -> list[dict[str, Any]]:
 
 
 def _means(gaps: F64) -> F64:
-    """Return the mean distance of each frame (T,) over what is known; NaN where nothing is."""
+    """Return the mean distance of each frame, float64 (T,), over known values; NaN if there are none."""
     seen = np.isfinite(gaps)
     counts = seen.sum(axis=1)
     sums = np.where(seen, gaps, 0.0).sum(axis=1)
@@ -278,13 +278,13 @@ def _means(gaps: F64) -> F64:
 
 
 def _rate(one: Comparison) -> float | None:
-    """Return the share of the frames with a pose in which all five ends are found."""
+    """Return the share of the frames with a pose in which all five end effectors are found."""
     seen = np.isfinite(one.gaps).any(axis=1)
     return None if one.ends is None or not seen.any() else float(one.ends[seen].mean())
 
 
 def _figures(scope: str, name: str, gaps: F64, known: Bool) -> dict[str, Any]:
-    """Return the figures of distances (T, J), by the mean of each frame."""
+    """Return statistics of distances (T, J), by the mean of each frame."""
     means = _means(gaps)
     frames = means[np.isfinite(means)]
     found: dict[str, Any] = {

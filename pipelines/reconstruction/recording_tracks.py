@@ -1,4 +1,4 @@
-"""A depth recording tracked frame by frame, forwards and backwards, with the bones of a take or estimated ones."""
+"""Track a depth recording frame by frame, forwards and backwards, with the bones of a take or estimated ones."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 STRIDE_FRAMES = 10
-"""The stride is chosen by so many frames."""
+"""The number of frames by which the stride is chosen."""
 
-_COARSE_PX = 160  # the width of images in which a person is looked for at first
+_COARSE_PX = 160  # the width of the images in which a person is first searched
 
 
 class UnusableRecording(KinedexError):
-    """A recording cannot be reconstructed because of one of its keys.
+    """A recording cannot be reconstructed because of one key in its file.
 
     Parameters
     ----------
@@ -58,18 +58,18 @@ DIRECTIONS = ("forward", "backward")
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A camera that is ready for frames.
+    """A camera that is prepared for processing frames.
 
     Attributes
     ----------
     placement : Placement
-        Its place in the world.
+        Its position and orientation in the world.
     preparation : Preparation
-        Makes points of frames.
+        Converts frames to points.
     view : DepthView
-        The camera for kernels.
+        The camera in the form that kernels use.
     stride : int
-        Every how many rows and columns a pixel is used.
+        Step between the rows and columns whose pixels are used.
     """
 
     placement: Placement
@@ -85,9 +85,9 @@ class PersonBones:
     Attributes
     ----------
     origin : str
-        The take that they are of, or "estimate".
+        The take with these bones, or "estimate".
     lengths : float64 array (24,)
-        Metres.
+        The lengths of the bones in metres.
     height_m : float
         The standing height.
     """
@@ -105,11 +105,11 @@ class RecordingTrack(NamedTuple):
     directions : tuple of FrameRecords
         The results of each direction in order of time, forward first; None in frames without an image.
     chosen : int64 array (T,)
-        The number of the direction that each frame is taken from.
+        The index of the direction from which each frame is taken.
     moved : tuple of int
         Frames that contradict the background: the camera has moved.
     missing : tuple of int
-        Frames without an image, damaged ones among them.
+        Frames without an image, including damaged ones.
     """
 
     directions: tuple[FrameRecords, ...]
@@ -119,12 +119,12 @@ class RecordingTrack(NamedTuple):
 
     @property
     def results(self) -> Iterator[FrameResult | None]:
-        """The results that are taken, one after the other."""
+        """The results of the chosen directions, frame by frame."""
         return (self.directions[way][t] for t, way in enumerate(self.chosen.tolist()))
 
     @property
     def poses(self) -> F64:
-        """The poses (T, 24, 3) in the axes of the placement; NaN without a person."""
+        """The poses in the axes of the placement, float64 (T, 24, 3); NaN without a person."""
         poses = self.directions[FORWARD].poses
         for way in range(1, len(self.directions)):
             poses = np.where((self.chosen == way)[:, None, None], self.directions[way].poses, poses)
@@ -132,7 +132,7 @@ class RecordingTrack(NamedTuple):
 
 
 def make_scene(camera: DepthCamera, background: F32 | None, placement: Placement, stride: int) -> Scene:
-    """Return a camera that is ready for frames.
+    """Return a camera that is prepared for processing frames.
 
     Raises
     ------
@@ -146,17 +146,17 @@ def make_scene(camera: DepthCamera, background: F32 | None, placement: Placement
 
 
 def looked_through(camera: DepthCamera, background: F32 | None, placement: Placement) -> Scene:
-    """Return a camera with few pixels, which a person is looked for in."""
+    """Return a camera with reduced resolution, in which a person is first searched."""
     return make_scene(camera, background, placement, max(1, camera.size[0] // _COARSE_PX))
 
 
 def shows_person(coarse: Scene, image: F32) -> bool:
-    """Return whether an image shows a person to a camera with few pixels."""
+    """Return whether an image shows a person to a camera of reduced resolution."""
     return len(coarse.preparation.prepare(image).points) * coarse.stride**2 >= LEAST_POINTS
 
 
 def first_images(recording: DepthRecording, placement: Placement, count: int) -> list[F32]:
-    """Return so many images, from the first frame on that shows a person; fewer where the recording ends before.
+    """Return up to `count` images, from the first frame that shows a person on.
 
     Raises
     ------
@@ -181,19 +181,19 @@ def first_images(recording: DepthRecording, placement: Placement, count: int) ->
 
 
 def scene_of(recording: DepthRecording, stride: int | None) -> Scene:
-    """Return the camera of a recording, ready for its frames.
+    """Return the camera of a recording, prepared for its frames.
 
     Parameters
     ----------
     recording : DepthRecording
         The recording.
     stride : int, optional
-        Every how many rows and columns a pixel is used; chosen by the first frames that show a person unless given.
+        Step between the rows and columns whose pixels are used; by default chosen by the first frames with a person.
 
     Raises
     ------
     UnusableRecording
-        No frame shows a person, or the camera cannot stand where its file has it.
+        No frame shows a person, or the position of the camera in its file is impossible.
     """
     camera, background = recording.camera, recording.background
     placement = placement_of(camera, background)
@@ -211,12 +211,12 @@ def scene_of(recording: DepthRecording, stride: int | None) -> Scene:
 def estimated_bones(
     recording: DepthRecording, scene: Scene, database: PoseDatabase, settings: TrackerSettings
 ) -> PersonBones:
-    """Return the mean bones of the archive in proportion to the size of the person.
+    """Return the mean bones of the archive, scaled to the size of the person.
 
     Raises
     ------
     UnusableRecording
-        Nobody is found in the first second.
+        No person is found in the first second.
     """
     images = first_images(recording, scene.placement, max(1, round(SECONDS * recording.rate_hz)))
     try:
@@ -247,11 +247,11 @@ def track_recording(
     recording : DepthRecording
         The recording.
     tracker : Reconstructor
-        The tracker; it starts anew.
+        The tracker, which is restarted.
     both_ways : bool
-        Track backwards, too, and take each frame from one of the two.
+        True to track backwards as well, and take each frame from one of the two directions.
     is_empty_room : bool
-        True where the background is an image of the empty room: frames much of which lies behind it are not used.
+        True if the background is an image of the empty room: frames with many pixels behind it are not used.
     """
     moved: set[int] = set()
     missing: set[int] = set()
@@ -279,7 +279,7 @@ def track_recording(
 
 
 def contradicts(image: F32, background: F32 | None) -> bool:
-    """Return whether so much of an image lies behind the empty room that the camera must have moved."""
+    """Return whether so many pixels of an image lie behind the empty room that the camera must have moved."""
     return background is not None and behind_share(image, background) > MOST_BEHIND
 
 

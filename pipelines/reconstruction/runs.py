@@ -1,4 +1,4 @@
-"""Runs over depth recordings: each becomes a take as soon as it is done, and unchanged ones stay."""
+"""Reconstruct several depth recordings; each take is committed when done, unchanged ones are kept."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from kinedex.storage.store.writer import StoreWriter
 
 
 def chosen_recordings(params: ReconstructParameters) -> list[str]:
-    """Return the names of the recordings that parameters choose.
+    """Return the names of the recordings that the parameters select.
 
     Raises
     ------
     ConfigError
-        The file is wrong, or has no recording of a name.
+        The file is invalid, or has no recording with a given name.
     """
     file = load_depth_recordings(params.recordings)
     for name in params.only:
@@ -36,7 +36,7 @@ def chosen_recordings(params: ReconstructParameters) -> list[str]:
 
 
 def named_bodies(params: ReconstructParameters) -> dict[str, str]:
-    """Return the body of each chosen recording: a take, or `estimate`."""
+    """Return the body of each selected recording: a take, or `estimate`."""
     file = load_depth_recordings(params.recordings)
     return {name: file.entry(name).body or params.body for name in chosen_recordings(params)}
 
@@ -53,12 +53,12 @@ def reconstruct(writer: StoreWriter, params: ReconstructParameters, database: st
     database : str
         The stage that has the pose database, "<pipeline>/<stage>".
     place : Place
-        Where the results belong.
+        The stage and run of the results.
 
     Raises
     ------
     KinedexError
-        A recording, or a file that it names, is wrong; recordings before it stay in the store.
+        A recording, or a file that it names, is invalid; recordings before it remain in the store.
     """
     file, names = load_depth_recordings(params.recordings), chosen_recordings(params)
     store, bodies = writer.store, named_bodies(params)
@@ -77,7 +77,7 @@ def reconstruct(writer: StoreWriter, params: ReconstructParameters, database: st
 
 
 def take_digest(store: Store, takes: Sequence[str]) -> str:
-    """Return a hash of takes that lend bones: of their names, files and recipes."""
+    """Return a hash of the takes that provide bones: of their names, files and recipes."""
     rows = {row["name"]: (row["checksum"], row["recipe"]) for row in store.take_rows.to_pylist()}
     return hash_of(*((name, rows.get(name)) for name in sorted(set(takes))))
 

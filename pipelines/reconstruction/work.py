@@ -1,4 +1,4 @@
-"""The work on one depth recording, in any process: it is read, tracked, and becomes a take with its results."""
+"""Reconstruct one depth recording: read it, track it, and make a take with results; runs in any process."""
 
 from __future__ import annotations
 
@@ -57,11 +57,11 @@ class ReconstructTask:
     recording : str
         Name of the recording.
     take, take_id : str, int
-        The take that it becomes.
+        Name and id of the take to make.
     params : ReconstructParameters
         The parameters, which name the recordings file.
     fingerprint, run : str
-        Hash of all that it follows from, and the run.
+        A hash of everything that determines the take, and the id of the run.
     """
 
     store: Store
@@ -75,7 +75,7 @@ class ReconstructTask:
 
     @property
     def subject(self) -> str:
-        """The recording, for messages."""
+        """The name of the recording, for messages."""
         return self.recording
 
 
@@ -85,12 +85,12 @@ def reconstruct_recording(task: ReconstructTask) -> Finished:
     Raises
     ------
     KinedexError
-        A file of it is wrong, nobody is seen in it, or its body cannot be had.
+        A file of it is invalid, no person is seen in it, or its body cannot be determined.
     """
     params = task.params
     file = load_depth_recordings(params.recordings)
     recording = read_recording(file, task.recording)
-    of_frames = recording.frames.notes()  # all frames are read below, and more is known of them
+    of_frames = recording.frames.notes()  # before all frames are read below, which adds notes
     database = stored_database(task.store, task.database)
     settings = params.settings(recording.rate_hz)
     try:
@@ -124,7 +124,7 @@ def reconstruct_recording(task: ReconstructTask) -> Finished:
 def _bones(
     task: ReconstructTask, recording: DepthRecording, scene: Scene, database: PoseDatabase, settings: TrackerSettings
 ) -> PersonBones:
-    """Return the bones of the person: of a take, or estimated."""
+    """Return the bones of the person, from a take or estimated."""
     body = recording.body or task.params.body
     if body == ESTIMATE:
         return estimated_bones(recording, scene, database, settings)
@@ -132,7 +132,7 @@ def _bones(
 
 
 def stored_database(store: Store, stage: str) -> PoseDatabase:
-    """Return the pose database of a stage; a KinedexError names the way out where there is none."""
+    """Return the pose database of a stage; raise a KinedexError, with the remedy, if there is none."""
     database = read_pose_database(store, stage)
     if database is None or not len(database.directions):
         raise KinedexError(
@@ -143,7 +143,7 @@ def stored_database(store: Store, stage: str) -> PoseDatabase:
 
 
 def take_bones(store: Store, take: str, where: str) -> PersonBones:
-    """Return the median bones of a take.
+    """Return the median bone lengths of a take.
 
     Parameters
     ----------
@@ -198,12 +198,12 @@ def files_stamp(file: DepthRecordingsFile, name: str) -> str:
 
 
 def _settings(file: DepthRecordingsFile, name: str) -> dict[str, object]:
-    """Return the settings of a recording that its take follows from: all but the truth."""
+    """Return the settings of a recording that affect its take: all except the truth."""
     return file.entry(name).model_dump(mode="json", exclude={"truth", "truth_pose", "markers"})
 
 
 def _damaged(recording: DepthRecording) -> list[str]:
-    """Return a sentence on damaged frames, which were found while they were read."""
+    """Return a sentence on damaged frames that were found while reading."""
     damaged = recording.frames.damaged
     if not damaged:
         return []

@@ -1,1 +1,1 @@
-"""Keyframe search in stores and in words."""
+"""Search keyframe queries in stores and in words in memory."""

@@ -1,4 +1,7 @@
-"""Bit slices of the takes of a store or of words in memory, and the search of any number of queries in them.
+"""Search keyframe queries in bit slices of the takes of a store, or of words in memory.
+
+The slices of an index are files that every process maps read-only, so that they are in memory only once for all
+processes and threads. Slicing words in memory takes about 20 ns per frame.
 
 The slices of an index are files that every process maps read-only: however many processes and threads search, memory
 holds them once. Slicing words in memory takes some 20 ns a frame.
@@ -28,13 +31,13 @@ from kinedex.storage.index.slice_files import ShardSlices, open_slices
 from kinedex.storage.store.store import Store
 
 PIECE_BLOCKS = 32_768
-"""The blocks of 64 frames (19 hours in all) that one thread searches at a time: a fraction of a millisecond a query."""
+"""The number of blocks of 64 frames (19 hours in all) that a thread searches at a time, in less than 1 ms per query."""
 
 WORTH_BLOCKS = 131_072
-"""The blocks, counted once for every chain of keyframes, from which on threads gain more than starting them costs."""
+"""The number of blocks, times the number of keyframe chains, from which on threads gain more than their start costs."""
 
 _JOINED_BLOCKS = 256
-"""Takes that are not asked for are searched and dropped where they lie between others and have fewer blocks."""
+"""The largest number of blocks of unrequested takes between requested ones that are searched and then discarded."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,7 @@ class Shard:
     slices : BitSlices
         The slices of S takes.
     places : int64 array (S,)
-        The index of each take among those that are searched; -1 for a take that is not.
+        The index of each take among those that are searched; -1 for a take that is not searched.
     """
 
     slices: BitSlices
@@ -55,7 +58,7 @@ class Shard:
 
 @dataclass(frozen=True)
 class SlicedWords:
-    """The words of T takes as bit slices, ready to be searched.
+    """The words of T takes as bit slices, ready for searching.
 
     Parameters
     ----------
@@ -66,7 +69,7 @@ class SlicedWords:
     feature_set : FeatureSet
         The features of the words.
     known : uint64 array (T,), optional
-        The mask of the known features of each take; None: every take knows all features.
+        The mask of the known features of each take; None if all features are known in all takes.
     """
 
     take_ids: I64
@@ -75,7 +78,7 @@ class SlicedWords:
     known: U64 | None = None
 
     def select(self, take_ids: I64) -> SlicedWords:
-        """Return the slices of some takes only, without a copy; the slices of the others are not read.
+        """Return the slices of some takes, without copying; the slices of the others are not read.
 
         Parameters
         ----------
@@ -85,9 +88,9 @@ class SlicedWords:
         Raises
         ------
         KeyError
-            If a take is not there.
+            If a take is missing.
         """
-        places = np.full(len(self.take_ids) + 1, -1)  # the last entry is that of takes without a place
+        places = np.full(len(self.take_ids) + 1, -1)  # the last entry is for takes that are not found
         at = np.searchsorted(self.take_ids, take_ids)
         known = at < len(self.take_ids)
         known[known] = self.take_ids[at[known]] == take_ids[known]
@@ -101,20 +104,20 @@ class SlicedWords:
         return SlicedWords(take_ids, shards, self.feature_set, masks)
 
     def words(self, take_ids: I64, ranges: I64 | None = None) -> TakeWords:
-        """Return the words of some takes, laid end to end.
+        """Return the words of takes, concatenated.
 
         Parameters
         ----------
         take_ids : int64 array
             The takes, ascending.
         ranges : int64 array (R, 2), optional
-            Half-open ranges of the words laid end to end, ascending and disjoint; all other words are undefined. None:
-            all.
+            Half-open ranges of the concatenated words, ascending and disjoint; all other words are undefined. None for
+            all words.
 
         Raises
         ------
         KeyError
-            If a take is not there.
+            If a take is missing.
         """
         chosen = self.select(take_ids)
         held = [(shard, np.flatnonzero(shard.places >= 0)) for shard in chosen.shards]
@@ -128,10 +131,10 @@ class SlicedWords:
         return TakeWords(take_ids, offsets, words, chosen.known)
 
     def search(self, queries: Sequence[KeyframeQuery], threads: int = 1) -> list[TakeRanges]:
-        """Return the union of all hit relevant ranges of each query and its alternatives, take by take.
+        """Return the union of all hit ranges of each query and its alternatives, take by take.
 
-        Takes that lack features are searched for what they know (`restricted_query`), and have no range of a query that
-        is not applied to them.
+        Takes that lack features are searched with the known ones (`restricted_query`), and have no range for a query
+        that does not apply to them.
 
         Parameters
         ----------
@@ -143,7 +146,7 @@ class SlicedWords:
         Returns
         -------
         list of TakeRanges
-            One for each query, of T takes.
+            The ranges of each query, in T takes.
         """
         if self.known is not None:
             return self._search_by_mask(self.known, queries, threads)
@@ -155,7 +158,7 @@ class SlicedWords:
         return [TakeRanges.united(one) for one in ranges]
 
     def _search_by_mask(self, known: U64, queries: Sequence[KeyframeQuery], threads: int) -> list[TakeRanges]:
-        """Search the takes of each mask by themselves."""
+        """Search the takes of each feature mask separately."""
         parts: list[list[tuple[I64, TakeRanges]]] = [[] for _ in queries]
         for mask in np.unique(known).tolist():
             places = np.flatnonzero(known == np.uint64(mask))
@@ -169,7 +172,7 @@ class SlicedWords:
 
     @cached_property
     def pieces(self) -> list[tuple[int, int, int]]:
-        """The parts that are searched at once: the number of a shard and a range of its takes, limited in size."""
+        """The units of search: the number of a shard and a range of its takes, limited in size."""
         return [
             (number, begin, end)
             for number, shard in enumerate(self.shards)
@@ -208,14 +211,14 @@ class SlicedWords:
         if not wanted.all():
             places, united = places[wanted], united[wanted]
         if (places[1:] < places[:-1]).any():
-            # the takes of several shards interleave; no take is in two of them
+            # the takes of several shards interleave; each take is in one shard
             order = np.argsort(places, kind="stable")
             places, united = places[order], united[order]
         return TakeRanges(np.searchsorted(places, np.arange(len(self.take_ids) + 1)).astype(np.int64), united)
 
 
 def _take_ranges(first: I64, places: I64) -> Iterable[tuple[int, int]]:
-    """Yield ranges of takes of a shard that hold all takes with a place, none with too many blocks."""
+    """Yield ranges of takes of a shard that cover all requested takes, with few blocks of others between them."""
     wanted = np.flatnonzero(places >= 0)
     if not len(wanted):
         return
@@ -233,13 +236,13 @@ def _take_ranges(first: I64, places: I64) -> Iterable[tuple[int, int]]:
 
 
 def sliced_words(words: TakeWords, feature_set: FeatureSet) -> SlicedWords:
-    """Slice words in memory."""
+    """Return words in memory as bit slices."""
     slices = slice_words(words.words, words.offsets, len(feature_set.features))
     return SlicedWords(words.take_ids, (Shard(slices, np.arange(len(words))),), feature_set, words.known)
 
 
 def sliced_store(store: Store) -> SlicedWords:
-    """Map the bit slices in the index of a store, once their checksums are found to be right.
+    """Map the bit slices in the index of a store, after verifying their checksums.
 
     Raises
     ------
@@ -253,10 +256,10 @@ def sliced_store(store: Store) -> SlicedWords:
 
 
 def stored_words(store: Store, take_ids: Sequence[int]) -> TakeWords:
-    """Return the words of takes as `Store.words` does, from the index of the store where it has a sound one.
+    """Return the words of takes like `Store.words`, from the index of the store if it is valid.
 
-    The slices of an index are mapped and hold a word in five bytes: its words are there after a few milliseconds an
-    hour of motion less than those of Parquet files, which have to be read and decoded.
+    The slices of an index are memory-mapped and hold a word in five bytes, so that reading its words is faster, by a
+    few milliseconds per hour of motion, than reading and decoding Parquet files.
 
     Parameters
     ----------
@@ -272,7 +275,7 @@ def stored_words(store: Store, take_ids: Sequence[int]) -> TakeWords:
     """
     try:
         sliced = sliced_index(store)
-    except StoreError:  # a damaged index; the words themselves may be sound
+    except StoreError:  # a damaged index; the words themselves may be intact
         sliced = None
     asked = np.unique(np.array(list(take_ids), np.int64))
     if sliced is None or not np.isin(asked, sliced.take_ids, assume_unique=True).all():
@@ -281,15 +284,15 @@ def stored_words(store: Store, take_ids: Sequence[int]) -> TakeWords:
 
 
 _mapped: WeakKeyDictionary[Store, SlicedWords] = WeakKeyDictionary()
-"""The slices that an open store has mapped before; a store keeps showing one version."""
+"""The mapped slices of open stores; an open store always shows the same version."""
 
 
 def sliced_index(store: Store) -> SlicedWords | None:
-    """Map the bit slices in the index of a store, or return None where the index is missing or stale."""
+    """Map the bit slices in the index of a store; return None if the index is missing or stale."""
     if store not in _mapped:
         while (generation := current_generation(store.path, store.manifest)) is not None:
             described = read_generation(generation)
-            # a build may put a newer generation in its place, or somebody removes the index: look again
+            # a newer generation may replace it, or a user may delete the index, in the meantime: look again
             with suppress(FileNotFoundError):
                 if described is not None:
                     _mapped[store] = _live_takes(store, open_slices(store.checked, generation, described))

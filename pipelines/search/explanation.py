@@ -1,4 +1,7 @@
-"""Explanations of keyframe searches: the list of each keyframe, the frames that remain, and the time of every step.
+"""Explain keyframe searches: the inverted list of each keyframe, the remaining frames, and the time of every step.
+
+A search reads bit slices of the index and needs no lists (`pipelines.search.bit_slices`). The explanation also makes
+the lists, with the algorithm of the thesis (`ops.search.keyframe_search`); both find the same ranges.
 
 A search reads bit slices of the index and makes no lists (`pipelines.search.bit_slices`). The explanation makes them
 besides, with the algorithm of the thesis (`ops.search.keyframe_search`); both find the same ranges.
@@ -38,24 +41,24 @@ _EXPLANATION = pa.schema(
 
 @dataclass(frozen=True)
 class KeyframeReport:
-    """The inverted keyframe list of one keyframe of a query, in numbers.
+    """Statistics of the inverted list of one keyframe of a query.
 
     Parameters
     ----------
     chain, number : int
-        The alternative of the query, and the keyframe in it as written, both from 1.
+        The number of the alternative of the query, and of the keyframe in it as written, both from 1.
     part : str
-        "a", "b", ... of a keyframe whose features lie in several sets, which has a report for each of them; else "".
+        "a", "b", ... for a keyframe with features in several sets, which has a report for each of them; else "".
     name, set, features, pattern : str
-        The keyframe: its name, its feature set, the names of its features, and its pattern as the papers write it.
+        The name of the keyframe, its feature set, the names of its features, and its pattern as in the papers.
     words, runs : int
-        The words that match, and their runs.
+        The numbers of matching words, and of their runs.
     segments, frames : int
-        The segments into which the runs merge, and the frames of these.
+        The numbers of segments into which the runs merge, and of frames in them.
     surviving : int
-        The frames from which the rest of the query can be completed.
+        The number of frames from which the rest of the query can be completed.
     milliseconds : float
-        The time to make the list.
+        The time for making the list.
     """
 
     chain: int
@@ -80,15 +83,15 @@ class Times:
     Parameters
     ----------
     filter : float
-        Choosing the takes by the filter given with the search.
+        Selecting the takes by the filter given with the search.
     own_filter : float
-        Choosing the takes by the filter of the query.
+        Selecting the takes by the filter of the query.
     open : float
         Mapping the index; close to zero once a store has been searched.
     search : float
         The search in the mapped slices; the first one of a process loads its compiled code as well.
     read : float
-        Reading the lists of all queries, for the explanation alone.
+        Reading the lists of all queries, only for the explanation.
     """
 
     filter: float = 0.0
@@ -100,7 +103,7 @@ class Times:
 
 @dataclass(frozen=True)
 class QueryReport:
-    """The explanation of one query. All numbers count the takes that the filters of search and query leave.
+    """The explanation of one query; all numbers refer to the takes selected by the filters of search and query.
 
     Parameters
     ----------
@@ -109,13 +112,13 @@ class QueryReport:
     keyframes : tuple of KeyframeReport
         The keyframes of all alternatives.
     ranges, takes, frames_kept : int
-        The ranges that were found, the takes that have any, and the frames in them.
+        The numbers of ranges found, of takes that have any, and of frames in the ranges.
     frames_searched : int
-        The frames of all takes that were searched.
+        The number of frames of all takes that were searched.
     milliseconds : float
-        The time of the search over the lists, which the explanation alone does.
+        The time of the search in the lists, which only the explanation does.
     times : Times
-        The times of the other parts.
+        The times of the other steps.
     """
 
     query: str
@@ -139,7 +142,7 @@ class _Answer:
 
 
 def explain_store(store: Store, queries: Sequence[KeyframeQuery], take_filter: str | None = None) -> list[QueryReport]:
-    """Search like `pipelines.search.search.search_store`, each query by itself, and explain how it was answered.
+    """Search like `pipelines.search.search.search_store`, each query separately, and explain the results.
 
     Parameters
     ----------
@@ -181,13 +184,13 @@ def explain_store(store: Store, queries: Sequence[KeyframeQuery], take_filter: s
 
 
 def explain_search(store: Store, queries: Sequence[KeyframeQuery], take_filter: str | None = None) -> pa.Table:
-    """Lay out the explanation of a search as a table: the steps before it, then the steps of each query.
+    """Return the explanation of a search as a table: the steps before it, then the steps of each query.
 
-    The first steps are those of all queries: "takes", their filter; "open", mapping the index; "lists", reading the
-    lists of the keyframes. Then come, for each query, "takes", where it has a filter of its own; "1", "2", ..., its
-    keyframes as written ("2a" and "2b" where the features of one lie in two sets, "2.1" for the first keyframe of a
-    second alternative); "search", the search of the slices; "hits", the ranges found. The times of "lists" and of
-    keyframes belong to the explanation alone: a search without one does "takes", "open" and "search".
+    The first steps are shared by all queries: "takes", their filter; "open", mapping the index; "lists", reading the
+    lists of the keyframes. Then follow, for each query, "takes", if it has a filter of its own; "1", "2", ..., its
+    keyframes as written ("2a" and "2b" if the features of one are in two sets, "2.1" for the first keyframe of a second
+    alternative); "search", the search in the slices; "hits", the ranges found. The steps "lists" and keyframes are done
+    only for the explanation: a search without one does "takes", "open" and "search".
 
     Parameters
     ----------
@@ -198,7 +201,7 @@ def explain_search(store: Store, queries: Sequence[KeyframeQuery], take_filter: 
     -------
     pyarrow.Table
         Columns query, step, name, set, features (by name), pattern, words, runs, segments, frames, share (of the frames
-        searched), surviving and milliseconds; what does not apply is null.
+        searched), surviving and milliseconds; values that do not apply are null.
     """
     reports = explain_store(store, queries, take_filter)
     rows: list[dict[str, object]] = []
@@ -230,7 +233,7 @@ def _query_rows(report: QueryReport, query: KeyframeQuery) -> list[dict[str, obj
 
 
 def _report(lists: Mapping[str, InvertedLists], answer: _Answer, feature_set: FeatureSet, read: float) -> QueryReport:
-    """Explain how a query found its ranges, from lists of the same takes."""
+    """Explain how a query found its ranges, from the lists of the same takes."""
     query, ranges = answer.query, answer.ranges
     reports: list[KeyframeReport] = []
     spent = 0.0
@@ -254,7 +257,7 @@ def _report(lists: Mapping[str, InvertedLists], answer: _Answer, feature_set: Fe
 
 
 def _timed_list(lists: InvertedLists, mask: int, value: int) -> tuple[I64, float]:
-    """Return the list of a keyframe, and the milliseconds that making it took."""
+    """Return the inverted list of a keyframe, and the milliseconds for making it."""
     began = time.perf_counter()
     segments = keyframe_list(lists, mask, value)
     return segments, _milliseconds_since(began)
@@ -267,7 +270,7 @@ def _keyframe_reports(
     made: Sequence[tuple[I64, float]],
     feature_set: FeatureSet,
 ) -> list[KeyframeReport]:
-    """Return the reports of the keyframes of one alternative, from their lists and the times of making them."""
+    """Return the reports of the keyframes of one alternative, from their lists and the times for making them."""
     remaining = completable_frames([segments for segments, _ in made], chain.bounds)
     reports = []
     for keyframe, at, (segments, spent), surviving in zip(
@@ -299,8 +302,8 @@ def _frames(segments: I64) -> int:
 
 
 def _numbers(chain: KeyframeQuery) -> list[tuple[int, str]]:
-    """Return the number of each keyframe as written, and the letter of the part, which is "" where it has only one."""
-    # the very same object stands between parts of one keyframe; an equal gap that somebody wrote is another object
+    """Return the number of each keyframe as written, and the letter of the part; "" for a keyframe with one part."""
+    # parts of one keyframe are separated by this object itself; an equal gap in a query is another object
     numbers = np.cumsum([1, *(gap is not SAME_FRAME for gap in chain.gaps)]).tolist()
     parts = [number if numbers.count(number) > 1 else 0 for number in numbers]
     return [

@@ -1,4 +1,4 @@
-"""Inverted lists read from the index of a store, for the words that queries ask for and no others."""
+"""Read inverted lists from the index of a store, only for the words that queries match."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from kinedex.storage.store.store import Store
 
 
 def read_lists(store: Store, queries: Sequence[KeyframeQuery], take_ids: I64) -> dict[str, InvertedLists]:
-    """Read the inverted lists of all words that the keyframes of some queries stand for.
+    """Read the inverted lists of all words that the keyframes of queries match.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Templates and queries that are not applied to takes whose bodies lack joints, as results and in words."""
+"""Find templates and queries that do not apply to takes whose bodies lack joints; report them as results and text."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from kinedex.storage.snapshot.schemas import result_schema
 
 @dataclass(frozen=True)
 class Applicability:
-    """The share of the entries of one template or query that a take with a mask knows.
+    """The share of the entries of one template or query that is known in takes with a given feature mask.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Applicability:
 
     @property
     def applied(self) -> bool:
-        """True where template or query are applied."""
+        """True if the template or query is applied."""
         return self.share >= LEAST_KNOWN
 
 
@@ -48,12 +48,12 @@ def applicability(
     templates: Mapping[str, QuantisedTemplate],
     queries: Iterable[KeyframeQuery] = (),
 ) -> list[Applicability]:
-    """Return what takes know of templates and queries that they do not know whole.
+    """Return the applicability of templates and queries that are not completely known in some takes.
 
     Parameters
     ----------
     feature_set : FeatureSet
-        The features of all of them.
+        The features of the templates and queries.
     masks : iterable of int
         The masks of the known features of takes, with the bits of a word.
     templates : mapping of str to QuantisedTemplate
@@ -64,7 +64,7 @@ def applicability(
     Returns
     -------
     list of Applicability
-        Those with a share below 1, mask by mask; templates come first.
+        Those with a share below 1, by mask; templates come first.
     """
     asked = list(dict.fromkeys(queries))
     found = []
@@ -80,12 +80,12 @@ def applicability(
 
 
 def remarks_on(found: Sequence[Applicability], known: Mapping[int, int]) -> list[str]:
-    """Return a sentence on what is not applied, and one on what is applied by its known entries.
+    """Return sentences on templates and queries that are not applied, or applied only by their known entries.
 
     Parameters
     ----------
     found : sequence of Applicability
-        Of the masks of takes.
+        The applicability for the masks of the takes.
     known : mapping of int to int
         Take id → mask of those takes that lack features.
     """
@@ -120,7 +120,7 @@ def _names(found: Sequence[Applicability]) -> str:
 def not_applied_table(
     found: Sequence[Applicability], known: Mapping[int, int], names: Mapping[int, str], run: str
 ) -> pa.Table:
-    """Return what is not applied as results of the kind `not_applied`, a row for each take and template or query."""
+    """Return what is not applied as results of the kind `not_applied`, one row for each take and template or query."""
     by_mask: dict[int, list[Applicability]] = {}
     for one in found:
         if not one.applied:
@@ -134,5 +134,5 @@ def not_applied_table(
 
 
 def known_of(known: Mapping[int, int], take_ids: Iterable[int]) -> dict[int, int]:
-    """Return the masks of those of some takes that lack features."""
+    """Return the feature masks of those of the given takes that lack features."""
     return {take_id: known[take_id] for take_id in take_ids if take_id in known} if known else {}

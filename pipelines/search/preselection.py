@@ -1,4 +1,4 @@
-"""Preselection: the ranges that keyframe queries leave of takes, and the frames in which a template is then matched."""
+"""Preselect frames: find the hit ranges of keyframe queries, and the frames in which a template is then matched."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def preselect(
     feature_set : FeatureSet
         The features of the words.
     queries : sequence of KeyframeQuery
-        Queries, some of which may have the same name: a learned one and a manual one, for instance.
+        Queries; several may have the same name, for instance a learned and a manual one.
 
     Returns
     -------
@@ -49,12 +49,12 @@ def preselect(
 def preselect_stored(
     store: Store, words: TakeWords, queries: Sequence[KeyframeQuery]
 ) -> dict[KeyframeQuery, TakeRanges]:
-    """Search takes of a store like `preselect`, in the slices of its index where it has one, else in the words.
+    """Search takes of a store like `preselect`, in the slices of its index if it has one, else in the words.
 
     Parameters
     ----------
     store : Store
-        The store; all workers share the slices of its index.
+        The store; all workers share the mapped slices of its index.
     words : TakeWords
         The words of the takes to search, from `Store.words`.
     queries : sequence of KeyframeQuery
@@ -79,13 +79,13 @@ def _refuse_filters(queries: Sequence[KeyframeQuery]) -> None:
 def template_window(
     query: KeyframeQuery, template: npt.NDArray[np.float64], feature_set: FeatureSet
 ) -> tuple[int, int]:
-    """Find the margins by which a template reaches beyond the hits of a query.
+    """Return the margins by which a template extends beyond the hits of a query.
 
     Parameters
     ----------
     query : KeyframeQuery
-        A query; without positions it gets those at which its keyframes fit the template best. Margins that the query
-        has of its own are taken as they are, and its positions may then be those of another template, for instance of
+        A query; without positions, those are used at which its keyframes fit the template best. Margins that the query
+        has are returned unchanged, and its positions may then be those of another template, for instance of
         one learned without some clips.
     template : float64 array (N, f)
         The template's columns; entry i - 1 of a column belongs to F_i. A quantised template has 0 and 1, and one half
@@ -96,7 +96,7 @@ def template_window(
     Returns
     -------
     tuple of int
-        Frames before and after a hit.
+        The numbers of frames before and after a hit.
 
     Raises
     ------
@@ -132,9 +132,9 @@ def template_ranges(
     feature_set: FeatureSet,
     offsets: I64,
 ) -> I64:
-    """Return the frames in which a template is to be matched: the hits of its queries with their margins, united.
+    """Return the frames in which a template is matched: the union of the hits of its queries with their margins.
 
-    The hits of a query with alternatives get the widest of their margins, since any of them may have found a hit.
+    The hits of a query with alternatives get the widest of their margins, because any of them may have found a hit.
 
     Parameters
     ----------
@@ -147,12 +147,12 @@ def template_ranges(
     feature_set : FeatureSet
         The features of the queries' sets.
     offsets : int64 array (T + 1,)
-        The first frame of each take among words laid end to end, and the end (`TakeWords.offsets`).
+        The first frame of each take in the concatenated words, followed by their length (`TakeWords.offsets`).
 
     Returns
     -------
     int64 array (R, 2)
-        Ranges of the words laid end to end.
+        Ranges of the concatenated words.
     """
     margins = [widest_margins(query, template, feature_set) for query in queries]
     return ranges_around([hits[query] for query in queries], margins, offsets)
@@ -161,14 +161,14 @@ def template_ranges(
 def known_queries(
     queries: Sequence[KeyframeQuery], margins: Sequence[tuple[int, int]], feature_set: FeatureSet, known: int
 ) -> tuple[KeyframeQuery, ...]:
-    """Return those of a template's queries that are applied to takes that know some features only.
+    """Return those of a template's queries that apply to takes in which only some features are known.
 
     Parameters
     ----------
     queries : sequence of KeyframeQuery
-        The queries for whole bodies.
+        The queries for complete bodies.
     margins : sequence of (int, int)
-        The margins of each, which the restricted queries keep: the template is as long as before.
+        The margins of each query, which the restricted queries keep, because the template has the same length.
     feature_set : FeatureSet
         The features of the queries.
     known : int
@@ -177,7 +177,7 @@ def known_queries(
     Returns
     -------
     tuple of KeyframeQuery
-        The queries restricted to what is known; those of which too little is are left out.
+        The queries restricted to known features, without those of which too few entries are known.
     """
     found = []
     for query, own in zip(queries, margins, strict=True):
@@ -190,22 +190,22 @@ def known_queries(
 
 
 def widest_margins(query: KeyframeQuery, template: npt.NDArray[np.float64], feature_set: FeatureSet) -> tuple[int, int]:
-    """Return the widest margins of a query and its alternatives, since any of them may have found a hit."""
+    """Return the widest margins of a query and its alternatives, because any of them may have found a hit."""
     margins = [template_window(chain, template, feature_set) for chain in query.chains]
     return max(left for left, _ in margins), max(right for _, right in margins)
 
 
 def ranges_around(hits: Sequence[TakeRanges], margins: Sequence[tuple[int, int]], offsets: I64) -> I64:
-    """Return the hits of several queries extended by margins and united, in frames of words laid end to end.
+    """Return the union of the hits of several queries, extended by margins, in frames of concatenated words.
 
     Parameters
     ----------
     hits : sequence of TakeRanges
-        The hits of each query, one query or more.
+        The hits of each query, for at least one query.
     margins : sequence of (int, int)
         The margins of each query, in frames before and after a hit.
     offsets : int64 array (T + 1,)
-        The first frame of each take among the words laid end to end, and the end.
+        The first frame of each take in the concatenated words, followed by their length.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Keyframe queries proposed from an example, as YAML with comments for people to edit."""
+"""Propose keyframe queries from an example, as YAML with comments for people to edit."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from kinedex.storage.store.store import Store
 
 
 def propose_query(store: Store, take: str, start: int, stop: int, *, name: str = "proposed", keyframes: int = 3) -> str:
-    """Propose a query for motions like an example, from the poses by which it stands out from the archive.
+    """Propose a query for motions like an example, from the poses that distinguish it from the archive.
 
     Parameters
     ----------
     store : Store
         A store whose index is built; its vocabulary gives the share of frames of a pose.
     take : str
-        The name of the take that holds the example.
+        The name of the take that contains the example.
     start, stop : int
         The frames [start, stop) of the example.
     name : str
@@ -82,7 +82,7 @@ def propose_query(store: Store, take: str, start: int, stop: int, *, name: str =
 
 
 def _counts(store: Store, known: int) -> list[SetCounts]:
-    """Return the frames of each word of each feature set, in the takes that know what an example knows."""
+    """Return the number of frames of each word of each feature set, in takes with the features known in the example."""
     counts = []
     if known != ALL_KNOWN:
         words = store.words([take for take in store.take_frames if not known & ~store.known.get(take, known)]).words
@@ -99,13 +99,13 @@ def _counts(store: Store, known: int) -> list[SetCounts]:
 
 
 def _gap(frames: int) -> str:
-    """Return the gap from half to twice a distance."""
+    """Return the text of a gap from half to twice a distance."""
     low, high = math.ceil(frames / 2), 2 * frames
     return f"after: {low} to {high} frames, "
 
 
 def _switches(pose: Pose, feature_set: FeatureSet) -> str:
-    """Return the features that a pose fixes, as a query file writes them."""
+    """Return the features that a pose fixes, in the syntax of query files."""
     names: dict[str, list[str]] = {"on": [], "off": []}
     for feature in feature_set.features:
         bit = 1 << (feature.number - 1)
@@ -119,5 +119,5 @@ def _switches(pose: Pose, feature_set: FeatureSet) -> str:
 
 
 def _comment(text: str) -> str:
-    """Return a text without characters that would end the line of a comment."""
+    """Return a text without characters that would end a comment line."""
     return "".join(letter if letter.isprintable() else "?" for letter in text)

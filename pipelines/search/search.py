@@ -1,4 +1,4 @@
-"""Keyframe search over the index of a store, and the table of its hits."""
+"""Search keyframe queries in the index of a store, and make the table of hits."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class SearchedTakes:
         )
 
     def chosen(self, store: Store, query: KeyframeQuery) -> npt.NDArray[np.bool_]:
-        """Return which takes the filter of a query leaves, bool (T,)."""
+        """Return which takes satisfy the filter of a query, bool (T,)."""
         if query.takes is None:
             return np.ones(len(self.ids), bool)
         try:
@@ -63,7 +63,7 @@ class SearchedTakes:
             raise KinedexError(f"{at}query '{query.name}': {fault}") from None
 
     def of_query(self, store: Store, query: KeyframeQuery) -> SearchedTakes:
-        """Return those of the takes that the filter of a query leaves."""
+        """Return the takes that satisfy the filter of a query."""
         if query.takes is None:
             return self
         chosen = self.chosen(store, query)
@@ -74,7 +74,7 @@ _NO_COLUMN = re.compile(r'column "?([^"\n]+?)"? not found')
 
 
 def _filtered(store: Store, take_filter: str | None) -> pa.Table:
-    """Return the takes for which a filter holds; the error for an unknown column names the nearest one."""
+    """Return the takes that satisfy a filter; an error about an unknown column suggests the nearest one."""
     try:
         return store.takes_table(take_filter)
     except KinedexError as fault:
@@ -92,7 +92,7 @@ def load_query_file(
     names: Sequence[str] | None = None,
     rate_hz: float = ANALYSIS_RATE_HZ,
 ) -> tuple[KeyframeQuery, ...]:
-    """Read a query file, and choose queries of it.
+    """Read a query file, and select queries from it.
 
     Parameters
     ----------
@@ -101,16 +101,16 @@ def load_query_file(
     feature_set : FeatureSet
         The features of the queries.
     names : sequence of str, optional
-        The queries to return, in this order; all of them unless given.
+        The queries to return, in this order; by default all of them.
     rate_hz : float
-        The analysis rate, by which seconds become frames.
+        The analysis rate in frames per second, which converts seconds to frames.
 
     Raises
     ------
     ConfigError
-        If the file is wrong; with line and key.
+        If the file is invalid; the message names line and key.
     KinedexError
-        If the file has no query of a name asked for, or only a part.
+        If the file has no query with a requested name, or only a part.
     """
     queries = read_queries(name_or_path, feature_set, rate_hz)
     for name in names or ():
@@ -129,7 +129,7 @@ def search_store(
     run: str = "",
     threads: int | None = None,
 ) -> pa.Table:
-    """Search the index of a store, reading no more of it than the queries ask for.
+    """Search the index of a store, reading only the slices that the queries need.
 
     Parameters
     ----------
@@ -138,12 +138,12 @@ def search_store(
     queries : sequence of KeyframeQuery
         Queries over the feature set of the store.
     take_filter : str, optional
-        A SQL filter over the columns of takes; all takes are searched unless given. The filters of queries hold
-        besides.
+        A SQL filter over the columns of takes; by default all takes are searched. The filters of queries apply
+        in addition.
     run : str
         The content of the column `run`.
     threads : int, optional
-        The number of threads, one for each core unless given. The hits do not depend on it.
+        The number of threads; by default one per core. The hits do not depend on it.
 
     Returns
     -------
@@ -167,7 +167,7 @@ def search_store(
 
 
 def search_remarks(store: Store, queries: Sequence[KeyframeQuery], take_filter: str | None = None) -> list[str]:
-    """Return remarks on queries that are not applied to some takes, or by their known entries only."""
+    """Return remarks on queries that are not applied to some takes, or only by their known entries."""
     if not store.known:
         return []
     known = known_of(store.known, SearchedTakes.of_store(store, take_filter).ids.tolist())
@@ -175,7 +175,7 @@ def search_remarks(store: Store, queries: Sequence[KeyframeQuery], take_filter: 
 
 
 def ranges_of_takes(ranges: TakeRanges, query: KeyframeQuery, store: Store, takes: SearchedTakes) -> TakeRanges:
-    """Return the ranges in those takes that the filter of a query leaves."""
+    """Return the ranges in those takes that satisfy the filter of a query."""
     if query.takes is None:
         return ranges
     counts = np.diff(ranges.offsets)
@@ -186,7 +186,7 @@ def ranges_of_takes(ranges: TakeRanges, query: KeyframeQuery, store: Store, take
 
 
 def save_hits(store: Store, hits: pa.Table, name: str, run: str) -> pa.Table:
-    """Save hits in the store as results, in place of those that were saved under this name before.
+    """Save hits as results in the store, replacing those saved under the same name.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def save_hits(store: Store, hits: pa.Table, name: str, run: str) -> pa.Table:
     StoreError
         If another process writes to the store.
     """
-    from kinedex.storage.store.writer import StoreWriter  # no question writes
+    from kinedex.storage.store.writer import StoreWriter  # imported here, as searching does not write
 
     column = hits.schema.get_field_index("saved_as")
     saved = hits.set_column(column, hits.schema.field(column), pa.repeat(name, hits.num_rows))
@@ -222,7 +222,7 @@ def save_hits(store: Store, hits: pa.Table, name: str, run: str) -> pa.Table:
 def hits_table(
     hits: Mapping[str, TakeRanges], take_ids: I64, names: Sequence[str], rate_hz: float, run: str = ""
 ) -> pa.Table:
-    """Return ranges as the table of hits: in the order of the queries, then by take name and start."""
+    """Return ranges as the table of hits, in the order of the queries, then by take name and start."""
     schema = result_schema("hits")
     by_name = np.argsort(np.argsort(np.array(names, dtype=np.str_), kind="stable"))
     tables = []

@@ -1,1 +1,1 @@
-"""Simulated recordings of takes of a store."""
+"""Simulate recordings of takes of a store, by cameras, depth cameras and inertial sensors."""

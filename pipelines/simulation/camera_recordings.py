@@ -1,4 +1,4 @@
-"""Recordings of takes by simulated cameras, as files in a new folder, with their truth apart."""
+"""Simulate camera recordings of takes, as files in a new folder, with the truth in a separate folder."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ Progress = Callable[[str, int], AbstractContextManager[Any]]
 
 @dataclass(frozen=True)
 class Request:
-    """A request names takes, and how they are filmed.
+    """A request to simulate cameras: the takes, and how they are recorded.
 
     Attributes
     ----------
     takes : tuple of str
         Names of takes.
     where : str or None
-        SQL filter over the columns of takes; takes that are named and those that it selects are filmed.
+        SQL filter over the columns of takes, which selects takes besides the named ones.
     seed : int
         Seed of all random numbers, 0 or above.
     setup : Setup
@@ -55,9 +55,9 @@ class Request:
     keypoint_set : str
         The keypoint set, a shipped one or the path of a file.
     form : str
-        Form of the keypoints: parquet or openpose.
+        Format of the keypoints: parquet or openpose.
     silhouettes : bool
-        Write masks, too.
+        True to write masks as well.
     """
 
     takes: tuple[str, ...] = ()
@@ -88,7 +88,7 @@ class Simulated:
     recordings : dict of str to str
         Name of each recording → the take that it shows.
     frames, failures : int
-        Frames of all recordings, and failures in them.
+        The numbers of frames and of failures in all recordings.
     """
 
     folder: Path
@@ -98,25 +98,25 @@ class Simulated:
 
 
 def simulate_cameras(store: Store, request: Request, folder: Path, progress: Progress) -> Simulated:
-    """Film takes of a store by simulated cameras.
+    """Simulate cameras that record takes of a store.
 
-    The same request makes the same bytes. The folder appears when all of it is written.
+    The same request writes the same bytes. The folder appears only when it is complete.
 
     Parameters
     ----------
     store : Store
         The store.
     request : Request
-        What is filmed, and how.
+        The takes, and how they are recorded.
     folder : Path
         A folder that does not exist, or is empty.
     progress : callable
-        Shows how far the work is.
+        Shows progress.
 
     Raises
     ------
     KinedexError
-        The folder holds files, there is no such take, or a take cannot be filmed.
+        The folder contains files, there is no such take, or a take cannot be recorded.
     """
     require_new(folder)
     takes = chosen_takes(store, request.takes, request.where)
@@ -133,7 +133,7 @@ def limbs_of(keypoints: KeypointSet) -> Limbs:
     Raises
     ------
     KinedexError
-        The set has no order, a keypoint without a place, or lacks one of an arm or leg.
+        The set has no order, a keypoint without a position, or lacks one of an arm or leg.
     """
     if not keypoints.order:
         raise KinedexError(f"keypoint set '{keypoints.name}' has no order of keypoints; choose one that has")
@@ -159,7 +159,7 @@ def _write_all(
     folder: Path,
     progress: Progress,
 ) -> tuple[dict[str, str], int, int]:
-    """Write every recording and the file that names them; return what was made."""
+    """Write every recording and the recordings file; return the recordings, and numbers of frames and failures."""
     names = recording_names(takes)
     entries: dict[str, dict[str, Any]] = {}
     failures: list[tuple[str, SimulatedRecording]] = []
@@ -184,7 +184,7 @@ def _write_all(
 def _filmed(
     store: Store, request: Request, take: str, keypoints: KeypointSet, limbs: Limbs
 ) -> tuple[SimulatedRecording, F64]:
-    """Film a take; return its joints (J, 3, T), too."""
+    """Simulate the recording of a take; return it with its joint positions (J, 3, T)."""
     chain = load_kinematic_chain()
     table = store.frames(take).combine_chunks()
     unknown = [joint for joint in chain.joints if joint not in table.column_names]
@@ -211,7 +211,7 @@ def _write_one(
     name: str,
     rate_hz: float,
 ) -> dict[str, Any]:
-    """Write the files of a recording; return its entry in the file of recordings."""
+    """Write the files of a recording; return its entry in the recordings file."""
     home = folder / name
     home.mkdir()
     ring = request.setup.ring

@@ -1,4 +1,4 @@
-"""The takes of a store that are simulated, and the names of their recordings."""
+"""Select the takes of a store that are simulated, and name their recordings."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def chosen_takes(store: Store, takes: Sequence[str], where: str | None) -> list[
 
 
 def recording_names(takes: Sequence[str]) -> list[str]:
-    """Return a name for the recording of each take, which is the name of its folder, too.
+    """Return a name for the recording of each take, which is also the name of its folder.
 
-    Letters, digits and . + - stay, and other characters become underscores.
+    Letters, digits and . + - are kept, other characters become underscores.
     """
     plain = [(_FORBIDDEN.sub("_", take)[:_MOST_LETTERS]).lstrip(".+-") or "take" for take in takes]
     twice = {name.casefold() for name in plain if sum(one.casefold() == name.casefold() for one in plain) > 1}

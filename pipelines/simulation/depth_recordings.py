@@ -1,4 +1,4 @@
-"""Recordings of takes by a simulated depth camera, as files in a new folder, with their truth apart."""
+"""Simulate depth-camera recordings of takes, as files in a new folder, with the truth in a separate folder."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ Progress = Callable[[str, int], AbstractContextManager[Any]]
 
 @dataclass(frozen=True)
 class Request:
-    """A request names takes, and how a depth camera films them.
+    """A request to simulate a depth camera: the takes, and how they are recorded.
 
     Attributes
     ----------
     takes : tuple of str
         Names of takes.
     where : str or None
-        SQL filter over the columns of takes; takes that are named and those that it selects are filmed.
+        SQL filter over the columns of takes, which selects takes besides the named ones.
     seed : int
         Seed of all random numbers, 0 or above.
     camera : str
@@ -53,9 +53,9 @@ class Request:
     body : str
         The body, a shipped one of `configs/bodies/filmed` or the path of a file.
     azimuth_deg : float
-        The camera stands as many degrees to the person's left of the direction that he mostly faces.
+        The angle of the camera, in degrees to the left of the direction that the person mostly faces.
     interval : tuple of (int, int) or None
-        The frames from the first number to before the second are filmed, of every take; None for all of them.
+        The frames [start, stop) of every take to record; None for all frames.
     """
 
     takes: tuple[str, ...] = ()
@@ -87,9 +87,9 @@ class Simulated:
     recordings : dict of str to str
         Name of each recording → the take that it shows.
     frames : int
-        Frames of all recordings.
+        The number of frames of all recordings.
     outside : dict of str to int
-        Name of each recording whose camera cannot see all of the body → the number of such frames.
+        Name of each recording with frames in which part of the body is out of view → the number of such frames.
     """
 
     folder: Path
@@ -100,14 +100,14 @@ class Simulated:
 
 @dataclass(frozen=True, eq=False)
 class FilmedTake:
-    """A take before a simulated depth camera.
+    """A take that is recorded by a simulated depth camera.
 
     Attributes
     ----------
     scene : DepthScene
         The room, the body and the camera; its first image must be the background.
     place : CameraPlace
-        The place of the camera.
+        The position and orientation of the camera.
     joints : float64 array (T, 24, 3)
         The true joints in metres, Y up, with the floor at Y = 0.
     """
@@ -120,7 +120,7 @@ class FilmedTake:
 def film_take(
     sensor: DepthSensor, body: FilmedBody, joints: F64, bone_lengths: F64, azimuth_deg: float, seed: list[int]
 ) -> FilmedTake:
-    """Put a take before a depth camera.
+    """Place a take before a simulated depth camera.
 
     Parameters
     ----------
@@ -131,9 +131,9 @@ def film_take(
     joints : float64 array (T, 24, 3)
         The named joints in metres, Y up.
     bone_lengths : float64 array (24,)
-        Bone lengths of the person in metres, of which the standing height follows.
+        Bone lengths of the person in metres, which determine the standing height.
     azimuth_deg : float
-        Degrees that the camera stands to the person's left.
+        The angle of the camera to the person's left, in degrees.
     seed : list of int
         Seeds of the random numbers.
     """
@@ -146,25 +146,25 @@ def film_take(
 
 
 def simulate_depth(store: Store, request: Request, folder: Path, progress: Progress) -> Simulated:
-    """Film takes of a store by a simulated depth camera.
+    """Simulate a depth camera that records takes of a store.
 
-    The same request makes the same bytes. The folder appears when all of it is written.
+    The same request writes the same bytes. The folder appears only when it is complete.
 
     Parameters
     ----------
     store : Store
         The store.
     request : Request
-        What is filmed, and how.
+        The takes, and how they are recorded.
     folder : Path
         A folder that does not exist, or is empty.
     progress : callable
-        Shows how far the work is.
+        Shows progress.
 
     Raises
     ------
     KinedexError
-        The folder holds files, there is no such take, or a take cannot be filmed.
+        The folder contains files, there is no such take, or a take cannot be recorded.
     """
     require_new(folder)
     body = load_filmed_body(request.body)
@@ -187,7 +187,7 @@ def simulate_depth(store: Store, request: Request, folder: Path, progress: Progr
 
 
 def _filmed(store: Store, request: Request, body: FilmedBody, take: str) -> FilmedTake:
-    """Put a take of a store before the camera."""
+    """Place a take of a store before the camera."""
     table = store.frames(take).combine_chunks()
     unknown = [joint for joint in JOINTS if joint not in table.column_names]
     if unknown:
@@ -206,7 +206,7 @@ def _filmed(store: Store, request: Request, body: FilmedBody, take: str) -> Film
 
 
 def _way_out(joints: F64, known: npt.NDArray[np.bool_], start: int, stop: int) -> str:
-    """Return what is unknown of a take, and an interval that can be filmed."""
+    """Return the unknown joint or frame of a take, and an interval that can be recorded, as text."""
     first = start + int(np.argmin(known[start:stop]))
     joint = JOINTS[int(np.argmin(np.isfinite(joints[first]).all(axis=1)))]
     ends = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(np.int8)))
@@ -218,7 +218,7 @@ def _way_out(joints: F64, known: npt.NDArray[np.bool_], start: int, stop: int) -
 
 
 def write_recording(folder: Path, name: str, filmed: FilmedTake, rate_hz: float) -> dict[str, Any]:
-    """Write images, camera and truth of a recording.
+    """Write the images, camera and truth of a recording.
 
     Parameters
     ----------
@@ -227,14 +227,14 @@ def write_recording(folder: Path, name: str, filmed: FilmedTake, rate_hz: float)
     name : str
         Name of the recording.
     filmed : FilmedTake
-        The take before the camera; its images were not drawn yet.
+        The take before the camera, of which no image was drawn yet.
     rate_hz : float
         Frames per second.
 
     Returns
     -------
     dict
-        The entry of the recording in the file of recordings.
+        The entry of the recording in the recordings file.
     """
     home, sensor = folder / name, filmed.scene.sensor
     (home / "depth").mkdir(parents=True)

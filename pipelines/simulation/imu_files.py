@@ -1,4 +1,4 @@
-"""The files of simulated sensors: Parquet, NPZ and text as MT Manager writes it."""
+"""Write the files of simulated sensors: Parquet, NPZ, or text in the format of MT Manager."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _COUNTER_WRAP = 65_536
 
 
 def write_parquet(stem: Path, sampled: SampledPiece, rate_hz: float, field_ut: float) -> list[Path]:
-    """Write a piece as one table, a row for each sample of each sensor, as `read_recording` reads it."""
+    """Write a piece as one table for `read_recording`, with a row for each sample of each sensor."""
     tables = [_table(limb, sampled.times, read) for limb, read in sampled.readings.items()]
     path = stem.with_name(f"{stem.name}.parquet")
     pq.write_table(pa.concat_tables(tables), path, compression="zstd", store_schema=False)
@@ -63,15 +63,15 @@ def write_npz(stem: Path, sampled: SampledPiece, rate_hz: float, field_ut: float
         for name, array in arrays.items():
             buffer = io.BytesIO()
             np.lib.format.write_array(buffer, np.asarray(array, order="C"), allow_pickle=False)
-            # the same time of every entry, so that the same readings make the same bytes
+            # a fixed time for every entry, so that the same readings make the same bytes
             archive.writestr(zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0)), buffer.getvalue())
     return [path]
 
 
 def write_xsens(stem: Path, sampled: SampledPiece, rate_hz: float, field_ut: float) -> list[Path]:
-    """Write a piece as text like that of MT Manager, a file for each sensor; lost samples have no row.
+    """Write a piece as text files in the format of MT Manager, one for each sensor; lost samples have no row.
 
-    The magnetic field is in units of the local field. Such files have no clock: samples are counted.
+    The magnetic field is in units of the local field. These files have no clock but count samples.
     """
     names = [f"{channel}_{axis}" for channel in ("Acc", "Gyr", "Mag") for axis in "XYZ"]
     paths = []
@@ -100,7 +100,7 @@ WRITERS: dict[str, Callable[[Path, SampledPiece, float, float], list[Path]]] = {
     "npz": write_npz,
     "xsens-txt": write_xsens,
 }
-"""Form → the function that writes a piece to files whose names begin with a stem, and returns their paths."""
+"""Format → the function that writes a piece to files whose names begin with a stem, and returns their paths."""
 
 CLOCKLESS = ("xsens-txt",)
-"""Forms whose times begin with the first sample."""
+"""Formats in which times are counted from the first sample."""

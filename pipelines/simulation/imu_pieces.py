@@ -1,4 +1,4 @@
-"""The parts of a take that sensors can be simulated for: those between jumps and gaps that are long enough."""
+"""Divide a take into pieces for which sensors can be simulated: long enough, and without jumps and gaps."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
 LEAST_SECONDS = 2.0
-"""Shorter pieces are left out unless windows are shorter."""
+"""The least length of a piece in seconds, unless windows are shorter."""
 
 SHORT_GAP_S = 0.1
-"""Frames without an orientation are interpolated over gaps up to this long."""
+"""The longest gap, in seconds, over which frames without an orientation are interpolated."""
 
 FASTEST_M_S = 25.0
-"""A limb that moves faster is one of two clips that were glued together."""
+"""The speed of a limb, in m/s, above which two clips must have been joined there."""
 
 
 @dataclass(frozen=True, eq=False)
 class LimbPiece:
-    """A limb in a piece of a take: times (T,), places (T, 3) and orientations (T, 4), all of them known."""
+    """A limb in a piece of a take: times (T,), positions (T, 3) and orientations (T, 4), all known."""
 
     times: F64
     position: F64
@@ -36,12 +36,12 @@ class LimbPiece:
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A part of a take in which all limbs are known and nothing jumps.
+    """A part of a take in which all limbs are known and without jumps.
 
     Attributes
     ----------
     start, stop : int
-        Its frames [start, stop) of the source.
+        The frames [start, stop) of the source.
     limbs : dict of str to LimbPiece
         Its limbs by name.
     """
@@ -58,13 +58,13 @@ class Pieces:
     Attributes
     ----------
     pieces : tuple of Piece
-        In the order of time.
+        The pieces in order of time.
     short : int
-        The number of pieces that were left out because they are too short.
+        The number of pieces that were excluded because they are too short.
     lost_frames : int
-        The frames in no piece.
+        The number of frames outside of all pieces.
     without : dict of str to str
-        Limb → the reason for which it has no sensor.
+        Limb → the reason why it has no sensor.
     """
 
     pieces: tuple[Piece, ...]
@@ -76,7 +76,7 @@ class Pieces:
 def take_pieces(
     limbs: Mapping[str, LimbMotion], wanted: tuple[str, ...], named: bool, least_s: float = LEAST_SECONDS
 ) -> Pieces:
-    """Divide a take into pieces that sensors can be simulated for.
+    """Divide a take into pieces for which sensors can be simulated.
 
     Parameters
     ----------
@@ -85,9 +85,9 @@ def take_pieces(
     wanted : tuple of str
         The limbs that wear sensors.
     named : bool
-        True if the user named them; a limb that is known by its long axis alone is left out in any case.
+        True if the user named them; limbs with a known long axis only are always excluded.
     least_s : float
-        Seconds that a piece must have.
+        The least length of a piece in seconds.
     """
     without = {}
     usable: dict[str, tuple[LimbMotion, F64, F64, Bool]] = {}
@@ -107,7 +107,7 @@ def take_pieces(
         return Pieces((), 0, 0, without)
     good = np.logical_and.reduce([one[3] & np.isfinite(one[2]).all(axis=1) for one in usable.values()])
     times = next(iter(usable.values()))[0].times
-    # a jump stands between two frames that are both marked
+    # both frames at a jump are marked
     edges = np.flatnonzero(np.diff(good, prepend=False, append=False)).reshape(-1, 2).tolist()
     step = float(times[1] - times[0]) if len(times) > 1 else 0.0
     long = [(start, stop) for start, stop in edges if (stop - start - 1) * step >= least_s - 1e-9]
@@ -127,7 +127,7 @@ def take_pieces(
 
 
 def _filled(times: F64, position: F64) -> F64:
-    """Return places with short gaps closed along straight lines."""
+    """Return positions with short gaps interpolated linearly."""
     known = np.isfinite(position).all(axis=1)
     if known.all() or not known.any():
         return position
@@ -141,7 +141,7 @@ def _filled(times: F64, position: F64) -> F64:
 
 
 def _glued(times: F64, position: F64) -> Bool:
-    """Return the frames at both ends of a step that is too long for a person."""
+    """Return the frames at both ends of a step that is too fast for a person, bool (T,)."""
     found = np.zeros(len(times), np.bool_)
     with np.errstate(invalid="ignore"):
         fast = np.linalg.norm(np.diff(position, axis=0), axis=1) > FASTEST_M_S * np.diff(times)

@@ -1,4 +1,4 @@
-"""The README of a data set of simulated inertial sensors: its files, their units, and code that loads its windows."""
+"""Write the README of a data set of simulated inertial sensors: files, units, and code that loads windows."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def readme(form: str) -> str:
     Parameters
     ----------
     form : str
-        parquet, npz or xsens-txt.
+        The format: parquet, npz or xsens-txt.
     """
     mag = "units of the local field" if form == "xsens-txt" else "µT"
     return _TEXT.format(files=_FILES[form], mag=mag, reader=_READERS[form].rstrip("\n"))

@@ -1,4 +1,4 @@
-"""Recordings of simulated inertial sensors on the limbs of takes, as a data set in a new folder."""
+"""Simulate recordings of inertial sensors on the limbs of takes, as a data set in a new folder."""
 
 from __future__ import annotations
 
@@ -25,29 +25,29 @@ from kinedex.pipelines.simulation.imu_windows import Segment, Windowing, segment
 from kinedex.storage.formats.csv_cells import csv_line
 
 RECORDINGS = "recordings"
-"""The folder of a data set with a folder for each take."""
+"""The folder of a data set that contains a folder for each take."""
 
 README, DATASET, SENSORS = "README.md", "dataset.yaml", "sensors.yaml"
 SEGMENTS, WINDOWS, TRUTH = "segments.csv", "windows.csv", "truth/sensors.csv"
-"""The files of a data set beside it."""
+"""The files of a data set beside this folder."""
 
 Progress = Callable[[str, int], AbstractContextManager[Any]]
 
 
 @dataclass(frozen=True)
 class Request:
-    """A request for simulated sensors.
+    """A request to simulate inertial sensors.
 
     Attributes
     ----------
     limbs : tuple of str
-        Limbs or groups of limbs that wear a sensor; all that are known for none.
+        Limbs or groups of limbs that wear a sensor; empty for all known limbs.
     grade : str
         Name of a grade, or the path of a file.
     wearing : Wearing
-        Seed, rate, lever and field; its grade is that of the name.
+        Seed, rate, lever arm, magnetic field and sensor grade.
     form : str
-        parquet, npz or xsens-txt.
+        The format: parquet, npz or xsens-txt.
     windowing : Windowing
         Length and step of windows.
     """
@@ -65,13 +65,13 @@ class Request:
 
     @property
     def least_seconds(self) -> float:
-        """The length that a piece of a take must have: a window, but between 0.5 s and 2 s, and some samples."""
+        """The least length of a piece of a take in seconds: that of a window, but 0.5 s to 2 s, and at least 3 samples."""
         return min(LEAST_SECONDS, max(0.5, self.windowing.seconds, 3.0 / self.wearing.rate_hz))
 
 
 @dataclass(frozen=True, eq=False)
 class TakeToSimulate:
-    """A take with its limbs and what is known of it.
+    """A take with its limbs, actor and segments.
 
     Attributes
     ----------
@@ -103,25 +103,25 @@ class Simulated:
     recordings : dict of str to list of str
         Take → its files, relative to the folder.
     seconds : float
-        Seconds of all pieces.
+        The duration of all pieces in seconds.
     samples : int
-        Samples of all sensors.
+        The number of samples of all sensors.
     clipped : int
-        Samples beyond a range.
+        The number of samples beyond the range of a sensor.
     least_seconds : float
-        The length that a piece must have.
+        The least length of a piece in seconds.
     short, lost_frames : int
-        Pieces that were left out because they are shorter, and source frames in no piece.
+        The numbers of pieces excluded because they are shorter, and of source frames outside of all pieces.
     without : dict of str to list of str
         Limb and reason → the takes in which it has no sensor.
     left_out : list of str
         The takes without any piece.
     slower : list of str
-        The takes whose source is slower than the sensors: their readings are interpolated.
+        The takes whose source has a lower rate than the sensors, so that motion is interpolated.
     windows : int
-        Windows of all pieces.
+        The number of windows in all pieces.
     classes : dict of str to int
-        Class → its windows.
+        Class → number of windows.
     """
 
     recordings: dict[str, list[str]] = field(default_factory=dict)
@@ -138,7 +138,7 @@ class Simulated:
     classes: dict[str, int] = field(default_factory=dict)
 
     def remarks(self) -> list[str]:
-        """Return sentences on what was left out or interpolated."""
+        """Return sentences on what was excluded or interpolated."""
         found = [f"{what} in {_few(takes)}" for what, takes in self.without.items()]
         if self.short:
             verb = "was" if self.short == 1 else "were"
@@ -170,7 +170,7 @@ def _few(names: list[str], most: int = 3) -> str:
 def write_data_set(
     folder: Path, names: list[str], takes: Iterable[TakeToSimulate], request: Request, progress: Progress
 ) -> Simulated:
-    """Write a data set of simulated sensors into an empty folder; the same takes and request make the same bytes.
+    """Write a data set of simulated sensors into an empty folder; the result is reproducible to the byte.
 
     Parameters
     ----------
@@ -179,16 +179,16 @@ def write_data_set(
     names : list of str
         The names of the takes, in their order.
     takes : iterable of TakeToSimulate
-        The takes in this order; those without limbs may be missing.
+        The takes in the order of `names`; takes without limbs may be missing.
     request : Request
         The sensors.
     progress : callable
-        Shows how far the work is.
+        Shows progress.
 
     Raises
     ------
     KinedexError
-        No take has a piece that sensors can be simulated for.
+        No take has a piece for which sensors can be simulated.
     """
     return _DataSet(folder, dict(zip(names, recording_names(names), strict=True)), request).write(takes, progress)
 
@@ -275,7 +275,7 @@ class _DataSet:
             self.truth.append([file, take.take, limb, f"{offset:.9f}", f"{worn.clock.ppm:.6f}", *quaternions])
 
     def _sensors(self) -> str:
-        """Return the file of sensors, which states the units: the median force on a hand that swings is not gravity."""
+        """Return the sensor description, which states the units, as data of fast limbs do not show them."""
         content = {"sensors": {limb: limb for limb in self.limbs}, "units": self._units(), "frame": "NWU"}
         head = "# The sensors of this data set.\n"
         if self.request.form != "npz":
@@ -317,5 +317,5 @@ class _DataSet:
 
 
 def _table(path: Path, header: list[str], rows: list[list[object]]) -> None:
-    """Write a CSV file in which no name is a formula of a spreadsheet."""
+    """Write a CSV file in which no cell can be taken for a formula by a spreadsheet."""
     path.write_bytes("".join([csv_line(header), *map(csv_line, rows)]).encode())

@@ -1,4 +1,4 @@
-"""Sensors on the limbs of a take: mounts, headings and clocks drawn from a seed, and the readings of each piece."""
+"""Simulate sensors on the limbs of a take: draw mounts, headings and clocks from a seed, and compute readings."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MOUNTS = (RANDOM, "limb")
 
 @dataclass(frozen=True)
 class Wearing:
-    """The way in which sensors are worn and read.
+    """The way in which simulated sensors are worn and sampled.
 
     Attributes
     ----------
@@ -39,13 +39,14 @@ class Wearing:
     grade : Grade
         The errors of the sensors.
     lever_m : tuple of float
-        From the middle of a limb to its sensor, in metres and in the limb's own axes.
+        The vector from the middle of a limb to its sensor, in metres, in the limb's own axes.
     field_ut, inclination_deg, declination_deg : float
-        The magnetic field: strength, degrees below the horizon, and degrees between X of F_GI and magnetic north.
+        The magnetic field: strength in µT, inclination below the horizon, and angle between the X axis of the
+        sensors' world F_GI and magnetic north.
     stand_s : float
         Seconds that the actor holds the first pose before each piece, and the last one after it.
     mount : {"random", "limb"}
-        The turn between sensor and limb: drawn for each actor and limb, or none: the axes are those of the limb.
+        The rotation between sensor and limb: drawn for each actor and limb, or none, with the axes of the limb.
     """
 
     seed: int = 0
@@ -76,9 +77,9 @@ class Worn:
     Attributes
     ----------
     q_global : float64 array (4,)
-        F_GI → the take's world.
+        Unit quaternion (w, x, y, z) from the sensors' world F_GI to the take's world.
     mounts : dict of str to float64 array (4,)
-        Limb → sensor → segment.
+        Limb → unit quaternion from the sensor's axes to those of the limb.
     clock : Clock
         The clock that all sensors of the take share.
     """
@@ -97,11 +98,11 @@ class SampledPiece:
     piece : Piece
         The piece.
     times : float64 array (N,)
-        Seconds on the sensors' clock.
+        Times on the sensors' clock, in seconds.
     take_times : float64 array (N,)
-        Seconds of the take.
+        Times in the take, in seconds.
     readings : dict of str to Readings
-        Limb → its readings.
+        Limb → the readings of its sensor.
     """
 
     piece: Piece
@@ -120,7 +121,7 @@ def worn_sensors(wearing: Wearing, take: str, actor: str | None, limbs: Mapping[
     take : str
         Name of the take.
     actor : str or None
-        Its actor; a take without one is worn by itself.
+        Its actor; a take without one has a heading and mounts of its own.
     limbs : mapping of str to object
         The limbs, by name.
     """
@@ -141,13 +142,13 @@ def sample_piece(piece: Piece, number: int, take: str, worn: Worn, wearing: Wear
     piece : Piece
         The piece.
     number : int
-        Its number in the take, which its random numbers depend on.
+        Its number in the take, which determines its random numbers.
     take : str
         Name of the take.
     worn : Worn
         Mounts and clock.
     wearing : Wearing
-        Rate, grade and field.
+        The rate, sensor grade and magnetic field.
     """
     limbs = {limb: _held(own, wearing.stand_s) for limb, own in piece.limbs.items()}
     first = next(iter(limbs.values())).times
@@ -168,7 +169,7 @@ def sample_piece(piece: Piece, number: int, take: str, worn: Worn, wearing: Wear
 
 
 def _held(own: LimbPiece, seconds: float) -> LimbPiece:
-    """Return a limb that rests in its first and its last pose before and after."""
+    """Return a limb that holds its first pose before the piece, and its last pose after it, for some seconds."""
     step = (own.times[-1] - own.times[0]) / (len(own.times) - 1)
     frames = round(seconds / step)
     if not frames:

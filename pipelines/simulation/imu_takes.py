@@ -1,4 +1,4 @@
-"""Simulated sensors of stored takes: the takes of a command, read from their sources, and those of a stage."""
+"""Simulate sensors on stored takes: for a command, from the source files, and for a stage, from stored limbs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from kinedex.storage.store.store import Store
 def simulate_imu(
     store: Store, takes: Sequence[str], where: str | None, request: Request, folder: Path, progress: Progress
 ) -> Simulated:
-    """Write a data set of simulated sensors on takes, whose sources are read again.
+    """Write a data set of simulated sensors on takes, whose source files are read again.
 
     Parameters
     ----------
@@ -33,12 +33,12 @@ def simulate_imu(
     folder : Path
         A folder that does not exist, or is empty.
     progress : callable
-        Shows how far the work is.
+        Shows progress.
 
     Raises
     ------
     KinedexError
-        The folder holds files, there is no such take, or a source is gone or was changed.
+        The folder contains files, there is no such take, or a source no longer exists or was changed.
     """
     require_new(folder)
     names = chosen_takes(store, takes, where)
@@ -59,14 +59,14 @@ def simulate_imu(
 def simulate_stored(
     store: Store, stage: str, names: Sequence[str], request: Request, folder: Path, progress: Progress
 ) -> Simulated:
-    """Write a data set of simulated sensors on takes whose limbs a stage has stored, into an empty folder.
+    """Write a data set of simulated sensors into an empty folder, from the limbs that a stage has stored.
 
     Parameters
     ----------
     store : Store
         The store.
     stage : str
-        The stage that has the limbs, "<pipeline>/<stage>".
+        The stage that has stored the limbs, "<pipeline>/<stage>".
     names : sequence of str
         Names of the takes.
     request : Request
@@ -74,7 +74,7 @@ def simulate_stored(
     folder : Path
         An empty folder.
     progress : callable
-        Shows how far the work is.
+        Shows progress.
     """
     actors, segments = actors_of(store), take_segments(store)
     takes: Iterable[TakeToSimulate] = (

@@ -1,4 +1,4 @@
-"""Labels of simulated sensors: annotated segments as samples, and windows of one length with their class."""
+"""Label samples of simulated sensors: annotated segments in samples, and windows of equal length with a class."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from kinedex.storage.store.store import Store
 F64 = npt.NDArray[np.float64]
 
 LEAST_SHARE = 0.5
-"""A window has the class that covers more than this share of it."""
+"""The share of a window above which the class that covers most of it becomes its class."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Segment:
     name : str
         The class.
     start_s, stop_s : float
-        Seconds of the take.
+        Times in the take, in seconds.
     """
 
     origin: str
@@ -54,8 +54,8 @@ class Windowing:
 def take_segments(store: Store) -> dict[str, list[Segment]]:
     """Return the segments of all takes, by the take's name.
 
-    Labels of people go before annotations where a take has both; a take with neither has the class of its file, if
-    any.
+    Labels of people take precedence over annotations if a take has both; a take with neither has the class of its file,
+    if there is one.
     """
     found: dict[str, list[Segment]] = {}
     rows = store.sql(
@@ -78,7 +78,7 @@ def take_segments(store: Store) -> dict[str, list[Segment]]:
 
 
 def segment_rows(segments: Sequence[Segment], take_times: F64) -> list[tuple[str, str, int, int]]:
-    """Return origin, class and samples [start, stop) of the segments that samples lie in."""
+    """Return origin, class and samples [start, stop) of the segments that contain samples."""
     rows = []
     for one in segments:
         start, stop = np.searchsorted(take_times, [one.start_s - 1e-9, one.stop_s - 1e-9]).tolist()
@@ -90,9 +90,9 @@ def segment_rows(segments: Sequence[Segment], take_times: F64) -> list[tuple[str
 def window_rows(
     rows: Sequence[tuple[str, str, int, int]], samples: int, rate_hz: float, windowing: Windowing
 ) -> list[tuple[int, int, str, float]]:
-    """Return windows [start, stop) in samples, each with the class that covers most of it, and its share.
+    """Return windows [start, stop) in samples, with the class that covers most of each window, and its share.
 
-    The class is empty where none covers more than half of a window.
+    The class is empty if none covers more than half of a window.
     """
     width, step = max(1, round(windowing.seconds * rate_hz)), max(1, round(windowing.step_s * rate_hz))
     classes = sorted({name for _, name, _, _ in rows})

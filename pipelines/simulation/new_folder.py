@@ -1,4 +1,4 @@
-"""Folders of recordings appear when all of their files are written, or not at all."""
+"""Write folders of recordings such that they appear only when all of their files are written."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from kinedex.storage.disk import TEMPORARY
 
 @contextmanager
 def new_folder(folder: Path) -> Iterator[Path]:
-    """Write a folder whole or not at all.
+    """Write a folder completely or not at all.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def new_folder(folder: Path) -> Iterator[Path]:
     Yields
     ------
     Path
-        A folder beside it to write to, which takes its place where the block ends, and goes where the block fails.
+        A temporary folder to write to, which is renamed when the block ends, and removed if the block fails.
 
     Raises
     ------
@@ -47,12 +47,12 @@ def new_folder(folder: Path) -> Iterator[Path]:
 
 
 def require_new(folder: Path) -> None:
-    """Refuse a folder that holds files.
+    """Raise an error if a folder contains files.
 
     Raises
     ------
     KinedexError
-        It holds files, or is none.
+        The path is a folder with files, or not a folder.
     """
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise KinedexError(f"{folder}: is no folder; give a new one with -o")

@@ -1,4 +1,4 @@
-"""The files of a simulated recording: calibration, keypoints, masks."""
+"""Write the files of a simulated recording: calibration, keypoints and masks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from kinedex.ops.tracking.views import camera_view
 F64 = npt.NDArray[np.float64]
 
 MASK_PART = 2
-"""Masks have this part of the width and height of the images, where it divides both."""
+"""The factor by which masks are smaller than the images, if it divides width and height."""
 
 
 def camera_names(count: int) -> list[str]:
@@ -32,7 +32,7 @@ def camera_names(count: int) -> list[str]:
 
 
 def write_calibration(path: Path, ring: CameraRing, made: SimulatedRecording) -> None:
-    """Write the cameras as TOML of AniPose and Pose2Sim: rotations are vectors, lengths are metres."""
+    """Write the cameras in the TOML format of AniPose and Pose2Sim: rotation vectors, lengths in metres."""
     lines = []
     for name, rotation, translation in zip(camera_names(ring.count), made.rotations, made.translations, strict=True):
         vector = vector_of(np.ascontiguousarray(rotation))
@@ -61,12 +61,12 @@ def write_keypoints(home: Path, keypoints: KeypointSet, made: SimulatedRecording
     made : SimulatedRecording
         The recording.
     form : str
-        parquet, one table; or openpose, a JSON file for each frame in a folder for each camera.
+        The format: parquet, one table; or openpose, a JSON file for each frame in a folder for each camera.
 
     Returns
     -------
     str
-        The path of the files for the file of recordings.
+        The path of the files, as written in the recordings file.
     """
     names = camera_names(made.pixels.shape[1])
     if form == "openpose":
@@ -93,14 +93,14 @@ def write_keypoints(home: Path, keypoints: KeypointSet, made: SimulatedRecording
 
 
 def _openpose(pixels: F64, confidence: F64) -> str:
-    """Return the JSON of a frame of a camera; it has no person where no keypoint is seen."""
+    """Return the JSON of a frame of a camera; it has no person if no keypoint is seen."""
     rows = np.round(np.concatenate([pixels, confidence[:, None]], axis=1), 4)
     person = {"person_id": [-1], "pose_keypoints_2d": rows.ravel().tolist()}
     return json.dumps({"version": 1.3, "people": [person] if confidence.any() else []}) + "\n"
 
 
 def write_masks(home: Path, ring: CameraRing, made: SimulatedRecording, positions: F64) -> str:
-    """Write a mask for each frame and camera; a camera that is blank has none.
+    """Write a mask for each frame and camera, except for frames in which a camera is blank.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def write_masks(home: Path, ring: CameraRing, made: SimulatedRecording, position
     Returns
     -------
     str
-        The path of the files for the file of recordings.
+        The path of the files, as written in the recordings file.
     """
     from PIL import Image
 

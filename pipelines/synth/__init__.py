@@ -1,1 +1,1 @@
-"""The synthetic archive as motion files."""
+"""Write the synthetic archive as motion files."""

@@ -1,4 +1,4 @@
-"""The synthetic archive on disk: ASF/AMC files of invented actors, in the folders of a real archive."""
+"""Write the synthetic archive: ASF/AMC files of invented actors, in the folder layout of a real archive."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from kinedex.storage.disk import whole_file
 from kinedex.storage.formats.motion.acclaim_writer import Dialect, write_amc, write_asf
 
 CLIP_SHARE = 0.50
-"""Share of the time of the archive that is training clips; the rest are long takes."""
+"""The share of the duration of the archive that is training clips; the rest are long takes."""
 LONGEST_TAKE = 150.0
 """Greatest length of a long take in seconds."""
 DEFAULT_SEED = 2026
 VERSION = 1
-"""Version of the motion that a seed makes; it is changed where the motion changes."""
+"""The version of the motion that a seed produces; it is increased when the motion changes."""
 RECORD = "synthetic.json"
-"""File with the settings of the archive; it is written first and completed last."""
+"""The file with the settings of the archive; it is written first and completed last."""
 
 _DIALECTS = (
     Dialect(remarks=("AST/ASF file, synthetic",)),
@@ -48,19 +48,19 @@ class Summary:
     directory : str
         Folder of the archive.
     made : bool
-        False where the archive existed already, with the same settings.
+        False if the archive already existed with the same settings.
     actors, classes : tuple of str
         Names of the actors and of the classes of motion.
     clips, takes : int
         Numbers of training clips and of long takes.
     clip_minutes, take_minutes : float
-        Minutes of motion in each part.
+        Minutes of motion in clips and in long takes.
     frames : int
-        Source frames, at 120 Hz.
+        The number of source frames, at 120 Hz.
     labels : int
-        Labelled segments of the takes.
+        The number of labelled segments in the takes.
     bytes : int
-        Size of all files.
+        The size of all files in bytes.
     """
 
     directory: str
@@ -84,7 +84,7 @@ class Summary:
 
 @dataclass(frozen=True)
 class _Task:
-    """A file to write: a clip of a motion, or a long take where `motion` is empty."""
+    """A file to write: a clip of a motion, or a long take if `motion` is empty."""
 
     actor: int
     motion: str
@@ -113,16 +113,16 @@ def write_archive(
 ) -> Summary:
     """Write a synthetic archive: training clips, long takes, and the ground truth of the takes.
 
-    Half of the time is clips by default, with the same number of clips for each motion and actor as far as the time
-    allows; the rest is takes of at most two and a half minutes. The same settings give the same bytes, whatever the
+    By default half of the duration is clips, with the same number of clips for each motion and actor as far as
+    possible; the rest is takes of at most two and a half minutes. The same settings give the same bytes, whatever the
     number of jobs. A complete archive is not changed.
 
     Parameters
     ----------
     directory : str or Path
-        A new or empty folder, or one that an earlier call with the same settings began.
+        A new or empty folder, or the folder of an earlier call with the same settings.
     minutes : float
-        Minutes of all files together; the result differs by some ten per cent at most.
+        Minutes of all files together; the result differs by at most about ten per cent.
     actors : int
         Number of actors, 1 to 600.
     seed : int
@@ -144,7 +144,7 @@ def write_archive(
     ParameterError
         If a setting is out of range.
     KinedexError
-        If the folder holds something else.
+        If the folder contains other files.
     """
     if not minutes > 0:
         raise ParameterError("minutes", "above 0", minutes)
@@ -180,7 +180,7 @@ def write_archive(
 
 
 def _existing(folder: Path, settings: dict[str, object]) -> Summary | None:
-    """Return the summary of a complete archive with these settings, None where one can be written."""
+    """Return the summary of a complete archive with these settings; None if an archive can be written."""
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return None
     way_out = "name another folder, or remove this one"
@@ -227,7 +227,7 @@ def _write_skeletons(folder: Path, actors: int, seed: int) -> int:
 
 
 def _plan(minutes: float, actors: int, seed: int, clip_minutes: float) -> list[_Task]:
-    """Divide the time: clips cycle through motions and actors until their share is used, takes divide the rest."""
+    """Divide the duration: clips cycle through motions and actors until their share is used; takes use the rest."""
     clips: list[_Task] = []
     left = clip_minutes * 60.0
     number = 0
