@@ -65,7 +65,7 @@ class Request:
 
     @property
     def least_seconds(self) -> float:
-        """The least length of a piece of a take in seconds: that of a window, but 0.5 s to 2 s, and at least 3 samples."""
+        """The least length of a piece of a take in seconds: that of a window, within 0.5 to 2 s, or 3 samples."""
         return min(LEAST_SECONDS, max(0.5, self.windowing.seconds, 3.0 / self.wearing.rate_hz))
 
 

@@ -1,1 +1,1 @@
-"""Templates of an archive: learning from clips, mirrored clips, files and combinations, and their display."""
+"""Templates of an archive: learn them from clips, mirrored clips, files and combinations, and display them."""

@@ -1,4 +1,4 @@
-"""Checks of the clips of a class: too few, of very different length, or one unlike all the others."""
+"""Check the clips of a class: too few, of very different length, or one unlike all others."""
 
 from __future__ import annotations
 
@@ -9,16 +9,19 @@ import numpy as np
 from kinedex.ops.wording import few
 
 FEW = 3
-"""Fewer clips than this hardly show which features vary."""
+"""The number of clips below which they hardly show which features vary."""
 
 UNLIKE_LENGTH = 2.0
-"""A clip so many times as long as the median of its class, or shorter by this factor: a path of a distance curve cannot
-be stretched further either."""
+"""Ratio of a clip's length to the median of its class, or the inverse, above which the clip gets a remark.
+
+A warping path of a distance curve cannot be stretched further either.
+"""
 
 LONELY_TIMES, LONELY_SPREADS, LONELY_EXCESS = 1.5, 5.0, 0.05
-"""A clip is far from the others if its cost is this many times the median of all clips' costs, as many median absolute
-deviations above it, and as far above it in itself. Of the 188 training clips of HDM05 it names four (a jog, two that
-lie down, one that sneaks)."""
+"""Criteria for outliers: multiple of the median cost, median absolute deviations above it, and excess over it.
+
+Of the 188 training clips of HDM05 they find four (one jog, two of lying down, one of sneaking).
+"""
 
 
 def clip_remarks(names: Sequence[str], lengths: Sequence[int], costs: Sequence[float]) -> tuple[str, ...]:
@@ -31,12 +34,12 @@ def clip_remarks(names: Sequence[str], lengths: Sequence[int], costs: Sequence[f
     lengths : sequence of int
         Their lengths, in frames.
     costs : sequence of float
-        The cost of each clip to the others (`Learned.clip_costs`).
+        The cost of aligning each clip with the others (`Learned.clip_costs`).
 
     Returns
     -------
     tuple of str
-        Sentences without the name of the class; none where the clips are fine.
+        Sentences without the name of the class; empty if the clips pass all checks.
     """
     if len(names) == 1:
         return ("one clip only, which then is the template",)
@@ -59,18 +62,18 @@ def clip_remarks(names: Sequence[str], lengths: Sequence[int], costs: Sequence[f
 
 
 def far_clips(costs: Sequence[float]) -> list[int]:
-    """Return the positions of clips that are far from all others; none among fewer than four clips."""
+    """Return the indices of clips that are far from all others; an empty list for fewer than four clips."""
     limit = far_limit(costs)
     return [] if limit is None else [index for index, cost in enumerate(costs) if cost >= limit]
 
 
 def far_limit(costs: Sequence[float]) -> float | None:
-    """Return the cost from which on a clip is far from all others; None among fewer than four clips.
+    """Return the cost above which a clip is far from all others; None for fewer than four clips.
 
     Parameters
     ----------
     costs : sequence of float
-        The cost of each clip to the others.
+        The cost of aligning each clip with the others.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Examples to learn from: intervals of takes with a class, from whole clips, labels of people and label files."""
+"""Select examples for learning: intervals of takes with a class, from whole clips, labels of people, or label files."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ if TYPE_CHECKING:
     import polars as pl
 
 CLIPS, LABELS = "clips", "labels"
-"""The sources of examples that are no label files."""
+"""The sources of examples that are not label files."""
 
 
 class ExampleParameters(BaseModel):
-    """The parameters that choose examples, of every stage that learns."""
+    """The parameters that select examples, shared by all stages that learn from them."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -59,7 +59,7 @@ class ExampleParameters(BaseModel):
 
     @property
     def only_clips(self) -> bool:
-        """True if no example is an interval of a take."""
+        """True if all examples are whole clips."""
         return set(self.examples) == {CLIPS}
 
 
@@ -67,7 +67,8 @@ class ExampleParameters(BaseModel):
 class Example:
     """An interval of a take that shows a class, or that does not.
 
-    The words of an interval are those of the take: features of its first and last frames have seen the frames beyond.
+    The words of an interval are those of the take, so that features of its first and last frames depend on frames
+    beyond it.
 
     Attributes
     ----------
@@ -78,9 +79,9 @@ class Example:
     start, stop : int
         The frames [start, stop).
     frames : int
-        The frames of the take.
+        The number of frames of the take.
     label : str
-        The class (a subclass, as far as classes have several).
+        The class (a subclass, for classes with several).
     source : str
         "clip", "label", or the place in a label file.
     positive : bool
@@ -98,21 +99,21 @@ class Example:
 
     @property
     def name(self) -> str:
-        """The name of the take, with its interval if it is not the whole take: "walk_01[30:90]"."""
+        """The name of the take, followed by the interval if it is not the whole take, such as "walk_01[30:90]"."""
         whole = (self.start, self.stop) == (0, self.frames)
         return self.take if whole else f"{self.take}[{self.start}:{self.stop}]"
 
 
 @dataclass(frozen=True)
 class ChosenExamples:
-    """The examples that parameters choose.
+    """The examples that the parameters select.
 
     Attributes
     ----------
     examples : list of Example
         The examples, rejected intervals last.
     remarks : list of str
-        Labels that are excluded.
+        Remarks on labels that are excluded.
     unmatched : tuple of UnmatchedLabels
         The labels of files that match no take.
     """
@@ -123,7 +124,7 @@ class ChosenExamples:
 
 
 def examples_of(store: Store, params: ExampleParameters, *, required: bool = True) -> ChosenExamples:
-    """Return the examples that parameters choose.
+    """Return the examples that the parameters select.
 
     An interval that several sources give for one class is one example.
 
@@ -134,7 +135,7 @@ def examples_of(store: Store, params: ExampleParameters, *, required: bool = Tru
     params : ExampleParameters
         The sources.
     required : bool, optional
-        False allows that there is no example.
+        False to allow that there is no example.
 
     Raises
     ------
@@ -168,7 +169,7 @@ def examples_of(store: Store, params: ExampleParameters, *, required: bool = Tru
 
 
 def training_takes(store: Store, where: str) -> pl.DataFrame:
-    """Return the takes that a filter selects for learning, sorted by name; all of them have a class.
+    """Return the takes that a filter selects for learning, sorted by name; each of them has a class.
 
     Parameters
     ----------
@@ -193,7 +194,7 @@ def training_takes(store: Store, where: str) -> pl.DataFrame:
 
 
 def _classified(store: Store, where: str) -> pl.DataFrame:
-    """Return the takes that a filter selects; a KinedexError if one has no class."""
+    """Return the takes that a filter selects; raise a KinedexError if one has no class."""
     takes = store.takes(where)
     unlabelled = takes.filter(takes["class"].is_null())["name"].to_list()
     if unlabelled:
@@ -211,7 +212,7 @@ def whole_takes(takes: pl.DataFrame) -> list[Example]:
 
 
 def _labelled(store: Store, takes: pl.DataFrame) -> tuple[list[Example], list[str]]:
-    """Return the labels of takes as examples, and remarks on those that do not fit their takes any more."""
+    """Return the labels of takes as examples, and remarks on labels that no longer match their takes."""
     rows = {str(row[0]): row[1:] for row in takes.select("name", "take_id", "frames", "checksum").iter_rows()}
     found, beyond, changed = [], [], []
     for one in store.labels().sort_by([("take", "ascending"), ("start", "ascending")]).to_pylist():
@@ -235,7 +236,7 @@ def _labelled(store: Store, takes: pl.DataFrame) -> tuple[list[Example], list[st
 def _of_files(
     store: Store, takes: pl.DataFrame, patterns: Sequence[str]
 ) -> tuple[list[Example], Sequence[str], tuple[UnmatchedLabels, ...]]:
-    """Return the segments of label files as examples, remarks on those that are excluded, and those of no take."""
+    """Return segments of label files as examples, remarks on excluded ones, and labels that match no take."""
     if not patterns:
         return [], (), ()
     rows = {str(row[0]): row[1:] for row in takes.select("name", "take_id", "frames").iter_rows()}
@@ -254,7 +255,7 @@ def _files(store: Store, patterns: Sequence[str]) -> list[Path]:
 
 
 def example_words(store: Store, examples: Iterable[Example]) -> dict[Example, U64]:
-    """Return the words of examples, those of their takes in their frames."""
+    """Return the words of examples, taken from the words of their takes."""
     chosen = list(examples)
     words = store.words(sorted({one.take_id for one in chosen}))
     place = {take_id: index for index, take_id in enumerate(words.take_ids.tolist())}
@@ -262,7 +263,7 @@ def example_words(store: Store, examples: Iterable[Example]) -> dict[Example, U6
 
 
 def interval_of(name: str, takes: Container[str]) -> tuple[str, slice]:
-    """Return the take and the frames that the name of an example stands for; the name itself if it is no interval."""
+    """Return the take and the frames that the name of an example denotes; all frames if it denotes no interval."""
     match = re.fullmatch(r"(.*)\[(\d+):(\d+)\]", name, re.DOTALL)
     if name in takes or match is None or match[1] not in takes:
         return name, slice(None)
@@ -271,7 +272,7 @@ def interval_of(name: str, takes: Container[str]) -> tuple[str, slice]:
 
 @dataclass(frozen=True)
 class Rejected:
-    """An interval that a person has rejected for a class: an example of what the class is not.
+    """An interval that a person has rejected for a class, as a counterexample.
 
     Attributes
     ----------
@@ -282,7 +283,7 @@ class Rejected:
     words : uint64 array (L,)
         The words of the interval, without invalid frames.
     known : int
-        The mask of the features that the take knows, with the bits of a word.
+        The mask of the features known in the take, with the bits of a word.
     """
 
     label: str
@@ -292,10 +293,11 @@ class Rejected:
 
 
 def rejected_examples(store: Store, params: ExampleParameters, *, of_any: bool = False) -> list[Rejected]:
-    """Return the rejected intervals among the examples that parameters choose; none if labels are not among them.
+    """Return the rejected intervals that the parameters select; an empty list if they do not select labels.
 
-    One that overlaps a positive label of its class is excluded: it was cut badly, and shows the class all the same.
-    With `of_any` so is one that overlaps a positive label of any class: it is an example of that one.
+    A rejected interval that overlaps a positive label of its class is excluded: its bounds were bad, but it shows the
+    class. With `of_any`, a rejected interval that overlaps a positive label of any class is excluded, because it is an
+    example of that class.
     """
     if LABELS not in params.examples:
         return []
@@ -322,7 +324,7 @@ def rejected_examples(store: Store, params: ExampleParameters, *, of_any: bool =
 
 
 def examples_read(store: Store, params: ExampleParameters) -> Reading:
-    """Return a digest of the examples that parameters choose: of their names, classes, verdicts and words.
+    """Return a digest of the examples that the parameters select: of their names, classes, verdicts and words.
 
     Parameters
     ----------
@@ -343,7 +345,7 @@ def examples_read(store: Store, params: ExampleParameters) -> Reading:
     for one, words in example_words(store, found).items():
         own = np.ascontiguousarray(words)
         mask = (store.known[one.take_id],) if one.take_id in store.known else ()
-        actor = (actors[one.take],) if counts[one.label] > MOST_AVERAGED else ()  # clips are drawn evenly over them
+        actor = (actors[one.take],) if counts[one.label] > MOST_AVERAGED else ()  # clips are drawn evenly over actors
         hasher.update(repr((one.name, one.label, one.positive, len(own), *mask, *actor)).encode() + own.tobytes())
     clips = sum(one.source == "clip" for one in found)
     parts = [counted(clips, "clip")] if clips else []

@@ -1,4 +1,4 @@
-"""Motion templates of the subclasses of an archive: training clips, tasks for workers, and the table of results."""
+"""Learn motion templates of the subclasses of an archive: training clips, tasks for workers, and tables of results."""
 
 from __future__ import annotations
 
@@ -36,36 +36,36 @@ if TYPE_CHECKING:
 F64 = npt.NDArray[np.float64]
 
 _TASK_CELLS = 20_000_000
-"""A task has about so many cells of the alignments of one round, which take a second or so."""
+"""The approximate number of alignment cells of one round in a task, which take about a second."""
 
 _SPLIT_CELLS = 100_000_000
-"""From so many cells on, the rounds of one class are divided among all workers."""
+"""The number of cells of a class from which on its rounds are divided among all workers."""
 
 
 @dataclass(frozen=True)
 class TrainingClips:
-    """The clips of one subclass, in the order of their names; all frames are valid.
+    """The clips of one subclass, sorted by name, without invalid frames.
 
     Attributes
     ----------
     subclass : str
         The subclass.
     names : tuple of str
-        The names of the takes, with intervals where they are not whole ("walk_01[30:90]").
+        The names of the takes, with intervals if they are not whole ("walk_01[30:90]").
     words : tuple of uint64 arrays (L,)
         The words of each clip.
     mirrored : int
-        So many of them, the last ones, are clips of `source` with left and right exchanged.
+        The number of clips, at the end, that are clips of `source` with left and right exchanged.
     source : str
         The subclass of the mirrored clips.
     remarks : tuple of str
-        Clips that were shortened or excluded.
+        Remarks on clips that were shortened or excluded.
     takes : tuple of str
-        The take of each clip; the names are those of takes unless given.
+        The take of each clip; by default the names.
     known : int
-        The mask of the features that all clips know, with the bits of a word. The others are learned from nowhere.
+        The mask of the features known in all clips, with the bits of a word. Only these are learned.
     actors : tuple of str
-        The actor of each clip; all the same unless given. A large class is drawn from evenly over them.
+        The actor of each clip; by default all the same. Of large classes, clips are drawn evenly over actors.
     """
 
     subclass: str
@@ -80,7 +80,7 @@ class TrainingClips:
 
     @property
     def of_actors(self) -> tuple[str, ...]:
-        """The actor of each clip."""
+        """The actor of each clip; empty texts if actors are not given."""
         return self.actors or ("",) * len(self.names)
 
     @property
@@ -90,24 +90,24 @@ class TrainingClips:
 
     @property
     def cells(self) -> int:
-        """The cells of the alignments of one round, about: all pairs of frames of all pairs of clips that it aligns."""
+        """The approximate number of alignment cells in one round: all pairs of frames of all aligned pairs of clips."""
         frames = sum(len(words) for words in self.words)
         count = len(self.words)
         return frames**2 if count <= MOST_AVERAGED else frames**2 * REFERENCES // count
 
     @property
     def origin(self) -> str:
-        """The origin of a template that is learned from these clips."""
+        """The origin of a template that is learned from these clips, as text."""
         if not self.mirrored:
             return LEARNED
         return f"{LEARNED}, {self.mirrored} of {len(self.names)} clips are those of {self.source} in the mirror"
 
     def without(self, names: Container[str]) -> TrainingClips:
-        """Return the clips except those of some takes."""
+        """Return the clips except those from the given takes."""
         return self._of([index for index, take in enumerate(self.of_takes) if take not in names])
 
     def only(self, names: Container[str]) -> TrainingClips:
-        """Return the clips of some takes."""
+        """Return the clips from the given takes."""
         return self._of([index for index, take in enumerate(self.of_takes) if take in names])
 
     def first(self) -> TrainingClips:
@@ -127,7 +127,7 @@ class TrainingClips:
 
 @dataclass(frozen=True)
 class Task:
-    """The clips of subclasses whose templates one worker learns."""
+    """The clips of some subclasses, whose templates one worker learns."""
 
     clips: tuple[TrainingClips, ...]
     kinds: tuple[Kind, ...]
@@ -143,7 +143,8 @@ def training_clips(store: Store, takes: pl.DataFrame) -> list[TrainingClips]:
 def example_clips(store: Store, examples: Iterable[Example]) -> list[TrainingClips]:
     """Group examples by subclass and read their words.
 
-    Invalid frames at the ends of an example are cut off; one with others, or without any valid frame, is excluded.
+    Invalid frames at the ends of an example are removed; an example with other invalid frames, or without any valid
+    frame, is excluded.
 
     Parameters
     ----------
@@ -155,12 +156,12 @@ def example_clips(store: Store, examples: Iterable[Example]) -> list[TrainingCli
     Returns
     -------
     list of TrainingClips
-        Subclasses, and the examples of each, in the order of their names.
+        The examples of each subclass, both sorted by name.
 
     Raises
     ------
     KinedexError
-        A subclass is left without an example.
+        A subclass has no example left.
     """
     words = example_words(store, (one for one in examples if one.positive))
     actors = dict(store.takes().select("name", "actor").iter_rows())
@@ -185,7 +186,7 @@ def usable_clips(
     known: Mapping[str, int] | None = None,
     actors: Mapping[str, str] | None = None,
 ) -> TrainingClips:
-    """Return the clips of one subclass that can be learned from.
+    """Return the clips of one subclass that can be used for learning.
 
     Parameters
     ----------
@@ -201,8 +202,8 @@ def usable_clips(
     Returns
     -------
     TrainingClips
-        The clips without invalid frames at their ends; clips with others, or without any valid frame, are excluded, and
-        so are clips that lack a feature that the best known clip has.
+        The clips without invalid frames at their ends; clips with other invalid frames, or without any valid frame, are
+        excluded, and so are clips that lack a feature of the clip with most known features.
 
     Raises
     ------
@@ -231,7 +232,7 @@ def usable_clips(
         remarks.append(f"clips with invalid frames in the middle, excluded: {few(excluded)}")
     if shortened:
         remarks.append(f"clips with invalid frames at an end, which are cut off: {few(shortened)}")
-    # The mask of most features: of two with as many, that of most clips, then the greater one.
+    # The mask with most features; among equal numbers that of most clips, then the greater one.
     mask = max(Counter(masks[name] for name in kept).items(), key=lambda one: (one[0].bit_count(), one[1], one[0]))[0]
     lacking = [name for name in kept if mask & ~masks[name]]
     if lacking:
@@ -251,7 +252,7 @@ def learned_of(
     spread: Spread = map,
     pieces: int = 1,
 ) -> Learned:
-    """Learn a template from clips as `ops.templates.templates.learn` does; features that they lack have no weight."""
+    """Learn a template from clips as `ops.templates.templates.learn` does; unknown features get no weight."""
     if clips.known == ALL_KNOWN:
         return learn(kind, clips.words, features, feature_weights, spread, pieces, clips.of_actors)
     weights = np.where(known_bits(clips.known, features), 1.0 if feature_weights is None else feature_weights, 0.0)
@@ -262,7 +263,7 @@ def learned_of(
 def tasks(
     clips: Iterable[TrainingClips], kinds: Sequence[Kind], features: int, feature_weights: F64 | None = None
 ) -> list[Task]:
-    """Divide subclasses into tasks of a second or more."""
+    """Divide subclasses into tasks that take at least about a second."""
     groups: list[list[TrainingClips]] = []
     cells = _TASK_CELLS
     for one in clips:
@@ -275,7 +276,7 @@ def tasks(
 
 
 def learn_task(task: Task) -> list[SubclassTemplate]:
-    """Learn the templates of a task, in a worker."""
+    """Learn the templates of a task; runs in a worker."""
     return [
         learned_template(one, kind, learned_of(one, kind, task.features, task.feature_weights))
         for one in task.clips
@@ -290,10 +291,10 @@ def learn_templates(
     executor: Executor,
     feature_weights: F64 | None = None,
 ) -> Iterator[list[SubclassTemplate]]:
-    """Learn the templates of many subclasses in workers, the largest ones last.
+    """Learn the templates of many subclasses in workers, the largest subclasses last.
 
-    Subclasses are divided among the workers, and so are the alignments of each round of a subclass with very many
-    clips. The templates do not depend on the executor, to the last bit.
+    Subclasses are divided among the workers, and for subclasses with very many clips also the alignments of each round.
+    The templates do not depend on the executor, to the last bit.
 
     Parameters
     ----------
@@ -306,7 +307,7 @@ def learn_templates(
     executor : Executor
         The workers.
     feature_weights : float64 array (f,), optional
-        The weight of each feature in alignments and distance curves; all alike unless given.
+        The weight of each feature in alignments and distance curves; by default all are equal.
 
     Yields
     ------
@@ -326,18 +327,18 @@ def learn_templates(
 def as_subclass_template(
     named: NamedTemplate, kind: Kind = "soft", origin: str = "from a file", feature_weights: F64 | None = None
 ) -> SubclassTemplate:
-    """Return a template of a file, or of an example, as one that was learned from no clips.
+    """Convert a template from a file or an example to the form of learned templates, without clips.
 
     Parameters
     ----------
     named : NamedTemplate
         The template and its name.
     kind : {"soft", "hard"}
-        The kind that it stands for.
+        The kind of the result.
     origin : str
         The origin in results.
     feature_weights : float64 array (f,), optional
-        The weights of features where the template has none of its own.
+        The weights of features if the template has none of its own.
     """
     template = named.template
     if template.feature_weights is None:
@@ -346,7 +347,7 @@ def as_subclass_template(
 
 
 def learned_template(clips: TrainingClips, kind: Kind, learned: Learned) -> SubclassTemplate:
-    """Return a template with its provenance, and with remarks on clips that are unlike the others."""
+    """Return a learned template with its provenance, and with remarks on clips that are unlike the others."""
     lengths = [len(words) for words in clips.words]
     remarks = (*clips.remarks, *clip_remarks(clips.names, lengths, learned.clip_costs))
     return SubclassTemplate(clips.subclass, kind, learned, clips.names, clips.origin, remarks)
@@ -403,7 +404,7 @@ def read_templates(store: Store, stage: str, kind: Kind) -> list[SubclassTemplat
 
 
 def run_of(store: Store, stage: str) -> str:
-    """Return the run of a stage whose results are live; a KinedexError where it has not run."""
+    """Return the id of the run that holds a stage's current results; raise a KinedexError if it has not run."""
     record = store.manifest.stages.get(stage)
     if record is None:
         raise KinedexError(f"stage {stage} has not run on {store.path}")

@@ -1,4 +1,4 @@
-"""The nearest example clip of each hit: that of its template's clips which resembles it most."""
+"""Find the nearest example of each hit: the clip of its template that is most similar to it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Hit(Protocol):
 
 
 class Learned(Protocol):
-    """A learned template: its subclass, the names of its clips, and where they are from."""
+    """A learned template: its subclass, the names of its clips, and its origin."""
 
     @property
     def subclass(self) -> str: ...
@@ -51,7 +51,7 @@ class Learned(Protocol):
 
 @dataclass(frozen=True)
 class Example:
-    """A clip as an example: the frames [start, stop) of a take, and for each frame of the hit the clip's frame."""
+    """An example clip: the frames [start, stop) of a take, and the frame of the clip for each frame of the hit."""
 
     take: str
     start: int
@@ -65,23 +65,23 @@ def nearest_examples(
 ) -> dict[Key, Example]:
     """Find the nearest example of each hit.
 
-    Clips in the mirror are not compared, since the store has their motion the other way round.
+    Mirrored clips are not compared, because the store has only the original motion.
 
     Parameters
     ----------
     store : Store
         The store of the takes and the clips.
     hits : sequence of Hit
-        The hits; their subclass names the template.
+        The hits; their subclass determines the template.
     templates : sequence of Learned
         Learned templates, with the names of their clips.
     progress : callable
-        Makes a progress bar of a description and a number of templates.
+        Returns a progress bar, given a description and a number of templates.
 
     Returns
     -------
     dict of (take, class, start, stop) to Example
-        Hits whose template has no clip in the store are missing.
+        The nearest example of each hit; hits whose template has no clip in the store are missing.
     """
     clips = {template.subclass: clips_of(store, template) for template in templates}
     grouped: dict[str, list[Hit]] = defaultdict(list)
@@ -106,18 +106,18 @@ def nearest_examples(
 
 
 def clips_of(store: Store, template: Learned) -> list[tuple[str, int, int]]:
-    """Return the clips of a template that the store has, as take, start and stop."""
+    """Return the clips of a template that exist in the store, as take, start and stop."""
     return stored_clips(store, template.clips[: len(template.clips) - mirrored_clips(template.origin)])
 
 
 def mirrored_clips(origin: str) -> int:
-    """Return how many clips of a template, the last ones, are those of another class in the mirror, by its origin."""
+    """Return the number of a template's clips, at the end, that are mirrored, according to its origin."""
     found = _MIRRORED.search(origin)
     return int(found[1]) if found else 0
 
 
 def stored_clips(store: Store, names: Sequence[str]) -> list[tuple[str, int, int]]:
-    """Return the clips of these names that the store has, as take, start and stop."""
+    """Return the clips with the given names that exist in the store, as take, start and stop."""
     found = []
     for take, frames in (interval_of(name, store.take_ids) for name in names):
         if take in store.take_ids:

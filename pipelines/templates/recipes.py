@@ -1,4 +1,4 @@
-"""Templates of mirrored clips, of files and of combinations, and the weights of features."""
+"""Make templates from mirrored clips, files and combinations, and read the weights of features."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ F64 = npt.NDArray[np.float64]
 
 
 class Combination(BaseModel):
-    """A motion that is made of others, one after the other."""
+    """A motion that consists of other motions in sequence."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -32,7 +32,7 @@ class Combination(BaseModel):
 
 
 def feature_weights(weights: Mapping[str, float], feature_set: FeatureSet) -> F64 | None:
-    """Return the weight of every feature from the weights of some.
+    """Return the weights of all features from those of some features.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def feature_weights(weights: Mapping[str, float], feature_set: FeatureSet) -> F6
     Returns
     -------
     float64 array (f,), optional
-        None where no feature is named.
+        The weights; None if no feature is named.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def feature_weights(weights: Mapping[str, float], feature_set: FeatureSet) -> F6
 def with_mirrored(
     clips: Sequence[TrainingClips], mirror: Mapping[str, str], feature_set: FeatureSet
 ) -> list[TrainingClips]:
-    """Add to classes the clips of others with left and right exchanged.
+    """Add the clips of classes, with left and right exchanged, to the classes of the mirrored motions.
 
     Parameters
     ----------
@@ -77,19 +77,19 @@ def with_mirrored(
         The clips of each class.
     mirror : mapping of str to str
         A class, and the class that its mirrored clips are examples of. A class that has clips of its own gets the
-        mirrored ones behind them; a class can be its own mirror image.
+        mirrored ones after them; a class can be its own mirror image.
     feature_set : FeatureSet
         The features, with their mirror images.
 
     Returns
     -------
     list of TrainingClips
-        Sorted by class.
+        The clips of each class, sorted by class.
 
     Raises
     ------
     KinedexError
-        A class has no clips, or one class is given the clips of two.
+        A class has no clips, or two classes have the same mirrored class.
     """
     known = {one.subclass: one for one in clips}
     found = dict(known)
@@ -122,7 +122,7 @@ def templates_of_files(files: Iterable[str], feature_set: FeatureSet) -> list[tu
     Raises
     ------
     ConfigError
-        A file is wrong.
+        A file is invalid.
     KinedexError
         Two templates have the same name.
     """
@@ -138,7 +138,7 @@ def templates_of_files(files: Iterable[str], feature_set: FeatureSet) -> list[tu
 def combined(
     templates: Sequence[SubclassTemplate], combinations: Mapping[str, Combination], kinds: Sequence[Kind]
 ) -> list[SubclassTemplate]:
-    """Make the templates of motions that are made of others.
+    """Make the templates of motions that consist of other motions in sequence.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def combined(
     Raises
     ------
     KinedexError
-        A part has no template, or a template has the name already.
+        A part has no template, or another template has the same name.
     """
     known = {(one.subclass, one.kind): one for one in templates}
     names = sorted({one.subclass for one in templates})

@@ -1,4 +1,4 @@
-"""The clips behind learned templates as a store has them: their words, their costs, and their poses by column."""
+"""Read the clips that templates were learned from: their words, costs, and poses by template column."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ class StoredClip:
     Attributes
     ----------
     place : int
-        Its place among the clips of the template.
+        Its index among the clips of the template.
     name : str
-        Its name, that of the take with the interval where it is not whole.
+        Its name: that of the take, with the interval if it is not the whole take.
     take : str
         The take.
     start, stop : int
-        The frames that were learned from: without invalid ones at the ends.
+        The frames that were used for learning, without invalid ones at the ends.
     mirrored : bool
-        True where left and right were exchanged.
+        True if left and right were exchanged.
     words : uint64 array (L,)
-        The words as they were learned from.
+        The words that were used for learning.
     known : int
-        The mask of the features that the take knows.
+        The mask of the features known in the take.
     """
 
     place: int
@@ -54,7 +54,7 @@ class StoredClip:
 
 
 def stored_clips(store: Store, template: SubclassTemplate) -> list[StoredClip]:
-    """Return the clips of a template that the store still has, in their order.
+    """Return the clips of a template that still exist in the store, in order.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def stored_clips(store: Store, template: SubclassTemplate) -> list[StoredClip]:
     Returns
     -------
     list of StoredClip
-        Clips whose takes were removed, or whose frames are all invalid by now, are missing.
+        The clips, without those whose takes were removed or whose frames are now all invalid.
     """
     first_mirrored = len(template.clips) - mirrored_clips(template.origin)
     parts = [interval_of(name, store.take_ids) for name in template.clips]
@@ -90,7 +90,7 @@ def stored_clips(store: Store, template: SubclassTemplate) -> list[StoredClip]:
 
 
 def template_costs(templates: Sequence[SubclassTemplate], clips: Sequence[StoredClip], delta: float) -> F64:
-    """Return the least distance of templates within clips, as annotation measures it.
+    """Return the least distance of templates within clips, as it is computed in annotation.
 
     Parameters
     ----------
@@ -104,17 +104,17 @@ def template_costs(templates: Sequence[SubclassTemplate], clips: Sequence[Stored
     Returns
     -------
     float64 array (T, C)
-        ∞ where a clip is too short for a template, or lacks the features that it needs.
+        The least distances; ∞ if a clip is too short for a template, or lacks features that it needs.
     """
     each = tuple(TrainingClips("", (one.name,), (one.words,), known=one.known) for one in clips)
     return fold_costs(Fold(tuple(templates), each, delta))
 
 
 def poses_of_columns(template: Template, clip: StoredClip) -> I64:
-    """Return for each column of a template the frame of the clip's take whose pose shows it.
+    """Return for each column of a template the frame of the clip's take with the corresponding pose.
 
-    The clip is aligned with the template by classical dynamic time warping; of several frames at one column it is the
-    middle one.
+    The clip is aligned with the template by classical dynamic time warping; if several frames are aligned with a
+    column, the middle one is returned.
 
     Parameters
     ----------

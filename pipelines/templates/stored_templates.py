@@ -1,4 +1,4 @@
-"""Templates of a store by name: the list of them, one of them, those of a file, and one made from a clip."""
+"""Read templates of a store: list them, look them up by name, read them from files, or make one from a clip."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ def stored_templates(store: Store, stage: str | None = None) -> list[StoredTempl
     store : Store
         The store to read.
     stage : str, optional
-        Only the templates of this stage: "<pipeline>/<stage>", or the name of the pipeline alone; those of the
-        pipeline that the view `templates` shows unless given.
+        The stage: "<pipeline>/<stage>", or only the name of the pipeline; by default the
+        pipeline that the view `templates` shows.
 
     Returns
     -------
     list of StoredTemplate
-        At least one.
+        The templates; at least one.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def choose_template(store: Store, name: str, kind: Kind = "soft", stage: str | N
     kind : {"soft", "hard"}
         The kind of template.
     stage : str, optional
-        The stage that learned it, as for `stored_templates`; needed where several stages of the pipeline have one.
+        The stage that learned it, as for `stored_templates`; required if several stages of the pipeline have one.
 
     Returns
     -------
@@ -87,7 +87,7 @@ def choose_template(store: Store, name: str, kind: Kind = "soft", stage: str | N
     Raises
     ------
     KinedexError
-        There is none of that name or kind, or several stages have one; the message lists those that there are.
+        There is none of that name or kind, or several stages have one; the message lists the existing ones.
     """
     every = stored_templates(store, stage)
     of_name = [each for each in every if each.one.subclass == name]
@@ -107,14 +107,14 @@ def choose_template(store: Store, name: str, kind: Kind = "soft", stage: str | N
 def choose_templates(
     store: Store, names: Sequence[str] | None = None, kind: Kind = "soft", stage: str | None = None
 ) -> list[NamedTemplate]:
-    """Return learned templates by the names of their subclasses, and templates of files by their paths.
+    """Return learned templates by the names of their subclasses, and templates from files by their paths.
 
     Parameters
     ----------
     store : Store
         The store to read.
     names : sequence of str, optional
-        Subclasses with a learned template, or paths of template files; all learned templates unless given.
+        Subclasses with a learned template, or paths of template files; by default all learned templates.
     kind : {"soft", "hard"}
         The kind of the learned templates.
     stage : str, optional
@@ -128,7 +128,7 @@ def choose_templates(
     Raises
     ------
     KinedexError
-        A name has no template, a file is wrong or holds several, or two templates have the same name.
+        A name has no template, a file is invalid or has several, or two templates have the same name.
     """
     if names is None:
         names = [each.one.subclass for each in stored_templates(store, stage) if each.one.kind == kind]
@@ -147,8 +147,8 @@ def choose_templates(
 
 
 def template_of_file(path: Path, features: FeatureSet) -> NamedTemplate:
-    """Return the one template of a template file; a KinedexError where it holds several."""
-    from kinedex.catalog.template_files import read_templates  # most templates are those of the store
+    """Return the only template in a template file; raise a KinedexError if it has several."""
+    from kinedex.catalog.template_files import read_templates  # imported here, as most templates come from the store
 
     found = read_templates(path, features)
     if len(found) > 1:
@@ -157,7 +157,7 @@ def template_of_file(path: Path, features: FeatureSet) -> NamedTemplate:
 
 
 def templates_overview(store: Store, delta: float, stage: str | None = None) -> pa.Table:
-    """List the templates of a store as a table, one row each.
+    """Return a table of the templates of a store, one row for each.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def templates_overview(store: Store, delta: float, stage: str | None = None) -> 
     delta : float
         Entries within delta of 0 or 1 are fixed; the share of the others is the column `wildcards`.
     stage : str, optional
-        Only the templates of this stage, as for `stored_templates`.
+        The stage, as for `stored_templates`.
 
     Returns
     -------
@@ -196,12 +196,12 @@ def templates_overview(store: Store, delta: float, stage: str | None = None) -> 
 
 
 def parse_frame(text: str, rate_hz: float, what: str) -> int:
-    """Read a frame, given as a number (45) or in seconds (1.5s).
+    """Parse a frame, given as a number (45) or in seconds (1.5s).
 
     Parameters
     ----------
     text : str
-        What the user wrote.
+        The text that the user wrote.
     rate_hz : float
         The analysis rate, in frames per second.
     what : str
@@ -215,7 +215,7 @@ def parse_frame(text: str, rate_hz: float, what: str) -> int:
     Raises
     ------
     KinedexError
-        The text is neither.
+        The text is neither a number nor seconds.
     """
     number = text.strip()
     try:
@@ -234,7 +234,7 @@ def clip_range(store: Store, take: str, start: str | int | None, stop: str | int
     take : str
         The name of the take.
     start, stop : int or str, optional
-        Frames, or texts as for `parse_frame`; the take's first frame, and the one after its last, unless given.
+        Frames, or texts as for `parse_frame`; by default the take's first frame, and the one after its last.
 
     Returns
     -------
@@ -244,7 +244,7 @@ def clip_range(store: Store, take: str, start: str | int | None, stop: str | int
     Raises
     ------
     KinedexError
-        There is no such take, an end cannot be read, or the range is empty or not within the take.
+        There is no such take, a value cannot be parsed, or the range is empty or not within the take.
     """
     return frame_range(take, len(store.words([store.take_id(take)]).words), store.rate_hz, start, stop)
 
@@ -252,7 +252,7 @@ def clip_range(store: Store, take: str, start: str | int | None, stop: str | int
 def frame_range(
     take: str, frames: int, rate_hz: float, start: str | int | None, stop: str | int | None
 ) -> tuple[int, int]:
-    """Return the frames [start, stop) of a clip within a take of so many frames.
+    """Return the frames [start, stop) of a clip within a take of a given length.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ def frame_range(
     rate_hz : float
         Frames per second.
     start, stop : int or str, optional
-        Frames, or texts as for `parse_frame`; the take's first frame, and the one after its last, unless given.
+        Frames, or texts as for `parse_frame`; by default the take's first frame, and the one after its last.
 
     Returns
     -------
@@ -273,7 +273,7 @@ def frame_range(
     Raises
     ------
     KinedexError
-        An end cannot be read, or the range is empty or not within the take.
+        A value cannot be parsed, or the range is empty or not within the take.
     """
     first = parse_frame(str(start), rate_hz, "START") if start is not None else 0
     last = parse_frame(str(stop), rate_hz, "STOP") if stop is not None else frames
@@ -288,7 +288,7 @@ def frame_range(
 def template_from_clip(
     store: Store, take: str, start: str | int | None = None, stop: str | int | None = None, name: str | None = None
 ) -> NamedTemplate:
-    """Make a template from one example; invalid frames at its ends are cut off.
+    """Make a template from one example; invalid frames at its ends are removed.
 
     Parameters
     ----------
@@ -297,14 +297,14 @@ def template_from_clip(
     take : str
         The name of the take.
     start, stop : int or str, optional
-        The clip within the take, as for `clip_range`; the whole take unless given.
+        The clip within the take, as for `clip_range`; by default the whole take.
     name : str, optional
-        The name of the template; that of the take unless given.
+        The name of the template; by default that of the take.
 
     Returns
     -------
     NamedTemplate
-        The template, one column for each frame of the clip.
+        The template, with one column for each frame of the clip.
 
     Raises
     ------
@@ -320,7 +320,7 @@ def template_from_clip(
 def template_of_frames(
     words: U64, take: str, first: int, last: int, features: int, name: str, known: int = int(ALL_KNOWN)
 ) -> NamedTemplate:
-    """Make a template from the frames [first, last) of a take; invalid frames at the ends are cut off.
+    """Make a template from the frames [first, last) of a take; invalid frames at the ends are removed.
 
     Parameters
     ----------
@@ -335,17 +335,17 @@ def template_of_frames(
     name : str
         The name of the template.
     known : int
-        The mask of the features that the take knows; the others become wildcards.
+        The mask of the features known in the take; the others become wildcards.
 
     Returns
     -------
     NamedTemplate
-        The template, one column for each frame of the example.
+        The template, with one column for each frame of the example.
 
     Raises
     ------
     KinedexError
-        Frames in the middle are invalid, or all of them.
+        All frames are invalid, or some in the middle are.
     """
     valid = np.flatnonzero(words[first:last] != NO_WORD)
     if not len(valid):

@@ -1,4 +1,4 @@
-"""The template of a subclass, as it is learned, stored and asked for."""
+"""The template of a subclass, with the provenance that the store keeps."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from kinedex.ops.templates.templates import Kind, Learned, Template
 
 LEARNED = "learned"
-"""This is the origin of a template that was learned from clips of its own class."""
+"""The origin of a template that was learned from clips of its own class."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class SubclassTemplate:
 
 
 def template_of(row: dict[str, Any]) -> SubclassTemplate:
-    """Return the template of a row of the results `templates`."""
+    """Return the template in a row of the results `templates`."""
     counts = row["feature_weights"]
     template = Template(
         np.array(row["values"]).reshape(row["columns"], row["features"]),

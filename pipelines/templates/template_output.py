@@ -1,4 +1,4 @@
-"""Writing a template as a file that people can edit."""
+"""Write a template to a file that people can edit."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def write_template(made: NamedTemplate, features: FeatureSet, path: Path) -> Non
     Raises
     ------
     KinedexError
-        The ending or the name does not fit, or the folder is missing.
+        The ending is not one of these, a CSV file has another name than the template, or the folder is missing.
     """
     ending = path.suffix.lower()
     if ending not in TEMPLATE_ENDINGS:

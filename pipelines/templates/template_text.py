@@ -1,4 +1,4 @@
-"""Templates as text for the terminal: one template, and the contrast of two."""
+"""Format templates as text for the terminal: one template, or the contrast of two."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def template_lines(
 
 
 def heading(one: SubclassTemplate, rate_hz: float) -> str:
-    """Return a line on a template: name, kind, length and origin."""
+    """Return a heading for a template: name, kind, length and origin."""
     columns = len(one.learned.template)
     made = one.origin
     if made.startswith("learned"):
@@ -68,20 +68,20 @@ def heading(one: SubclassTemplate, rate_hz: float) -> str:
 
 
 def weights_line(weights: Sequence[float], features: FeatureSet) -> str:
-    """Return a line on the weights of features: those that are not 1, by name."""
+    """Return a line that lists the features whose weight is not 1."""
     pairs = zip(features.features, weights, strict=True)
     unlike = [f"{feature.name} {weight:g}" for feature, weight in pairs if weight != 1]
     return f"feature weights: {', '.join(unlike)}; all others 1" if unlike else "feature weights: all 1"
 
 
 def trace(costs: tuple[float, ...]) -> str:
-    """Return the largest cost between two clips, round by round, and if it settled."""
+    """Return the largest cost between two clips for each round, and whether it converged."""
     end = "settled" if costs[-1] < CONVERGED else "no longer changed, or stopped"
     return f"{' → '.join(f'{cost:.3f}' for cost in costs)} ({end})"
 
 
 def contrast_lines(names: tuple[str, str], found: Contrast, features: FeatureSet, rate_hz: float) -> Iterator[str]:
-    """Yield lines on the features that contradict each other in two templates, most often first."""
+    """Yield lines on the features with contradicting values in two templates, the most frequent first."""
     against, compared = int(np.abs(found.against).sum()), int(found.compared.sum())
     if not compared:
         yield f"{names[0]} and {names[1]} have no entry in common that neither leaves open"
@@ -106,12 +106,12 @@ def contrast_lines(names: tuple[str, str], found: Contrast, features: FeatureSet
 
 
 def _sign(values: np.ndarray) -> str:
-    """Return the sign of one column, or of several that are shown as one: a wildcard where they differ."""
+    """Return the symbol for one column, or for several that are shown as one: a wildcard if they differ."""
     return ON if np.all(values == 1) else OFF if np.all(values == 0) else WILDCARD
 
 
 def _where(found: Contrast, index: int, sign: int, names: tuple[str, str], rate_hz: float) -> str:
-    """Return the times of contradictions in each of the two, in seconds."""
+    """Return the times of contradictions in each of the two templates, in seconds."""
     columns = found.path[found.against[:, index] == sign]
     spans = [(columns[:, side].min() / rate_hz, (columns[:, side].max() + 1) / rate_hz) for side in (0, 1)]
     return ", ".join(f"{name} {start:.2f}–{stop:.2f} s" for name, (start, stop) in zip(names, spans, strict=True))

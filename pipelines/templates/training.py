@@ -1,4 +1,4 @@
-"""The templates of a store as parameters describe them: from clips, from files, and made of other templates."""
+"""Make the templates that parameters describe: learned from clips, read from files, or combined from others."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from kinedex.storage.store.store import Store
 
 
 class TemplateParameters(ExampleParameters):
-    """The parameters of the stage `learn_templates`, and of stages that repeat its work."""
+    """The parameters of the stage `learn_templates`, and of stages that repeat its learning."""
 
     methods: list[Kind] = Field(
         ["soft", "hard"], min_length=1, description="soft: shares of the clips; hard: what all clips have in common"
@@ -50,24 +50,24 @@ class TemplateParameters(ExampleParameters):
 
     @property
     def kinds(self) -> list[Kind]:
-        """The methods, each once."""
+        """The distinct learning methods."""
         return list(dict.fromkeys(self.methods))
 
 
 @dataclass(frozen=True)
 class TrainingMaterial:
-    """The material that templates are learned from.
+    """The examples from which templates are learned.
 
     Attributes
     ----------
     takes : polars.DataFrame
-        Rows of the takes that examples are of; none where all templates come from files.
+        Rows of the takes that contain examples; empty if all templates come from files.
     clips : list of TrainingClips
-        The examples of each subclass, with mirrored ones, without subclasses that have a template of a file.
+        The examples of each subclass, including mirrored ones, without subclasses that have a template from a file.
     unused : list of str
         Subclasses with examples whose templates come from files.
     remarks : list of str
-        Labels that were excluded.
+        Remarks on labels that were excluded.
     unmatched : tuple of UnmatchedLabels
         The labels of files that match no take.
     """
@@ -80,14 +80,14 @@ class TrainingMaterial:
 
 
 def training_material(store: Store, params: TemplateParameters) -> TrainingMaterial:
-    """Return the examples of every subclass that is learned.
+    """Return the examples of every subclass for which a template is learned.
 
     Parameters
     ----------
     store : Store
         The store that holds the takes.
     params : TemplateParameters
-        Its mirrored clips are included, and subclasses with a template of a file are not.
+        The parameters; mirrored clips are included, and subclasses with a template from a file are excluded.
 
     Raises
     ------
@@ -112,30 +112,30 @@ def completed(
     *,
     where_possible: bool = False,
 ) -> list[SubclassTemplate]:
-    """Add the templates of files and of combinations to learned ones.
+    """Add the templates from files and combinations to learned ones.
 
     Parameters
     ----------
     learned : sequence of SubclassTemplate
         The learned templates.
     params : TemplateParameters
-        The files and combinations.
+        The parameters, which name files and combinations.
     feature_set : FeatureSet
         The features of the templates.
     kinds : sequence of {"soft", "hard"}, optional
-        The kinds of templates; those of `params` unless given.
+        The kinds of templates; by default those of `params`.
     where_possible : bool
-        True excludes combinations of templates that are missing.
+        True to skip combinations of templates that are missing.
 
     Returns
     -------
     list of SubclassTemplate
-        Sorted by subclass and kind.
+        All templates, sorted by subclass and kind.
 
     Raises
     ------
     KinedexError
-        There is no template at all, or a combination lacks one.
+        There is no template at all, or a part of a combination has none.
     """
     kinds = params.kinds if kinds is None else list(kinds)
     weights = feature_weights(params.weights, feature_set)

@@ -1,1 +1,1 @@
-"""Tracking of recordings, and its stabilisation by the archive (thesis, Chapter 6): services of stages and commands."""
+"""Track recordings, and stabilise tracks by the archive (thesis, Chapter 6), for stages and commands."""

@@ -1,4 +1,4 @@
-"""The motions of an archive that lend priors: templates, marked regions, and the poses of example clips."""
+"""Prepare the motions of an archive that provide priors: templates, marked regions, and the poses of example clips."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ F64 = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class ClassPoses:
-    """The poses of a class, with what they follow from.
+    """The distribution of poses of a class, with the clips that it was computed from.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class ClassPoses:
     clips : tuple of str
         The example clips.
     table : PoseTable
-        The poses.
+        The mean poses and their spread, by template column.
     fingerprint : str
         A hash of template, clips and code.
     """
@@ -60,14 +60,14 @@ class ClassPoses:
 
 @dataclass(frozen=True, eq=False)
 class PosesOfArchive:
-    """The poses of all classes of an archive.
+    """The distributions of poses of all classes of an archive.
 
     Attributes
     ----------
     classes : dict of str to ClassPoses
-        Class → its poses; classes without usable clips have none.
+        Class → its poses; classes without usable clips are missing.
     remarks : list of str
-        Sentences about clips and classes that were left out.
+        Sentences about clips and classes that were excluded.
     """
 
     classes: dict[str, ClassPoses]
@@ -90,22 +90,22 @@ def archive_poses(
     code: str,
     earlier: Iterable[dict[str, Any]] = (),
 ) -> PosesOfArchive:
-    """Fit the kinematic chain to the example clips of every class, and align them to its template.
+    """Fit the kinematic chain to the example clips of every class, and align them with its template.
 
     Parameters
     ----------
     store : Store
         The store that holds the clips.
     clips : sequence of TrainingClips
-        The clips of each class; classes of template files have none.
+        The clips of each class; classes with a template from a file have none.
     templates : sequence of SubclassTemplate
         Soft templates.
     executor : Executor
         Spreads classes over workers.
     code : str
-        A hash of the sources that run, for reuse; empty for none.
+        A hash of the code that runs; results are reused only if it is not empty.
     earlier : iterable of dict
-        Rows of the results `archive_poses`, which are reused where their fingerprint is the same.
+        Rows of the results `archive_poses`, which are reused if their fingerprint is the same.
     """
     known = {row["fingerprint"]: row for row in earlier} if code else {}
     of_class = {one.subclass: one for one in clips}
@@ -139,20 +139,20 @@ def archive_motions(
     classes: Classes,
     delta: float,
 ) -> list[Motion]:
-    """Return the motions of an archive in the order of their names.
+    """Return the motions of an archive, sorted by name.
 
     Parameters
     ----------
     templates : sequence of SubclassTemplate
         The templates.
     poses : PosesOfArchive, optional
-        The poses of classes; None where none are wanted.
+        The poses of classes; None if poses are not used as priors.
     features : FeatureSet
         The features of the store.
     classes : Classes
-        Classes, which name locomotion and change marked regions.
+        The classes, which define locomotion and changes of marked regions.
     delta : float
-        δ of the quantisation.
+        Values of a template within delta of 0 or 1 are fixed.
     """
     bits = {feature.name: feature.number - 1 for feature in features.features}
     of_subclass = {subclass: one for one in classes.classes for subclass in one.subclasses}
@@ -206,7 +206,7 @@ def _fingerprint(store: Store, clips: TrainingClips, template: Template, code: s
 
 
 def _fitted(task: _Task) -> tuple[ClassPoses | None, list[str]]:
-    """Return the poses of a class, and remarks on clips that cannot be used; runs in any process."""
+    """Return the poses of a class, and remarks on clips that cannot be used; runs in a worker."""
     clips, remarks = task.clips, []
     names, poses, frames = [], [], []
     for place, name in enumerate(clips.names):

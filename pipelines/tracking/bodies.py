@@ -1,4 +1,4 @@
-"""Bodies of tracked people: the lengths of a take, those of a track itself, and the mean body of an archive."""
+"""Determine the bodies of tracked people: from a take, from the track itself, or as the mean body of an archive."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from kinedex.storage.store.store import Store
 F64 = npt.NDArray[np.float64]
 
 MOST_ACTORS = 50
-"""So many actors of an archive make its mean body."""
+"""The largest number of actors of an archive from which the mean body is computed."""
 
 _USUAL_M = {
     "belly": 0.12, "chest": 0.12, "neck": 0.14, "head": 0.1, "headtop": 0.16, "shoulder": 0.18, "elbow": 0.28,
@@ -27,7 +27,7 @@ _USUAL_HIP = (0.1, -0.08, 0.0)
 
 
 def usual_body() -> ChainBody:
-    """Return the body that stands for a mean body where a store has no take of anybody."""
+    """Return a default body for stores without a take of any actor."""
     chain = load_kinematic_chain()
     offsets = np.zeros((len(chain.joints), 3))
     for j, (name, rest) in enumerate(zip(chain.joints, chain.rest, strict=True)):
@@ -42,12 +42,12 @@ def usual_body() -> ChainBody:
 
 
 def take_joints(store: Store, take: str) -> F64:
-    """Return the joints (J, 3, T) of the kinematic chain in a take of the store, NaN where one is not known."""
+    """Return the joint positions (J, 3, T) of the kinematic chain in a take of the store in metres, NaN if unknown."""
     return take_places(store, take, load_kinematic_chain().joints)
 
 
 def take_body(store: Store, take: str, where: str) -> ChainBody:
-    """Return the body of the actor of a take.
+    """Return the body (bone offsets) of the actor of a take.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def take_body(store: Store, take: str, where: str) -> ChainBody:
 
 
 def archive_body(store: Store) -> ChainBody:
-    """Return the mean body of the actors of a store, of the longest take of each; the usual one where it has none."""
+    """Return the mean body of a store's actors, by the longest take of each; the default body if there are none."""
     rows = store.take_rows.select(["name", "actor", "format", "frames"]).to_pylist()
     longest: dict[str, tuple[int, str]] = {}
     for row in rows:
@@ -88,24 +88,24 @@ def archive_body(store: Store) -> ChainBody:
         try:
             bodies.append(measured_body(load_kinematic_chain(), take_joints(store, longest[actor][1])))
         except ParameterError:
-            continue  # its body lacks joints
+            continue  # the body of this take lacks joints
     return mean_body(load_kinematic_chain(), bodies or [usual_body()])
 
 
 def body_of_places(places: F64, mean: ChainBody) -> ChainBody:
-    """Return the body of a 3D track: its own lengths, and those of the mean body in proportion for joints it lacks.
+    """Return the body of a 3D track, with missing lengths from the mean body in proportion.
 
     Parameters
     ----------
     places : float64 array (T, J, 3)
-        Joints of the kinematic chain in metres; NaN where one is not tracked.
+        Joint positions of the kinematic chain in metres; NaN if a joint is not tracked.
     mean : ChainBody
         The mean body.
 
     Raises
     ------
     KinedexError
-        Hips and shoulders are no body's.
+        The distances of hips and shoulders are impossible for a body.
     """
     try:
         return measured_body(mean.chain, np.ascontiguousarray(places.transpose(1, 2, 0)))

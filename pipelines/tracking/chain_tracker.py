@@ -1,4 +1,4 @@
-"""The trackers with what they observe, in the form that the rounds of priors drive them."""
+"""Trackers with their observations, in the form used by the rounds of stabilisation with priors."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
 AGREEING = 0.5
-"""A camera agrees with a track on a keypoint where its robust weight is at least this."""
+"""The least robust weight of a keypoint with which a camera agrees with a track."""
 
-_MEDIAN_OF_GAUSSIAN = 1.1774  # of the distance from the centre, in the plane
+_MEDIAN_OF_GAUSSIAN = 1.1774  # median distance from the centre of a 2D Gaussian, in standard deviations
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +41,13 @@ class Observed:
     rate_hz : float
         Frames per second.
     observations : Rays or Places or None
-        Rays of keypoints, or places of joints, in T frames; None for silhouettes alone.
+        Rays of keypoints, or positions of joints, in T frames; None if there are only silhouettes.
     points : BodyPoints, optional
-        The points of the body that rays observe.
+        The points of the body to which the rays belong.
     silhouettes : Silhouettes, optional
         Masks in calibrated cameras.
     cuts : tuple of int
-        Frames that do not follow from the frame before.
+        Frames at which the motion is not continuous with the frame before.
     """
 
     body: ChainBody
@@ -69,7 +69,7 @@ class Observed:
 
     @property
     def seen(self) -> Bool:
-        """The frames in which anything is observed, bool (T,)."""
+        """The frames that have any observation, bool (T,)."""
         seen = np.zeros(self.frames, np.bool_)
         if isinstance(self.observations, Rays):
             seen |= (self.observations.confidence >= LEAST_CONFIDENCE).any(axis=(1, 2))
@@ -88,9 +88,9 @@ class TrackSettings:
     Attributes
     ----------
     tracker : str
-        `take`, all frames at once, or `frames`, one after the other, as the thesis has it.
+        `take`, which optimises all frames at once, or `frames`, one after the other, as in the thesis.
     loss : str
-        `geman_mcclure` or `squares`, of the tracker `take`.
+        The loss of the tracker `take`: `geman_mcclure` or `squares`.
     sigma_px : float
         Standard deviation of a keypoint in pixels.
     """
@@ -101,12 +101,12 @@ class TrackSettings:
 
 
 class ChainTracker:
-    """A tracker with its observations, as `ops.priors.stabilise` drives it.
+    """A tracker with its observations, as required by `ops.priors.stabilise`.
 
     Parameters
     ----------
     observed : Observed
-        What is observed.
+        The observations.
     settings : TrackSettings
         The tracker and its settings.
     """
@@ -127,11 +127,11 @@ class ChainTracker:
 
     @property
     def carries_over(self) -> bool:
-        """True for silhouettes alone, see `ops.tracking.frame_tracker.FrameTracker`."""
+        """True if there are only silhouettes, see `ops.tracking.frame_tracker.FrameTracker`."""
         return self.observed.observations is None
 
     def first(self) -> Track:
-        """Track without priors, with the restart where neither hip is seen.
+        """Track without priors, and restart where neither hip is seen.
 
         Raises
         ------
@@ -149,7 +149,7 @@ class ChainTracker:
         return self._with_silhouettes(found, None)
 
     def track(self, start: Poses, priors: PriorTerms | None) -> Track:
-        """Track the recording again from a start, with the terms of priors."""
+        """Track the recording again from a start, with prior terms."""
         if self.settings.tracker == "frames":
             return self._frame_by_frame(Poses(start.places[:1], start.turns[:1]), priors)
         observed, settings = self.observed, self.settings
@@ -163,7 +163,7 @@ class ChainTracker:
         return self._with_silhouettes(found, priors)
 
     def _with_silhouettes(self, found: TakeTrack, priors: PriorTerms | None) -> TakeTrack:
-        """Return a track on the masks too, where there are any."""
+        """Return a track that is fitted to the masks as well, if there are any."""
         observed, settings = self.observed, self.settings
         if observed.silhouettes is None:
             return found
@@ -173,28 +173,28 @@ class ChainTracker:
         )  # fmt: skip
 
     def trust(self, poses: Poses) -> Trust | None:
-        """Return how far the observations as they are reported agree with poses; None for silhouettes alone."""
+        """Return how well the original observations agree with poses; None if there are only silhouettes."""
         observed = self.observed
         if observed.observations is None:
             return None
         return trust(observed.body, observed.observations, observed.points, poses, self.settings.sigma_px)
 
     def _exchanged(self, poses: Poses) -> Rays | Places | None:
-        """Return what is observed, with legs exchanged where that fits poses; as it is for the tracker `frames`."""
+        """Return the observations, with legs exchanged if that fits the poses; unchanged for the tracker `frames`."""
         observed, settings = self.observed, self.settings
         if observed.observations is None or settings.tracker == "frames":
             return observed.observations
         return exchanged_sides(observed.body, observed.observations, observed.points, poses, settings.sigma_px)
 
     def nodes_seen(self, track: Track) -> Bool:
-        """Return the nodes whose keypoints the cameras agree on, bool (T, K); all of them for silhouettes alone."""
+        """Return the nodes on whose keypoints the cameras agree, bool (T, K); all nodes for silhouettes alone."""
         observed, fitting = self.observed, self._exchanged(track.poses)
         if fitting is None:
             return np.ones(track.poses.turns.shape[:2], np.bool_)
         return trust(observed.body, fitting, observed.points, track.poses, self.settings.sigma_px).nodes_seen
 
     def restart(self, poses: Poses, nodes_seen: Bool) -> Poses:
-        """Return poses whose first node is interpolated where neither hip is seen."""
+        """Return poses whose first node is interpolated in frames in which neither hip is seen."""
         return restart(self.body, poses, nodes_seen)
 
     def _frame_by_frame(self, first: Poses | None, priors: PriorTerms | None) -> Track:
@@ -206,19 +206,19 @@ class ChainTracker:
 
 
 def keypoint_sigma(rays: Rays, points: F64) -> float:
-    """Return the standard deviation of keypoints in pixels, from their distances to the points they triangulate to.
+    """Return the standard deviation of keypoints in pixels, from their distances to their triangulated points.
 
     Parameters
     ----------
     rays : Rays
         Rays of keypoints.
     points : float64 array (T, P, 3)
-        Their triangulated points, NaN where there is none.
+        Their triangulated points in metres; NaN if there is none.
 
     Returns
     -------
     float
-        The median distance over that of a Gaussian of deviation 1 in the plane; `SIGMA_PX` at least.
+        The median distance divided by that of a 2D Gaussian of deviation 1; at least `SIGMA_PX`.
     """
     gaps = points[:, None] - rays.centres[None, :, None]
     depths = np.einsum("tvpi,tvpi->tvp", gaps, rays.directions)
@@ -230,12 +230,12 @@ def keypoint_sigma(rays: Rays, points: F64) -> float:
 
 @dataclass(frozen=True, eq=False)
 class RayResiduals:
-    """Distances of keypoints from a track in the images.
+    """The distances of keypoints from a track in the images.
 
     Attributes
     ----------
     pixels : float64 array (T, V, P)
-        Distance of each keypoint from its ray, in pixels; NaN where it is not seen.
+        Distance of each point of the body from the ray of its keypoint, in pixels; NaN if it is not seen.
     weights : float64 array (T, V, P)
         The robust weight of each, from 0 (excluded) to 1.
     """
@@ -273,18 +273,18 @@ def ray_residuals(observed: Observed, poses: Poses, sigma_px: float) -> RayResid
 
 @dataclass(frozen=True, eq=False)
 class FrameFigures:
-    """Figures of the frames of a track.
+    """Statistics of the frames of a track.
 
     Attributes
     ----------
     cameras : int64 array (T,), optional
-        Cameras that saw the body; None without cameras.
+        The number of cameras that saw the body; None without cameras.
     agreeing : float64 array (T,), optional
-        Cameras that agree with the track, on average over the keypoints that are seen; None without cameras.
+        The number of cameras that agree with the track, as mean over the keypoints seen; None without cameras.
     trusted : float64 array (T,)
-        Share of the keypoints that are trusted.
+        The share of keypoints that are trusted.
     contested : int64 array (T,)
-        Keypoints in which the cameras disagree.
+        The number of keypoints on which the cameras disagree.
     """
 
     cameras: npt.NDArray[np.int64] | None
@@ -294,7 +294,7 @@ class FrameFigures:
 
 
 def frame_figures(tracker: ChainTracker, poses: Poses) -> FrameFigures:
-    """Return the figures of the frames of a track."""
+    """Return statistics of the frames of a track."""
     observed, frames = tracker.observed, tracker.observed.frames
     found = tracker.trust(poses)
     if found is None:

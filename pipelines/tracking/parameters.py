@@ -1,4 +1,4 @@
-"""Parameters of tracking, of stabilisation, and of their evaluation."""
+"""The parameters of tracking, stabilisation, and their evaluation."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class TrackParameters(BaseModel):
     sigma_m: float = Field(0.02, gt=0, le=10, description="standard deviation of a joint of a 3D track in metres")
 
     def settings(self, measured_px: float) -> TrackSettings:
-        """Return the settings of the tracker for a recording whose keypoints have a standard deviation."""
+        """Return the settings of the tracker for a recording with a given standard deviation of keypoints in pixels."""
         return TrackSettings(self.tracker, self.loss, self.sigma_px or measured_px)
 
 
@@ -79,7 +79,7 @@ class PriorParameters(BaseModel):
     )
 
     def settings(self, silhouettes_only: bool, words_rate_hz: float) -> Settings:
-        """Return the settings of the rounds.
+        """Return the settings for the rounds of stabilisation.
 
         Parameters
         ----------
@@ -106,12 +106,12 @@ class StabiliseParameters(PriorParameters):
 
 
 def stabilise_parameters(given: Mapping[str, object]) -> StabiliseParameters:
-    """Return parameters of values that a user gave.
+    """Return parameters with values given by the user.
 
     Raises
     ------
     KinedexError
-        A value is wrong; the message names it and what was expected.
+        A value is invalid; the message names it and the expected values.
     """
     try:
         return StabiliseParameters.model_validate(dict(given))

@@ -1,4 +1,4 @@
-"""Recordings of cameras in a store: read from their files once, and taken from its results afterwards."""
+"""Read camera recordings from their files into a store, and later from the store's results."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def named_files(file: RecordingsFile, name: str) -> list[tuple[str, Path]]:
     Raises
     ------
     ConfigError
-        A key names no file.
+        A key does not name a file.
     """
     given = file.recording(name)
     found = [("recordings", Path(file.located.path))]
@@ -77,7 +77,7 @@ class ReadRecording:
     name : str
         Its name.
     fingerprint : str
-        A hash of all that was read.
+        A hash of everything that was read.
     """
 
     given: CameraRecording
@@ -89,13 +89,13 @@ class ReadRecording:
 
     @property
     def checksum(self) -> str:
-        """A hash of the contents of all files but the recordings file, and of the settings."""
+        """A hash of the settings, and of the contents of all files except the recordings file."""
         own = [(kind, sha) for kind, _, _, sha in self.files if kind != "recordings"]
         text = json.dumps([own, self.given.model_dump(mode="json")], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def row(self, run: str) -> dict[str, Any]:
-        """Return its row of the results `recordings`."""
+        """Return the row of the recording in the results `recordings`."""
         found, given = self.recording, self.given
         return {
             "run": run,
@@ -123,7 +123,7 @@ class ReadRecording:
         return path or found.keypoint_set.name
 
     def table(self, kind: str, run: str) -> pa.Table:
-        """Return the rows of one kind of results."""
+        """Return the rows of one kind of results of the recording."""
         rows: list[dict[str, Any]]
         if kind == "recordings":
             rows = [self.row(run)]
@@ -175,7 +175,7 @@ def read_named(file: RecordingsFile, name: str, code: str) -> ReadRecording:
     Raises
     ------
     KinedexError
-        A file or a setting is wrong.
+        A file or a setting is invalid.
     """
     stamp = recording_fingerprint(file, name, code)
     given = file.recording(name)
@@ -185,12 +185,12 @@ def read_named(file: RecordingsFile, name: str, code: str) -> ReadRecording:
 
 
 def recording_fingerprint(file: RecordingsFile, name: str, code: str) -> str:
-    """Return a hash of all that a recording is read from."""
+    """Return a hash of everything that a recording is read from."""
     return hashlib.sha256(f"{code} {file.located.path} {files_stamp(file, name)}".encode()).hexdigest()[:32]
 
 
 def remarks_of(recording: Recording) -> list[str]:
-    """Return the remarks on a recording: its notes, and what was odd in some measure."""
+    """Return the remarks on a recording: its notes, and irregularities that were counted."""
     counts: RecordingCounts = recording.counts
     phrases = {
         "images_without_person": "images without a person",
@@ -204,7 +204,7 @@ def remarks_of(recording: Recording) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class StoredRecording:
-    """A recording as a store has it.
+    """A recording as stored.
 
     Attributes
     ----------
@@ -222,12 +222,12 @@ class StoredRecording:
 
     @property
     def name(self) -> str:
-        """Its name."""
+        """The name of the recording."""
         return str(self.row["recording"])
 
 
 def stored_rows(store: Store, stage: str | None = None) -> dict[str, dict[str, Any]]:
-    """Return the rows of recordings by name: those of a stage, or those that were read last."""
+    """Return the rows of recordings by name: those of a stage, or the most recently read ones."""
     found: dict[str, tuple[str, dict[str, Any]]] = {}
     for part in store.manifest.results.get("recordings", ()):
         if stage is None or part.stage == stage:
@@ -248,12 +248,12 @@ def stored_recording(store: Store, name: str, stage: str | None = None) -> Store
     name : str
         The name of the recording.
     stage : str, optional
-        The stage that has read it, "<pipeline>/<stage>"; the last one unless given.
+        The stage that has read it, "<pipeline>/<stage>"; by default the last one.
 
     Raises
     ------
     KinedexError
-        The store has no such recording, or the file of its keypoint set or of its silhouettes is gone.
+        The store has no such recording, or the file of its keypoint set or silhouettes no longer exists.
     """
     rows = stored_rows(store, stage)
     if name not in rows:

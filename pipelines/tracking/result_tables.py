@@ -1,4 +1,4 @@
-"""Tables of results of tracked and stabilised takes."""
+"""Make tables of the results of tracked and stabilised takes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Bool = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class TrackResult:
-    """A track with all that its results follow from.
+    """A track with everything that its results are made from.
 
     Attributes
     ----------
@@ -37,9 +37,9 @@ class TrackResult:
     costs : float64 array (T,)
         Cost of the observations of each frame.
     fingerprint : str
-        A hash of all that it follows from.
+        A hash of everything that determines the track.
     body_from : str
-        Origin of the lengths.
+        Origin of the bone lengths.
     cameras : tuple of str
         Names of the cameras.
     recording : str, optional
@@ -49,13 +49,13 @@ class TrackResult:
     lost : bool array (T,), optional
         The frames in which the tracker had lost the body.
     moved_mm : float64 array (T, J), optional
-        How far priors have moved each joint.
+        The distance by which priors have moved each joint, in millimetres.
     rows : tuple of PriorRow
         The priors of all rounds.
     rounds : int
         The number of rounds.
     remarks : tuple of str
-        Remarks about it.
+        Remarks about the track.
     """
 
     take_id: int
@@ -182,7 +182,7 @@ class TrackResult:
 
 
 def stored_poses(rows: pa.Table, nodes: int) -> Poses:
-    """Return the poses of rows of `chain_poses`, those of one take in order of frames."""
+    """Return the poses in rows of `chain_poses` of one take, sorted by frame."""
     places = np.array(rows.column("place").to_pylist(), np.float64).reshape(-1, 3)
     vectors = np.array(rows.column("turns").to_pylist(), np.float64).reshape(-1, 3)
     turns = np.stack([rotation_of(one) for one in vectors]) if len(vectors) else np.zeros((0, 3, 3))
@@ -202,4 +202,4 @@ def _lists(values: F64) -> pa.Array:
 
 
 TRACK_KINDS: Sequence[str] = ("tracks", "chain_poses", "track_frames", "track_cameras")
-"""The kinds of results that a tracked take has; a stabilised one has `priors` besides."""
+"""The kinds of results of a tracked take; a stabilised one also has `priors`."""

@@ -1,4 +1,4 @@
-"""Runs over many recordings and takes: each is put into the store as soon as it is done, unchanged ones stay."""
+"""Observe, track and stabilise several recordings and takes; each is committed when done, unchanged ones are kept."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def observe(writer: StoreWriter, params: ObserveParameters, place: Place) -> Out
     Raises
     ------
     KinedexError
-        The recordings file, or a file of a recording, is wrong; recordings before it stay in the store.
+        The recordings file, or a file of a recording, is invalid; recordings before it remain in the store.
     """
     file = load_recordings(params.recordings)
     names = params.only or list(file.recordings)
@@ -99,7 +99,7 @@ def track(writer: StoreWriter, params: TrackParameters, names: Sequence[str], ob
     observed : str
         The stage that has read them, "<pipeline>/<stage>".
     place : Place
-        Where the results belong.
+        The stage and run of the results.
     """
     store = writer.store
     rows = stored_rows(store, observed)
@@ -119,14 +119,14 @@ def track(writer: StoreWriter, params: TrackParameters, names: Sequence[str], ob
 
 
 def _named(store: Store, row: dict[str, object]) -> list[object]:
-    """Return checksum and recipe of the takes that a recording names, so that it is tracked again once they change."""
+    """Return checksum and recipe of the takes that a recording names, so that it is tracked again when they change."""
     rows = {one["name"]: (one["checksum"], one["recipe"]) for one in store.take_rows.to_pylist()}
     return [rows.get(str(row[key])) for key in ("body", "track")]
 
 
 @dataclass(frozen=True, eq=False)
 class Archive:
-    """The content of an archive that lends priors.
+    """The data of an archive from which priors are made.
 
     Attributes
     ----------
@@ -163,7 +163,7 @@ def stabilise(
     archive : Archive
         The archive.
     place : Place
-        Where the results belong.
+        The stage and run of the results.
 
     Raises
     ------
@@ -196,14 +196,14 @@ def stabilise(
 
 
 def require_takes(store: Store, takes: Iterable[str]) -> None:
-    """Raise a KinedexError if the store lacks one of the takes; it names the nearest one."""
+    """Raise a KinedexError, which suggests the nearest name, if the store lacks one of the takes."""
     for take in takes:
         if take not in store.take_ids:
             raise KinedexError(f"{store.path}: no take '{take}'{did_you_mean(take, store.take_ids)}")
 
 
 def _refuse_stabilised(store: Store, takes: Iterable[str]) -> None:
-    """Raise a KinedexError if a take is stabilised already, or its new name is that of another one's result."""
+    """Raise a KinedexError if a take is already stabilised, or its new name belongs to the result of another take."""
     origins: dict[str, str] = {}
     for rows in store.result_pieces("tracks", store.manifest.results.get("tracks", ())):
         for row in rows.to_pylist():
@@ -232,7 +232,7 @@ def _is_silhouettes_only(store: Store, take: str) -> bool:
 def _motions(
     writer: StoreWriter, params: StabiliseParameters, archive: Archive, place: Place, logical: bool
 ) -> tuple[list[Motion], list[str]]:
-    """Return the motions of an archive, with poses where they are wanted; poses that were fitted are stored."""
+    """Return the motions of an archive, with poses if requested; newly fitted poses are stored."""
     store = writer.store
     poses: PosesOfArchive | None = None
     remarks: list[str] = []
@@ -259,5 +259,5 @@ def _motion_parts(motion: Motion) -> Iterable[object]:
 
 
 def are_kernels_compiled() -> bool:
-    """Return whether the kernels of the tracker are on disk; True where Python runs them as they are."""
+    """Return whether the kernels of the tracker are compiled on disk; True if numba is disabled."""
     return is_compiled(solve_band)

@@ -1,4 +1,4 @@
-"""Tracked and stabilised takes judged by sensors: the errors of their limbs, as `limb_errors` has stored them."""
+"""Evaluate tracked and stabilised takes by sensors, from the errors of their limbs in `limb_errors`."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from kinedex.storage.store.store import Store
 F64 = npt.NDArray[np.float64]
 
 SENSORS, LIMB = "sensors", "limb"
-"""The reference and scope of all limbs of a take together, and the scope of a single limb."""
+"""The reference of evaluations by sensors (also the scope of all limbs together), and the scope of a single limb."""
 
 
 def judged_by_sensors(store: Store, stage: str, take_ids: Collection[int]) -> list[dict[str, Any]]:
-    """Return the figures of takes against sensors: all limbs of a take together, then each.
+    """Return error statistics of takes against sensors: for all limbs of a take together, then for each limb.
 
     Parameters
     ----------
     store : Store
         The store.
     stage : str
-        The stage that has made `limb_errors`, "<pipeline>/<stage>".
+        The stage that has stored `limb_errors`, "<pipeline>/<stage>".
     take_ids : collection of int
-        Ids of the takes that are judged.
+        The ids of the takes to evaluate.
     """
     rows: list[dict[str, Any]] = []
     for limbs in judged_limbs(store, stage):

@@ -1,4 +1,4 @@
-"""Takes of a store stabilised at a command: templates and examples are those that the store has."""
+"""Stabilise takes of a store for a command, with the templates and examples in the store."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter
 
 STAGE = "stabilise/stabilise"
-"""The stage that results belong to: that of the shipped pipeline, so that the pipeline and the command agree."""
+"""The stage of the results: that of the shipped pipeline, so that pipeline and command share results."""
 
 
 @dataclass(frozen=True)
@@ -42,13 +42,13 @@ class Explanation:
     take : str
         The take that was stabilised.
     stabilised : str
-        The take that it became.
+        The resulting take.
     priors : pyarrow.Table
         Its rows of `priors`.
     row : dict
         Its row of `tracks`.
     moved_mm : float
-        Mean distance that joints were moved.
+        The mean distance by which joints were moved, in millimetres.
     """
 
     take: str
@@ -83,11 +83,11 @@ def stabilise_stored(
     executor : Executor
         Spreads takes over workers.
     terminal : Display
-        Shows what is done.
+        Shows messages and progress.
     wait : Wait, optional
         The time to wait for another writer.
     anew : bool, optional
-        True stabilises takes that are up to date, too.
+        True to stabilise takes that are up to date as well.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def stabilise_stored(
     """
     opened = open_store(path, at="newest")
     require_takes(opened, takes)
-    code = code_digest(type(load_stage("stabilise")))  # as the pipeline has it
+    code = code_digest(type(load_stage("stabilise")))  # the same digest as in the pipeline
     place = Place(STAGE, new_run_id(), executor, terminal.say, terminal.progress, code, anew)
     with StoreWriter.open(path, opened.feature_set, opened.rate_hz, wait) as writer:
         archive = store_archive(writer.store, params, executor)
@@ -106,7 +106,7 @@ def stabilise_stored(
 
 
 def store_archive(store: Store, params: StabiliseParameters, executor: Executor) -> Archive:
-    """Return the templates that a store has, or those that its takes with a class give, with their examples."""
+    """Return the templates of a store, or those learned from its takes with a class, with their example clips."""
     stored = stored_templates(store) if store.manifest.results.get("templates") else []
     found = [one.one for one in stored if one.one.kind == params.templates]
     try:
@@ -127,7 +127,7 @@ def store_archive(store: Store, params: StabiliseParameters, executor: Executor)
 
 
 def _learned_from(templates: Sequence[SubclassTemplate], clips: Sequence[TrainingClips]) -> list[TrainingClips]:
-    """Return the clips that templates were learned from, which lend poses; all of a class whose template has none."""
+    """Return the clips that templates were learned from; all clips of a class whose template names none."""
     names = {one.subclass: {*one.clips} for one in templates}
     chosen = []
     for one in clips:
@@ -140,7 +140,7 @@ def _learned_from(templates: Sequence[SubclassTemplate], clips: Sequence[Trainin
 
 
 def explanations(store: Store, takes: Sequence[str]) -> list[Explanation]:
-    """Return the priors of stabilised takes, by the names that they had before."""
+    """Return the priors of stabilised takes, given the names before stabilisation."""
     found = []
     for take in takes:
         name = stabilised_name(take)

@@ -1,4 +1,7 @@
-"""Tracked and stabilised takes judged by the truth: a take, or a file of positions.
+"""Evaluate tracked and stabilised takes by the truth: a take, or a file of positions.
+
+A reference is the joint positions over time from another source. Truth is one kind of reference; other sources, such as
+sensors, become another one, and are evaluated by the same measures.
 
 A reference gives the places of joints over time. Truth is one kind of reference; anything else that knows where joints
 are, such as sensors, becomes another one, and is judged by the same figures.
@@ -32,19 +35,19 @@ LIMBS = tuple(side + name for name in ("hip", "knee", "ankle", "shoulder", "elbo
 """The joints that are compared."""
 
 FAILURES = "failures.csv"
-"""A table of intervals beside a file of truth, recording,start,stop: those in which a simulated detector fails."""
+"""A table beside a truth file, with columns recording, start, stop: intervals where a simulated detector fails."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The places of joints over time, as somebody else knows them.
+    """The positions of joints over time from another source.
 
     Attributes
     ----------
     name : str
-        Its name: a take, or a file.
+        The name of the take or file.
     joints : float64 array (J, 3, T)
-        Joints of the kinematic chain in metres, NaN where one is not known.
+        Joint positions of the kinematic chain in metres; NaN if unknown.
     rate_hz : float
         Frames per second.
     failures : tuple of (int, int)
@@ -74,7 +77,7 @@ def truth_reference(store: Store, truth: str, folder: Path, recording: str | Non
     Raises
     ------
     KinedexError
-        It is neither.
+        `truth` is neither a take nor a motion file.
     """
     found = read_truth(store, truth, folder, load_kinematic_chain().joints)
     is_take = truth in store.take_ids
@@ -95,7 +98,7 @@ def _failures(file: Path, recording: str | None) -> tuple[tuple[int, int], ...]:
 
 
 def compared(row: dict[str, Any], poses: pa.Table, reference: Reference) -> list[dict[str, Any]]:
-    """Return the figures of a track against a reference.
+    """Return error statistics of a track against a reference.
 
     Parameters
     ----------
@@ -104,12 +107,12 @@ def compared(row: dict[str, Any], poses: pa.Table, reference: Reference) -> list
     poses : pyarrow.Table
         Its rows of `chain_poses`.
     reference : Reference
-        What it is compared with; frames beyond the shorter one do not count.
+        The reference; only frames that both have are compared.
 
     Raises
     ------
     KinedexError
-        No joint is known to both in any frame.
+        No joint is known in both in any frame.
     """
     chain = load_kinematic_chain()
     body = ChainBody(chain, np.array(row["body"], np.float64).reshape(-1, 3))
@@ -133,7 +136,7 @@ def compared(row: dict[str, Any], poses: pa.Table, reference: Reference) -> list
 
 
 def _figures(scope: str, name: str, gaps: F64) -> dict[str, Any]:
-    """Return the figures of distances (J, T) in millimetres; those of joints that are not known do not count."""
+    """Return statistics of distances (J, T) in millimetres, without unknown joints."""
     seen = np.isfinite(gaps)
     count = seen.sum(axis=0)
     frames = np.where(seen, gaps, 0.0).sum(axis=0)[count > 0] / count[count > 0]
@@ -155,7 +158,7 @@ def metrics_table(rows: Sequence[dict[str, Any]], run: str) -> pa.Table:
 
 
 def poses_of(store: Store, stage: str, take_id: int) -> pa.Table:
-    """Return the rows of `chain_poses` that a stage has of a take."""
+    """Return the rows of `chain_poses` that a stage has stored for a take."""
     parts = [part for part in store.manifest.results.get("chain_poses", ()) if part.stage == stage]
     pieces = store.result_pieces("chain_poses", parts)
     own = (rows.filter(pc.equal(rows.column("take_id"), take_id)) for rows in pieces)

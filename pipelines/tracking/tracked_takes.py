@@ -17,10 +17,10 @@ from kinedex.storage.snapshot.schemas import TRACK_FORMAT
 Bool = npt.NDArray[np.bool_]
 
 TRACKED, STABILISED = "_tracked", "_stabilised"
-"""The ends of the names of takes that were tracked from a recording, and of those that were stabilised."""
+"""The suffixes of the names of takes that were tracked from a recording, and of those that were stabilised."""
 
 UNSEEN_S = 0.5
-"""Frames that no camera has seen for longer than this are invalid."""
+"""The gap, in seconds, above which frames that no camera has seen are invalid."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,19 +34,19 @@ class Track:
     provenance : Provenance
         Its origin.
     body : ChainBody
-        The body, with its lengths.
+        The body, with its bone lengths.
     poses : Poses
         Its poses, at the rate of the recording.
     rate_hz : float
         Frames per second of the poses.
     valid : bool array (T,)
-        False in frames in which nothing was observed for more than `UNSEEN_S`.
+        False in frames within gaps of the observations longer than `UNSEEN_S`.
     recipe : str
-        A hash of all that the track follows from besides its files.
+        A hash of everything except its files that determines the track.
     actor : str, optional
         The actor.
     warnings : tuple of str
-        Reservations about it.
+        Warnings about the take.
     """
 
     name: str
@@ -61,11 +61,11 @@ class Track:
 
     @property
     def format(self) -> str:
-        """The format of its take."""
+        """The format of the take."""
         return TRACK_FORMAT
 
     def joints(self, features: FeatureSet) -> Body:
-        """Return its joints as those of a motion file, in the order of a feature set."""
+        """Return the joints as those of a motion file, in the order of a feature set."""
         chain = self.body.chain
         positions, turned = forward(self.body, self.poses)
         at = {name: positions[j] for j, name in enumerate(chain.joints)}
@@ -84,7 +84,7 @@ class Track:
 
 
 def observed_frames(seen: Bool, rate_hz: float) -> Bool:
-    """Return the frames of a track that are valid: all but those in gaps of the observation of more than 0.5 s.
+    """Return the valid frames of a track: all except those in gaps of the observations longer than 0.5 s.
 
     Parameters
     ----------
@@ -102,5 +102,5 @@ def observed_frames(seen: Bool, rate_hz: float) -> Bool:
 
 
 def stabilised_name(take: str) -> str:
-    """Return the name of a take once it is stabilised; that of a tracked one without its end."""
+    """Return the name of a take after stabilisation; the suffix of a tracked take is replaced."""
     return take.removesuffix(TRACKED) + STABILISED

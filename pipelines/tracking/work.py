@@ -1,4 +1,4 @@
-"""The work on one recording or take: tracking and stabilising, in any process."""
+"""Track or stabilise one recording or take; runs in any process."""
 
 from __future__ import annotations
 
@@ -41,22 +41,22 @@ ESTIMATE = "estimate"
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A recording or a 3D track that is ready to be tracked.
+    """A recording or 3D track that is ready for tracking.
 
     Attributes
     ----------
     observed : Observed
-        What is observed, with the body.
+        The observations, with the body.
     provenance : Provenance
         Its files.
     body_from : str
-        Origin of the lengths.
+        Origin of the bone lengths.
     actor : str, optional
         The actor.
     remarks : tuple of str
         Remarks about it.
     sigma_px : float
-        Standard deviation of its keypoints in pixels, as they triangulate.
+        Standard deviation of its keypoints in pixels, estimated by triangulation.
     """
 
     observed: Observed
@@ -69,24 +69,24 @@ class Subject:
 
 @dataclass(frozen=True, eq=False)
 class TrackTask:
-    """A recording to track.
+    """A task: to track a recording.
 
     Attributes
     ----------
     store : Store
         The store that has its observations.
     stage : str or None
-        The stage that has read them.
+        The stage that has read the observations.
     recording : str
         Its name.
     take, take_id : str, int
-        The take that it becomes.
+        Name and id of the take to make.
     params : TrackParameters
         The tracker.
     mean : ChainBody
         The mean body of the archive.
     fingerprint, run : str
-        Hash of all that it follows from, and the run.
+        A hash of everything that determines the take, and the id of the run.
     """
 
     store: Store
@@ -101,15 +101,15 @@ class TrackTask:
 
     @property
     def subject(self) -> str:
-        """The recording, for messages."""
+        """The name of the recording, for messages."""
         return self.recording
 
 
 @dataclass(frozen=True, eq=False)
 class StabiliseTask:
-    """A take to stabilise; `motions` are those of the archive, the other attributes as of `TrackTask`.
+    """A task: to stabilise a take; `motions` are those of the archive, the other attributes as in `TrackTask`.
 
-    `tracker` counts for takes that were tracked from a recording, and its loss for all.
+    `tracker` applies to takes that were tracked from a recording, and its loss to all takes.
     """
 
     store: Store
@@ -127,7 +127,7 @@ class StabiliseTask:
 
     @property
     def subject(self) -> str:
-        """The take, for messages."""
+        """The name of the take, for messages."""
         return self.of
 
 
@@ -164,18 +164,18 @@ def stabilise_take(task: StabiliseTask) -> Finished:
 
 
 def _settings(params: TrackParameters, subject: Subject) -> TrackSettings:
-    """Return the settings of the tracker; 3D tracks are always tracked all at once."""
+    """Return the settings of the tracker; for 3D tracks it is always `take`, which optimises all frames at once."""
     settings = params.settings(subject.sigma_px)
     return replace(settings, tracker="take") if isinstance(subject.observed.observations, Places) else settings
 
 
 def recording_subject(store: Store, found: StoredRecording, mean: ChainBody, sigma_m: float) -> Subject:
-    """Return a recording as it is tracked.
+    """Return a recording in the form that is tracked.
 
     Raises
     ------
     KinedexError
-        Its body cannot be measured; the message names the way out.
+        Its body cannot be measured; the message names the remedy.
     """
     where = f"recording '{found.name}', body"
     body, given = found.row["body"], None
@@ -246,7 +246,7 @@ def _require_trunk(take: str, places: F64) -> None:
 
 
 def take_subject(task: StabiliseTask) -> Subject:
-    """Return what a take is stabilised from: its recording if it was tracked from one, else its own joints."""
+    """Return the observations for stabilising a take: its recording if it was tracked from one, else its own joints."""
     row = tracked_row(task.store, task.of)
     if row is None:
         return places_subject(task.store, task.of, task.body, task.mean, task.sigma_m)
@@ -254,7 +254,7 @@ def take_subject(task: StabiliseTask) -> Subject:
 
 
 def tracked_row(store: Store, take: str) -> dict[str, Any] | None:
-    """Return the row of `tracks` of a take that was tracked from a recording that the store has; None for others."""
+    """Return the row of `tracks` of a take that was tracked from a recording in the store; None for others."""
     for part in store.manifest.results.get("tracks", ()):
         for rows in store.result_pieces("tracks", [part]):
             for row in rows.to_pylist():
@@ -299,7 +299,7 @@ def _finished(
 
 
 def _warnings(result: TrackResult) -> list[str]:
-    """Return the warnings of the take."""
+    """Return the warnings about the take."""
     lost = 0 if result.lost is None else int(result.lost.sum())
     return [f"the tracker had lost the body in {counted(lost, 'frame')}"] if lost else []
 
@@ -330,7 +330,7 @@ def _stabilised_line(task: StabiliseTask, result: TrackResult) -> str:
 
 
 def filled_gaps(observed: Observed) -> str:
-    """Return a phrase that reports the gaps of a 3D track; joints that it never has are none."""
+    """Return a phrase about the gaps in a 3D track, ignoring joints that are never known."""
     if not isinstance(observed.observations, Places):
         return ""
     known: npt.NDArray[np.bool_] = np.all(np.isfinite(observed.observations.places), axis=2)
