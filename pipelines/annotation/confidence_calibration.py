@@ -4,11 +4,6 @@ Labels of the takes to annotate are not used. In each fold, the examples of some
 takes, if the actors to annotate are those of the examples), concatenated to takes about as long as those to annotate,
 and annotated with templates of the other examples. A label of a segment is right if most of its frames are of examples
 of its class.
-
-Labels of the takes to annotate have no part in it. The examples of a few actors at a time are left out (of a few
-takes, where the actors to annotate are those of the examples), laid end to end to takes about as long as those to
-annotate, and annotated as these will be. Of each segment it is then known whether its label is right: whether most of
-its frames are of examples of its class.
 """
 
 from __future__ import annotations

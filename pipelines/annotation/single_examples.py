@@ -5,11 +5,6 @@ postures of their frames are those of the class itself, so that they are no back
 resemble the class in everything that the average retains. Therefore every example is a template, every rejected
 interval is a template that assigns no label, and the background is learned from all takes (`studies.explorer_decisions`
 compares the alternatives).
-
-A few examples of one class are no picture of an archive. Their average is vague where they differ; the usual postures
-of their frames are those of the class itself, from which it cannot stand out; and what people have rejected is like the
-class in all that the average holds. So every example is a template, every interval that was rejected is a template that
-labels nothing, and the background is that of all takes (`studies.explorer_decisions` chose so).
 """
 
 from __future__ import annotations

@@ -2,9 +2,6 @@
 
 Paths of one layout have the same number of folders, and the same number of fields in their names, between separators
 that are found from all names. Nothing but the text of the paths is used.
-
-Paths of one layout have as many folders, and as many fields in their names, between separators that are found by
-looking at all names. No archive is known here; the text of the names is all there is.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """Edit labels as in a timeline editor: draw, change, split, join, withdraw, accept, reject, and undo.
 
 Every edit adds rows of labels and changes no existing row, so that the history is complete.
-
-Every edit becomes rows of labels: nothing is changed in place, so that the history has all of it.
 """
 
 from __future__ import annotations

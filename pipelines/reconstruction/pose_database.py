@@ -5,12 +5,6 @@ is represented by a near pose: the frame is dropped as long as that pose is kept
 that is new in the database precedes it and is near. Therefore the frames of an unchanged take are read again only if a
 pose that represents one of them is gone, or if one of its own poses is near a new one; the result equals that of a
 complete build.
-
-Poses are thinned in order of take name and frame, so that whether one is kept depends on all before it. Each frame has
-a pose that stands for it: it keeps the frame out as long as that pose is kept itself. And a pose that was kept stays
-so unless a pose that is new in the database comes before it and is near. So the frames of a take that has not changed
-are read again only where a pose that stood for one of them is gone, or one of its own poses is near a new one; the
-result is that of a build of everything.
 """
 
 from __future__ import annotations

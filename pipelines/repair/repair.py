@@ -4,11 +4,6 @@ The steps are ordered such that the store can be opened at any moment, and that 
 it is run again: each step begins with the damage that is left then. Manifests come first, then rows of takes, frames,
 results, the index, and the pipelines whose results were removed. Whatever cannot be made again is put into a quarantine
 before the version without it is published.
-
-The steps follow each other so that the store can be opened at every moment, and so that a repair that was killed goes
-on when it is run again: each step begins with what is damaged then. Manifests come first, then rows of takes, frames,
-results, the index, and the pipelines whose results were removed. What cannot be made again is kept in a quarantine
-before the version that does without it is published.
 """
 
 from __future__ import annotations

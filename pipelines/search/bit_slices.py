@@ -2,9 +2,6 @@
 
 The slices of an index are files that every process maps read-only, so that they are in memory only once for all
 processes and threads. Slicing words in memory takes about 20 ns per frame.
-
-The slices of an index are files that every process maps read-only: however many processes and threads search, memory
-holds them once. Slicing words in memory takes some 20 ns a frame.
 """
 
 from __future__ import annotations

@@ -2,9 +2,6 @@
 
 A search reads bit slices of the index and needs no lists (`pipelines.search.bit_slices`). The explanation also makes
 the lists, with the algorithm of the thesis (`ops.search.keyframe_search`); both find the same ranges.
-
-A search reads bit slices of the index and makes no lists (`pipelines.search.bit_slices`). The explanation makes them
-besides, with the algorithm of the thesis (`ops.search.keyframe_search`); both find the same ranges.
 """
 
 from __future__ import annotations

@@ -2,9 +2,6 @@
 
 A reference is the joint positions over time from another source. Truth is one kind of reference; other sources, such as
 sensors, become another one, and are evaluated by the same measures.
-
-A reference gives the places of joints over time. Truth is one kind of reference; anything else that knows where joints
-are, such as sensors, becomes another one, and is judged by the same figures.
 """
 
 from __future__ import annotations
