@@ -28,7 +28,7 @@ I64 = npt.NDArray[np.int64]
 VAGUE = 1.0
 """Fixed entries per column, on average, below which a template hardly distinguishes motions.
 
-Of forty features, the templates of HDM05's clip classes have 16 to 36 fixed in a column at δ = 0.05.
+At δ = 0.05 the templates of HDM05's clip classes have 16 to 36 fixed entries, of forty, in a column.
 """
 
 

@@ -44,7 +44,7 @@ class TakeAnnotation:
     preselected : float64 array (S,)
         The share of the take's frames that each template was matched in.
     curves : float32 array (S, L), optional
-        Its distance curves, where they are stored; ∞ for templates that are not applied to the take.
+        Its distance curves, if they are stored; ∞ for templates that are not applied to the take.
     applied : bool array (S,), optional
         False for templates that were not applied because the take lacks too many of their features; None if all were.
     confidences : tuple of float, optional

@@ -78,7 +78,7 @@ class StageContext:
     params : dict of str to BaseModel
         The validated parameters of every stage of the pipeline, by its name there.
     code : str
-        A hash of the code that the stage runs, for stages that reuse earlier work; empty where it is not known.
+        A hash of the code that the stage runs, for stages that reuse earlier work; empty if unknown.
     anew : bool
         True if everything is to be done again, including work that is up to date (`--force`).
     wait : Wait

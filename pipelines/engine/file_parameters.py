@@ -24,7 +24,7 @@ class NamesFile:
     ----------
     kind : str
         "data" for a folder or file of data, which is not copied; "file" for a file, or a folder of YAML files, of
-        settings; "queries" and another kind of `catalog.configs.KINDS` where a shipped name may stand for a file.
+        settings; "queries" or another kind of `catalog.configs.KINDS` if the name of a shipped file may be given.
     """
 
     kind: str

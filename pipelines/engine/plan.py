@@ -38,7 +38,7 @@ class Step:
     reason : str or None
         The reason for which it runs; None if it does not.
     what : str
-        The takes that it reads, in words, if these are not all of the store's.
+        A description of the takes that it reads; empty if it depends on all takes of the store.
     """
 
     stage: PipelineStage

@@ -151,7 +151,7 @@ def run_pipeline(
         Values for settings of the file by name, such as `{"source": "/my/archive"}`, and for parameters by
         "stage.name", such as `{"annotate.tau": 0.06}`. Where exactly one stage has a parameter, its name is enough.
     assignments : mapping of str to str, optional
-        The texts of `--set` on the command line, in the place of `settings`; errors then mention commands.
+        The texts of `--set` on the command line, in place of `settings`; error messages then refer to commands.
     executor : {"serial", "processes", "dask"}
         The executor of tasks. A script that asks for processes must guard its start with
         `if __name__ == "__main__":`, because every worker imports it.
@@ -180,7 +180,7 @@ def run_pipeline(
     Raises
     ------
     StageFailed
-        A stage could not finish; what earlier stages committed stays.
+        A stage failed; results that earlier stages committed are kept.
     KinedexError
         The pipeline file, a setting or the store is not usable; nothing was changed.
     """

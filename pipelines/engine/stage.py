@@ -82,7 +82,7 @@ class Stage(ABC, Generic[Parameters]):
         Raises
         ------
         KinedexError
-            The stage cannot finish; what it committed before stays.
+            The stage failed; results that it has committed are kept.
         """
 
     def with_remembered(self, params: Parameters, unset: frozenset[str], store: Store) -> Parameters:

@@ -21,7 +21,7 @@ class Figure:
     Attributes
     ----------
     points : float64 array (J, 3, F)
-        Positions of the joints in the F frames shown, Y up; NaN where a joint is unknown.
+        Positions of the joints in the F frames shown, Y up; NaN if a joint is unknown.
     bones : sequence of (int, int, str)
         Pairs of joints with the colour of the line between them.
     times : sequence of str

@@ -117,8 +117,8 @@ class Lists:
     """The keyframe search of one class (thesis, Table 3.2).
 
     keyframes: number K. stiffness: mean over the keyframe gaps. segments: number in the inverted lists of all
-    keyframes. seconds: duration of the index search, including reading the lists; lists_seconds: duration without
-    reading them.
+    keyframes. seconds: duration of the search in the bit slices of the index; lists_seconds: duration of
+    the search by inverted lists, without reading them.
     """
 
     keyframes: int

@@ -105,7 +105,7 @@ def body_of_places(places: F64, mean: ChainBody) -> ChainBody:
     Raises
     ------
     KinedexError
-        The distances of hips and shoulders are impossible for a body.
+        The positions of hips and shoulders are impossible for a body.
     """
     try:
         return measured_body(mean.chain, np.ascontiguousarray(places.transpose(1, 2, 0)))
