@@ -73,7 +73,7 @@ class Annotator:
 
     @property
     def shapes(self) -> tuple[list[int], list[float]]:
-        """The number of columns of each template, and the share of the features that are fixed in a column."""
+        """The number of columns of each template, and its mean share of fixed features per column."""
         features = len(self.feature_set.features)
         return [len(one) for one in self.templates], [one.fixed / features for one in self.templates]
 

@@ -57,7 +57,7 @@ def code_digest(*roots: Callable[..., object] | type | str) -> str:
     Parameters
     ----------
     *roots : functions, classes, or texts "module:name"
-        Where to begin.
+                The definitions to start from.
 
     Returns
     -------
@@ -157,11 +157,11 @@ class Code:
     text : str
         A hash of the syntax tree.
     names : set of str
-        Names and chains of attributes on names, such as "np.zeros", those of annotations included.
+        Names and chains of attributes on names, such as "np.zeros", including those in annotations.
     imports : dict of str to Place
         The names that imports inside of it bind.
     declared : set of Place
-        The places that strings "module:name" declare.
+        The places that are named by strings "module:name".
     """
 
     text: str = ""
@@ -191,7 +191,7 @@ def _read(package: str, statements: Iterable[ast.stmt]) -> Code:
 
 
 def _chains(node: ast.AST) -> Iterator[str]:
-    """Yield the longest chains of attributes on names in a syntax tree, those of annotations in quotes included."""
+    """Yield the longest chains of attributes on names in a syntax tree, including those in quoted annotations."""
     waiting = [node]
     while waiting:
         one = waiting.pop()
@@ -245,11 +245,11 @@ class Module:
     definitions : dict of str to list of ast.stmt
         The statements that define each name.
     imports : dict of str to Place
-        The names that imports bind, those for type checkers included.
+        The names that imports bind, including those for type checkers only.
     imported : list of str
         The modules that are imported when this one is.
     effects : list of ast.stmt
-        The statements that are no plain definitions and run on import.
+        The statements other than definitions, which run on import.
     registered : list of str
         The definitions with a decorator of its package, which can register them on import.
     """

@@ -51,11 +51,11 @@ class PipelineStage:
     kind : Stage
         Its kind.
     inputs : dict of str to str
-        Role → the stage that plays it.
+        Input role → the name of the stage that fills it.
     params : BaseModel
         Its parameters.
     unset : frozenset of str
-        The parameters that neither the user nor a file of the user's gives: they have their default, or that of a
+        The parameters that neither the user nor the user's file sets: they have their default, or that of a
         setting of a shipped pipeline.
     """
 
@@ -83,7 +83,7 @@ class Pipeline:
     known_failures: KnownFailures = "report"
 
     def stage(self, name: str) -> PipelineStage:
-        """Return a stage by its name; a KinedexError names the nearest one."""
+        """Return a stage by its name; raise a KinedexError, which suggests the nearest name, if there is none."""
         for stage in self.stages:
             if stage.name == name:
                 return stage
@@ -100,16 +100,16 @@ class _Given:
 
     @property
     def place(self) -> str:
-        """The place where the user gave it, for messages."""
+        """The way in which the user gave the value, for messages."""
         return f"--set {self.name}" if self.is_text else f"settings['{self.name}']"
 
     @property
     def shown(self) -> str:
-        """The place with the value, for messages."""
+        """The way in which the user gave the value, and the value, for messages."""
         return f"{self.place}={self.value}" if self.is_text else f"{self.place} = {self.value!r}"
 
     def parsed(self, is_text_expected: bool) -> Any:
-        """Return the value; of a text of `--set` as YAML, unless a text is expected."""
+        """Return the value; a text of `--set` is parsed as YAML, unless a text is expected."""
         if not self.is_text:
             return _plain(self.value)
         if is_text_expected:
@@ -160,9 +160,9 @@ def load_pipeline(
     Raises
     ------
     ConfigError
-        The pipeline file is wrong; the message names file, line and key, and the nearest valid name.
+        The pipeline file is invalid; the message names file, line and key, and the nearest valid name.
     KinedexError
-        A given value is wrong, or names nothing.
+        A given value is invalid, or there is no setting or parameter of its name.
     """
     given = [_Given(name, text, True) for name, text in (assignments or {}).items()]
     given += [_Given(name, value, False) for name, value in (settings or {}).items()]

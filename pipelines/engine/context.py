@@ -74,7 +74,7 @@ class StageContext:
     uses : str
         The kind of stage.
     inputs : dict of str to str
-        The stage that plays each role, such as {"templates": "learn_templates"}.
+        Input role → the name of the stage that fills it, such as {"templates": "learn_templates"}.
     params : dict of str to BaseModel
         The validated parameters of every stage of the pipeline, by its name there.
     code : str
@@ -103,7 +103,7 @@ class StageContext:
     unmatched: list[UnmatchedLabels] = field(default_factory=list)
 
     def params_of(self, role: str, kind: type[Parameters]) -> Parameters:
-        """Return the parameters of the stage that plays a role."""
+        """Return the parameters of the stage that fills an input role."""
         params = self.params[self.inputs[role]]
         assert isinstance(params, kind)
         return params

@@ -31,14 +31,14 @@ class Row:
 
 @dataclass
 class ResultTable:
-    """A table of results, as a stage or a service makes it for people to read.
+    """A table of results for people to read.
 
     Attributes
     ----------
     columns : sequence of str
         The headings.
     texts : set of int
-        The columns of texts, which stand to the left; the others are numbers.
+        The columns with text, which are left-aligned; the others are numbers.
     title, caption : str or None
         The line above the table, and the remark below it.
     layout : {"wide", "close", "tall"}

@@ -62,7 +62,7 @@ class Executor(Protocol):
         ...
 
     def check(self, store: Path) -> None:
-        """Raise a KinedexError if a worker cannot see the store; do nothing where all are on this machine."""
+        """Raise a KinedexError if a worker cannot see the store; do nothing if all workers are on this machine."""
         return
 
     def close(self) -> None:
@@ -218,7 +218,7 @@ class DaskExecutor:
             self.workers = self._slots()
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-        """Yield the results of a function in the order of the items; two tasks a worker are in flight."""
+        """Yield the results of a function in the order of the items, with two tasks per worker in flight."""
         from distributed import KilledWorker
 
         waiting: deque[Future[Result]] = deque()

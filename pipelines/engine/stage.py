@@ -51,7 +51,7 @@ class Stage(ABC, Generic[Parameters]):
     parameters : type
         A pydantic model; each field has a description.
     inputs : mapping of str to Input
-        The roles that other stages play.
+        The input roles, by name, that other stages fill.
     commits_once : bool
         True if `run` commits all results at once, together with `StoreWriter.forget_stage`: until then the
         stage counts as done, and its earlier results are shown.

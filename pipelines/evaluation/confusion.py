@@ -76,7 +76,7 @@ def confusion(
     test_takes : sequence of TestTake
         The takes with their ground truth.
     classes : sequence of str
-        All labels of either side.
+        All classes among the manual and automatic labels.
     """
     place = {label: index for index, label in enumerate(classes)}
     size = len(classes)

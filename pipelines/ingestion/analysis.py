@@ -32,9 +32,9 @@ def analyse(body: Body, feature_set: FeatureSet, rate_hz: float) -> tuple[F64, F
     Returns
     -------
     positions : float64 array (J, 3, T)
-        In metres.
+                The positions of the joints in metres.
     orientation : float64 array (4, T)
-        The orientation of the root, as quaternions.
+        The orientation of the root, as unit quaternions (w, x, y, z).
     words : uint64 array (T,)
         `NO_WORD` in invalid frames; 0 in the bits of unknown features.
     """

@@ -96,7 +96,7 @@ class Layout:
 
     @property
     def folders(self) -> int:
-        """The number of folders."""
+        """The number of folders in each path."""
         return sum(column.folder for column in self.columns)
 
 

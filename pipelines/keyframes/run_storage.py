@@ -27,7 +27,7 @@ class StoredRuns:
         self._runs: dict[tuple[str, int], FinishedRun] = {(one.key, one.number): one for one in known_runs(own)}
 
     def known(self) -> list[FinishedRun]:
-        """Return all runs."""
+        """Return all stored runs."""
         return list(self._runs.values())
 
     def save(self, classes: Sequence[ClassRuns]) -> None:

@@ -305,5 +305,5 @@ def _figures(scope: str, name: str, gaps: F64, known: Bool) -> dict[str, Any]:
 
 
 def errors_table(rows: Sequence[dict[str, Any]], run: str) -> pa.Table:
-    """Return the results `reconstruction_errors`."""
+    """Return rows as results of the kind `reconstruction_errors`."""
     return pa.Table.from_pylist([{"run": run, **row} for row in rows], schema=result_schema("reconstruction_errors"))

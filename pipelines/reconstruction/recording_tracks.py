@@ -284,7 +284,7 @@ def contradicts(image: F32, background: F32 | None) -> bool:
 
 
 def _results(tracker: Reconstructor, images: Iterable[tuple[int, F32 | None]], frames: int) -> FrameRecords:
-    """Return the results of images in their order."""
+    """Track images in their order, and return the results."""
     tracker.restart()
     found = FrameRecords(tracker.settings.most_candidates, frames)
     for _, image in images:

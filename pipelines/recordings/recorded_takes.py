@@ -26,7 +26,7 @@ RECORDED_COLUMNS = {
     "recording": TakeColumn("VARCHAR", "file", meaning="the recording that the take was made of"),
     "cameras": TakeColumn("VARCHAR[]", "file", meaning="the cameras of that recording"),
 }
-"""The declared columns of takes in a store with takes of recordings."""
+"""The columns of takes that a store declares for takes made from recordings."""
 
 
 @dataclass(frozen=True)

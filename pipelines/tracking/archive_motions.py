@@ -167,7 +167,7 @@ def archive_motions(
 
 
 def poses_table(poses: Iterable[ClassPoses], run: str) -> pa.Table:
-    """Return the results `archive_poses`."""
+    """Return poses of classes as results of the kind `archive_poses`."""
     nodes = load_kinematic_chain().nodes
     rows = [
         {

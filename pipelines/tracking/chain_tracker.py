@@ -59,7 +59,7 @@ class Observed:
 
     @property
     def frames(self) -> int:
-        """The number of frames."""
+        """The number of frames of the recording."""
         if isinstance(self.observations, Rays):
             return len(self.observations.confidence)
         if self.observations is not None:
@@ -117,7 +117,7 @@ class ChainTracker:
 
     @property
     def body(self) -> ChainBody:
-        """The body."""
+        """The body that is tracked."""
         return self.observed.body
 
     @property

@@ -150,7 +150,7 @@ def _figures(scope: str, name: str, gaps: F64) -> dict[str, Any]:
 
 
 def metrics_table(rows: Sequence[dict[str, Any]], run: str) -> pa.Table:
-    """Return the results `track_metrics`."""
+    """Return rows as results of the kind `track_metrics`."""
     return pa.Table.from_pylist([{"run": run, **row} for row in rows], schema=result_schema("track_metrics"))
 
 
