@@ -119,7 +119,7 @@ def _without_gaps(segments: Sequence[tuple[int, int]], place: I64) -> I64:
 
 
 def metric_rows(counts: LimbCounts, printed: PrintedFigures | None) -> Iterator[dict[str, Any]]:
-    """Yield the rows of `limb_error_metrics` for all limbs, groups and limbs: errors over τ, stored runs, annotators.
+    """Yield the rows of `limb_error_metrics`, for all limbs, groups and single limbs, by detector and annotator.
 
     Parameters
     ----------

@@ -204,9 +204,6 @@ def _settled(outcomes: Sequence[Outcome], rounds: Rounds) -> bool:
     return max(ranks[-rounds.patience :]) - max(ranks[: -rounds.patience]) <= rounds.settled
 
 
-# ---- tables ----------------------------------------------------------------------------------------------
-
-
 def runs_table(runs: Sequence[FinishedRun], run: str) -> pa.Table:
     """Return finished runs as results of the kind `keyframe_runs`."""
     rows = [

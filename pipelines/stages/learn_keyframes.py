@@ -38,7 +38,7 @@ class LearnKeyframes(Stage[KeyframeParameters]):
         return files_digest(class_files(params.classes))
 
     def run(self, context: StageContext, params: KeyframeParameters) -> dict[str, object]:
-        """Learn and store queries for all settings; settings that earlier runs completed are not repeated."""
+        """Learn and store the queries and all learning runs; learning runs that were finished earlier are reused."""
         store = context.open()
         found = examples_of(store, params)
         context.report_unmatched(found.unmatched)
