@@ -60,7 +60,7 @@ def load_body(name: str | Path = "cones20") -> ConeBody:
     Raises
     ------
     ConfigError
-        There is no such file, or it is wrong; the message names the line.
+        There is no such file, or it is invalid; the message names the line.
     """
     return _load(config_path("bodies", name))
 
@@ -87,7 +87,7 @@ def parse_body(located: Located) -> ConeBody:
     Raises
     ------
     ConfigError
-        The file is wrong; the message names the line, the key and what was expected.
+        The file is invalid; the message names the line, the key and what was expected.
     """
     file = located.model(_BodyFile)
     pivots = _pivots(located, file)

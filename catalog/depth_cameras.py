@@ -140,7 +140,7 @@ class DepthCamera:
         return table
 
     def depths(self, values: npt.NDArray[Any]) -> F32:
-        """Return the depths z in metres of an image as it is stored.
+        """Convert the stored values of an image to depths z in metres.
 
         Parameters
         ----------
@@ -150,8 +150,8 @@ class DepthCamera:
         Returns
         -------
         float32 array (H, W)
-            Depths, 0 where nothing was measured (0, 65535, NaN, below 0, beyond `FARTHEST_M`), or the lens
-            has no ray.
+            Depths; 0 where nothing was measured (the value is 0, 65535, NaN, below 0 or beyond `FARTHEST_M`), or where
+            the lens model has no ray.
 
         Raises
         ------

@@ -56,17 +56,17 @@ class Placement:
         return turned
 
     def in_camera(self, points: npt.ArrayLike) -> F64:
-        """Return points (…, 3) of the inside axes in the camera's axes."""
+        """Transform points (…, 3) from the inside axes to the camera's axes."""
         seen: F64 = (np.asarray(points, np.float64) @ self.turn) * FLIP
         return seen
 
     def in_world(self, points: npt.ArrayLike) -> F64:
-        """Return points (…, 3) of the inside axes in the world; without a pose, Y = 0 is the floor if it is known."""
+        """Transform points (…, 3) from the inside axes to the world; without a pose, Y = 0 is the floor if known."""
         placed: F64 = np.asarray(points, np.float64) @ self.rotation.T + self.place
         return placed
 
     def from_world(self, points: npt.ArrayLike) -> F64:
-        """Return points (…, 3) of the world in the inside axes."""
+        """Transform points (…, 3) from the world to the inside axes."""
         inside: F64 = (np.asarray(points, np.float64) - self.place) @ self.rotation
         return inside
 

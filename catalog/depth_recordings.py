@@ -113,7 +113,7 @@ def load_depth_recordings(path: str | Path) -> DepthRecordingsFile:
     Raises
     ------
     ConfigError
-        The file is wrong; the message names the line, the key and what was expected.
+        The file is invalid; the message names the line, the key and what was expected.
     """
     return parse_depth_recordings(load_yaml(path))
 
@@ -124,7 +124,7 @@ def parse_depth_recordings(located: Located) -> DepthRecordingsFile:
     Raises
     ------
     ConfigError
-        The file is wrong; the message names the line, the key and what was expected.
+        The file is invalid; the message names the line, the key and what was expected.
     """
     content = located.mapping()
     other = next((key for key in content if key != _KEY), None)

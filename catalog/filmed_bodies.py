@@ -111,7 +111,7 @@ def load_filmed_body(name: str | Path = "first") -> FilmedBody:
     Raises
     ------
     ConfigError
-        There is no such file, or it is wrong; the message names the line.
+        There is no such file, or it is invalid; the message names the line.
     """
     return _load(config_path(KIND, name))
 
@@ -127,7 +127,7 @@ def parse_filmed_body(located: Located) -> FilmedBody:
     Raises
     ------
     ConfigError
-        The file is wrong; the message names the line, the key and what was expected.
+        The file is invalid; the message names the line, the key and what was expected.
     """
     file = located.model(_FilmedFile)
     try:

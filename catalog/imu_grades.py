@@ -103,7 +103,7 @@ _DEFAULT = {"acc": "m/s2", "gyr": "deg/s", "mag": "uT"}
 
 
 def load_grade(name_or_path: str | Path) -> Grade:
-    """Read a grade from `configs/imu_grades/` or from a file of the user's own.
+    """Read a grade from `configs/imu_grades/` or from a user's file.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def load_grade(name_or_path: str | Path) -> Grade:
     Raises
     ------
     ConfigError
-        There is no such grade, or the file is wrong; the message names line and key.
+        There is no such grade, or the file is invalid; the message names line and key.
     """
     return parse_grade(load_yaml(config_path("imu_grades", name_or_path)))
 

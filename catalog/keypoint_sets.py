@@ -150,7 +150,7 @@ def load_keypoint_set(name: str | Path) -> KeypointSet:
     Raises
     ------
     ConfigError
-        There is no such file, or it is wrong; the message names the line.
+        There is no such file, or it is invalid; the message names the line.
     """
     return _load(config_path("keypoints", name))
 
@@ -173,7 +173,7 @@ def parse_keypoint_set(located: Located, chain: KinematicChain) -> KeypointSet:
     Raises
     ------
     ConfigError
-        The file is wrong; the message names the line, the key and what was expected.
+        The file is invalid; the message names the line, the key and what was expected.
     """
     file = located.model(_SetFile)
     twice = next((i for i, name in enumerate(file.order) if name in file.order[:i]), None)

@@ -75,7 +75,7 @@ def load_kinematic_chain(name: str | Path = "body48") -> KinematicChain:
     Raises
     ------
     ConfigError
-        There is no such file, or it is wrong; the message names the line.
+        There is no such file, or it is invalid; the message names the line.
     """
     return _load(config_path("kinematics", name))
 
@@ -91,7 +91,7 @@ def parse_kinematic_chain(located: Located) -> KinematicChain:
     Raises
     ------
     ConfigError
-        The file is wrong; the message names the line, the key and what was expected.
+        The file is invalid; the message names the line, the key and what was expected.
     """
     file = located.model(_ChainFile)
     nodes, joints = tuple(file.nodes), tuple(file.joints)
@@ -125,7 +125,7 @@ def load_surface(name: str | Path = "body48") -> Surface:
     Raises
     ------
     ConfigError
-        There is no such file, it is wrong, or it has no `surface`; the message names the line.
+        There is no such file, it is invalid, or it has no `surface`; the message names the line.
     """
     return parse_surface(load_yaml(config_path("kinematics", name)))
 
@@ -136,7 +136,7 @@ def parse_surface(located: Located) -> Surface:
     Raises
     ------
     ConfigError
-        The file is wrong, or has no surface; the message names the line, the key and what was expected.
+        The file is invalid, or has no surface; the message names the line, the key and what was expected.
     """
     chain, file = parse_kinematic_chain(located), located.model(_ChainFile)
     if file.surface is None:

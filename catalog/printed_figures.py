@@ -54,7 +54,7 @@ class PrintedFigures(BaseModel):
 
 
 def load_printed(name_or_path: str | Path) -> PrintedFigures:
-    """Read printed figures from `configs/printed/` or from a file of the user's own.
+    """Read printed figures from `configs/printed/` or from a user's file.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def load_printed(name_or_path: str | Path) -> PrintedFigures:
     Raises
     ------
     ConfigError
-        There is no such file, or it is wrong; the message names line and key.
+        There is no such file, or it is invalid; the message names line and key.
     """
     located = load_yaml(config_path("printed", name_or_path))
     located.mapping()

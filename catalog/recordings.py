@@ -116,7 +116,7 @@ def load_recordings(path: str | Path) -> RecordingsFile:
     Raises
     ------
     ConfigError
-        There is no such file, or it is wrong; the message names the line, the key and what was expected.
+        There is no such file, or it is invalid; the message names the line, the key and what was expected.
     """
     path = Path(path)
     if not path.is_file() or path.suffix.lower() == ".toml":
@@ -134,7 +134,7 @@ def parse_recordings(located: Located) -> RecordingsFile:
     Raises
     ------
     ConfigError
-        The file is wrong; the message names the line, the key and what was expected.
+        The file is invalid; the message names the line, the key and what was expected.
     """
     content = located.mapping()
     other = next((key for key in content if key != _KEY), None)

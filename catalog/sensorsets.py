@@ -40,7 +40,7 @@ _Four = Annotated[list[_Name], Field(min_length=4, max_length=4)]
 
 
 class Units(BaseModel):
-    """The units of files, where these do not state them or state them wrongly."""
+    """The units that a user states for sensor files with missing or wrong statements of units."""
 
     model_config = ConfigDict(extra="forbid", coerce_numbers_to_str=True)
     acc: Literal["m/s2", "g", "mg"] | None = Field(None, description="unit of accelerations")
@@ -189,7 +189,7 @@ def load_sensor_set(name: str | Path) -> SensorSet:
     Raises
     ------
     ConfigError
-        The file is wrong; the message names the line, the key and what was expected.
+        The file is invalid; the message names the line, the key and what was expected.
     """
     return parse_sensor_set(load_yaml(config_path("sensors", name)))
 
@@ -200,7 +200,7 @@ def parse_sensor_set(located: Located) -> SensorSet:
     Raises
     ------
     ConfigError
-        The file is wrong; the message names the line, the key and what was expected.
+        The file is invalid; the message names the line, the key and what was expected.
     """
     content = located.mapping()
     listed = content.get("sensors")

@@ -1,4 +1,4 @@
-"""The ASGI application of the explorer: the routes of all subjects, the built page, and the handler of errors."""
+"""The ASGI application of the explorer: the routes of its modules, the built page, and the handler of errors."""
 
 from __future__ import annotations
 
@@ -62,11 +62,11 @@ SUBJECTS = (
 """The modules whose `routes` the application has."""
 
 FIRST = frozenset({"events", "quality", "store", "takes", "totals"})
-"""The subjects that the first page needs. The others are imported after it is shown: some import numba or polars."""
+"""The modules that the first page needs. The others are imported after it is shown: some import numba or polars."""
 
 
 PAUSE_SECONDS = 1.5
-"""Seconds from sending the page to importing the subjects that it needs later."""
+"""Seconds from sending the page to importing the modules that it needs later."""
 
 
 def make_application(archive: Archive, rules: Rules, built: Path = BUILT) -> ASGIApp:
@@ -98,13 +98,13 @@ def make_application(archive: Archive, rules: Rules, built: Path = BUILT) -> ASG
 
 
 def routes_of(subject: str) -> list[Route]:
-    """Return the routes of a subject."""
+    """Import a module of `kinedex.explorer`, and return its `routes`."""
     found: list[Route] = import_module(f"kinedex.explorer.{subject}").routes
     return found
 
 
 class LaterRoutes(BaseRoute):
-    """The routes below /api/ of subjects that are imported when one of them is first asked for.
+    """The routes below /api/ of modules that are all imported when one of these routes is first requested.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class LaterRoutes(BaseRoute):
         self._soon = False
 
     def load(self) -> Router:
-        """Import the subjects, and return the router of their routes; any thread may call it."""
+        """Import the modules, and return the router of their routes; any thread may call it."""
         with self._lock:
             if self._router is None:
                 self._router = Router([route for subject in self._subjects for route in routes_of(subject)])
@@ -131,12 +131,12 @@ class LaterRoutes(BaseRoute):
         return (Match.FULL if is_ours else Match.NONE), {}
 
     async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request, once the subjects have been imported."""
+        """Import the modules in a thread if they are not imported yet, and pass the request to their router."""
         router: Router = await to_thread.run_sync(self.load)
         await router(scope, receive, send)
 
     def load_soon(self, archive: Archive) -> None:
-        """Import the subjects in a thread once the page has had time to show something, and prepare first questions."""
+        """Import the modules in a thread after `PAUSE_SECONDS`, and prepare the answers to probable first requests."""
         if not self._soon:
             self._soon = True
             loop = asyncio.get_running_loop()

@@ -300,7 +300,7 @@ def aligned_intervals(store: Store, one: Interval, other: Interval) -> Row:
     Raises
     ------
     KinedexError
-        No take has an id.
+        The store has no take with one of the ids.
     ParameterError
         An interval is empty, not within its take, or too long.
     """

@@ -69,9 +69,11 @@ class Hit(Question):
 
 
 class ExportQuestion(Question):
-    """A request for an export: what, how, further filters of takes, or hits in place of a source, and the folder.
+    """A request to plan or write an export.
 
-    `planned` is the `state` of the plan that a person has seen: nothing is written once the store has changed.
+    `what` and `how` are the selection and the form of the data set, `filters` restrict its takes further, `hits`
+    replace the source of `what`, and `folder` is written to. `planned` is the `state` of the plan that the page has
+    shown: if the store has changed since then, nothing is written.
     """
 
     what: What = What()
@@ -105,7 +107,7 @@ def request_of(store: Store, asked: ExportQuestion) -> What:
 
 
 def _hits_query(hits: tuple[Hit, ...]) -> str:
-    """Return a query whose rows are hits; their mirror images are marked, where there are any."""
+    """Return a SQL query whose rows are the hits; it has a column `mirror_image` if some hits are mirrored."""
     mirrored = any(one.mirrored for one in hits)
     rows = ", ".join(
         f"({quote(one.take)}, {one.start}, {one.stop}, {'NULL' if one.label is None else quote(one.label)}"

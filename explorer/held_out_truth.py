@@ -66,7 +66,7 @@ def held_out_takes(
     *,
     everything: bool = False,
 ) -> HeldOut:
-    """Return the takes with ground truth from which no example of a class was taken.
+    """Return the takes with ground truth that contain no example of the class's templates.
 
     Parameters
     ----------
@@ -79,9 +79,9 @@ def held_out_takes(
     templates : sequence of SubclassTemplate
         The templates of the class.
     asked : {"evaluation", "labels"}, optional
-        The ground truth; unless given that of an evaluation where there is one, else labels.
+        The source of the ground truth; by default the evaluation if there is one, else labels.
     everything : bool, optional
-        True for all takes; otherwise, of takes that are longer than `MOST_SECONDS` together, some drawn at random.
+        True for all takes; otherwise random ones with at most `MOST_SECONDS` in all.
     """
     found: dict[Source, tuple[Segments, list[str]]] = {}
     if use.evaluate is not None:

@@ -73,7 +73,7 @@ class Job:
         Called before the job begins. If it raises a KinedexError, the job fails with its message; for instance, because
         the store has changed since the job was planned.
     weights : tuple of float
-        How long its stages take compared with each other, for progress; all alike unless given.
+        Relative durations of its stages, for the progress bar; by default all are equal.
     learns : bool
         True if the process that `Jobs.prepare` has started serves it, where there is one.
     """

@@ -147,7 +147,7 @@ def read_text(text: str, store: Store) -> tuple[KeyframeQuery, ...]:
     Raises
     ------
     ConfigError
-        The text is wrong, with the line; or it has no query, or refers to a file.
+        The text is invalid (the message names the line), has no query, or refers to a file.
     """
     located = parse_yaml(text, "the text")
     for name, *key in references(located.data):

@@ -115,7 +115,7 @@ def _compute(pipe: Connection, path: Path, version: int, unit: Unit) -> None:
 
 
 class Maps:
-    """The maps of an explorer: those that are there, and those that are being computed; used on one event loop."""
+    """The cached maps of an explorer, and the maps that are being computed; used on one event loop."""
 
     def __init__(self) -> None:
         self._kept: OrderedDict[Key, ArchiveMap] = OrderedDict()

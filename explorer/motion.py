@@ -182,7 +182,7 @@ def motion_blocks(
     take_id : int
         The take.
     first, stop : int, optional
-        Analysis frames; the whole take unless given. An empty range yields one block without frames.
+        Analysis frames; by default the whole take. An empty range yields one block without frames.
     step : int, optional
         Every step-th frame from the first on is sent.
 
@@ -284,7 +284,7 @@ def figures(cache: PositionCache, store: Store, items: Sequence[Interval], frame
     Raises
     ------
     KinedexError
-        No take has an id.
+        The store has no take with one of the ids.
     ParameterError
         There are too many intervals, an interval is not within its take, or the number of frames is not positive.
     """
@@ -364,7 +364,7 @@ def whole_number(request: Request, name: str, absent: int | None = None) -> int:
     name : str
         Name of the parameter.
     absent : int, optional
-        The value without it; it must be there unless given.
+        The value if the parameter is missing; by default a missing parameter is an error.
 
     Raises
     ------

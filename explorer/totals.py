@@ -42,7 +42,7 @@ class TotalsQuestion(Selection):
 
 
 class ValuesQuestion(Selection):
-    """A request for the values of a column; only texts that have `contains` in them, if it is given."""
+    """A request for at most `limit` values of `column`; if `contains` is given, only texts that contain it."""
 
     column: str
     contains: str | None = None

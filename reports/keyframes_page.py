@@ -58,7 +58,11 @@ class Cell:
 
 @dataclass(frozen=True)
 class Matrix:
-    """Keyframes over the columns of a template: names of rows, the cells of all runs, and those of the queries."""
+    """A figure of keyframes over the columns of a template, with a row per feature and a cell per keyframe entry.
+
+    `names` are those of the rows, `runs` the cells of all learning runs, `queries` those of the learned queries, and
+    `ticks` the places and texts on the axis.
+    """
 
     names: tuple[str, ...]
     runs: tuple[Cell, ...]

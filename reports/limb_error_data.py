@@ -245,7 +245,7 @@ class StoredErrors:
         )  # fmt: skip
 
     def _manual(self, take_id: int, limb: str) -> dict[str, tuple[MarkedRun, ...]]:
-        """Return annotator → the intervals of a limb that he marked; empty if he looked at it and marked none."""
+        """Return annotator → the intervals that the annotator has marked as wrong for a limb; empty for none."""
         found: dict[str, list[MarkedRun]] = {who: [] for who in self._annotators}
         for row in self._labels:
             if (row["take_id"], row["limb"]) == (take_id, limb):

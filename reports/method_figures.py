@@ -242,7 +242,10 @@ def bare_part(block: tuple[int, int], later: Sequence[tuple[int, int]]) -> tuple
 
 
 def room_for(number: int, share: float) -> int | None:
-    """Return the width of a strip in pixels from which on a number has room in this share of it."""
+    """Return the least width of a strip in pixels, one of `ROOMS`, at which a number fits into a share of the strip.
+
+    None if it does not fit at the largest of these widths.
+    """
     wanted = _DIGIT * len(str(number)) + _ROUND
     return next((width for width in ROOMS if width * share >= wanted), None)
 

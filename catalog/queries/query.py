@@ -60,7 +60,7 @@ class Query:
     mirror : {"both", "other"}, optional
         Whether hits are motions of either side of the body, or of the other side alone.
     target : str, optional
-        The class or subclass whose motions the query finds (`class` in query files); the name unless given.
+        The class or subclass whose motions the query finds (`class` in query files); by default the name.
     takes : str, optional
         A SQL filter over the columns of takes; other takes are not searched.
     margins : (int, int), optional
@@ -73,7 +73,7 @@ class Query:
     Raises
     ------
     ConfigError
-        If the query is wrong; with the parameter, what was expected, and the nearest valid name.
+        If the query is invalid; the message has the parameter, what was expected, and the nearest valid name.
 
     Examples
     --------
@@ -131,7 +131,7 @@ class Query:
         Parameters
         ----------
         feature_set : FeatureSet, optional
-            The features of the store that is searched; those of the query unless given.
+            The features of the store that is searched; by default those of the query.
         rate_hz : float
             The analysis rate of the store, by which seconds become frames.
 
@@ -230,7 +230,7 @@ class Query:
         Raises
         ------
         ConfigError
-            If the text is wrong; with line and key.
+            If the text is invalid; the message names line and key.
         KinedexError
             If there is no query of this name, or there are several and none is named.
 
@@ -265,7 +265,7 @@ class Query:
         Raises
         ------
         ConfigError
-            If the file is wrong; with line and key.
+            If the file is invalid; with line and key.
         KinedexError
             If there is no query of this name, or there are several and none is named.
 
@@ -295,7 +295,7 @@ class Query:
         Raises
         ------
         ConfigError
-            If the file is wrong; with line and key.
+            If the file is invalid; with line and key.
 
         Examples
         --------

@@ -38,7 +38,7 @@ def read_queries(
     Raises
     ------
     ConfigError
-        If the file, or another one that it refers to, is wrong; with the line of the first fault, what was expected,
+        If the file, or one that it refers to, is invalid; the message has the first faulty line, what was expected,
         and the nearest valid name.
     """
     return QueryReader(with_switches(load_yaml(config_path("queries", name_or_path))), feature_set, rate_hz).queries()
@@ -52,7 +52,7 @@ def read_query_files(
     Raises
     ------
     ConfigError
-        If a file is wrong.
+        If a file is invalid.
     KinedexError
         If two queries have the same name.
     """

@@ -118,7 +118,7 @@ class Mappings:
     vocabulary_digest: str = ""
 
     def of(self, form: Format) -> tuple[SkeletonMapping, ...]:
-        """Return all mappings of a format, those of the user's own first."""
+        """Return all mappings of a format, the user's first."""
         return (*self.own.get(form, ()), *self.of_format.get(form, ()))
 
     @property
@@ -147,7 +147,10 @@ class Mappings:
         return _best(source, fits)
 
     def _only_names(self, mapping: SkeletonMapping) -> bool:
-        """Return whether a mapping only names the points of files without names; the body is then recognised."""
+        """Return whether a shipped, not forced mapping has an `order`, which names the points of files without names.
+
+        For such a mapping the body is recognised from these names.
+        """
         shipped = mapping.format not in self.forced and mapping not in self.own.get(mapping.format, ())
         return shipped and bool(mapping.order)
 
@@ -318,7 +321,7 @@ def load_mappings(choice: str | Path, joints: tuple[str, ...]) -> Mappings:
     Raises
     ------
     ConfigError
-        If there is no such mapping, or it is wrong.
+        If there is no such mapping, or its file is invalid; the message names the line.
     """
     chosen = None if choice == "auto" else load_skeleton(choice, joints)
     of_format: dict[Format, tuple[SkeletonMapping, ...]] = {}
@@ -332,7 +335,7 @@ def load_mappings(choice: str | Path, joints: tuple[str, ...]) -> Mappings:
 
 
 def load_skeleton(name_or_path: str | Path, joints: tuple[str, ...]) -> SkeletonMapping:
-    """Read a mapping from `configs/skeletons/` or from a file of the user's own.
+    """Read a mapping from `configs/skeletons/` or from a user's file.
 
     Parameters
     ----------

@@ -107,14 +107,14 @@ def with_own(mappings: Mappings, files: Iterable[OwnFile], joints: tuple[str, ..
 
 @dataclass(frozen=True)
 class Own:
-    """A parsed file of the user's own.
+    """A mapping or vocabulary that a user wrote, parsed.
 
     Attributes
     ----------
     name : str
         Its name.
     content : SkeletonMapping, Vocabulary or Located
-        Its content; labels of landmarks are only parsed.
+        Its content; labels of landmarks stay parsed YAML.
     """
 
     name: str
@@ -122,7 +122,7 @@ class Own:
 
 
 def parse_own(file: OwnFile, joints: tuple[str, ...]) -> Own:
-    """Parse a file of the user's own.
+    """Parse a mapping or vocabulary that a user wrote.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def parse_own(file: OwnFile, joints: tuple[str, ...]) -> Own:
     Raises
     ------
     ConfigError
-        It is neither a mapping nor a vocabulary of names or labels, or wrong.
+        The file is neither a mapping nor a vocabulary of names or labels, or it is invalid.
     """
     located = parse_yaml(file.text, file.path)
     keys = located.mapping()

@@ -137,7 +137,7 @@ def _show_hits(found: StoreRanking, tau: float, summary: str) -> None:
 
 
 def _interval(store: Store, take: str | None, start: str | None, stop: str | None) -> tuple[str, int, int] | None:
-    """Return the example as a take and its frames."""
+    """Return the example as (take, start, stop) in frames; None if no take is given."""
     from kinedex.pipelines.templates.stored_templates import clip_range
 
     return None if take is None else (take, *clip_range(store, take, start, stop))

@@ -54,7 +54,7 @@ def configure_logging(*, quiet: bool = False, verbose: bool = False, log_file: P
     Parameters
     ----------
     quiet : bool
-        Print errors only to standard error; warnings and errors unless given.
+        True prints only errors to standard error, False prints warnings as well.
     verbose : bool
         Print all records to standard error.
     log_file : Path or None

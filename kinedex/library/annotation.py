@@ -83,7 +83,7 @@ def annotate(
     KinedexError
         There is no take or template, two of them have the same name, or their features differ.
     ConfigError
-        The class file is wrong; the message names the line.
+        The class file is invalid; the message names the line.
 
     Warns
     -----
@@ -318,7 +318,7 @@ def evaluate(
     KinedexError
         A column is missing, label files are given without takes, or no take has ground truth.
     SourceError
-        A label file is wrong, or a segment ends behind its take; the message names file and line.
+        A label file is invalid, or a segment ends behind its take; the message names file and line.
 
     Examples
     --------

@@ -307,7 +307,7 @@ class Labels:
             The files are those that were exported, corrected by a person: what is the same in them is accepted, what
             was moved is corrected, what is missing is rejected (an annotation) or withdrawn (a label).
         stage : str, optional
-            The stage whose annotations were corrected; that of the current pipeline unless given.
+            The stage whose annotations were corrected; by default that of the current pipeline.
         annotator : str, optional
             The person.
         note : str, optional

@@ -40,9 +40,9 @@ def write_page(
     path : str or os.PathLike
         The file, ending in .html.
     title : str, optional
-        Heading of the page; the number of intervals unless given.
+        Heading of the page; by default the number of intervals.
     group : str, optional
-        The column to group by; the first there is of template, query and class unless given.
+        The column to group by; by default the first there is of template, query and class.
     figures : int, optional
         Largest number of figures; every group has its share of them. The page states how many it shows.
 

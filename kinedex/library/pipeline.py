@@ -46,7 +46,7 @@ def run_pipeline(
         The way stages distribute their work. A script that asks for processes must guard its start with
         ``if __name__ == "__main__":``.
     workers : int, optional
-        The number of worker processes; that of the cores unless given.
+        The number of worker processes; by default the number of cores.
     scheduler : str, optional
         The address of a Dask scheduler.
     force : iterable of str, optional
@@ -142,7 +142,7 @@ def ingest(
     executor : {"serial", "processes", "dask"}
         The way the work is distributed, as for `run_pipeline`.
     workers : int, optional
-        The number of worker processes; that of the cores unless given.
+        The number of worker processes; by default the number of cores.
     wait_seconds : float, optional
         The time to wait while another process writes to the store; 0 fails at once.
     accept : bool, optional
@@ -159,7 +159,7 @@ def ingest(
     Raises
     ------
     KinedexError
-        There is no motion file, none can be read, a setting is wrong, or another process writes to the store.
+        There is no motion file, none can be read, a setting is invalid, or another process writes to the store.
 
     Examples
     --------

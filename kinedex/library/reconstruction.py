@@ -44,7 +44,7 @@ def reconstruct(
     recordings : str or Path
         The recordings file: name of a recording → depth images, camera, background, rate, body, truth.
     only : iterable of str, optional
-        The names of recordings; all of the file unless given.
+        The names of recordings; by default all of the file.
     body : str, optional
         A take of the person, whose bone lengths are used, or "estimate"; a body in the recordings file overrides it.
     form : {"best", "printed"}
@@ -56,7 +56,7 @@ def reconstruct(
     executor : {"serial", "processes", "dask"}
         The way recordings are distributed over workers, as for `run_pipeline`.
     workers : int, optional
-        The number of worker processes; that of the cores unless given.
+        The number of worker processes; by default the number of cores.
     wait_seconds : float, optional
         The time to wait while another process writes to the store; 0 fails at once.
     verbose : bool, optional
@@ -71,7 +71,7 @@ def reconstruct(
     Raises
     ------
     KinedexError
-        The recordings file, or a file that it names, is wrong; the message names file, line and key.
+        The recordings file, or a file that it names, is invalid; the message names file, line and key.
 
     Examples
     --------
@@ -113,7 +113,7 @@ class Reconstructor:
     background : str, Path or array (H, W), optional
         The empty room: a depth image, or depths in metres; without it all measured pixels are taken for the person.
     rate_hz : float, optional
-        Frames per second; that of the camera's file, or 30, unless given.
+        Frames per second; by default those that the camera's file states, else 30.
     form : {"best", "printed"}
         The form of the algorithm: "printed" is that of the thesis, "best" kinedex's improvement of it.
     stride : int, optional
@@ -122,7 +122,7 @@ class Reconstructor:
     Raises
     ------
     KinedexError
-        The camera's file is wrong, or the store has no such take, or none for the pose database.
+        The camera's file is invalid, or the store has no such take, or none for the pose database.
 
     Examples
     --------

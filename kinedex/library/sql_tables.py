@@ -99,7 +99,7 @@ class SqlTables(TakeCollection):
         polars : bool, optional
             True returns a polars data frame in place of an Arrow table.
         timeout : float, optional
-            Seconds that the query may take; as long as it needs unless given.
+            Seconds that the query may take; by default as long as it needs.
 
         Returns
         -------

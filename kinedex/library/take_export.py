@@ -62,7 +62,7 @@ class TakeExport(TakeCollection):
         folder : str or os.PathLike
             The folder: new, empty, or that of an earlier export.
         takes : sequence of str, optional
-            Names of takes; all unless given.
+            Names of takes; by default all.
         format : str, optional
             The format of the files, such as "npz", "csv", "parquet" or "bvh".
         joints : bool, optional
@@ -80,7 +80,7 @@ class TakeExport(TakeCollection):
         classes : sequence of str, optional
             Only these classes.
         pipeline : str, optional
-            The pipeline of the annotations; the current one unless given.
+            The pipeline of the annotations; by default the current one.
         min_confidence : float, optional
             The least confidence.
         margin, context : float, optional

@@ -48,7 +48,7 @@ class TakeSearch(TakeCollection):
         KinedexError
             A query is over features that the store does not have, or the filter is not valid.
         ConfigError
-            The query file is wrong; the message names the line.
+            The query file is invalid; the message names the line.
         StoreError
             The index is missing or stale; the message names the command that builds it.
 
@@ -222,7 +222,7 @@ class TakeSearch(TakeCollection):
         where : str, optional
             A SQL filter over the columns of takes.
         workers : int, optional
-            The number of threads; that of the cores unless given. The hits do not depend on it.
+            The number of threads; by default the number of cores. The hits do not depend on it.
         mirror : bool, optional
             True ranks by the mirror images of the templates, too: the same motions of the other side of the body.
 
@@ -296,7 +296,7 @@ class TakeSearch(TakeCollection):
             The take that is the example or holds it. A `Take` may be of no store, and then start and stop count its own
             frames.
         start, stop : int or str, optional
-            The frames of the example within the take, ``45`` or ``"1.5s"``, stop excluded; the whole take unless given.
+            The frames of the example within the take, ``45`` or ``"1.5s"``, stop excluded; by default the whole take.
         top : int, optional
             The largest number of hits; None returns all.
         tau : float, optional
@@ -306,7 +306,7 @@ class TakeSearch(TakeCollection):
         where : str, optional
             A SQL filter over the columns of takes.
         workers : int, optional
-            The number of threads; that of the cores unless given. The hits do not depend on it.
+            The number of threads; by default the number of cores. The hits do not depend on it.
 
         Returns
         -------

@@ -153,10 +153,10 @@ class Template:
         take : Take
             The take that is the example or holds it.
         start, stop : int or str, optional
-            The frames of the example, ``45`` or ``"1.5s"``, stop excluded; the whole take unless given. Invalid frames
+            The frames of the example, ``45`` or ``"1.5s"``, stop excluded; by default the whole take. Invalid frames
             at the ends are cut off.
         name : str, optional
-            The name of the template; that of the take unless given.
+            The name of the template; by default that of the take.
 
         Returns
         -------
@@ -202,7 +202,7 @@ class Template:
         Raises
         ------
         ConfigError
-            The file is wrong; the message names the line.
+            The file is invalid; the message names the line.
         KinedexError
             The file has no template of this name, or has several and none is named.
 
@@ -413,7 +413,7 @@ class Difference:
 
 
 def _unlearned(made: NamedTemplate, origin: str) -> SubclassTemplate:
-    """Return a template that was not learned as a `SubclassTemplate`, with its origin."""
+    """Wrap a template that was not learned in a `SubclassTemplate` without clips, with its origin."""
     return SubclassTemplate(made.name, "soft", Learned(made.template, 0, ()), (), origin)
 
 

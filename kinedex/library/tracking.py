@@ -39,13 +39,13 @@ def track(
     recordings : str or Path
         The recordings file: name of a recording → calibration, keypoints or silhouettes, rate.
     only : iterable of str, optional
-        The names of recordings; all of the file unless given.
+        The names of recordings; by default all of the file.
     tracker : {"take", "frames"}
         "take" fits all frames at once; "frames" fits one after the other, as in the thesis.
     executor : {"serial", "processes", "dask"}
         The way recordings are distributed over workers, as for `run_pipeline`.
     workers : int, optional
-        The number of worker processes; that of the cores unless given.
+        The number of worker processes; by default the number of cores.
     wait_seconds : float, optional
         The time to wait while another process writes to the store; 0 fails at once.
     verbose : bool, optional
@@ -59,7 +59,7 @@ def track(
     Raises
     ------
     KinedexError
-        The recordings file, or a file that it names, is wrong; the message names file, line and key.
+        The recordings file, or a file that it names, is invalid; the message names file, line and key.
 
     Examples
     --------
@@ -116,7 +116,7 @@ def stabilise(
     executor : {"serial", "processes", "dask"}
         The way takes are distributed over workers, as for `run_pipeline`.
     workers : int, optional
-        The number of worker processes; that of the cores unless given.
+        The number of worker processes; by default the number of cores.
     wait_seconds : float, optional
         The time to wait while another process writes to the store; 0 fails at once.
     verbose : bool, optional

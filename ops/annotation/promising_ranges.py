@@ -123,7 +123,7 @@ def promising_ranges(groups: Sequence[Group], usual: F64, words: U64, decoding: 
 
 
 def loose_ranges(groups: Sequence[Group], frames: Frames, decoding: Decoding) -> I64:
-    """Return ranges of a take outside of which no path of a template can have a positive value, rounding included.
+    """Return ranges of a take outside of which no path of a template has a positive value, even with rounding errors.
 
     Parameters
     ----------
@@ -135,8 +135,8 @@ def loose_ranges(groups: Sequence[Group], frames: Frames, decoding: Decoding) ->
     Returns
     -------
     int64 array (R, 3)
-        As of `promising_ranges`, and wider: they come from single precision alone, which takes less time. An
-        explanation within them is the one without restrictions, to the last bit.
+        As in `promising_ranges`, but wider, since they are computed in single precision alone, which is faster. The
+        explanation within them is bit for bit that of the unrestricted take.
     """
     found = [np.empty((0, 3), np.int64)]
     offsets = frames.offsets.astype(np.float32)

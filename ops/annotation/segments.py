@@ -273,7 +273,10 @@ def nearest_classes(islands: I64, values: F64, frames: int) -> tuple[I64, I64, F
 def grow_runs(
     islands: I64, values: F64, labels: I64, nearest: I64, least: F64, second: F64, taus: F64
 ) -> tuple[I64, F64, F64]:
-    """Grow the labelled runs to the left and right (kernel).
+    """Grow runs of labelled frames into segments (kernel).
+
+    A run grows to the left and to the right as long as the curve of its class does not rise, within its island. A run
+    that reaches the segment before it extends that segment.
 
     Returns
     -------
@@ -282,6 +285,7 @@ def grow_runs(
     costs : float64 array (R,)
         That cost.
     margins : float64 array (R,)
+        From 0 to 1: 1 − the cost divided by the mean cost of the nearest other class in the segment, at most τ.
     """
     places, found = np.empty((256, 4), np.int64), 0
     for island in range(len(islands)):

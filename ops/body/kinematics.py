@@ -245,10 +245,11 @@ def _forward(
     frames: F64, plain: npt.NDArray[np.bool_], offsets: F64, oriented: int, positions: F64, orientation: F64,
     rotations: F64, block: F64, axes: F64,
 ) -> None:  # fmt: skip
-    """Compute positions and orientation in preallocated memory, without reference counts of slices.
+    """Write positions and orientation into preallocated memory; the kernel allocates nothing and counts no references.
 
-    `rotations` is for those of every node in a block of frames, row by row, `block` for the channels of the block, its
-    sines and cosines. Both are cut into arrays without gaps, which let the loops take several frames at once.
+    `rotations` and `block` are work memory for a block of frames: `rotations` for the rotation matrices of all nodes,
+    `block` for the channels and for one row each of sines and cosines. Both are divided into contiguous arrays, so that
+    the compiler can vectorise the loops over frames.
     """
     total, width = channels.shape
     nodes = len(parents)

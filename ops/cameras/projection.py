@@ -76,7 +76,7 @@ def project(
     Raises
     ------
     ParameterError
-        A shape is wrong.
+        An array has the wrong shape.
     """
     intrinsic, turned = _matrix("matrix", matrix), _matrix("rotation", rotation)
     places = np.asarray(points, np.float64)
@@ -113,7 +113,7 @@ def pixel_directions(
     Raises
     ------
     ParameterError
-        A shape is wrong.
+        An array has the wrong shape.
     """
     intrinsic, turned = _matrix("matrix", matrix), _matrix("rotation", rotation)
     places = np.asarray(pixels, np.float64)

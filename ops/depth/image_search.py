@@ -94,7 +94,7 @@ def depth_view(
     Raises
     ------
     ParameterError
-        A shape is wrong, or the stride is below 1.
+        An array has the wrong shape, or the stride is below 1.
     """
     if stride < 1:
         raise ParameterError("stride", "at least 1", stride)

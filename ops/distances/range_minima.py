@@ -60,7 +60,7 @@ def minima_within(
     Raises
     ------
     ParameterError
-        If a threshold is not above 0, or ranges are wrong.
+        If a threshold is not above 0, or ranges are invalid.
     """
     if len(thresholds) != len(templates) or len(ranges) != len(templates) or not np.all(thresholds > 0):
         raise ParameterError("thresholds", f"above 0, one for each of {len(templates)} templates", thresholds.tolist())

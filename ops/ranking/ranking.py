@@ -138,7 +138,7 @@ def rank(
     Raises
     ------
     ParameterError
-        If the threshold or the number of hits is not above 0, or the ranges are wrong.
+        If the threshold or the number of hits is not above 0, or the ranges are invalid.
     """
     if most is not None and most < 1:
         raise ParameterError("most", "at least 1, or None", most)

@@ -8,7 +8,7 @@ from kinedex.ops.synth.score import Score
 
 
 def squat(score: Score, times: int) -> list[float]:
-    """Write deep squats, with the arms held out in front.
+    """Add the keyframes of deep squats, with the arms held out in front.
 
     Returns
     -------
@@ -46,7 +46,7 @@ def squat(score: Score, times: int) -> list[float]:
 
 
 def elbow_to_knee(score: Score, times: int) -> list[float]:
-    """Write elbow-to-knee exercises: with the hands at the head, each elbow meets the opposite knee, left knee first.
+    """Add the keyframes of elbow-to-knee exercises: each elbow meets the opposite knee, left knee first.
 
     Returns
     -------
@@ -89,7 +89,7 @@ def _raise_knee(score: Score, side: str) -> None:
 
 
 def jumping_jack(score: Score, times: int) -> list[float]:
-    """Write jumping jacks: jumps with the legs apart and the arms up, and back.
+    """Add the keyframes of jumping jacks: jumps with the legs apart and the arms up, and back.
 
     Returns
     -------
@@ -140,7 +140,7 @@ def _jump_sideways(score: Score, start: float, span: float, width: float, high: 
 
 
 def arm_circles(score: Score, times: int) -> list[float]:
-    """Write backward circles of the stretched right arm, with the feet apart and the left hand at the hip.
+    """Add the keyframes of backward circles of the stretched right arm, with feet apart and the left hand at the hip.
 
     Returns
     -------
@@ -178,7 +178,7 @@ def arm_circles(score: Score, times: int) -> list[float]:
 
 
 def _straddle(score: Score, width: float, span: float) -> None:
-    """Write two steps that put the feet apart to a straddle of the given width."""
+    """Add the keyframes of two steps that put the feet apart to a straddle of the given width."""
     for side, sign, begin, end in (("l", 1.0, 0.0, 0.6), ("r", -1.0, 0.45, 1.0)):
         score.step(
             side, begin * span, end * span, sign * width, score.about(0.0, 0.02), lift=0.05, heel=10.0, strike=0.0
@@ -186,7 +186,7 @@ def _straddle(score: Score, width: float, span: float) -> None:
 
 
 def cartwheel(score: Score) -> None:
-    """Write a cartwheel to the left."""
+    """Add the keyframes of a cartwheel to the left."""
     score.begin("wheel")
     actor = score.actor
     prepare, span, end = score.beat(0.55), score.beat(1.25), score.beat(0.5)
@@ -213,7 +213,7 @@ def cartwheel(score: Score) -> None:
 
 
 def _wheel_point(score: Score, start: float, stop: float, u: float, far: float, straddle: float, bent: float) -> None:
-    """Write the keys of one moment of a cartwheel: the pelvis on its arc, with straddled legs in its frame."""
+    """Add the keyframes of one moment of a cartwheel: the pelvis on its arc, with straddled legs in its frame."""
     turned = 360.0 * (u - math.sin(2 * math.pi * u) / (2 * math.pi) * 0.35)
     over = math.radians(turned)
     # Upside down the pelvis is supported by trunk and arms instead of legs.

@@ -12,7 +12,7 @@ from kinedex.ops.synth.strikes import throw
 
 
 def shift_weight(score: Score) -> None:
-    """Write a shift of the weight onto one leg."""
+    """Add the keyframes of a shift of the weight onto one leg."""
     score.begin()
     span = score.beat(0.7)
     sign = score.about(0.0, 1.0)
@@ -23,7 +23,7 @@ def shift_weight(score: Score) -> None:
 
 
 def look_around(score: Score) -> None:
-    """Write a look to one side, which the trunk follows."""
+    """Add the keyframes of a look to one side, which the trunk follows."""
     score.begin()
     span = score.beat(0.5)
     angle = score.about(0.0, 45.0)
@@ -33,7 +33,7 @@ def look_around(score: Score) -> None:
 
 
 def gesture(score: Score) -> None:
-    """Write talking gestures with one or both hands."""
+    """Add the keyframes of talking gestures with one or both hands."""
     score.begin()
     sides = ("l", "r", "lr")[int(score.rng.choice(3, p=[0.2, 0.4, 0.4]))]
     t = 0.0
@@ -51,7 +51,7 @@ def gesture(score: Score) -> None:
 
 
 def scratch(score: Score) -> None:
-    """Write scratching the head or the neck, or rubbing the nose."""
+    """Add the keyframes of scratching the head or the neck, or rubbing the nose."""
     score.begin()
     side = "lr"[int(score.rng.integers(2))]
     up, down = score.beat(0.5), score.beat(0.6)
@@ -68,7 +68,7 @@ def scratch(score: Score) -> None:
 
 
 def swing_arms(score: Score) -> None:
-    """Write swinging arms to and fro, or shaking them out."""
+    """Add the keyframes of swinging arms to and fro, or shaking them out."""
     score.begin()
     t = 0.0
     phase = 1.0 if score.rng.random() < 0.5 else -1.0
@@ -85,7 +85,7 @@ def swing_arms(score: Score) -> None:
 
 
 def step_aside(score: Score) -> None:
-    """Write a step to some side or backwards, with the other foot following."""
+    """Add the keyframes of a step sideways or backwards; the other foot follows."""
     score.begin()
     angle = score.rng.uniform(0.6, 5.7)  # any direction except straight ahead
     far = score.about(0.34, 0.1)
@@ -109,12 +109,12 @@ def step_aside(score: Score) -> None:
 
 
 def turn_away(score: Score) -> None:
-    """Write a turn to the side."""
+    """Add the keyframes of a turn to the side."""
     turn(score, math.copysign(float(score.rng.uniform(50.0, 140.0)), score.about(0.0, 1.0)))
 
 
 def hands_on_hips(score: Score) -> None:
-    """Write hands put on the hips, or folded arms, for a moment."""
+    """Add the keyframes of putting the hands on the hips, or folding the arms, for a moment."""
     score.begin()
     up, hold, down = score.beat(0.6), score.beat(0.6), score.beat(0.6)
     if score.rng.random() < 0.5:
@@ -128,7 +128,7 @@ def hands_on_hips(score: Score) -> None:
 
 
 def bow(score: Score) -> None:
-    """Write a forward bend, as for brushing the trousers, tying a lace or looking at the floor."""
+    """Add the keyframes of a forward bend, as for brushing the trousers, tying a lace or looking at the floor."""
     score.begin()
     down, up = score.beat(0.7), score.beat(0.7)
     lean = score.vary(32.0, 0.35)
@@ -145,7 +145,7 @@ def bow(score: Score) -> None:
 
 
 def wave(score: Score) -> None:
-    """Write waving with one hand."""
+    """Add the keyframes of waving with one hand."""
     score.begin()
     side = "r" if score.rng.random() < 0.75 else "l"
     up = score.beat(0.55)
@@ -161,7 +161,7 @@ def wave(score: Score) -> None:
 
 
 def clap(score: Score) -> None:
-    """Write clapping or rubbing the hands in front of the chest."""
+    """Add the keyframes of clapping or rubbing the hands in front of the chest."""
     score.begin()
     up = score.beat(0.45)
     score.hands(0.0, up, 0.08, -0.28, 0.5)
@@ -177,7 +177,7 @@ def clap(score: Score) -> None:
 
 
 def twist_trunk(score: Score) -> None:
-    """Write a trunk that swings to the left and to the right, with the arms following."""
+    """Add the keyframes of swinging the trunk to the left and to the right; the arms follow."""
     score.begin()
     t = 0.0
     wide = score.vary(34.0, 0.25)
@@ -195,7 +195,7 @@ def twist_trunk(score: Score) -> None:
 
 
 def stretch(score: Score) -> None:
-    """Write a stretch: both arms up, or one arm up and the trunk to the side."""
+    """Add the keyframes of a stretch: both arms up, or one arm up and the trunk to the side."""
     score.begin()
     up, hold, down = score.beat(0.8), score.beat(0.4), score.beat(0.8)
     if score.rng.random() < 0.4:
@@ -211,7 +211,7 @@ def stretch(score: Score) -> None:
 
 
 def crouch(score: Score) -> None:
-    """Write a crouch on the heels or on one knee, and getting up again."""
+    """Add the keyframes of a crouch on the heels or on one knee, and getting up again."""
     score.begin()
     actor = score.actor
     down, up = score.beat(0.85), score.beat(0.9)
@@ -234,7 +234,7 @@ def crouch(score: Score) -> None:
 
 
 def dance(score: Score) -> None:
-    """Write random dance-like poses that belong to no class."""
+    """Add the keyframes of random dance-like poses that belong to no class."""
     score.begin()
     rng, actor = score.rng, score.actor
     t = 0.0
@@ -303,7 +303,7 @@ FILLERS: tuple[tuple[Callable[[Score], None], float], ...] = (
 
 
 def fill(score: Score) -> None:
-    """Write a filler motion that is drawn at random."""
+    """Add a filler motion that is drawn at random."""
     weights = [weight for _, weight in FILLERS]
     choice = int(score.rng.choice(len(FILLERS), p=[weight / sum(weights) for weight in weights]))
     FILLERS[choice][0](score)

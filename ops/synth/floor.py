@@ -6,7 +6,7 @@ from kinedex.ops.synth.score import Score
 
 
 def sit_down(score: Score) -> None:
-    """Write sitting down on a chair behind the body, with folded arms."""
+    """Add the keyframes of sitting down on a chair behind the body, with folded arms."""
     score.begin("sit")
     actor = score.actor
     down, settle = score.beat(0.80), score.beat(0.6)
@@ -24,14 +24,14 @@ def sit_down(score: Score) -> None:
 
 
 def _fold_arms(score: Score, start: float, stop: float) -> None:
-    """Write folding the arms in front of the chest."""
+    """Add the keyframes of folding the arms in front of the chest."""
     high = score.actor.habit("fold", -0.36, -0.20)
     score.hand("l", start, stop, -0.30, high - 0.04, 0.34)
     score.hand("r", start, stop, -0.26, high + 0.04, 0.38)
 
 
 def sit(score: Score, seconds: float) -> None:
-    """Write sitting and looking around for some seconds."""
+    """Add the keyframes of sitting and looking around for some seconds."""
     score.begin()
     t = 0.0
     while t < seconds:
@@ -42,7 +42,7 @@ def sit(score: Score, seconds: float) -> None:
 
 
 def stand_up(score: Score) -> None:
-    """Write standing up from a chair, with folded arms."""
+    """Add the keyframes of standing up from a chair, with folded arms."""
     score.begin("stand")
     actor = score.actor
     ready, up = score.beat(0.5), score.beat(0.95)
@@ -56,7 +56,7 @@ def stand_up(score: Score) -> None:
 
 
 def lie_down(score: Score) -> None:
-    """Write lying down: onto one knee, sitting on the floor over one hand, and lying on the back."""
+    """Add the keyframes of lying down: go onto one knee, sit down over one hand, and lie on the back."""
     score.begin("lie")
     actor = score.actor
     side = "r" if actor.habit("lie.side", 0.0, 1.0) < 0.75 else "l"
@@ -101,7 +101,7 @@ def _ball(score: Score, side: str, start: float, stop: float, x: float, z: float
 
 
 def get_up(score: Score) -> None:
-    """Write getting up from the back: sitting up, turning over one hand onto one knee, and standing up."""
+    """Add the keyframes of getting up from the back: sit up, turn over one hand onto one knee, and stand up."""
     score.begin("up")
     actor = score.actor
     side = "r" if actor.habit("up.side", 0.0, 1.0) < 0.75 else "l"
@@ -132,7 +132,7 @@ def get_up(score: Score) -> None:
 
 
 def grab_high(score: Score) -> None:
-    """Write taking a box from a high shelf with both hands and holding it in front of the chest."""
+    """Add the keyframes of taking a box from a high shelf with both hands and holding it in front of the chest."""
     score.begin("grab")
     actor = score.actor
     reach, hold, take, lower = score.beat(0.70), score.beat(0.30), score.beat(0.55), score.beat(0.40)
@@ -162,7 +162,7 @@ def grab_high(score: Score) -> None:
 
 
 def deposit_floor(score: Score) -> None:
-    """Write putting something down on the floor in front with both hands."""
+    """Add the keyframes of putting something down on the floor in front with both hands."""
     score.begin("deposit")
     actor = score.actor
     down, hold, up = score.beat(0.75), score.beat(0.55), score.beat(0.75)

@@ -68,7 +68,7 @@ JOG = Gait(
 
 
 def go(score: Score, gait: Gait, first: str, steps: int, curve: float = 0.0) -> list[float]:
-    """Write some steps of a gait, and standing still at the end.
+    """Add the keyframes of some steps of a gait, and standing still at the end.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def _stride(
     ahead: float,
     sink: float,
 ) -> None:
-    """Write one step: the swinging foot, the pelvis over the standing foot, and arms and trunk in opposition."""
+    """Add the keyframes of one step: the swinging foot, the pelvis over the standing foot, opposite arms and trunk."""
     outwards = 1.0 if side == "l" else -1.0
     sine, cosine = math.sin(math.radians(heading)), math.cos(math.radians(heading))
     narrow = gait.narrow * outwards
@@ -148,7 +148,7 @@ def _stride(
 
 
 def _swing_arms(score: Score, gait: Gait, side: str, span: float, outwards: float) -> None:
-    """Write arms that swing opposite to the legs, and shoulders opposite to the hips."""
+    """Add the keyframes of arms that swing opposite to the legs, and shoulders opposite to the hips."""
     actor = score.actor
     other = "r" if side == "l" else "l"
     swing = gait.arms * actor.swing * score.size
@@ -165,7 +165,7 @@ def _swing_arms(score: Score, gait: Gait, side: str, span: float, outwards: floa
 
 
 def _close(score: Score, gait: Gait, side: str, span: float, place: tuple[float, float], heading: float) -> None:
-    """Write bringing the feet together and coming to rest."""
+    """Add the keyframes of bringing the feet together and coming to rest."""
     outwards = 1.0 if side == "l" else -1.0
     sine, cosine = math.sin(math.radians(heading)), math.cos(math.radians(heading))
     width = score.actor.stance * outwards * score.about(1.0, 0.12)
@@ -179,7 +179,7 @@ def _close(score: Score, gait: Gait, side: str, span: float, place: tuple[float,
 
 
 def spin(score: Score) -> None:
-    """Write one full turn to the left, with the arms stretched out."""
+    """Add the keyframes of one full turn to the left, with the arms stretched out."""
     score.begin("spin")
     actor = score.actor
     rise = score.beat(0.45)
@@ -193,7 +193,7 @@ def spin(score: Score) -> None:
 
 
 def turn(score: Score, degrees: float, seconds: float = 0.46, arms: tuple[float, float, float] | None = None) -> None:
-    """Write a turn on the spot in several steps, to the left for positive angles.
+    """Add the keyframes of a turn on the spot in several steps, to the left for positive angles.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ def turn(score: Score, degrees: float, seconds: float = 0.46, arms: tuple[float,
 def _turning_step(
     score: Score, side: str, span: float, goal: float, over: float, lead: float, arms: tuple[float, float, float] | None
 ) -> None:
-    """Write a step that puts one foot down in the direction `goal` and turns the pelvis to `over`; the head leads."""
+    """Add the keyframes of a step: a foot put down in direction `goal`, the pelvis turned to `over`, the head first."""
     actor = score.actor
     sign = 1.0 if side == "l" else -1.0
     angle, turned = math.radians(goal), math.radians(over)
@@ -243,7 +243,7 @@ def _hanging(score: Score, ahead: float) -> tuple[float, float, float]:
 
 
 def hop(score: Score, ahead: float = 0.6) -> None:
-    """Write one hop forwards on both legs."""
+    """Add the keyframes of one hop forwards on both legs."""
     score.begin("hop")
     actor = score.actor
     down, up, land = score.beat(0.36), score.beat(0.40), score.beat(0.42)

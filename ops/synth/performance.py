@@ -149,7 +149,7 @@ def _wait(score: Score, seconds: float) -> None:
 
 
 def _pause(score: Score) -> float:
-    """Write filler motions until the next labelled motion; return their duration in seconds."""
+    """Add filler motions until the next labelled motion; return their duration in seconds."""
     begin = score.now
     fill(score)
     score.hurry(_overlap(score.rng))
@@ -157,7 +157,7 @@ def _pause(score: Score) -> float:
 
 
 def _perform(score: Score, what: Motion, spans: list[tuple[Motion, float, float]]) -> None:
-    """Write a labelled motion, and let the next one begin slightly before it has come to rest."""
+    """Add a labelled motion, and let the next one begin slightly before it has come to rest."""
     begin, end = what.scene(score)
     score.hurry(_overlap(score.rng))
     spans.append((what, begin, min(end, score.now)))

@@ -14,7 +14,7 @@ def _sign(side: str) -> float:
 
 
 def kick(score: Score, side: str, times: int) -> list[float]:
-    """Write forward kicks with one foot, with the arms spread for balance.
+    """Add the keyframes of forward kicks with one foot, with the arms spread for balance.
 
     Returns
     -------
@@ -77,7 +77,7 @@ def _kick_arms(score: Score, arms: tuple[float, float], start: float, stop: floa
 
 
 def punch(score: Score, side: str, times: int) -> list[float]:
-    """Write straight forward punches with one fist, out of a guard.
+    """Add the keyframes of straight forward punches with one fist, out of a guard.
 
     Returns
     -------
@@ -127,7 +127,7 @@ def _punch_once(score: Score, side: str, guard: float) -> None:
 
 
 def throw(score: Score) -> None:
-    """Write an overhead throw of a ball with both hands, stepping out with one foot."""
+    """Add the keyframes of an overhead throw of a ball with both hands, stepping out with one foot."""
     score.begin("throw")
     actor = score.actor
     lift, wind, strike, follow, back = (score.beat(t) for t in (0.40, 0.50, 0.26, 0.30, 0.50))

@@ -62,7 +62,7 @@ class Stack:
 
     @classmethod
     def of(cls, templates: Sequence[Weighted]) -> Stack:
-        """Concatenate templates to a stack."""
+        """Return a stack of templates: columns and weights concatenated, with the offsets of the templates."""
         offsets = np.concatenate(([0], np.cumsum([len(one.weights) for one in templates]))).astype(np.int64)
         columns = np.ascontiguousarray(np.concatenate([one.columns for one in templates]))
         return cls(columns, np.concatenate([one.weights for one in templates]), offsets)

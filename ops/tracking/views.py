@@ -88,7 +88,7 @@ def camera_view(
     Raises
     ------
     ParameterError
-        The size of the image is no integer multiple of the masks', or a shape is wrong.
+        The size of the image is no integer multiple of the masks', or an array has the wrong shape.
     """
     width, height = mask_size or size
     scale = size[0] // width if width > 0 else 0
@@ -129,7 +129,7 @@ def mask_pixel(view: View, x: float, y: float) -> tuple[float, float]:
 
 @njit(cache=True, nogil=True)
 def seen_joints(view: View, joints: F64, seen: F64) -> None:
-    """Transform joints (J, 3) from the world to the axes of a camera, into the last array."""
+    """Transform joints (J, 3) from the world to the axes of a camera, and write them into `seen`."""
     for j in range(len(joints)):
         for i in range(3):
             seen[j, i] = view.translation[i]

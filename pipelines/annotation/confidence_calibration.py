@@ -65,7 +65,7 @@ class Target:
     actors: Sequence[str | None]
 
     def seen(self, actors: Iterable[str | None]) -> bool:
-        """Return whether most of the takes to annotate are of the given actors."""
+        """Return whether more than half of the takes to annotate are performed by known actors among the given ones."""
         known = set(actors) - {None}
         return 2 * sum(one in known for one in self.actors) > len(self.actors)
 

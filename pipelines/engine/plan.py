@@ -149,7 +149,7 @@ def make_plan(pipeline: Pipeline, store_path: Path, force: frozenset[str] = froz
     Raises
     ------
     KinedexError
-        No stage has a name of `force`, or a file that a stage reads is wrong.
+        No stage has a name of `force`, or a file that a stage reads is invalid.
     """
     planner = Planner(pipeline, store_path, force)
     return [planner.step(stage) for stage in planner.pipeline.stages]

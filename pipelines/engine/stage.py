@@ -1,4 +1,4 @@
-"""The base class of stages: name, parameters, inputs, the data that a stage reads, and its run."""
+"""Define the base class `Stage`, which declares name, parameters and inputs of a stage, and runs it."""
 
 from __future__ import annotations
 

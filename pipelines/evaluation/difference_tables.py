@@ -30,7 +30,7 @@ def values(change: Change) -> list[str]:
 
 
 def signed(value: float | None) -> str:
-    """Format a difference with its sign; a dot stands for 0, a dash for a side without a value."""
+    """Format a difference with its sign; "·" if it rounds to 0, "–" for None, where an evaluation has no value."""
     return "–" if value is None else "·" if abs(value) < 0.0005 else f"{value:+.3f}"
 
 

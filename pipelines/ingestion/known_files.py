@@ -109,7 +109,10 @@ class KnownFile:
         return bool(untouched or row["checksum"] == content.checksum)
 
     def is_elsewhere(self, motion: SourceFile) -> bool:
-        """Return whether a motion file with this content is a copy of the file, which still exists at its own path."""
+        """Return whether this known file lies at another path than `motion`, and still exists there.
+
+        If both have the same content, the motion file is then a copy and was not moved.
+        """
         return self.place != (motion.root, motion.path) and self.is_there
 
     def rows_at(self, motion: SourceFile, rows: Iterable[Row]) -> list[Row]:

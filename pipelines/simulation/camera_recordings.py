@@ -133,7 +133,7 @@ def limbs_of(keypoints: KeypointSet) -> Limbs:
     Raises
     ------
     KinedexError
-        The set has no order, a keypoint without a position, or lacks one of an arm or leg.
+        The set has no order of keypoints, or lacks a keypoint of an arm or a leg.
     """
     if not keypoints.order:
         raise KinedexError(f"keypoint set '{keypoints.name}' has no order of keypoints; choose one that has")

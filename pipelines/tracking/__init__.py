@@ -1,1 +1,1 @@
-"""Track recordings, and stabilise tracks by the archive (thesis, Chapter 6), for stages and commands."""
+"""Track camera recordings, and stabilise the tracks with priors learned from the archive (thesis, Chapter 6)."""

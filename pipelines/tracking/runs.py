@@ -1,4 +1,4 @@
-"""Observe, track and stabilise several recordings and takes; each is committed when done, unchanged ones are kept."""
+"""Observe, track and stabilise several recordings; each result is committed when done, unchanged ones are skipped."""
 
 from __future__ import annotations
 

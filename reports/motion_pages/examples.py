@@ -48,7 +48,7 @@ class Nearest:
 
 @dataclass(frozen=True)
 class Examples:
-    """The examples of each name, such as the clips of each template."""
+    """Intervals that serve as examples, by name: the clips of each template, for instance."""
 
     of: Mapping[str, Sequence[Interval]]
 

@@ -43,7 +43,7 @@ def write_takes_page(
     path : Path
         The file, ending in .html.
     group : str, optional
-        The column to group by, or "folder"; class, actor or folder unless given, the first with several values.
+        The column to group by, or "folder"; by default class, actor or folder, the first with several values.
     most : int, optional
         Largest number of figures; every group has its share of them.
 

@@ -128,7 +128,7 @@ def read_metadata(path: str | Path) -> MetadataTable:
     Raises
     ------
     SourceError
-        The file cannot be read, or is too large; a row or column is wrong. The message names the line.
+        The file cannot be read, or is too large; a row or column is invalid. The message names the line.
     ConfigError
         The file is not valid YAML.
     """

@@ -61,7 +61,7 @@ class Map(Protocol):
 
 @dataclass(frozen=True)
 class Merge:
-    """A task: to write one new frames part.
+    """A task that merges the frames of takes from old frames parts into one new part.
 
     Attributes
     ----------

@@ -123,7 +123,7 @@ class Landmarks:
     order : tuple of str
         All landmarks in the order in which they choose their labels.
     many : frozenset of str
-        Landmarks of which all labels count: clusters and the spine.
+        Landmarks that may use all of their labels that a file has, instead of the first: clusters and the spine.
     sides : dict of str to str
         A word that states a side → "l" or "r".
     joints : dict of str to tuple of Choice
@@ -324,7 +324,7 @@ def landmarks_with(others: Iterable[Located]) -> Landmarks:
     Raises
     ------
     ConfigError
-        A file names a landmark that does not exist, or is wrong; the error names its line.
+        A file names a landmark that does not exist, or is invalid; the error names its line.
     """
     located = load_yaml(shipped_configs() / "names" / "landmarks.yaml")
     located.mapping()

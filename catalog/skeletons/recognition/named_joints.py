@@ -135,7 +135,7 @@ def _restore_thorax(found: JointMixes, tree: Tree, body: Anatomy, sides: Sides) 
 
 
 def _restore_wrist(found: JointMixes, tree: Tree, side: str, arm: Limb) -> None:
-    """Lengthen a forearm of which a third was left out, as in CMU's BVH, where the hand begins at length zero."""
+    """Move the wrist of a forearm without its last third to the finger node of length zero, as in CMU's BVH files."""
     past = arm.path[arm.path.index(arm.nodes[2]) + 1 :]
     cut = arm.bones[1] > _CUT_FOREARM * arm.bones[2]
     if cut and past and tree.lengths[past[0]] == 0 and "finger" in tree.parts[past[0]]:

@@ -96,6 +96,6 @@ def _lengths(places: Mapping[str, F64], a: str, b: str) -> F64:
 
 
 def _spread(lengths: F64) -> float:
-    """Return the variation of lengths as a share of their median, extremes excluded."""
+    """Return half the interquartile range of lengths divided by their median."""
     low, middle, high = np.percentile(lengths, [25, 50, 75])
     return float((high - low) / max(middle, 1e-12) / 2)

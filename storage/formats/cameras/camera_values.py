@@ -92,7 +92,7 @@ def camera_of(
     Raises
     ------
     ConfigError
-        A value is missing or wrong, or the lens is one of another model; the message names the key.
+        A value is missing or invalid, or the lens is one of another model; the message names the key.
     """
     _refuse_other_lenses(located, at, values)
     matrix = _read(located, at, values, "matrix", (9,)).reshape(3, 3)

@@ -49,7 +49,7 @@ def easymocap_calibration(files: Sequence[Located], size: tuple[int, int] | None
     Raises
     ------
     ConfigError
-        A key of a camera is missing or wrong; the message names file, line and key.
+        A key of a camera is missing or invalid; the message names file, line and key.
     """
     content = {str(key): value for file in reversed(files) for key, value in file.mapping().items()}
     names = _names(files, content)

@@ -130,9 +130,9 @@ def read_recording(file: RecordingsFile, name: str) -> Recording:
     Raises
     ------
     ConfigError
-        A key of the recording, or a calibration, is wrong; the message names line and key.
+        A key of the recording, or a calibration, is invalid; the message names line and key.
     SourceError
-        A file of keypoints or masks is wrong.
+        A file of keypoints or masks is invalid.
     """
     entry = _Entry.of(file, name)
     notes: list[str] = []

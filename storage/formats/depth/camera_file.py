@@ -124,7 +124,7 @@ def parse_camera(located: Located) -> DepthCamera:
     Raises
     ------
     ConfigError
-        A key is missing or wrong.
+        A key is missing or invalid.
     """
     located.mapping()
     values = located.model(CameraValues)

@@ -162,7 +162,13 @@ def check_camera(cloud: Cloud, camera: DepthCamera) -> None:
 
 
 def _fit(cloud: Cloud) -> tuple[F64, float]:
-    """Return the matrix that fits an organised cloud best, and the mean distance in pixels."""
+    """Fit a pinhole camera to an organised cloud: return its matrix (3, 3), and the mean reprojection error in pixels.
+
+    Raises
+    ------
+    SourceError
+        The cloud has no rows and columns, or too few points.
+    """
     known = np.flatnonzero(np.isfinite(cloud.points[:, 2]))
     if cloud.size is None or len(known) < _LEAST_POINTS:
         raise SourceError(

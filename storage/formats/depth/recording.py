@@ -113,9 +113,9 @@ def read_recordings(path: str | Path) -> list[DepthRecording]:
     Raises
     ------
     ConfigError
-        The file, or a key of a recording or camera, is wrong; the message names file, line and key.
+        The file, or a key of a recording or camera, is invalid; the message names file, line and key.
     SourceError
-        A file of frames is wrong.
+        A file of frames is invalid.
     """
     file = load_depth_recordings(path)
     return [read_recording(file, name) for name in file.recordings]
@@ -134,9 +134,9 @@ def read_recording(file: DepthRecordingsFile, name: str) -> DepthRecording:
     Raises
     ------
     ConfigError
-        The file, or a key of the recording or its camera, is wrong; the message names file, line and key.
+        The file, or a key of the recording or its camera, is invalid; the message names file, line and key.
     SourceError
-        A file of frames is wrong.
+        A file of frames is invalid.
     """
     entry = _Entry(file, name, file.entry(name))
     files = entry.frame_files()

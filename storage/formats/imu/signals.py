@@ -168,7 +168,7 @@ class RawSensor:
         )
 
     def at(self, row: int) -> int | None:
-        """Return the line of a sample; None if the file has no lines."""
+        """Return the line of the file that holds a sample; None for a format without lines."""
         return None if self.lines is None else int(self.lines[row])
 
     def where(self, row: int) -> str:

@@ -186,7 +186,7 @@ def read_json(path: str | Path) -> LabelFile:
     Raises
     ------
     SourceError
-        The file is not JSON (the error names the line), or an element is wrong (the error names it:
+        The file is not JSON (the error names the line), or an element is invalid (the error names it:
         "takes[0].segments[3]").
     """
     text = read_text(path)

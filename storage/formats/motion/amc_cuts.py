@@ -126,9 +126,9 @@ def mirrored_asf(path: Path, skeleton: Skeleton, text: bytes, plane: MirrorPlane
     path : Path
         The file that errors name.
     skeleton : Skeleton
-        The skeleton.
+        The skeleton of the ASF file.
     text : bytes
-        Its file.
+        The content of the ASF file.
     plane : MirrorPlane
         The plane, and the partner of each node.
     """

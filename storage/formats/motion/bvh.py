@@ -234,7 +234,11 @@ def _one_root(file: MotionFile) -> bool:
 
 
 def _offsets_apart(motion: _Motion) -> frozenset[int]:
-    """Return the nodes whose position channels are added to their OFFSET instead of replacing it, being nearly 0."""
+    """Return the nodes whose position channels are added to their OFFSET instead of replacing it.
+
+    A node is one if its position channels stay near 0. Unless most nodes with an OFFSET and position channels are such,
+    the result is empty.
+    """
     nodes, offsets = motion.file.nodes, motion.file.offsets
     lengths = np.sqrt((offsets * offsets).sum(axis=1)).tolist()
     moved = {

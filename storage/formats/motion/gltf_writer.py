@@ -107,7 +107,7 @@ def _tree(motion: JointMotion) -> tuple[list[str], list[int], F64]:
 
 
 def _root_turns(names: Sequence[str], places: F64, orientation: npt.NDArray[np.float32] | None) -> F64:
-    """Return the root's rotations (T, 3, 3): the motion's, or else those of hips and spine, or else none."""
+    """Return the root's rotations (T, 3, 3): from `orientation` if finite, else from hips and spine, else identity."""
     if orientation is not None and np.isfinite(orientation).all():
         return rotations(orientation.astype(np.float64))
     of = dict(zip(names, places, strict=True))
