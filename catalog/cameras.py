@@ -100,7 +100,7 @@ class Camera:
         return projection.pixel_directions(self.matrix, self.rotation, self.distortion, pixels)
 
     def contains(self, pixels: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-        """Return for pixels (…, 2) whether they lie inside the image, borders of half a pixel included."""
+        """Return for pixels (…, 2) whether they lie inside the image, which reaches from −0.5 to size − 0.5."""
         places = np.asarray(pixels, np.float64)
         return np.asarray(((places >= -0.5) & (places <= np.array(self.size) - 0.5)).all(axis=-1))
 

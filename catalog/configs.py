@@ -105,7 +105,7 @@ class Located:
     lines: dict[Key, int] = field(default_factory=dict)
 
     def line(self, *key: str | int) -> int | None:
-        """Return the line of a key, or of the nearest enclosing one that has a line."""
+        """Return the line of a key, or of the nearest enclosing key with a line; None if no line is known."""
         for end in range(len(key), -1, -1):
             if key[:end] in self.lines:
                 return self.lines[key[:end]]

@@ -108,7 +108,7 @@ def placement_of(camera: DepthCamera, background: F32 | None, seed: int = 0) -> 
 
 
 def _floor_of(camera: DepthCamera, background: F32 | None, seed: int) -> Floor | None:
-    """Return the floor in a background."""
+    """Find the floor in a background image; None without a background, or if it shows no floor."""
     if background is None:
         return None
     upwards, seen = camera.upwards, background > 0

@@ -1,4 +1,4 @@
-"""Grades of simulated inertial sensors: what errors the readings have, by name or from a file of one's own.
+"""Grades of simulated inertial sensors: the errors of their readings, of a shipped grade or from a user's file.
 
     name: my-sensor
     source: [data sheet, revision, page]

@@ -99,7 +99,7 @@ class RecordingsFile:
         return self.recordings[name]
 
     def keypoint_set(self, name: str) -> str | Path | None:
-        """Return the keypoint set of a recording: a shipped name, or the path of a file from this one's folder."""
+        """Return the keypoint set of a recording: a shipped name, or a path from this file's folder; None for none."""
         given = self.recording(name).keypoint_set
         if given is None or not ("/" in given or given.endswith((".yaml", ".yml", ".json"))):
             return given

@@ -174,7 +174,7 @@ class SensorSet:
         return matrix
 
     def error(self, message: str, *key: str | int) -> KinedexError:
-        """Return an error that names the file, where there is one."""
+        """Return an error; it names the file and the line of the key if the set was read from a file."""
         return KinedexError(message) if self.located is None else self.located.error(message, *(key or ("sensors",)))
 
 

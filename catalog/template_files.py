@@ -32,7 +32,7 @@ def read_templates(path: str | Path, feature_set: FeatureSet) -> tuple[NamedTemp
     and * (a wildcard), or as a list of numbers from 0 to 1. Features without a row are wildcards throughout. `weights`
     gives the weight of a feature (1 by default, 0 to ignore it), `column_weights` the weight of each column,
     `description` a text. A CSV file holds one template, named after the file: a row per feature, the feature
-    first, then (in a column headed `weight`, where there is one) its weight, then its value in every column.
+    first, then its weight (if there is a column headed `weight`), then its value in every column.
 
     Parameters
     ----------

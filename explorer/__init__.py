@@ -1,5 +1,5 @@
 """The explorer: a local server over one store, and the page that it serves (`kinedex explore STORE`).
 
-One module serves one subject and lists its addresses as `routes`; `application` joins them. Nothing here computes what
-a room below should compute.
+Each module serves one topic and lists its addresses as `routes`; `application` joins them. The modules only answer
+requests; computations are in the packages that they import.
 """

@@ -126,7 +126,7 @@ class LaterRoutes(BaseRoute):
             return self._router
 
     def matches(self, scope: Scope) -> tuple[Match, Scope]:
-        """Match every address below /api/ that no earlier route has matched."""
+        """Match every address below /api/ that no earlier route has matched; the scope is unchanged."""
         is_ours = scope["type"] == "http" and scope["path"].startswith("/api/")
         return (Match.FULL if is_ours else Match.NONE), {}
 

@@ -119,7 +119,7 @@ class Events:
 
 
 class _Known:
-    """The state of the store as last sent to a listener: that it can be read, or why not; nothing at first."""
+    """The readability of the store as last sent to a listener: readable, or the reason why not; at first not sent."""
 
     def __init__(self, look: Callable[[], Mapping[str, object]]) -> None:
         self._look = look

@@ -67,7 +67,7 @@ class Wanted:
 
 
 def show_effect(archive: Archive, asked: EditQuestion, _request: Request, progress: Progress) -> Row:
-    """Return how well a class is found in held-out takes, by the template as it was learned and as it is edited."""
+    """Return the scores of a class in held-out takes, for the learned and for the edited template."""
     begin = time.perf_counter()
     store = archive.store()
     prepared = PREPARED.prepared(archive, store, asked)
@@ -112,7 +112,7 @@ def show_effect(archive: Archive, asked: EditQuestion, _request: Request, progre
 
 
 def _divided(costs: tuple[F64, F64] | None) -> Row | None:
-    """Return how well each threshold divides the training clips of the class from those of all others."""
+    """Return F of each threshold between the training clips of the class and all others; None if there are too few."""
     best = dividing_threshold(costs)
     if costs is None or best is None:
         return None
@@ -121,7 +121,7 @@ def _divided(costs: tuple[F64, F64] | None) -> Row | None:
 
 
 def _better_threshold(prepared: Prepared, found: Row | None) -> str | None:
-    """Return the setting for thresholds by class where the class's own would divide the training clips far better."""
+    """Return the option `--set` for thresholds by class if one divides the class's clips far better, else None."""
     use = prepared.use
     own = use.params.tau == CALIBRATED or prepared.label in use.params.tau_by_class
     if found is None or own or use.annotate is None or not use.uses_thresholds or prepared.training.actors < 2:

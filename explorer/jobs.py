@@ -75,7 +75,7 @@ class Job:
     weights : tuple of float
         Relative durations of its stages, for the progress bar; by default all are equal.
     learns : bool
-        True if the process that `Jobs.prepare` has started serves it, where there is one.
+        True if a process that `Jobs.prepare` has started may run the job.
     """
 
     title: str

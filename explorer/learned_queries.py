@@ -72,7 +72,7 @@ def _rows(store: Store, outcome: Outcome, queries: Sequence[KeyframeQuery]) -> l
 
 
 def _seen(store: Store, outcome: Outcome, query: KeyframeQuery) -> Row | None:
-    """Return the frames of the poses of a query in the first training clip in which it finds something."""
+    """Return the frames of a query's poses in the first training clip that has a hit; None if no clip has one."""
     clips = stored_clips(store, outcome.clips)
     words = words_of(store, sorted({take for take, _, _ in clips}))
     pattern = word_pattern(query, store.feature_set)

@@ -89,7 +89,7 @@ def learning_stages(store: Store, asked: LearnQuestion) -> Row:
     Parameters
     ----------
     store : Store
-        The store; the settings are those of its current annotation, where there is one.
+        The store; the settings are those of its current annotation, if it has one.
     asked : LearnQuestion
         Settings that a person has chosen.
     """

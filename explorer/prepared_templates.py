@@ -63,7 +63,7 @@ class TrainingCosts:
         Parameters
         ----------
         one : SubclassTemplate
-            The template that is edited, as it is.
+            The template before the edit.
 
         Returns
         -------

@@ -81,7 +81,7 @@ def _files(archive: Archive) -> dict[str, Path]:
 
 
 def _described(id: str, path: Path, last: dict[str, PipelineRun]) -> Row:
-    """Return a pipeline with the settings of its last run; `problem` has the error if its file is wrong."""
+    """Return a pipeline with the settings of its last run; `problem` has the error if its file is invalid."""
     row = {"id": id, "name": path.stem, "description": "", "path": str(path), "shipped": id != str(path)}
     try:
         content = load_yaml(path).mapping()
@@ -103,7 +103,7 @@ def _described(id: str, path: Path, last: dict[str, PipelineRun]) -> Row:
 
 
 def _text(value: object) -> str | None:
-    """Return a value as it is typed for `--set`; None where there is none."""
+    """Format a value as text for the option `--set`; None stays None."""
     if value is None or isinstance(value, str):
         return value
     return (
@@ -112,7 +112,7 @@ def _text(value: object) -> str | None:
 
 
 def plan(archive: Archive, asked: RunQuestion, _request: Request) -> Row:
-    """Return the stages of a pipeline with the reasons for which they would run, or the setting that is wrong."""
+    """Return the stages of a pipeline with the reasons for which they would run, or the setting that is invalid."""
     path = _file(archive, asked.pipeline)
     words = [word for one in _assignments(asked) for word in ("--set", one)]
     same = {"command": command_line("kinedex", "plan", asked.pipeline, "--store", archive.path, *words)}
@@ -173,7 +173,7 @@ def _step_row(step: Step) -> Row:
 
 
 def start(archive: Archive, asked: RunQuestion, _request: Request) -> Row:
-    """Start a job that runs a pipeline; settings that are wrong are refused before it begins."""
+    """Start a job that runs a pipeline; invalid settings are refused before it begins."""
     pipeline = _load(_file(archive, asked.pipeline), asked)
     words = run_words(archive, asked.pipeline, _assignments(asked))
     return jobs_of(archive).add(Job(f"Run {pipeline.name}", words, len(pipeline.stages))).shown()

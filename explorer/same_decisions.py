@@ -68,7 +68,7 @@ def _line(archive: Archive, row: Row, before: Row | None) -> tuple[str, str]:
 
 
 def _change(command: Any, row: Row, before: Row, by_person: str) -> tuple[str, str]:
-    """Return the lines that correct a label."""
+    """Return the command and the Python line that correct a label as the page did."""
     id = str(before["id"])[:_ID]
     given = {key: row[key] for key in ("class", "start", "stop", "verdict") if row[key] != before[key]}
     options = [word for key, value in given.items() for word in (f"--{key}", str(value))]

@@ -80,7 +80,7 @@ class Edit:
 
 
 def edited_template(store: Store, one: SubclassTemplate, asked: EditQuestion) -> SubclassTemplate:
-    """Return a template as it is edited; like one of a file it has no clips."""
+    """Return a template with an edit applied; it has no clips, like a template read from a file."""
     template = one.learned.template
     factors = feature_weights(asked.weights, store.feature_set)
     factors = np.ones(template.values.shape[1]) if factors is None else factors

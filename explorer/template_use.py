@@ -128,7 +128,7 @@ def template_use(store: Store, stage: str, kind: Kind | None = None) -> Template
 
 
 def _learned_queries(store: Store, annotate: str) -> str | None:
-    """Return the stage whose learned keyframe queries an annotation has used."""
+    """Return the stage whose learned keyframe queries an annotation has used; None if it used none."""
     name = (store.manifest.stages[annotate].summary.get("inputs") or {}).get("keyframes")
     return None if name is None else f"{annotate.partition('/')[0]}/{name}"
 

@@ -69,7 +69,10 @@ def forget_outdated(package: Path, name: str, environment: Mapping[str, str] = o
 
 
 def _place(package: Path, environment: Mapping[str, str]) -> Callable[[Path], Path] | None:
-    """Return the function from a folder to numba's cache for it: as configured, beside the files, or the user's."""
+    """Return a function from a folder of code to numba's cache folder for it; None if numba does not compile.
+
+    The cache is in `NUMBA_CACHE_DIR` if set, else beside the code if that is writable, else in the user's cache.
+    """
     if environment.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return None
     if given := environment.get("NUMBA_CACHE_DIR"):

@@ -1,1 +1,1 @@
-"""The pipelines: stages, configuration, plan, runner and executors, and the code that stages share, by subject."""
+"""The pipelines: stages, configuration, plan, runner and executors, and the code that stages share, by topic."""

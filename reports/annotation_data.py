@@ -161,7 +161,7 @@ class Reader:
         return self._store.result(kind, stage=f"{self._pipeline}/{self._inputs.get(role or ROLES[kind])}")
 
     def frame(self, kind: str) -> pl.DataFrame:
-        """Return the rows of a kind as a data frame."""
+        """Return the results of a kind as a data frame."""
         return data_frame(self.table(kind))
 
     def other_annotations(self, own: pl.DataFrame) -> tuple[str | None, pl.DataFrame | None]:

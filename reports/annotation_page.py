@@ -82,7 +82,7 @@ def annotation_page(
     data : ReportData
         The content.
     takes : sequence of str or None
-        Takes whose timelines are shown; None chooses by F (frames), or by what was found (`choose_takes`).
+        Takes whose timelines are shown; None chooses by F (frames), or without ground truth as `choose_takes` does.
     max_takes : int
         Largest number of timelines where they are chosen.
     motions : Motions or None

@@ -142,7 +142,7 @@ class TakeErrors:
 
     @property
     def worst(self) -> LimbErrors | None:
-        """The limb with the largest share of wrong frames; of equal ones that with the largest error."""
+        """The limb with the largest share of wrong frames, then the largest error; None if no error is known."""
         known = [one for one in self.limbs if len(one.known)]
         return max(known, key=lambda one: (one.wrong, float(one.known.max())), default=None)
 

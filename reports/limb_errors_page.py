@@ -71,7 +71,7 @@ class AgreementCard:
 
     @property
     def key(self) -> tuple[str, str, str]:
-        """The limbs and the annotator."""
+        """The scope, the name of the limb or group, and the annotator."""
         return self.at["scope"], self.at["name"], self.at["annotator"]
 
 
@@ -253,7 +253,7 @@ def agreement_cards(rows: Sequence[Mapping[str, Any]], tau: float) -> list[Agree
 
 
 def _place(card: AgreementCard) -> tuple[int, str, int]:
-    """Return the sort key of a card: by limbs, then frames above τ before runs before annotators."""
+    """Return the sort key of a card: scope, name, then detector (frames above τ, runs, annotators)."""
     detectors = (SENSORS, RUNS)
     detector = card.at["detector"]
     rank = detectors.index(detector) if detector in detectors else len(detectors)

@@ -200,7 +200,7 @@ def _pooled(rows: Sequence[Row]) -> tuple[int, float | None, float | None] | Non
 
 
 def mean_of(rows: Sequence[Row], kind: str) -> tuple[float, float] | None:
-    """Return mean average precision over classes and recall over all relevant segments, of one evaluation."""
+    """Return mean average precision over classes and recall over all segments of an evaluation; None without either."""
     own = qualities([row for row in rows if row["evaluation"] == kind])
     pairs = [pair for pair in ((one.takes if kind == "takes" else one.clips) for one in own) if pair is not None]
     averages = [average for _, average, _ in pairs if average is not None]

@@ -31,7 +31,7 @@ BINS = 240
 """Number of columns of a strip that shows the share of trusted keypoints."""
 
 BAD_CAMERA = 3.0
-"""A camera whose median residual is so many times that of the others is marked."""
+"""Ratio of a camera's median residual to that of the others from which the camera is marked."""
 
 MOVED = 8
 """Number of joints in the table of the most moved ones."""
@@ -229,7 +229,10 @@ def _metrics(store: Store, take: str) -> dict[str, float]:
 
 
 def _rays(store: Store, row: Mapping[str, Any], stage: str, frames: int) -> dict[str, Any] | None:
-    """Return the rays of the limbs' keypoints for the player: on each ray, the point nearest to the joint."""
+    """Return the rays of the limbs' keypoints for the player: on each ray, the point nearest to the joint.
+
+    None if the take has no recording with keypoints.
+    """
     name = row["recording"]
     if name is None:
         return None

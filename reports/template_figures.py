@@ -96,7 +96,7 @@ def contrast_figure(
 
 
 def row_names(features: FeatureSet) -> list[str]:
-    """Return the name and number of each feature."""
+    """Return a name for the row of each feature: the feature's name and number."""
     return [f"{feature.name} {feature.number}" for feature in features.features]
 
 

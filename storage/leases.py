@@ -162,7 +162,7 @@ def open_versions(store: Path, among: list[int] | None = None) -> list[OpenVersi
 
 
 def _processes(path: Path) -> int | None:
-    """Count the processes that hold a shared lock on a file; only Linux reports them."""
+    """Count the processes that hold a shared lock on a file; None if there is none, or the system is not Linux."""
     try:
         number = str(path.stat().st_ino)
         with open("/proc/locks", encoding="ascii") as locks:

@@ -50,7 +50,7 @@ class Query:
     stiffness : sequence of float, optional
         A stiffness for each distance, from 0 (any later frame) to 1 (exactly the distance).
     positions : sequence of int, optional
-        The template column of each pose, for preselection; unless given, those that fit a template best.
+        The template column of each pose, for preselection; by default those that fit a template best.
     sequence : sequence of Query, mapping or str, optional
         A query, followed by steps ``{"then": query, "within": "2 s"}`` or ``{"then": query, "gap": gap}``. A query in
         there is a `Query`, a mapping with the parameters of this constructor, or a query of a file:
@@ -64,7 +64,7 @@ class Query:
     takes : str, optional
         A SQL filter over the columns of takes; other takes are not searched.
     margins : (int, int), optional
-        The frames before and after a hit that a motion may reach; unless given, they follow from the template.
+        The frames before and after a hit that a motion may reach; by default they follow from the template.
     description : str, optional
         One sentence for people.
     feature_set : str, Path or FeatureSet, optional

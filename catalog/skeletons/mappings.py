@@ -99,7 +99,7 @@ class Mappings:
     of_format : dict of str to tuple of SkeletonMapping
         Format → all shipped mappings, or the one that the user chose.
     own : dict of str to tuple of SkeletonMapping
-        Format → mappings of the user's own, which are preferred if their names fit.
+        Format → the user's mappings, which are preferred if their names fit.
     forced : tuple of str
         The formats for which the user chose one mapping.
     vocabulary : Vocabulary, optional
@@ -175,7 +175,7 @@ class Mappings:
     ) -> Fit:
         """Return the fit of the mapping whose nodes all occur in a skeleton and that supplies the most joints.
 
-        A mapping of the user's own is preferred to all shipped ones. If the format has only one mapping, it is used,
+        A user's mapping is preferred to all shipped ones. If the format has only one mapping, it is used,
         and any node that it lacks is an error.
 
         Parameters

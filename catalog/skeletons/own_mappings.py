@@ -1,4 +1,4 @@
-"""Skeleton mappings and vocabularies of names of the user's own, which are added to the shipped ones."""
+"""Read skeleton mappings and vocabularies of names that users wrote, and add them to the shipped ones."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ENDINGS = (".yaml", ".yml")
 
 @dataclass(frozen=True)
 class OwnFile:
-    """A file with a mapping or a vocabulary of the user's own.
+    """A file with a mapping or a vocabulary that a user wrote.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class OwnFile:
 
 
 def own_files(places: Iterable[str | Path]) -> tuple[OwnFile, ...]:
-    """Read files of the user's own.
+    """Read files with mappings or vocabularies that a user wrote.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def own_files(places: Iterable[str | Path]) -> tuple[OwnFile, ...]:
 
 
 def with_own(mappings: Mappings, files: Iterable[OwnFile], joints: tuple[str, ...]) -> Mappings:
-    """Add files of the user's own to mappings.
+    """Add mappings and vocabularies that a user wrote to the mappings of an archive.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def with_own(mappings: Mappings, files: Iterable[OwnFile], joints: tuple[str, ..
     Raises
     ------
     ConfigError
-        A file is none of the two, or wrong, or two files that are given have one name.
+        A file is neither, or is invalid, or two of the files have the same name.
     """
     own: dict[Format, tuple[SkeletonMapping, ...]] = {}
     vocabularies: list[Vocabulary] = []

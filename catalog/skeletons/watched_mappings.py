@@ -45,7 +45,7 @@ class WatchedMappings(Mappings):
         return cls(**{one.name: getattr(mappings, one.name) for one in fields(Mappings)})
 
     def exact(self, source: str | Path, form: Format, nodes: Mapping[str, int]) -> Fit | None:
-        """Record the nodes, and return the fit of the mapping whose nodes all occur among them."""
+        """Record the nodes, and return the fit of the mapping whose nodes all occur among them; None for no mapping."""
         self.question.form, self.question.nodes, self.question.fit = form, dict(nodes), None
         self.question.fit = super().exact(source, form, nodes)
         return self.question.fit

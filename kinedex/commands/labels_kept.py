@@ -298,7 +298,7 @@ def _selection(
 
 
 def _report(store: Path, done: Recorded, as_json: bool) -> None:
-    """Print how many labels were recorded, and what was excluded."""
+    """Print the number of recorded labels, and the labels that were excluded."""
     from kinedex.ops.wording import counted
 
     if as_json:

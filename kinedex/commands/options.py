@@ -167,7 +167,7 @@ def assignments_of(pairs: list[str] | None) -> dict[str, str]:
 
 
 def known_failures_of(word: str | None) -> KnownFailures | None:
-    """Return the word of `--known-failures`; a `BadParameter` for another one."""
+    """Return the value of `--known-failures`, None if absent; raise BadParameter for an unknown value."""
     if word not in (None, "report", "remember"):
         raise typer.BadParameter(f"--known-failures {word}: expected remember or report")
     return cast("KnownFailures | None", word)

@@ -66,7 +66,7 @@ class Pages:
         kind: str,
         stage: str | None,
     ) -> None:
-        """Write the hits of a ranking, or the nearest places where there is none."""
+        """Write the hits of a ranking to page and picture, or the nearest intervals if there is no hit."""
         if self.html is None and self.picture is None:
             return
         from kinedex.reports.motion_pages.hits import write_ranking
@@ -82,7 +82,7 @@ class Pages:
         )  # fmt: skip
 
     def write_search(self, store: Store, hits: pa.Table, title: str, remarks: Sequence[str]) -> None:
-        """Write the hits of a search."""
+        """Write the hits of a search to page and picture."""
         if self.html is None and self.picture is None:
             return
         from kinedex.reports.motion_pages.hits import write_search
@@ -90,7 +90,7 @@ class Pages:
         self.amounts.append(write_search(store, hits, self.html, self.picture, title, remarks, self.figures))
 
     def write_template(self, store: Store, one: SubclassTemplate, delta: float) -> None:
-        """Write a template."""
+        """Write the page of a template."""
         if self.html is not None:
             from kinedex.reports.motion_pages.template import write_template_page
 

@@ -70,7 +70,7 @@ def compare(
 
 
 def _names(a: str, b: str, one: str, other: str) -> tuple[str, str]:
-    """Return the names of the two evaluations in tables; equal names are followed by their arguments."""
+    """Return the names of two evaluations for tables; if they are equal, the command's arguments are appended."""
     if one != other:
         return one, other
     return f"{one} ({a})", f"{other} ({b})"

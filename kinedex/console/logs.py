@@ -27,7 +27,7 @@ class _Lines(logging.Formatter):
     """Format a record as lines, in which line breaks of names are escaped, so that they cannot forge lines."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return the lines."""
+        """Format a record as text, with control characters escaped."""
         return visible_lines(super().format(record))
 
 
@@ -35,7 +35,7 @@ class JsonLines(logging.Formatter):
     """Format a record as one line of JSON: time, level, logger, message, and the fields added with `extra=`."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return the line."""
+        """Format a record as one line of JSON."""
         line: dict[str, object] = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),

@@ -166,7 +166,7 @@ class SqlTables(TakeCollection):
         Returns
         -------
         polars.DataFrame
-            The rows of the latest runs; no rows, with the right columns, where there are none.
+            The rows of the latest runs; an empty frame with the same columns if there are none.
 
         Raises
         ------

@@ -93,7 +93,7 @@ class Explained:
     template : int
         The index of the template.
     value : float
-        The value that the frames add to the explanation, entry cost included.
+        The value that the segment adds to the explanation, after subtraction of the entry cost.
     """
 
     start: int

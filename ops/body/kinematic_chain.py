@@ -154,7 +154,7 @@ class ChainArrays(NamedTuple):
     hinges : float64 array (D, 2)
         Least and greatest turn.
     turned : bool array (K, D)
-        True where an axis turns a node: where it is the node's own or that of one above.
+        True where an axis turns a node: an axis of the node itself or of one of its ancestors.
     """
 
     parents: I64
@@ -390,7 +390,7 @@ def vector_of(rotation: F64) -> F64:
 
 @njit(cache=True, nogil=True)
 def log_of(rotation: F64) -> tuple[float, float, float]:
-    """Return the components of `vector_of`, computed from the largest component of the quaternion."""
+    """Return the rotation vector x, y, z of `vector_of`, computed from the largest component of the quaternion."""
     m = rotation
     squares = (
         1 + m[0, 0] + m[1, 1] + m[2, 2], 1 + m[0, 0] - m[1, 1] - m[2, 2],

@@ -352,7 +352,7 @@ def place_samples(samples: Samples, placed: F64, points: F64, offsets: F64) -> N
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _unit(x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return a vector normalised to length 1; the zero vector is returned as it is."""
+    """Return a vector normalised to length 1; zero for a vector shorter than 1e-12."""
     length = math.sqrt(x * x + y * y + z * z)
     scale = 1.0 / length if length > 1e-12 else 0.0
     return x * scale, y * scale, z * scale

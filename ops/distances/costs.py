@@ -99,7 +99,7 @@ class Layout:
 
     @property
     def width(self) -> int:
-        """Return the number of columns S, padding included."""
+        """Return the number of columns S, including those of the padding."""
         return len(self.columns.values)
 
 

@@ -34,7 +34,7 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 NARROW = 4
-"""Bounds are used for templates that are matched in more than one of so many frames; for others they do not pay."""
+"""Bounds are used for templates matched in more than one of this number of frames; for others they cost more time."""
 
 
 @dataclass(frozen=True)

@@ -412,7 +412,7 @@ class Sources:
         return self._at(module.imports[head], rest) if head in module.imports else None
 
     def _at(self, place: Place, rest: Sequence[str] = (), depth: int = 0) -> Place | None:
-        """Return the definition at a place, or at attributes of it, in the module from which it is imported."""
+        """Return the place of the definition of a name or of its attributes, following imports; None if outside."""
         base, name = place
         module = self.module(base)
         if module is None or depth > 20:

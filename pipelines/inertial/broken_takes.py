@@ -63,7 +63,7 @@ class BrokenTake:
 
 
 def annotator_name(number: int) -> str:
-    """Return the name of a simulated annotator."""
+    """Return the name of a simulated annotator, "simulated A1" for number 0."""
     return f"simulated A{number + 1}"
 
 

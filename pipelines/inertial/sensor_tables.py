@@ -23,7 +23,7 @@ SYNC, CALIBRATION = "sensor_sync", "sensor_calibration"
 
 
 def sync_row(take_id: int, take: str, recording: str, found: RecordingClock) -> dict[str, Any]:
-    """Return the row of one recording of a take."""
+    """Return a row with the clock offset and drift of one recording of a take."""
     clock = found.clock
     return {
         "take_id": take_id,

@@ -104,7 +104,7 @@ class Written:
     failures : list of Failure
         The files and persons that could not be read.
     persons : dict of str to tuple of str
-        Path → persons in files with several; such a file is read only after each person has an id.
+        Path → persons in files with several; such a file is read only after an id is assigned to each person.
     """
 
     takes: list[dict[str, Any]]

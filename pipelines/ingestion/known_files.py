@@ -156,7 +156,7 @@ class KnownFiles:
     def of_same_content(
         self, content: FileContent, names: Iterable[str], taken: Container[tuple[str, str]]
     ) -> KnownFile | None:
-        """Return the known file with the content of a motion file, from which it was moved or copied.
+        """Return the known file from which a motion file was moved or copied; None if none has its content.
 
         Parameters
         ----------

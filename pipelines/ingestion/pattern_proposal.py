@@ -169,7 +169,10 @@ def _is_repeated(columns: Sequence[Column], number: int) -> bool:
 
 
 def _actor(columns: Sequence[Column], plain: Sequence[int]) -> int | None:
-    """Return the column of actors: short codes, numbers after a word for people, or the first of two numbers."""
+    """Return the index of the column of actors, None if there is none.
+
+    Its values are numbers after a word for people, short codes, or the first of two or more numbers.
+    """
     for number in plain:
         if columns[number].prefix.strip("-. ").lower() in _PEOPLE:
             return number
@@ -187,7 +190,10 @@ def _actor(columns: Sequence[Column], plain: Sequence[int]) -> int | None:
 
 
 def _clip(columns: Sequence[Column], plain: Sequence[int]) -> int | None:
-    """Return the column that numbers takes: the last one with numbers, or with numbers after a word for takes."""
+    """Return the index of the column that numbers takes, None if there is none.
+
+    It is the last one with numbers, or with numbers after a word for takes.
+    """
     for number in reversed(plain):
         if columns[number].is_number or columns[number].prefix.strip("-. ").lower() in _TRIALS:
             return number

@@ -53,7 +53,7 @@ class Selection:
 
 
 def selected(table: pa.Table, selection: Selection, noun: str, *, keep_order: bool = False) -> pl.DataFrame:
-    """Return the rows that match a selection.
+    """Select rows of annotations or labels by criteria.
 
     Parameters
     ----------

@@ -160,7 +160,7 @@ class ReconstructionResult:
         return places if self.params.smooth_hz is None else low_pass(places, self.rate_hz, self.params.smooth_hz)
 
     def table(self, kind: str, run: str) -> pa.Table:
-        """Return the rows of one kind of results."""
+        """Return the results of one kind ("reconstructions", "reconstruction_frames", "depth_votes") as a table."""
         rows: Iterator[dict[str, Any]] = {
             "reconstructions": self._reconstruction,
             "reconstruction_frames": self._frames,

@@ -53,7 +53,7 @@ class BreakTrack(Stage[BreakTrackParameters]):
         limbs, chosen = stored_fingerprints(store, KIND, stage), params.model_dump(exclude={"where"})
 
         def fingerprint(take_id: int) -> str | None:
-            """Return a hash of everything that determines a take with errors, and a hash of its labels in the files."""
+            """Return hashes of the inputs and labels of a take with errors, its fingerprint; None without limbs."""
             found = marks.digest(takes[take_id])
             return f"{hash_of(context.code, chosen, limbs[take_id])} {found}" if found and take_id in limbs else None
 

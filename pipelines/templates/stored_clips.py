@@ -90,7 +90,7 @@ def stored_clips(store: Store, template: SubclassTemplate) -> list[StoredClip]:
 
 
 def template_costs(templates: Sequence[SubclassTemplate], clips: Sequence[StoredClip], delta: float) -> F64:
-    """Return the least distance of templates within clips, as it is computed in annotation.
+    """Return the least distance of each template within each clip, computed as in annotation.
 
     Parameters
     ----------

@@ -80,7 +80,7 @@ class TrackResult:
         return [row for row in self.rows if row.round == self.rounds]
 
     def table(self, kind: str, run: str) -> pa.Table:
-        """Return the rows of one kind of results."""
+        """Return the results of one kind, such as "tracks" or "priors", as a table."""
         tables: dict[str, Callable[[], dict[str, Any] | list[dict[str, Any]]]] = {
             "tracks": self._track,
             "chain_poses": self._poses,

@@ -63,7 +63,7 @@ _PIVOT = (
 
 
 def _match(pattern: str, text: str) -> re.Match[str] | None:
-    """Match a whole statement; patterns are compiled on first use, since most statements need none."""
+    """Match a pattern with a whole statement; it is compiled on first use, since most statements need none."""
     return re.fullmatch(pattern, text, re.IGNORECASE | re.DOTALL | re.ASCII)
 
 

@@ -119,7 +119,7 @@ def compact(
     spread : Map, optional
         Runs the merges; each needs at most about half a gigabyte of memory, whatever the store's size.
     workers : int, optional
-        Number of merges that `spread` runs at once; a large merge is divided into so many.
+        Number of merges that `spread` runs at once; a large merge is divided into this number of tasks.
 
     Raises
     ------

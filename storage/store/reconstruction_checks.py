@@ -73,7 +73,7 @@ class _Rows:
         return _Problem(self.parts[int(self.part[row])].path, f"take {take}{frame} {text}")
 
     def where(self, chosen: npt.NDArray[np.bool_]) -> _Rows:
-        """Return the rows that a mask selects."""
+        """Return the rows at which a mask is True."""
         return _Rows(self.parts, self.part[chosen], {name: values[chosen] for name, values in self.columns.items()})
 
     def check(self, wrong: npt.NDArray[np.bool_], text: str) -> None:

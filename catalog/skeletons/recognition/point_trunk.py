@@ -92,7 +92,10 @@ def add_trunk(draft: BodyDraft, reading: Reading) -> None:
 
 
 def _along_spine(draft: BodyDraft, labels: Sequence[str], share: float) -> Mix | None:
-    """Return the combination at a share of the arc length from root over the points of the spine to the neck."""
+    """Return a mix of points at a share of the arc length from root over the points of the spine to the neck.
+
+    None if root, neck or points of the spine between them are missing.
+    """
     root, neck = draft.place("root"), draft.place("neck")
     if not labels or root is None or neck is None:
         return None

@@ -318,7 +318,7 @@ def _limb(tree: Tree, limb: Limb) -> str:
 
 
 def _reasons(tree: Tree, body: Anatomy, sides: Sides) -> tuple[str, ...]:
-    """Return sentences on what was recognised, and by what."""
+    """Return sentences about the recognised legs, arms and trunk, and the evidence for them."""
     found = []
     for called, limbs in (("legs", sides.legs), ("arms", sides.arms)):
         if limbs is not None:

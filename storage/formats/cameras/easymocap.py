@@ -19,7 +19,7 @@ _ENDINGS = (".yml", ".yaml")
 
 
 def other_file(path: Path) -> Path | None:
-    """Return the other file of an EasyMocap pair: `extri.yml` for `intri.yml`, and the other way round."""
+    """Return the other file of an EasyMocap pair, `extri.yml` for `intri.yml` and vice versa; None for other names."""
     if path.suffix.lower() in _ENDINGS:
         for one, other in (_FILES, _FILES[::-1]):
             if one in path.stem:

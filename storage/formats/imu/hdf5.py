@@ -116,7 +116,7 @@ def _set(path: Path, sensor: RawSensor, contents: Hdf5Contents, wanted: Mapping[
 
 
 def _label(contents: Hdf5Contents, device: str) -> str | None:
-    """Return the name of an Opal, from the attribute `Label 0` of one of its groups or from the list of labels."""
+    """Return the name of an Opal, from the attribute `Label 0` of its groups or the list of labels; None without."""
     for group in (f"Sensors/{device}/Configuration", f"Sensors/{device}", f"Processed/{device}"):
         label = contents.attributes.get(group, {}).get("Label 0")
         if isinstance(label, str) and label.strip():
@@ -131,7 +131,7 @@ def _label(contents: Hdf5Contents, device: str) -> str | None:
 
 
 def _rate(contents: Hdf5Contents, *groups: str) -> float | None:
-    """Return the samples per second stated by an attribute of one of the groups."""
+    """Return the samples per second stated by an attribute of one of the groups, None if none states them."""
     for group in groups:
         for key, value in contents.attributes.get(group, {}).items():
             if key.lower() in _RATES and isinstance(value, float) and np.isfinite(value) and value > 0:

@@ -191,7 +191,10 @@ class _Checks:
         return 1.0
 
     def unit_quaternions(self) -> F64 | None:
-        """Return the orientations, sensor → world, as unit quaternions; zero quaternions count as missing."""
+        """Return the orientations, sensor → world, as unit quaternions; None if all are missing.
+
+        Zero quaternions count as missing, and become NaN.
+        """
         given = self.raw.orientation
         if given is None:
             return None
@@ -294,7 +297,7 @@ class _Checks:
     def turned(
         self, acc: F64 | None, gyr: F64 | None, mag: F64 | None, orientation: F64 | None
     ) -> tuple[F64 | None, F64 | None, F64 | None, F64 | None]:
-        """Return all channels rotated to the sensor axes that the user states."""
+        """Return acc, gyr, mag and orientation in the sensor axes that the user states; None stays None."""
         matrix = self.set.matrix()
         if matrix is None:
             return acc, gyr, mag, orientation

@@ -269,7 +269,7 @@ def _number_size(scale: bytes, processor: int) -> int:
 
 
 def _long(parameter: Parameter | None) -> int | None:
-    """Return a count in two words of 16 bits each, the lower first, as in TRIAL:ACTUAL_START_FIELD."""
+    """Return a count in two words of 16 bits each, the lower first, as in TRIAL:ACTUAL_START_FIELD; None if absent."""
     if parameter is None or len(parameter.words) < 2:
         return None
     return parameter.words[0] + (parameter.words[1] << 16)

@@ -190,7 +190,7 @@ def rest_of(scene: Scene, group: Group) -> tuple[F64, F64, str]:
 
 
 def _still(node: SceneNode) -> tuple[F64, F64]:
-    """Return the transform of a node outside of clips."""
+    """Return the constant local transform of a node outside of animation clips, as `SceneNode.local` does."""
     moved, turned, scaled = (move[None] for move in node.moves)
     return node.local(moved, turned, scaled)
 

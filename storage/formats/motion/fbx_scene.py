@@ -179,7 +179,7 @@ class Scene:
 
     @property
     def rate_hz(self) -> float | None:
-        """The frames per second that the file states."""
+        """The frames per second that the file states; None if it states none, or no plausible number."""
         mode = int(_first(self.settings.get("TimeMode", [0]), 0))
         if mode == 14:
             rate = _first(self.settings.get("CustomFrameRate", [0.0]), 0.0)

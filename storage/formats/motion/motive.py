@@ -50,7 +50,7 @@ class MotiveReader(PointsReader):
         return tuple(bodies_of(_layout(file.path).labels))
 
     def size(self, file: MotionFile) -> tuple[int, int, int]:
-        """Count the rows and points of a file."""
+        """Return the numbers of rows and points of a file, and the memory in bytes that reading it needs."""
         layout = _layout(file.path)
         table = _table(file.path, layout)
         return table.rows, len(layout.labels), table.bytes + 24 * table.rows

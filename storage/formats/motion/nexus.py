@@ -60,7 +60,7 @@ class NexusReader(PointsReader):
         return tuple(bodies_of(_layout(file.path).labels))
 
     def size(self, file: MotionFile) -> tuple[int, int, int]:
-        """Count the rows and points of the section."""
+        """Return the numbers of rows and points of the section, and the memory in bytes that reading it needs."""
         layout = _layout(file.path)
         table = _table(file.path, layout)
         return table.rows, len(layout.labels), table.bytes + 24 * table.rows

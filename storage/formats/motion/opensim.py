@@ -74,7 +74,7 @@ class OpenSimReader(PointsReader):
         return super().relevant_settings(settings), model_digest(_given(settings))
 
     def size(self, file: MotionFile) -> tuple[int, int, int]:
-        """Count the rows; the number of points is at most that of a large model."""
+        """Return the number of rows, the number of points of a large model, and the memory in bytes for reading."""
         layout = _layout(file.path)
         table = _table(file.path, layout)
         return table.rows, 200, table.bytes + 40 * table.rows * len(layout.columns) + 1600 * _AT_ONCE * 100

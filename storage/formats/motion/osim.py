@@ -284,7 +284,7 @@ def _joint(parser: _Parser, name: str, element: Element, frames: Frames) -> Join
 
 
 def _axis_function(axis: Element) -> Element | None:
-    """Return the element of an axis's function: version 3 wraps it in <function>, version 4 does not."""
+    """Return the element of an axis's function, None if missing; version 3 wraps it in <function>, version 4 not."""
     inner = axis.find("function")
     if inner is not None:
         return inner[0] if len(inner) else None

@@ -39,7 +39,7 @@ class PickledKeypointsReader(PointsReader):
             return False
 
     def size(self, file: MotionFile) -> tuple[int, int, int]:
-        """Estimate the memory of the file's numbers; its frames are counted only on reading."""
+        """Return 0 for the unknown frames, the number of points, and an estimate of the memory in bytes for reading."""
         return 0, _POINTS, 20 * file_size(file.path)
 
     def points(self, file: MotionFile, settings: ReadSettings) -> Points:
