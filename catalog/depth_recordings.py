@@ -1,4 +1,4 @@
-"""The file of depth recordings: the name of each recording, with its files and what they mean."""
+"""The file of depth recordings: the name of each recording, its files, and their camera and units."""
 
 from __future__ import annotations
 

@@ -191,7 +191,7 @@ def _joint(located: Located, name: str, *at: str) -> int:
 
 
 def _folds(located: Located, file: _FilmedFile, kinds: list[str]) -> F64:
-    """Return the height of the folds on each kind of part."""
+    """Return the height of the clothes' folds in metres on each kind of body part, 0 if none is given."""
     _check_kinds(located, file.clothes.folds_m, kinds, "clothes", "folds_m")
     return np.array([file.clothes.folds_m.get(kind, 0.0) for kind in kinds])
 

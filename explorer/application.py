@@ -178,7 +178,7 @@ def _assets(built: Path) -> frozenset[str]:
 
 
 async def _page(request: Request) -> Response:
-    """Answer with the page, whose script shows what the address names."""
+    """Answer with the page, whose script shows the view that the address names."""
     built: Path = request.app.state.built
     text = (built / "index.html").read_text(encoding="utf-8")
     request.app.state.later.load_soon(request.app.state.archive)

@@ -62,7 +62,7 @@ class Events:
         self._send(chunk)
 
     def close(self) -> None:
-        """End all streams; the server stops."""
+        """End all streams, because the server stops."""
         self._closed = True
         self._send(None)
 

@@ -204,7 +204,7 @@ def describe_hit(archive: Archive, asked: HitQuestion, _request: Request) -> dic
 
 
 def _fitted(store: Store, asked: HitQuestion, hit: ChosenInterval) -> QuantisedTemplate:
-    """Return the template as it was matched with a hit: mirrored or not, with the features known in its take."""
+    """Return the template in the form that matched a hit: mirrored or not, with the features known in its take."""
     made = _template(store, asked)
     whole = RankedTemplate(asked.name, quantise(made.named.template, asked.delta))
     if hit.mirrored:

@@ -1,4 +1,4 @@
-"""Hits in the form in which all searches return them, and their labels.
+"""Define the form of hits in the answers of all searches, and label hits.
 
 {take_id, take, start, stop, cost: number or null, mirrored, name}: the frames [start, stop) of a take, what they cost,
 whether they fit the mirror image, and the template or query that found them.

@@ -61,7 +61,7 @@ class ImportQuestion(FilesQuestion):
 
 
 def read_files(archive: Archive, asked: FilesQuestion, _request: Request) -> Row:
-    """Return what the files would change, without recording anything."""
+    """Return the changes to labels that an import of the files would make, without recording them."""
     store = archive.store()
     files, checksum = _files(asked)
     proposed = _proposed(store, files, asked)
@@ -80,7 +80,7 @@ def read_files(archive: Archive, asked: FilesQuestion, _request: Request) -> Row
 
 
 def import_files(archive: Archive, asked: ImportQuestion, _request: Request) -> Row:
-    """Record the files, provided that they are still as they were read."""
+    """Record the labels of files, provided that the files have not changed since `read_files`."""
     store = archive.store()
     files, checksum = _files(asked)
     if checksum != asked.checksum:

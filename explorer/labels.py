@@ -146,7 +146,7 @@ class Decide(Question):
     seen: Id | None = None
 
     def apply(self, edits: LabelEdits, take: str, store: Store) -> None:
-        """Add this change to the edits; an annotation that was removed since is decided on as the page showed it."""
+        """Add this change to the edits; annotations that no longer exist are taken from the page's request."""
         row: Row = {"take": take, "class": self.label, "subclass": self.subclass or ""}
         row |= {"start": self.start, "stop": self.stop, "confidence": None}
         found = next((one for one in _annotations_of(store, self.stage, take) if _is_same(one, row)), row)

@@ -315,7 +315,7 @@ _READERS: dict[str, Callable[[Store, int], list[Row]]] = {
 
 
 def limb_error_curve(store: Store, take_id: int, limb: str) -> npt.NDArray[np.float32]:
-    """Return the angle between what the take and what the sensor of a limb report, in each analysis frame.
+    """Return the angle between a limb's orientations in the take and by its sensor, in each analysis frame.
 
     Parameters
     ----------

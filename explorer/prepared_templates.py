@@ -141,7 +141,7 @@ class PreparedTemplates:
         self._lock = Lock()
 
     def prepared(self, archive: Archive, store: Store, asked: EditQuestion) -> Prepared:
-        """Return what is needed to judge edits of a template."""
+        """Return the data for judging edits of a template: ground truth, words and costs; cached for later requests."""
         labels = archive.state()["labels"]
         which = (asked.stage, asked.kind, asked.template, asked.truth, asked.everything)
         key = (str(archive.path), store.manifest.version, labels, *which)

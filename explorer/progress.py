@@ -1,4 +1,4 @@
-"""Answers that may take a while: lines of JSON with the progress, then the answer, for as long as somebody listens.
+"""Answer slow requests by lines of JSON: the progress, then the answer; stop the work if the client disconnects.
 
 Whoever asks with `Accept: application/x-ndjson` gets {done, total} whenever it has changed (both 0 until the work is
 known), and at last {answer} or {error, status}; everybody else gets the answer alone.

@@ -1,4 +1,4 @@
-"""The thesis's method with a cache: the matches of unchanged templates are not computed again."""
+"""The annotation method of the thesis with a cache of the matches of unchanged templates."""
 
 from __future__ import annotations
 

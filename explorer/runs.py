@@ -1,4 +1,4 @@
-"""Runs of pipelines: which there are, the plan with its reasons, the start of a run, the history, and metrics compared.
+"""Runs of pipelines: the list of pipelines, the plan of a run, its start, the history, and the comparison of metrics.
 
 `GET /api/pipelines` → {pipelines: [{id, name, description, path, shipped, problem, settings}]}, with settings as
 {name, default, last};

@@ -43,7 +43,7 @@ def same_decisions(archive: Archive, rows: Iterable[Row], known: Mapping[str, Ro
 
 
 def _line(archive: Archive, row: Row, before: Row | None) -> tuple[str, str]:
-    """Return the command and the line of Python of one decision."""
+    """Return the command and the Python line that record the same decision about a label."""
     person = row.get("annotator")
     by, by_person = (["--annotator", person], f", annotator={person!r}") if person else ([], "")
 

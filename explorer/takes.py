@@ -122,7 +122,7 @@ def order_of(sort: Sequence[Sort], known: Sequence[str], nan: Collection[str] = 
 
 @own_words
 def find_takes(archive: Archive, asked: TakesQuestion, _request: Request) -> dict[str, Any]:
-    """Return a block of takes."""
+    """Return up to `limit` takes, from `offset` on, of those that match filters, in the requested order."""
     store = archive.store()
     known = store.take_rows.column_names
     columns = list(asked.columns) if asked.columns is not None else known

@@ -112,7 +112,7 @@ def same_edit(archive: Archive, use: TemplateUse, one: SubclassTemplate, edit: E
 
 
 def _pipeline_command(archive: Archive, use: TemplateUse, label: str, file: str | None, tau: float) -> str:
-    """Return the command that runs the pipeline of a template again, with the edited one in its place."""
+    """Return the command that runs the pipeline of a template again, with the edited template and threshold."""
     manifest = archive.store().manifest
     pipeline, _, stage = use.stage.partition("/")
     record = manifest.pipelines.get(pipeline)

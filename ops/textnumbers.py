@@ -158,7 +158,7 @@ def _parse_frames(
 
 @njit(cache=True, nogil=True, _nrt=False)
 def _count_rows(data: U8, pos: int, numbered: bool) -> tuple[int, int]:
-    """Return the numbers of rows and of indented lines from a byte on.
+    """Return the numbers of rows and of indented lines from the byte `pos` to the end.
 
     Counts over 128 bytes fit into a byte, so that the loop vectorises over dozens of bytes.
     """
@@ -196,7 +196,7 @@ def _count_indented_rows(data: U8, pos: int, numbered: bool) -> int:
 
 
 def count_rows(data: Text, start: int, numbered: bool) -> int:
-    """Return the number of lines from a byte on that are neither blank nor a comment.
+    """Return the number of lines from the byte `start` to the end that are neither blank nor a comment.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The archive on one time axis, takes laid end to end by group: one strip of all classes, and a lane for each class."""
+"""Lay out an archive on one time axis, with its takes end to end: a strip of all classes, and a lane for each class."""
 
 from __future__ import annotations
 

@@ -173,7 +173,7 @@ class _Film:
         return np.asarray((sums[2 * half + 1 :] - sums[: -2 * half - 1]) / (2 * half + 1))
 
     def frames(self) -> Iterator[Image.Image]:
-        """Yield the pictures."""
+        """Yield a picture for each frame of the film."""
         ground = self._ground()
         index = {joint: i for i, joint in enumerate(self.motion.joints)}
         sides = {"l": LEFT, "r": RIGHT}

@@ -151,7 +151,7 @@ class Motions:
         return replace(self, motions=tuple(found))
 
     def with_near(self, store: Store, examples: Iterable[tuple[str, int, int, npt.NDArray[np.int64]]]) -> Motions:
-        """Return the motions with nearest examples, each a take, start and stop, and its frames from its start on."""
+        """Return the motions with nearest examples, each as take, start, stop and frames relative to the start."""
         examples = list(examples)
         found = self.with_pieces(store, (one[:3] for one in examples), margin=0)
         near = []
@@ -223,7 +223,7 @@ def embed(
 
 
 def _whole(store: Store, joints: Sequence[str], takes: Mapping[str, Sequence[str]]) -> Iterator[Motion]:
-    """Yield the motions of takes, each with the takes of the store that it joins, in their order."""
+    """Yield the motions of takes, each with the takes of the store that were concatenated for it."""
     names = list(takes)
     for first in range(0, len(names), _TOGETHER):
         some = names[first : first + _TOGETHER]

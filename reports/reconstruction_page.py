@@ -1,4 +1,4 @@
-"""The page about takes made from depth: in motion, with votes, costs, remarks and errors."""
+"""The page about takes made from depth: moving figures, votes, costs, remarks and errors."""
 
 from __future__ import annotations
 

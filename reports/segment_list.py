@@ -1,4 +1,4 @@
-"""The list of all segments: as rows on the page, and as a CSV file beside it."""
+"""List all segments, as rows on the page and as a CSV file beside it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page about stabilised takes: before and after in motion, trust, hits, priors, joints and cameras."""
+"""The page about stabilised takes: figures before and after stabilisation, trust, hits, priors, joints, cameras."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ class ShownTake:
 
     @property
     def distances(self) -> tuple[float | None, float | None]:
-        """Mean distances from the truth before and after, over all frames."""
+        """Mean distances from the truth over all frames, before and after stabilisation; None where not known."""
         return next(((before, after) for name, before, after in self.figures if name == "all"), (None, None))
 
     @property

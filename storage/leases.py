@@ -145,7 +145,7 @@ class OpenVersion:
     processes: int | None
 
     def __str__(self) -> str:
-        """Return a clause for messages."""
+        """Return a clause for messages: the version and the number of processes that have it open."""
         if self.processes is None:
             return f"version {self.version} is open in a process"
         return f"version {self.version} is open in {self.processes} process{'' if self.processes == 1 else 'es'}"

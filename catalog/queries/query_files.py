@@ -1,4 +1,4 @@
-"""Query files: keyframe queries as YAML that people write, and queries built from queries; the papers' JSON too."""
+"""Read query files: YAML with keyframe queries and combinations of queries, or the JSON form of the papers."""
 
 from __future__ import annotations
 

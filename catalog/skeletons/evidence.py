@@ -1,4 +1,4 @@
-"""The evidence by which a body is recognised: the nodes of a file, their tree, and where they are in a few frames."""
+"""The evidence by which a body is recognised: the nodes of a file, their tree, and their positions in a few frames."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """The views of results that stages have stored, with the rows of the current pipeline or of all pipelines.
 
 A kind of results is registered by its view alone: the view's name is the kind, and its columns are the schema of the
-kind's Parquet parts. A new kind is a `result_view` in the module of its subject, and a new subject a module beside
-these whose views are added to `RESULT_VIEWS`. docs/sql.md is generated from them, and docs/formats.md lists the kinds.
+kind's Parquet parts. To add a kind, add a `result_view` to the module of its topic; the views of a new module are added
+to `RESULT_VIEWS`. docs/sql.md is generated from the views, and docs/formats.md lists the kinds.
 """
 
 from __future__ import annotations

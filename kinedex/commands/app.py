@@ -42,7 +42,7 @@ Function = TypeVar("Function", bound=Callable[..., None])
 
 
 class HelpPage(TyperGroup):
-    """A group of commands whose help lists them by subject, and whose usage errors are JSON if `--json` is given."""
+    """A group of commands whose help lists them by section, and whose usage errors are JSON if `--json` is given."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the commands, then the options in one paragraph: the page is one screen."""
@@ -53,7 +53,7 @@ class HelpPage(TyperGroup):
         formatter.write_text(f"Options: {options}{', ' * bool(options)}COMMAND --help")
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write a section of commands for each subject; a group within a group has one section."""
+        """Write a section of the help for each panel of commands; a group within a group has one section."""
         commands = self.listed()
         width = max(len(name) for name, _ in commands)
         formatter.write_paragraph()
@@ -224,9 +224,9 @@ def command(
     panel : str or None
         Section of the help that lists the command, one of `PANELS`; None in a group.
     of : typer.Typer or None
-        Group that the command belongs to; none unless given.
+        Group that the command belongs to; by default none.
     name : str or None
-        Name of the command; the function's name unless given.
+        Name of the command; by default the function's name.
     cls : type of Command
         Class of the command.
     """

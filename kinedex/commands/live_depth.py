@@ -1,4 +1,4 @@
-"""Frames of a live depth camera on the terminal, and then in the store: `kinedex reconstruct --follow`."""
+"""Track frames of a live depth camera, print them, and save the take: `kinedex reconstruct --follow`."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ FIRST = 250_000
 
 
 def put_off_collection() -> None:
-    """Delay the first garbage collection until there are `FIRST` objects, and skip that at the end of the process.
+    """Delay the first garbage collection until there are `FIRST` objects, and skip the one at the end of the process.
 
     After the first collection, the usual thresholds hold. Files are still closed at exit, because that depends on
     reference counts and `atexit` and not on garbage collection.

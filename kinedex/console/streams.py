@@ -38,7 +38,7 @@ class EscapedStream:
 
 
 def unescaped(stream: TextIO) -> TextIO:
-    """Return the stream below an `EscapedStream`: for rich, which writes ESC sequences of its own."""
+    """Return the stream below an `EscapedStream`, for output of rich, whose ESC sequences must not be escaped."""
     return stream.unescaped if isinstance(stream, EscapedStream) else stream
 
 

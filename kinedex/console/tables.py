@@ -71,7 +71,7 @@ _LATE = re.compile(r"(^|_)(id|run|checksum|recipe|root|source|mtime|bytes|finger
 
 
 class Shown:
-    """An Arrow table that rich prints in the form that fits its place; no value is ever cut.
+    """An Arrow table that rich prints in a form for a terminal, a file or a pipe; no value is ever cut.
 
     In a file or a pipe a row is one line, however long. In a terminal, columns share the width and long values are
     wrapped between words. Where rows then have more than `TALL` lines on average, or words or names of columns would
@@ -109,7 +109,7 @@ class Shown:
                 yield pairs(zip(self._table.column_names, row, strict=True))
 
     def _piped(self, console: Console, options: ConsoleOptions) -> Iterator[str]:
-        """Yield the lines of a file or a pipe."""
+        """Yield the table as lines for a file or a pipe, one per row."""
         rows = _texts(self._table, self._null)
         if rows and all(_is_plain(text) for row in (self._table.column_names, *rows) for text in row):
             yield from _plain_lines(self._table, rows)

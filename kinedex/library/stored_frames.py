@@ -20,7 +20,7 @@ class StoredFrames:
         return stored_frames(self._stored, self._name, self._start, self._stop)
 
     def words(self) -> U64:
-        """Read the words alone."""
+        """Read only the words, not the positions."""
         return self._stored.words([self._take_id]).take(0)[self._start : self._stop]
 
     def part(self, start: int, stop: int) -> StoredFrames:

@@ -255,7 +255,7 @@ def _spans(columns: Columns, active: Bool) -> list[tuple[int, int]]:
 
 @nb.njit(cache=True, nogil=True)
 def sum_ratios(row: F64, word: np.uint64, offset: float, columns: Columns, first: int) -> None:
-    """Fill in the log ratios of a word for the columns from the first on."""
+    """Write into `row` the log ratios of a word, for the columns that begin with `first`."""
     end = first + len(row)
     intercepts = columns.intercepts[first:end]
     for n in range(len(row)):

@@ -266,7 +266,7 @@ def _forward(chain: ChainArrays, places: F64, turns: F64, positions: F64, turned
 
 @njit(cache=True, nogil=True)
 def pose_nodes(chain: ChainArrays, place: F64, turns: F64, turned: F64, centres: F64) -> None:
-    """Compute world rotations (K, 3, 3) and centres (K, 3) of the nodes in one frame, into the last two arrays."""
+    """Compute world rotations (K, 3, 3) and centres (K, 3) of a frame's nodes; write them into the last two arrays."""
     for k in range(len(chain.parents)):
         parent = chain.parents[k]
         for i in range(3):
@@ -287,7 +287,7 @@ def pose_nodes(chain: ChainArrays, place: F64, turns: F64, turned: F64, centres:
 
 @njit(cache=True, nogil=True)
 def pose_joints(chain: ChainArrays, turned: F64, centres: F64, joints: F64) -> None:
-    """Compute the joints (J, 3) of one frame from its nodes, into the last array."""
+    """Compute the joints (J, 3) of one frame from its nodes, and write them into `joints`."""
     for j in range(len(chain.joint_nodes)):
         k = chain.joint_nodes[j]
         for i in range(3):
@@ -338,7 +338,7 @@ def point_jacobian(chain: ChainArrays, turned: F64, centres: F64, node: int, poi
 
 @njit(cache=True, nogil=True)
 def take_step(chain: ChainArrays, place: F64, turns: F64, step: F64, new_place: F64, new_turns: F64) -> None:
-    """Move the pose of one frame by a step of its parameters, into the last two arrays."""
+    """Move the pose of one frame by a step of its parameters; write the result into the last two arrays."""
     for i in range(3):
         new_place[i] = place[i] + step[i]
     vector = np.zeros(3)

@@ -45,7 +45,7 @@ class GranuleBlocks(NamedTuple):
     Parameters
     ----------
     must_on, must_off : uint64 array (G, K)
-        The features of each group of weights that all columns of a block ask to be on, or off.
+        The features of each group of weights that all columns of a block require to be on, or off.
     weights : float32 array (G, K)
         The weight of a feature of each group as a share of all weights of a column.
     """
@@ -87,7 +87,7 @@ def granule_words(slices: BitSlices, first: int, stop: int) -> GranuleWords:
 
 @nb.njit(cache=True, nogil=True)
 def _gather(coarse, features, width, begin, on, off):  # type: ignore[no-untyped-def]
-    """Transpose the rows of the coarse copy from a granule on, 64 granules at a time (kernel)."""
+    """Write the on and off words of the granules from `begin`, by transposing the coarse slices (kernel)."""
     square = np.empty(64, np.uint64)
     end = begin + len(on)
     for word in range(begin // 64, -(-end // 64)):

@@ -145,7 +145,10 @@ def _blocks(votes: I64, most: int) -> Iterator[tuple[int, int]]:
 
 
 def _sequences(runs: WordRuns, words: U64, length: int) -> tuple[U64, I64, I64]:
-    """Return hash, take and frame of each sequence; the frame is the start of its second run, which no cut moves."""
+    """Return hash, take and frame of each sequence of `length` consecutive runs without an invalid frame between them.
+
+    The frame is the start of the second run, because the first one may be cut off at the start of a take.
+    """
     count = len(runs.take) - length + 1
     if count < 1:
         return np.empty(0, np.uint64), np.empty(0, np.int64), np.empty(0, np.int64)

@@ -1,10 +1,10 @@
-"""This module estimates the constant offset of a magnetometer from the sensor's own rotations.
+"""This module estimates the constant offset of a magnetometer (hard iron) from readings while the sensor rotates.
 
-A magnetised case adds to the field a vector that rotates with the sensor (hard iron); for each hundredth of the field
-it changes the heading by about a degree, differently in each pose. Orientations from gyroscope and accelerometer alone
-drift slowly but follow the sensor's rotations R, with which the readings m fulfil R m = m₀ + R b with the field m₀ and
-the offset b, which is linear in both. Rooms distort the field, too, so b is the maximum a posteriori estimate under a
-normal prior, with the effective number of independent residuals by their correlation over time.
+A magnetised case adds a vector b to the field in the sensor's axes. If b has a hundredth of the strength of the field,
+headings are wrong by up to about a degree, depending on the pose. The readings m fulfil R m = m₀ + R b, with the field
+m₀ in the world and the sensor's rotation R from gyroscope and accelerometer alone; the equation is linear in m₀ and b.
+Rooms distort the field, too, so b is a maximum a posteriori estimate with a normal prior; since errors are correlated
+over time, they count as fewer independent ones.
 """
 
 from __future__ import annotations

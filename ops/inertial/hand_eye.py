@@ -354,7 +354,10 @@ def _alternate(units: Sequence[Unit], sums: F64, worlds: F64, mounts: F64, verti
 
 
 def _first_eigenvectors(sums: F64, others: F64, group: I64, groups: int, upright: bool) -> F64:
-    """Return the first eigenvectors (groups, 4) of the units' matrices, summed by group; if `upright`, in its plane."""
+    """Return the first eigenvectors (groups, 4) of the units' matrices, summed by group.
+
+    If `upright`, they are restricted to the plane `UPRIGHT`.
+    """
     squares = (others[:, :, None] * others[:, None, :]).reshape(-1, 16, 1)
     each = (sums @ squares).reshape(-1, 4, 4)
     total = np.zeros((groups, 4, 4))

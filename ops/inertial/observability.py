@@ -1,4 +1,4 @@
-"""This module measures how well a take's movements determine a sensor's mount, and words the messages if not."""
+"""This module measures how well a take's movements determine a sensor's mount, and describes poor ones in messages."""
 
 from __future__ import annotations
 

@@ -204,7 +204,7 @@ def _noise_model(rows: Sequence[_Rows]) -> F64:
 
 
 def _whitened(values: F64, follows: I64, model: F64) -> F64:
-    """Return the innovations, what the model does not predict, of frames with enough consecutive predecessors."""
+    """Return the innovations (errors of the model's prediction) of frames with enough consecutive predecessors."""
     frames = np.flatnonzero(follows >= len(model))
     found = values[frames].copy()
     for lag, share in enumerate(model, 1):

@@ -1,4 +1,4 @@
-"""This module writes gymnastic motions: squats, jumping jacks, arm circles, cartwheels."""
+"""This module adds gymnastic motions to a score: squats, jumping jacks, arm circles, cartwheels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""This module writes filler motions: unlabelled movements between the labelled motions of a take."""
+"""This module adds filler motions to a score: unlabelled movements between the labelled motions of a take."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""This module writes motions between levels: sitting, standing up, lying down, getting up, reaching high and low."""
+"""This module adds motions between levels to a score: sitting, standing up, lying down, getting up, reaching."""
 
 from __future__ import annotations
 

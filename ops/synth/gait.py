@@ -1,4 +1,4 @@
-"""This module writes locomotion: walking, jogging, turning, spinning and hopping."""
+"""This module adds locomotion to a score: walking, jogging, turning, spinning and hopping."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""This module writes motions of one quick limb: kicking, punching, throwing."""
+"""This module adds quick motions of the limbs to a score: kicking, punching, throwing."""
 
 from __future__ import annotations
 

@@ -220,7 +220,7 @@ def take_cost(
 
 @njit(cache=True, nogil=True)
 def move(chain: ChainArrays, places: F64, turns: F64, steps: F64, new_places: F64, new_turns: F64) -> None:
-    """Update the poses of a take by steps (T, N) of their parameters, into the last two arrays."""
+    """Update the poses of a take by steps (T, N) of their parameters; write the result into the last two arrays."""
     for t in range(len(places)):
         take_step(chain, places[t], turns[t], steps[t], new_places[t], new_turns[t])
 

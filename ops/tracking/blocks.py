@@ -108,7 +108,7 @@ def prior_arrays(body: ChainBody, priors: PriorTerms | None, frames: int) -> Pri
 
 @njit(cache=True, nogil=True)
 def place_points(nodes: I64, offsets: F64, turned: F64, centres: F64, points: F64) -> None:
-    """Compute the points (P, 3) of one frame from its nodes, into the last array.
+    """Compute the points (P, 3) of one frame from its nodes, and write them into `points`.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ def add_prior_terms(
 
 @njit(cache=True, nogil=True)
 def _place_joint(chain: ChainArrays, joint: int, turned: F64, centres: F64, point: F64) -> int:
-    """Compute a joint's position in the world, into the last array, and return the node that moves it."""
+    """Write a joint's position in the world into the last array, and return the node that moves the joint."""
     k = chain.joint_nodes[joint]
     for i in range(3):
         point[i] = centres[k, i]

@@ -152,7 +152,7 @@ def sphere_interval(across: float, depth: float, radius: float) -> tuple[float, 
 
 @njit(cache=True, nogil=True)
 def capsule_box(one: F64, other: F64, radius: float, box: F64) -> None:
-    """Compute least x/z and y/z, greatest x/z and y/z of a capsule in the axes of a camera, into the last array."""
+    """Write the least x/z and y/z and the greatest x/z and y/z of a capsule in a camera's axes into the last array."""
     for i in range(2):
         low, high = sphere_interval(one[i], one[2], radius)
         low_other, high_other = sphere_interval(other[i], other[2], radius)

@@ -128,7 +128,10 @@ class Annotator:
         return applicability(self.feature_set, known.values(), templates, queries)
 
     def remarks_on(self, known: Mapping[int, int]) -> list[str]:
-        """Return remarks on what is not applied to takes that lack features; `known` has their masks by take_id."""
+        """Return remarks on templates and queries that are not applied to takes that lack features.
+
+        `known` has the masks of these takes by take_id.
+        """
         if known and not hasattr(self.method, "restricted"):
             return [
                 f"the method '{self.method.name}' needs all features: {counted(len(known), 'take')} whose bodies lack "

@@ -269,7 +269,7 @@ def _row(change: Change) -> dict[str, object]:
 
 
 def _changes(a: Mapping[str, Counts], b: Mapping[str, Counts]) -> list[Change]:
-    """Return the changes of everything that both have, in the order of A, unless neither side has a frame of it."""
+    """Return the changes of the names in both A and B, in the order of A, without names that have no frames."""
     return [
         _change(name, a[name], b[name])
         for name in a

@@ -200,7 +200,7 @@ def _free_name(name: str, taken: Iterable[str]) -> str:
 
 
 def _remarks(store: Path, run: PipelineRun) -> list[str]:
-    """Return remarks on what the file alone does not reproduce, and on how to reproduce it."""
+    """Return remarks on results that the file alone does not reproduce, with instructions to reproduce them."""
     remarks = []
     if run.state != "finished":
         remarks.append(f"this run did not finish (it is {run.state}); the file runs all of its stages")

@@ -69,7 +69,7 @@ class ReusedTakes:
         )
 
     def put(self, kind: str, tables: Iterable[pa.Table], pieces: Pieces = lambda rows: (rows,)) -> None:
-        """Store the rows of all takes in a commit of their own; parameters are those of `rows`."""
+        """Store the rows of all takes, and commit them; the parameters are those of `rows`."""
         with self._context.writer() as writer:
             rows = self.rows(kind, tables, pieces)
             writer.put_results(kind, rows, stage=self._context.key(), run=self._context.run)

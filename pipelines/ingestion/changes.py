@@ -221,7 +221,7 @@ class _Comparison:
         return same_rule or file.name == file_names(self.naming, file.path)[0]
 
     def is_unchanged(self, motion: SourceFile, is_made_so: Callable[[Row], bool], damaged: set[int]) -> bool:
-        """Return whether a file need not be read, and collect the new rows of its takes."""
+        """Return whether a file need not be read; if so, add the new rows of its takes to `restated`."""
         file = self.known.get(motion.path)
         rows = file.current_rows(self.contents[motion.path], is_made_so, damaged) if file is not None else ()
         if file is None or not rows:
@@ -272,7 +272,7 @@ def recipe_of(made_by: str, skeleton: str, groups: Mapping[str, str] | None = No
 
 
 def has_recipe(made_by: str, skeleton: str, row: Mapping[str, Any]) -> bool:
-    """Return whether a take was made with a recipe, including the form of recipes in earlier development versions."""
+    """Return whether a take was made with a recipe, the hash of what it depends on; earlier forms count as well."""
     if row["recipe"] == recipe_of(made_by, skeleton):
         return True
     groups = {name: row[name] for name in EVERYWHERE if row[name] is not None} | json.loads(row["groups"] or "{}")

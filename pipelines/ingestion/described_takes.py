@@ -48,7 +48,7 @@ class Descriptions:
     tables: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
 
     def of(self, row: Mapping[str, Any], columns: Mapping[str, TakeColumn]) -> dict[str, Any]:
-        """Return the values that describe a take.
+        """Return the values of a take's columns that path patterns and tables give, and its warnings.
 
         Parameters
         ----------

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 
 class StoredRuns:
-    """The stored runs of a stage, with any number and setting, for the same clips and algorithm.
+    """The learning runs that a stage has stored.
 
-    The next save removes runs of other classes or clips, because they cannot be reused.
+    Saving removes the runs of other training clips, because they cannot be reused.
     """
 
     def __init__(self, context: StageContext, trainings: Sequence[TrainingSet]) -> None:

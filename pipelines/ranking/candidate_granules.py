@@ -100,7 +100,7 @@ def candidate_granules(
 
 
 def _runs(takes: I64) -> Iterator[tuple[int, int]]:
-    """Yield ranges of consecutive takes."""
+    """Yield the half-open ranges of consecutive take ids in an ascending array."""
     if len(takes):
         breaks = np.flatnonzero(np.diff(takes) > 1)
         begins = takes[np.concatenate(([0], breaks + 1))].tolist()

@@ -1,4 +1,4 @@
-"""Templates to rank by, the hits of each, and the table of hits."""
+"""Define the templates of a ranking, the hits of each template, and the table of hits."""
 
 from __future__ import annotations
 

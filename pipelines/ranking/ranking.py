@@ -117,7 +117,7 @@ class _Pass:
     workers: int
 
     def rank(self, templates: Sequence[RankedTemplate], first: Sequence[float], reading: float) -> list[Ranking]:
-        """Rank the takes by templates, each below its own threshold; `reading` seconds were spent before."""
+        """Rank the takes by templates; `first` has a threshold for each, `reading` the seconds spent before."""
         top, names = self.top, self.names
         best: list[list[tuple[float, str, int, Hit]]] = [[] for _ in templates]
         counts = np.zeros((len(templates), 3), np.int64)

@@ -156,7 +156,7 @@ def shows_person(coarse: Scene, image: F32) -> bool:
 
 
 def first_images(recording: DepthRecording, placement: Placement, count: int) -> list[F32]:
-    """Return up to `count` images, from the first frame that shows a person on.
+    """Return up to `count` images, beginning with the first frame that shows a person.
 
     Raises
     ------
@@ -279,7 +279,7 @@ def track_recording(
 
 
 def contradicts(image: F32, background: F32 | None) -> bool:
-    """Return whether so many pixels of an image lie behind the empty room that the camera must have moved."""
+    """Return whether more than `MOST_BEHIND` of an image lies behind the empty room, so that the camera was moved."""
     return background is not None and behind_share(image, background) > MOST_BEHIND
 
 

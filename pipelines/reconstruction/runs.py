@@ -1,4 +1,4 @@
-"""Reconstruct several depth recordings; each take is committed when done, unchanged ones are kept."""
+"""Reconstruct several depth recordings; each take is committed when done, unchanged recordings are skipped."""
 
 from __future__ import annotations
 

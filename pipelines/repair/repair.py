@@ -247,7 +247,7 @@ class _Work:
         return {one.file for one in self.outcome.found if one.kind == kind} - self.mended
 
     def _take_rows(self) -> None:
-        """Restore the rows of takes from damaged parts; a store without them cannot be written."""
+        """Restore the rows of takes whose parts are damaged; writing to the store requires these rows."""
         store = open_store(self.root, at="newest")
         wrong = [part for part in store.manifest.takes if part.path in self._damaged("takes")]
         if not wrong:

@@ -129,7 +129,7 @@ class Sources:
         return number, replace(task, person=row.get("person") or "", persons=row.get("persons") or 1)
 
     def _reader_of(self, row: Mapping[str, Any], motion: SourceFile, skeleton: str) -> tuple[int, str]:
-        """Return the number of the settings that a take was read with, and its recipe with these settings."""
+        """Return the index of the ingest settings that a take was read with, and its recipe with these settings."""
         here = [number for number, reader in enumerate(self._readers) if reader.root == row["source_root"]]
         # recipes do not cover patterns: try the settings of the take's own source first
         for number in dict.fromkeys([*here, *range(len(self._readers))]):

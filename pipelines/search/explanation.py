@@ -230,7 +230,7 @@ def _query_rows(report: QueryReport, query: KeyframeQuery) -> list[dict[str, obj
 
 
 def _report(lists: Mapping[str, InvertedLists], answer: _Answer, feature_set: FeatureSet, read: float) -> QueryReport:
-    """Explain how a query found its ranges, from the lists of the same takes."""
+    """Return a report on the keyframes, hits and times of a query, from the inverted lists of the searched takes."""
     query, ranges = answer.query, answer.ranges
     reports: list[KeyframeReport] = []
     spent = 0.0

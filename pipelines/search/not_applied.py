@@ -48,7 +48,7 @@ def applicability(
     templates: Mapping[str, QuantisedTemplate],
     queries: Iterable[KeyframeQuery] = (),
 ) -> list[Applicability]:
-    """Return the applicability of templates and queries that are not completely known in some takes.
+    """Return the known share of templates and queries that fix features which some takes do not have.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def _names(found: Sequence[Applicability]) -> str:
 def not_applied_table(
     found: Sequence[Applicability], known: Mapping[int, int], names: Mapping[int, str], run: str
 ) -> pa.Table:
-    """Return what is not applied as results of the kind `not_applied`, one row for each take and template or query."""
+    """Return results of the kind `not_applied`: a row for each take and each template or query not applied to it."""
     by_mask: dict[int, list[Applicability]] = {}
     for one in found:
         if not one.applied:

@@ -38,7 +38,7 @@ Hit = TypeVar("Hit", bound=HasExamples)
 
 @dataclass(frozen=True)
 class Nearest:
-    """An example, and for each frame of a hit the frame of the example, from its start on."""
+    """An example, and for each frame of a hit the aligned frame of the example, counted from its start."""
 
     take: str
     start: int

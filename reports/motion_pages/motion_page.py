@@ -98,7 +98,7 @@ class MotionPage:
 
     @property
     def amount(self) -> str:
-        """A sentence about how many are shown out of how many, and the option that shows more."""
+        """A sentence with the number of figures that are shown, the number of all, and the option that shows all."""
         if self.shown == self.total:
             return f"{counted(self.total, self.noun)}."
         return f"{self.shown:,} of {counted(self.total, self.noun)}; --figures {self.total} shows all."

@@ -1,4 +1,4 @@
-"""Stage report: one HTML page from what the pipeline's stages stored."""
+"""Stage report: write an HTML page about annotations from the results of the pipeline."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Params(BaseModel):
 
 
 class Report(Stage[Params]):
-    """One HTML page from what the pipeline's stages stored."""
+    """Writes an HTML page about annotations from the results of the pipeline."""
 
     name = "report"
     parameters = Params

@@ -1,4 +1,4 @@
-"""Stage report_limb_errors: one HTML page about takes and inertial sensors, from what the pipeline's stages stored."""
+"""Stage report_limb_errors: write an HTML page about takes and inertial sensors, from the results of the pipeline."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Params(BaseModel):
 
 
 class ReportLimbErrors(Stage[Params]):
-    """One HTML page about takes and inertial sensors, from what the pipeline's stages stored (thesis, Fig. 7.7)."""
+    """Writes an HTML page about takes and inertial sensors, from the results of the pipeline (thesis, Fig. 7.7)."""
 
     name = "report_limb_errors"
     parameters = Params

@@ -1,4 +1,4 @@
-"""Stage report_reconstruction: one HTML page about takes made from depth, from what the pipeline's stages stored."""
+"""Stage report_reconstruction: write an HTML page about takes made from depth, from the results of the pipeline."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Params(BaseModel):
 
 
 class ReportReconstruction(Stage[Params]):
-    """One HTML page about takes made from depth, from what the pipeline's stages stored."""
+    """Writes an HTML page about takes made from depth, from the results of the pipeline."""
 
     name = "report_reconstruction"
     parameters = Params

@@ -1,4 +1,4 @@
-"""Stage report_retrieval: one HTML page about ranking, from what the pipeline's stages stored."""
+"""Stage report_retrieval: write an HTML page about ranking, from the results of the pipeline."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Params(BaseModel):
 
 
 class ReportRetrieval(Stage[Params]):
-    """One HTML page about ranking, from what the pipeline's stages stored."""
+    """Writes an HTML page about ranking, from the results of the pipeline."""
 
     name = "report_retrieval"
     parameters = Params

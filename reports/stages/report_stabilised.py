@@ -1,4 +1,4 @@
-"""Stage report_stabilised: one HTML page about stabilised takes, from what the pipeline's stages stored."""
+"""Stage report_stabilised: write an HTML page about stabilised takes, from the results of the pipeline."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Params(BaseModel):
 
 
 class ReportStabilised(Stage[Params]):
-    """One HTML page about stabilised takes, from what the pipeline's stages stored."""
+    """Writes an HTML page about stabilised takes, from the results of the pipeline."""
 
     name = "report_stabilised"
     parameters = Params

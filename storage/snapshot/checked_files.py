@@ -121,7 +121,7 @@ _copies: dict[str, CheckedFiles] = {}
 
 
 def _received(origin: str, store: Path, known: dict[str, _Identity]) -> CheckedFiles:
-    """Return this process's copy of an object of another process."""
+    """Return this process's copy of a `CheckedFiles` from another process, with the sender's results added."""
     copy = _copies.get(origin)
     if copy is None:
         copy = CheckedFiles(store)

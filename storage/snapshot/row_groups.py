@@ -52,7 +52,7 @@ class RowGroups:
 
     @property
     def parts(self) -> list[tuple[ResultPart, list[Hashable]]]:
-        """The parts with the values of the column in each, in their order in the store."""
+        """The parts in the order of the store, each with the values of the column that it contains."""
         found: list[tuple[ResultPart, list[Hashable]]] = [(part, []) for part in self._parts]
         for value, places in self._places.items():
             for number in dict.fromkeys(number for number, _ in places):

@@ -207,7 +207,7 @@ class _Verification:
             yield self._found("results", file, problem)
 
     def _result_problems(self) -> Iterator[tuple[str, str]]:
-        """Yield the problems of results whose rows are compared with each other."""
+        """Yield the problems of the results of tracking, reconstruction and sensors, whose rows must fit each other."""
         checks = (pose_problems, reconstruction_problems, imu_problems, limb_problems, limb_error_problems)
         for problems in checks:
             yield from problems(self.store)

@@ -105,6 +105,6 @@ def remove_leftovers(root: Path, newest: Manifest, since: float = 0.0) -> None:
 
 
 def _remove(path: Path) -> None:
-    """Remove a leftover; if Windows refuses because it is open, the next writer tries again."""
+    """Remove a leftover file; if Windows refuses because it is open, the next writer tries again."""
     with suppress(PermissionError if os.name == "nt" else FileNotFoundError):
         path.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Joints of a body among points by regressions of landmarks, and by points that are centres of joints."""
+"""Estimate joints of a body among points, from regressions of landmarks or from points at the joints' centres."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ class BodyDraft:
 
 
 def one_point(label: str) -> Mix:
-    """Return the combination that is one point alone."""
+    """Return the mix that consists of one point with weight 1."""
     return Mix(((label, 1.0),))
 
 

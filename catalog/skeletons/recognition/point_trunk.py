@@ -1,4 +1,4 @@
-"""Head, trunk, feet and hands of a body among points, from the joints and landmarks that are known."""
+"""Estimate head, trunk, feet and hands of a body among points, from the joints and landmarks that are known."""
 
 from __future__ import annotations
 

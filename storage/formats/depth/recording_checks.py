@@ -61,7 +61,7 @@ class Extents(NamedTuple):
 
 
 def measured_extents(camera: DepthCamera, images: Mapping[int, F32], background: F32 | None) -> Extents | None:
-    """Return distance and size of what is in front of the background.
+    """Return distance and size of the object in front of the background.
 
     Parameters
     ----------

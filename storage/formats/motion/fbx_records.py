@@ -64,7 +64,7 @@ class Record:
     records: list[Record] = field(default_factory=list)
 
     def all(self, name: str) -> Iterator[Record]:
-        """Yield the records with a name that are directly below."""
+        """Yield the direct child records with this name."""
         return (record for record in self.records if record.name == name)
 
     def first(self, name: str) -> Record:

@@ -68,7 +68,7 @@ class KeypointReader(PointsReader):
         return len(files), 0, _PER_BYTE * max(file_size(path) for path in files) + 4000 * len(files)
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Estimate the memory of a file as JSON; its frames are counted only on reading."""
+        """Estimate the memory for reading the JSON; the frames of a single file are unknown, and given as 0."""
         frames, _, need = self.size(file)
         return Extent(0 if frames == 1 else frames, need + body_bytes(frames, joints), settings.override_rate_hz)
 

@@ -176,7 +176,10 @@ class _Segments:
     orientations: F64
 
     def at(self, frames: I64, oriented: Sequence[int]) -> tuple[F64, F64]:
-        """Return positions (N, 3, K) and rotations (M, 9, K), in metres with Y up."""
+        """Return positions (N, 3, K) of all nodes and rotations (M, 9, K) of `oriented` ones in K frames.
+
+        They are in metres with Y up.
+        """
         turns = self.orientations[frames]
         all_places = self.positions[frames]
         places = [all_places[:, self.used]]

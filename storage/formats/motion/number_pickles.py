@@ -131,7 +131,7 @@ def _encoded(text: object, encoding: object = "latin1") -> bytes:
 
 
 def _no_bytes(*arguments: object) -> bytes:
-    """Return no bytes, as older protocols encode them; raise an error if the file asks for a number of bytes."""
+    """Stand in for `bytes()`, by which older pickle protocols encode empty bytes; refuse a call with arguments."""
     if arguments:
         raise _Refused("asks for bytes of its choice")
     return b""

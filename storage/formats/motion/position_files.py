@@ -332,7 +332,7 @@ def _array_names(path: Path, arrays: dict[str, Any], joints: int) -> tuple[str, 
 
 
 def _is_text(name: str) -> bool:
-    """Return whether a name can be encoded; NumPy accepts any four bytes as a character."""
+    """Return whether a name is valid Unicode; NumPy accepts any four bytes as a character."""
     try:
         return name.encode().decode() == name
     except UnicodeError:

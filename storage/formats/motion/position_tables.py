@@ -75,7 +75,7 @@ class Table:
             self.rows += self.lines > self.first and bool(line.strip())
 
     def _lines(self) -> Iterator[str]:
-        """Yield all lines without their line ends, of whatever kind."""
+        """Yield all lines without their line ends, which may be LF, CRLF or CR."""
         decoder, carry, empty = codecs.getincrementaldecoder(self._encoding)(), "", True
         try:
             with self.path.open("rb") as file:

@@ -145,7 +145,7 @@ class Scan:
         return _by_folder(self.skeletons)
 
     def skeleton_of(self, motion: SourceFile) -> SourceFile:
-        """Return the skeleton file that belongs to a motion file, by the rule of `skeleton_of`."""
+        """Return the skeleton file that belongs to a motion file, as the function `skeleton_of` of this module does."""
         return _nearest(motion, self._skeletons_in)
 
     @cached_property
