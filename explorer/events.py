@@ -126,7 +126,7 @@ class _Known:
         self._trouble: str | None = None
 
     async def news(self) -> bytes:
-        """Check the store; return a message if it can no longer, or again, be read, else an empty one."""
+        """Check the store; return a message if it has become unreadable or readable again, else an empty one."""
         state: Mapping[str, object] = {}
         try:
             state = await to_thread.run_sync(self._look)

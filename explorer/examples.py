@@ -62,7 +62,7 @@ Examples = Annotated[tuple[ChosenHit, ...], Field(max_length=MOST_EXAMPLES)]
 
 
 class ExamplesQuestion(Selection):
-    """A search by example: intervals to be similar to, and others not to."""
+    """A search by example: hits are similar to the intervals `positives`, and dissimilar to `negatives`."""
 
     positives: Annotated[Examples, Field(min_length=1)]
     negatives: Examples = ()

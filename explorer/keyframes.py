@@ -44,7 +44,7 @@ MOST_POSES = 20
 
 
 class PoseEntry(Question):
-    """Features that hold and features that do not; all others may be either."""
+    """A pose: the features that are on, and those that are off; all others are wildcards."""
 
     on: tuple[str, ...] = ()
     off: tuple[str, ...] = ()

@@ -104,7 +104,7 @@ class RememberingThesisMethod(ThesisMethod):
 
     @classmethod
     def prepare(cls, templates: ClassTemplates, clips: Callable[[], Sequence[U64]]) -> RememberingThesisMethod:
-        """Make the method with a cache of its own."""
+        """Return the method for some templates, with a new empty cache."""
         return cls(templates.quantised, templates.class_index, templates.thresholds)
 
     def matches(self, words: TakeWords, ranges: Sequence[I64]) -> Matches:

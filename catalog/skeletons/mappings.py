@@ -155,7 +155,7 @@ class Mappings:
         return shipped and bool(mapping.order)
 
     def _may_fit(self, mapping: SkeletonMapping, source: str | Path, nodes: Iterable[str]) -> bool:
-        """Return whether a mapping may be used for this file: it is meant for it, or the user chose it."""
+        """Return whether a mapping may be used for a file: its `only` admits the file, or the user chose it."""
         return mapping.format in self.forced or mapping.is_for(source, nodes)
 
     def recognised(self, source: str | Path, form: Format, evidence: Evidence) -> Fit:

@@ -119,7 +119,7 @@ class SkeletonMapping:
     limbs: Mapping[str, LimbSource] = field(default_factory=dict)
 
     def is_for(self, source: str | Path, nodes: Iterable[str]) -> bool:
-        """Return whether the mapping may be detected in a file: whether it is of those that the mapping is made for."""
+        """Return whether the mapping may be detected in a file: `only` is None, or matches its name or a node's name."""
         return self.only is None or any(re.search(self.only, name) for name in (Path(source).name, *nodes))
 
     def places(self, nodes: Mapping[str, int]) -> dict[str, int]:

@@ -1,8 +1,8 @@
 """This module links the components of a frame's point graph by edges between the closest pairs of points.
 
 The nodes of a component are gathered in blocks: tiles of 8 × 8 pixels, with the box in space that holds their points.
-A distance to such a box is never above that to a point in it, rounding included, so blocks farther than the closest
-pair so far are skipped, and the pair is exact.
+The computed distance to a box is never above the computed distance to a point in it, even with rounding errors. So
+blocks farther than the closest pair so far are skipped, and the result is exact.
 """
 
 from __future__ import annotations

@@ -227,7 +227,7 @@ def _sides(chain: KinematicChain, places: dict[str, F64], bone: str) -> SideLeng
 def _limb_lengths(
     limb: tuple[str, ...], bones: list[SideLengths | None], mean: dict[str, float], share: float
 ) -> dict[str, float]:
-    """Return the lengths of a limb's bones; those not seen are scaled from the mean body by those that are."""
+    """Return the lengths of a limb's bones; unseen bones get the mean body's length, scaled as the seen bones are."""
     expected = {bone: 0.5 * (mean[f"l{bone}"] + mean[f"r{bone}"]) for bone in limb}
     even = [found for found in bones if found is not None and not found.ratio > UNEVEN]
     measured = sum(np.nanmean((found.left_m, found.right_m)) for found in even)

@@ -384,7 +384,7 @@ def _corrections(
 
 
 def _drawn(one: Segment, origin: str, more: Mapping[str, str | None]) -> Row:
-    """Return a label for a segment; its file names the annotator, unless somebody else corrects its class."""
+    """Return a label for a segment; the annotator is that of its file, or the person who corrected the class."""
     edges = {"start": int(one.start), "stop": int(one.stop)}
     row = {"take": one.take, "class": one.label, **edges, "origin": origin, "source": one.where or None, **more}
     named = bool(one.annotator) and (bool(one.limb) or origin == "imported" or not more.get("annotator"))

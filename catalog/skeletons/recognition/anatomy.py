@@ -105,7 +105,7 @@ def trunk_length(tree: Tree, legs: Pair, arms: Pair) -> float:
 
 
 def _hips(tree: Tree, common: int, legs: Pair) -> int:
-    """Return the node of the pelvis: where legs and spine part, or one near to it that is named so."""
+    """Return the node of the pelvis: where legs and spine part, or a near node with a name of the hips."""
     middle = (tree.places[legs.first.nodes[0]] + tree.places[legs.second.nodes[0]]) / 2
     near = [common, *tree.ancestors(common)[1:], legs.at]
     for node in near:
@@ -166,7 +166,7 @@ def _head_way(tree: Tree, top: int) -> tuple[int, ...]:
 
 
 def _part(tree: Tree, pair: Pair, kind: str) -> Anatomy:
-    """Return the body of which only the legs, or only the arms, are there."""
+    """Return the body of which only the legs, or only the arms, were found, with the hips near to them."""
     above = tree.ancestors(pair.at)
     if kind == "legs":
         return Anatomy(pair, None, _hips(tree, pair.at, pair), (), (), 2 * pair.score)

@@ -159,7 +159,7 @@ class Landmarks:
         return found
 
     def all_mixes(self, reading: Reading, joints: Sequence[str]) -> dict[str, tuple[list[Mix], str]]:
-        """Return the mixes of every joint, as `mixes` does; files of an archive share their labels, and so these."""
+        """Return the mixes of every joint, as `mixes` does, and cache them, since files of an archive share labels."""
         for joint in joints:
             if joint not in reading.made:
                 reading.made[joint] = self.mixes(joint, reading.labels)

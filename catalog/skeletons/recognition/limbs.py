@@ -48,7 +48,7 @@ class Limb:
 
     @property
     def score(self) -> float:
-        """Return the sum of both fits."""
+        """Return the weighted sum of the fits of names and lengths."""
         return _NAME_WEIGHT * self.names + self.shape
 
     @property
@@ -67,7 +67,7 @@ class Pair:
 
     @cached_property
     def likeness(self) -> float:
-        """Return how alike the two are; 0 is perfect, and less is worse."""
+        """Return the similarity of the bone lengths of the two limbs; 0 if they are equal, else negative."""
         parts = [
             abs(math.log(max(a, 1e-9) / max(b, 1e-9)))
             for a, b in zip(self.first.bones[1:3], self.second.bones[1:3], strict=True)
@@ -81,12 +81,12 @@ class Pair:
 
     @property
     def names(self) -> float:
-        """Return how well the names of both fit, up to 3."""
+        """Return the mean fit of the names of both limbs, up to 3."""
         return (self.first.names + self.second.names) / 2
 
     @property
     def shape(self) -> float:
-        """Return how well the lengths of both fit."""
+        """Return the mean fit of the lengths of both limbs, plus half of their likeness."""
         return (self.first.shape + self.second.shape) / 2 + self.likeness / 2
 
     @property

@@ -52,7 +52,7 @@ class NodeName:
 
     @property
     def key(self) -> str:
-        """Return the words in one piece, under which a vocabulary lists them."""
+        """Return the words concatenated, the form in which a vocabulary lists them."""
         return "".join(self.words)
 
     @property

@@ -81,5 +81,5 @@ def median_of(values: F64) -> float:
 
 
 def median_length(vectors: F64) -> float:
-    """Return the median length of vectors (3, K), never so near to zero that nothing can be divided by it."""
+    """Return the median length of vectors (3, K), at least a small positive number, so that it can be a divisor."""
     return max(median_of(np.sqrt((vectors * vectors).sum(axis=0))), _TINY)

@@ -146,7 +146,7 @@ def add_ends(draft: BodyDraft, reading: Reading) -> None:
 
 
 def _toes_of_markers(draft: BodyDraft, reading: Reading, side: str) -> None:
-    """Estimate toes in front of a marker on the ankle, as the pelvis faces."""
+    """Estimate the toes in front of a marker on the ankle, in the direction that the pelvis faces."""
     parts = ("rasis", "lasis", "c7", "lacromion", f"{side}kneelat", f"{side}anklelat")
     of = {name: reading.labels[name][0] for name in parts if name in reading.labels}
     above = of.get("c7", of.get("lacromion"))

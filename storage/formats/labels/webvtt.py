@@ -1,4 +1,4 @@
-"""Read and write WebVTT: subtitles, each cue of which is a label, which video players show."""
+"""Read and write WebVTT, the subtitles of video players; each cue is a label."""
 
 from __future__ import annotations
 
