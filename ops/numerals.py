@@ -99,6 +99,7 @@ def read_number(data: U8, pos: int, end: int) -> tuple[float, int, int]:
     Returns
     -------
     value : float
+        The number.
     pos : int
         The position after the number.
     status : int
@@ -118,6 +119,7 @@ def _any_number(data: U8, pos: int, end: int) -> tuple[float, int, int]:
     Returns
     -------
     value : float
+        The number.
     pos : int
         The position after the number.
     status : int

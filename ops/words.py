@@ -112,6 +112,7 @@ def cut(words: U64, first_feature: int, features: int) -> U64:
     Parameters
     ----------
     words : uint64 array (N,)
+        The words.
     first_feature : int
         The number of the set's lowest feature, from 1.
     features : int
@@ -139,6 +140,7 @@ def bits(words: U64, features: int) -> npt.NDArray[np.uint8]:
     Parameters
     ----------
     words : uint64 array (N,)
+        The words.
     features : int
         The number of features f.
 

@@ -119,7 +119,7 @@ class SkeletonMapping:
     limbs: Mapping[str, LimbSource] = field(default_factory=dict)
 
     def is_for(self, source: str | Path, nodes: Iterable[str]) -> bool:
-        """Return whether the mapping may be detected in a file: `only` is None, or matches its name or a node's name."""
+        """Return True if `only` is None, or if it matches the file's name or a node's, so that detection may use it."""
         return self.only is None or any(re.search(self.only, name) for name in (Path(source).name, *nodes))
 
     def places(self, nodes: Mapping[str, int]) -> dict[str, int]:
@@ -192,6 +192,7 @@ class SkeletonMapping:
         nodes : Mapping[str, int]
             Node name → index.
         positions : float64 array (nodes, 3, T)
+            The positions of the nodes, in the file's axes.
         joints : tuple of str
             The named joints wanted, in order.
 

@@ -136,6 +136,7 @@ def lay_columns(templates: Sequence[Template], usual: F64, decoding: Decoding) -
     usual : float64 array (K, f)
         The usual postures, see `ops.annotation.background.background`.
     decoding : Decoding
+        The parameters of decoding.
     """
     slopes, intercepts = _linear(templates, usual, decoding)
     lengths = np.array([len(template) for template in templates], np.int64)
@@ -172,6 +173,7 @@ def explain(
     words : uint64 array (L,) or Frames
         The words of one take, or the result of `frames_of` for them.
     decoding : Decoding
+        The parameters of decoding.
     ranges : sequence of int64 array (R, 2), optional
         For each template the half-open ranges that it may explain, ascending and disjoint; None: all frames.
     columns : Columns, optional
@@ -260,9 +262,13 @@ def exclusive_shares(
     classes : int64 array (T,)
         The class of each template.
     usual : float64 array (K, f)
+        The usual postures, see `ops.annotation.background.background`.
     words : uint64 array (L,) or Frames
+        The words of the take, or the result of `frames_of` for them.
     decoding : Decoding
+        The parameters of decoding.
     columns : Columns, optional
+        See `explain`.
     promising : int64 array (R, 3), optional
         See `explain`.
 

@@ -56,6 +56,7 @@ class Frames(NamedTuple):
     Parameters
     ----------
     words : uint64 array (L,)
+        The words of the frames.
     offsets : float64 array (L,)
         The amount that is added to the log ratios of all columns in each frame.
     """
@@ -81,8 +82,11 @@ def forwards(
     Parameters
     ----------
     frames : Frames
+        The frames of the take.
     columns : Columns
+        The columns of the templates.
     costs : Costs
+        The costs of an explanation.
     allowed : bool array (T, L) or (T, 0)
         The frames in which each template may be; without frames: everywhere.
     changes : int64 array
@@ -93,6 +97,7 @@ def forwards(
     Returns
     -------
     value : float64 array (L + 1,)
+        The greatest value of an explanation of the frames before each frame.
     winner : int64 array (L + 1,)
         The template whose segment ends before a frame, or −1.
     """
@@ -137,8 +142,11 @@ def rival_values(frames: Frames, columns: Columns, costs: Costs, rivals: Bool, s
     Parameters
     ----------
     frames : Frames
+        The frames of the take.
     columns : Columns
+        The columns of the templates.
     costs : Costs
+        The costs of an explanation.
     rivals : bool array (S, T)
         The templates that are compared with each segment.
     starts, stops : int64 array (S,)
@@ -179,12 +187,17 @@ def advance(
     Parameters
     ----------
     frames : Frames
+        The frames of the take.
     origin : int
         The frame from which log ratios are summed.
     start, stop : int
+        The half-open range of frames.
     columns : Columns
+        The columns of the templates.
     costs : Costs
+        The costs of an explanation.
     active : bool array (T,)
+        True for the templates that may be in these frames.
     scores : float64 array (4, C)
         The best value in each column in frame f, in row f mod 4.
     rows : float64 array (4, C)
@@ -288,7 +301,9 @@ def change_ratios(
     difference : float
         The offset of the frame less that of the frame before.
     slopes : float64 or float32 array (f, C)
+        See `Columns`.
     first : int
+        The first column.
     """
     flipped, end, one = old ^ new, first + len(row), slopes.dtype.type(1.0)
     if not flipped:
@@ -321,6 +336,7 @@ def step(here: F64, now: F64, once: F64, twice: F64, last: F64, second: F64, thi
     last, second, third : float64 or float32 array
         Values in the three frames before it.
     skip : float
+        The cost of a skipped column.
     """
     for n in range(len(here)):
         best = last[n + 2]

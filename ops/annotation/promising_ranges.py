@@ -49,8 +49,9 @@ class Group:
     columns : Columns
         Their columns.
     slopes : float32 array (f, C)
+        `columns.slopes` in single precision.
     intercepts : float32 array (C,)
-        The same in single precision.
+        `columns.intercepts` in single precision.
     """
 
     first: int
@@ -69,6 +70,7 @@ def lay_groups(templates: Sequence[Template], usual: F64, decoding: Decoding) ->
     usual : float64 array (K, f)
         The usual postures, see `ops.annotation.background.background`.
     decoding : Decoding
+        The parameters of decoding.
 
     Raises
     ------
@@ -96,9 +98,11 @@ def promising_ranges(groups: Sequence[Group], usual: F64, words: U64, decoding: 
     groups : sequence of Group
         The templates, see `lay_groups`.
     usual : float64 array (K, f)
+        The usual postures, see `ops.annotation.background.background`.
     words : uint64 array (L,)
         The words of the take.
     decoding : Decoding
+        The parameters of decoding.
 
     Returns
     -------
@@ -158,16 +162,22 @@ def _scan(
     Parameters
     ----------
     words : uint64 array (L,)
+        The words of the take.
     offsets : float32 array (L,)
+        See `decoding_kernels.Frames`.
     slopes : float32 array (f, C)
+        See `decoding_kernels.Columns`.
     intercepts : float32 array (C,)
+        See `decoding_kernels.Columns`.
     firsts, lengths : int64 array (T,)
         See `decoding_kernels.Columns` and `decoding_kernels.Frames`.
     costs : Costs
+        The costs of an explanation.
 
     Returns
     -------
     ends, begins : float32 array (T, L)
+        The greatest values in the last column, and in the first column.
     """
     count, width = len(words), len(intercepts)
     ends = np.empty((len(firsts), count), np.float32)

@@ -182,7 +182,9 @@ def cost_table(layout: Layout, vocabulary: U64, dtype: type[np.floating[Any]] = 
     Parameters
     ----------
     layout : Layout
+        The columns of the templates.
     vocabulary : uint64 array (W,)
+        The different words, see `CodedWords`.
     dtype : type
         float64 or float32.
 
@@ -209,7 +211,9 @@ def bound_table(
     Parameters
     ----------
     layout : Layout
+        The columns of the templates.
     vocabulary : uint64 array (W,)
+        The different words, see `CodedWords`.
     units : float64 array (T,)
         The cost that a unit of each template stands for.
     most : int
@@ -235,6 +239,7 @@ def in_units(layout: Layout, units: F64) -> TemplateColumns:
     Parameters
     ----------
     layout : Layout
+        The columns of the templates.
     units : float64 array (T,)
         The cost that a unit of each template stands for.
     """
@@ -297,7 +302,9 @@ def column_costs(word: np.uint64, columns: TemplateColumns, costs: F64) -> None:
     Parameters
     ----------
     word : uint64
+        The word.
     columns : TemplateColumns
+        The columns of the templates.
     costs : float64 array (N,)
         The results.
     """
@@ -350,9 +357,11 @@ def fill_bounds(vocabulary: U64, columns: TemplateColumns, cap: int, needed: Boo
     Parameters
     ----------
     vocabulary : uint64 array (W,)
+        The different words, see `CodedWords`.
     columns : TemplateColumns
         Their weights in units, see `in_units`.
     cap : int
+        The greatest bound.
     needed : bool array (W,)
         The words whose rows are filled.
     table : array (W, S)

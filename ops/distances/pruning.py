@@ -153,7 +153,9 @@ def fine_bound(
     Parameters
     ----------
     template : QuantisedTemplate
+        The template.
     coded : CodedWords
+        The words of the frames.
     threshold : float
         τ > 0.
     ranges : int64 array (R, 2)
@@ -231,7 +233,9 @@ def possible_minima(units: U16, ranges: I64, slack: int) -> tuple[I64, Bool]:
     Parameters
     ----------
     units : uint16 array (L,)
+        The bound of each frame in whole units.
     ranges : int64 array (R, 2)
+        The ranges that paths must not leave.
     slack : int
         See `FineBound`.
 

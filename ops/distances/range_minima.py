@@ -45,6 +45,7 @@ def minima_within(
     templates : sequence of QuantisedTemplate
         T templates.
     words : uint64 array (L,)
+        The words of the frames.
     thresholds : float64 array (T,)
         The threshold τ > 0 of each template.
     ranges : sequence of int64 array (R, 2)
@@ -99,12 +100,15 @@ def fill_matches(
     Parameters
     ----------
     vocabulary : uint64 array (W,)
+        The different words, see `CodedWords`.
     codes : int32 array (L,)
+        The index in the vocabulary of the word of each frame, see `CodedWords`.
     columns : TemplateColumns
         Those of a `Layout`.
     firsts, lengths : int64 array (T,)
         The first column of each template, and the number of its columns.
     thresholds : float64 array (T,)
+        The threshold τ of each template.
     pieces : int64 array (P, 3)
         See `_pieces`; outside the pieces no distance is below the threshold.
     edges : int64 array (T + 1,)

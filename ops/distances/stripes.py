@@ -42,6 +42,7 @@ def least_sums(layout: Layout, coded: CodedWords, units: F64, pieces: I64) -> U8
     layout : Layout
         T templates, at most `SLOTS` / 2.
     coded : CodedWords
+        The words of the frames.
     units : float64 array (T,)
         The cost that a unit of each template stands for.
     pieces : int64 array (P, 3)
@@ -137,7 +138,9 @@ def sweep_stripes(
     table : uint8 array (W, S)
         The units of words, S = R · `SLOTS`, R even.
     codes : int32 array (L,)
+        The index in the vocabulary of the word of each frame, see `CodedWords`.
     pieces : int64 array (P, 3)
+        The pieces of frames to compute, see `pieces_of`.
     initial : uint8 array (S + 2 · `SLOTS`,)
         The sums before the first frame of a piece.
     above : uint8 array (2 · `SLOTS`,)

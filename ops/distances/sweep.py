@@ -70,6 +70,7 @@ def refill(pieces: I64, following: int, lanes: I64, state: Table, initial: float
     state : array (3, LANES, columns + 2)
         The sums of each lane, which become `initial` at the beginning of a piece.
     initial : float
+        The value of sums before the first frame of a piece.
 
     Returns
     -------
@@ -120,7 +121,9 @@ def sweep(table: Table, codes: I32, pieces: I64, firsts: I64, lasts: I64, sums: 
     table : array (W, S)
         See `ops.distances.costs.cost_table`.
     codes : int32 array (L,)
+        The index in the vocabulary of the word of each frame, see `CodedWords`.
     pieces : int64 array (P, 3)
+        The pieces of frames to compute, see `pieces_of`.
     firsts, lasts : int64 array (T,)
         The first and the last column of each template.
     sums : array (T, M)
@@ -164,7 +167,9 @@ def sweep_bounds(table: U16, codes: I32, pieces: I64, final: int, sums: U16) -> 
     table : uint16 array (W, S)
         See `ops.distances.costs.bound_table`.
     codes : int32 array (L,)
+        The index in the vocabulary of the word of each frame, see `CodedWords`.
     pieces : int64 array (P, 3)
+        The pieces of frames to compute, see `pieces_of`.
     final : int
         The template's last column.
     sums : uint16 array (1, L)

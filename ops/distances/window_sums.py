@@ -70,9 +70,11 @@ def sum_window(
     Parameters
     ----------
     vocabulary : uint64 array (W,)
+        The different words, see `CodedWords`.
     codes : int32 array (L,)
         The words, see `CodedWords`.
     template : TemplateColumns
+        The columns of the template.
     begin : int
         The first frame of the window: where the range of the paths begins, or 2(N − 1) frames before the first end.
     end : int
@@ -127,7 +129,9 @@ def fill_row(sums: F64, frame: int, first: int, last: int, costs: F64) -> None:
     Parameters
     ----------
     sums : float64 array (F + 2, N + 2)
+        The costs of paths, see `Window`; the results are written into them.
     frame, first, last : int
+        The frame of the window, and the first and the last column to compute.
     costs : float64 array (N,)
         The local costs of the frame's word.
     """
@@ -179,6 +183,7 @@ def path_start(window: Window, codes: I32, begin: int, end: int, number: int, st
     window : Window
         The window; `trail` must be -1 everywhere before the first path.
     codes : int32 array (L,)
+        The index in the vocabulary of the word of each frame, see `CodedWords`.
     begin : int
         The first frame of the window.
     end : int

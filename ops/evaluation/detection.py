@@ -27,6 +27,7 @@ class Detection(NamedTuple):
     Parameters
     ----------
     take : str
+        The name of the take.
     start, stop : int
         The half-open range of frames.
     confidence : float
@@ -45,6 +46,7 @@ class TrueSegment(NamedTuple):
     Parameters
     ----------
     take : str
+        The name of the take.
     start, stop : int
         The half-open range of frames.
     """
@@ -70,7 +72,9 @@ def average_precision(found: Sequence[Detection], known: Sequence[TrueSegment], 
     Parameters
     ----------
     found : sequence of Detection
+        The automatic segments.
     known : sequence of TrueSegment
+        The manual segments.
     threshold : float
         In (0, 1].
 
@@ -118,7 +122,9 @@ def boundary_errors(found: Sequence[Detection], known: Sequence[TrueSegment]) ->
     Parameters
     ----------
     found : sequence of Detection
+        The automatic segments.
     known : sequence of TrueSegment
+        The manual segments.
 
     Returns
     -------

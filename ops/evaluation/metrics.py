@@ -25,9 +25,11 @@ class Counts:
     segments_automatic_hit : int
         Automatic segments that overlap a manual one of their class.
     segments_automatic : int
+        All automatic segments.
     segments_manual_hit : int
         Manual segments that overlap an automatic one of their class.
     segments_manual : int
+        All manual segments.
     """
 
     frames_both: int = 0

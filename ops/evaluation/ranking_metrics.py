@@ -26,6 +26,7 @@ def precision_recall(relevant: Sequence[bool], total: int) -> tuple[F64, F64]:
     Returns
     -------
     precision, recall : float64 array (R,)
+        The values after each of the R ranks.
 
     Raises
     ------

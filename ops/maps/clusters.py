@@ -82,6 +82,7 @@ def outline(places: F32) -> F32:
     Parameters
     ----------
     places : float32 array (P, 2)
+        The points.
 
     Examples
     --------
@@ -148,7 +149,9 @@ def typical(places: F32, inside: npt.NDArray[np.bool_], count: int = 3) -> I64:
     Parameters
     ----------
     places : float32 array (P, 2)
+        The positions of the points on the map.
     inside : bool array (P,)
+        True for the points of the cluster.
     count : int, optional
         The most points to return.
     """

@@ -76,9 +76,13 @@ def select_from_blocks(
     Parameters
     ----------
     vocabulary : uint64 array (W,)
+        The different words, see `CodedWords`.
     codes : int32 array (L,)
+        The index in the vocabulary of the word of each frame, see `CodedWords`.
     template : TemplateColumns
+        The columns of the template.
     threshold : float
+        The threshold τ.
     groups : int64 array (G, 6)
         See `gather_blocks`; outside of them no distance is below the threshold.
     unit : float

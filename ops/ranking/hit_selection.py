@@ -92,14 +92,19 @@ def select_best(
     Parameters
     ----------
     vocabulary : uint64 array (W,)
+        The different words, see `CodedWords`.
     codes : int32 array (L,)
+        The index in the vocabulary of the word of each frame, see `CodedWords`.
     template : TemplateColumns
+        The columns of the template.
     threshold : float
+        The threshold τ.
     units : uint16 array (L,)
         See `ops.distances.pruning.FineBound`.
     unit : float
         The distance that a unit stands for.
     candidates : Candidates
+        The frames that can be minima, and their neighbours.
     order : int64 array (T,)
         The rank of each take among hits of equal cost.
     most : int
@@ -210,6 +215,7 @@ def is_least(frames: I64, distances: F64, low: int, i: int, threshold: float) ->
     low, i : int
         The numbers of candidates.
     threshold : float
+        The threshold τ.
     """
     at = frames[i] - frames[low]
     if not distances[at] < threshold - TOLERANCE:

@@ -69,7 +69,9 @@ class _Archive:
     Parameters
     ----------
     words : TakeWords
+        The words of the takes.
     coded : CodedWords
+        The words of the frames.
     ranges : int64 array (R, 2)
         The ranges that paths must not leave.
     takes : int64 array (R,)

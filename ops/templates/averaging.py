@@ -73,8 +73,11 @@ class Soft:
         Parameters
         ----------
         stack : Stack
+            The templates.
         reference : int
+            The index of the reference in `stack`.
         paths : Paths
+            The warping paths of the pairs.
         pair_of : int64 array (n,)
             The pair that each other template makes with the reference.
         stands_for : int
@@ -159,6 +162,7 @@ def average_all(method: Method, stack: Stack, paths: Paths, pairs: I64, referenc
     Parameters
     ----------
     method : Soft or Hard
+        The rule by which aligned columns are averaged.
     stack : Stack
         The templates of the round before.
     paths : Paths
@@ -188,6 +192,7 @@ def rebalance(template: Weighted, merge: Callable[[Columns, Columns, float, floa
     Parameters
     ----------
     template : Weighted
+        The template.
     merge : callable
         The rule that merges two neighbouring columns of given weights.
     """

@@ -37,7 +37,9 @@ class Weighted:
     Parameters
     ----------
     columns : array (N, ·)
+        The columns, in the form that the method uses.
     weights : float64 array (N,)
+        The weight of each column.
     """
 
     columns: Columns
@@ -53,7 +55,9 @@ class Stack:
     columns : array (M, ·)
         As those of `Weighted`.
     weights : float64 array (M,)
+        The weight of each column.
     offsets : int64 array (n + 1,)
+        The first column of each template, and the number of all columns.
     """
 
     columns: Columns
@@ -146,11 +150,13 @@ def soft_costs(column: F64, turned: F64, first: int, total: float, out: F64) -> 
     Parameters
     ----------
     column : float64 array (f,)
+        The values of the column.
     turned : float64 array (f, M)
         All columns, transposed.
     first : int
         The first of the other columns.
     total : float
+        The total weight of the features.
     out : float64 array (L,)
         The results for the columns first, first + 1, …
     """
@@ -195,8 +201,11 @@ def align_pairs(
     total : float
         The divisor of the costs, see `soft_costs`.
     weights : float64 array (M,)
+        The weight of each column.
     offsets : int64 array (n + 1,)
+        The first column of each template, and the number of all columns.
     pairs : int64 array (P, 2)
+        The indices of the two templates of each pair.
     places : int64 array (2 P + 1,)
         The result of `path_offsets`.
     """

@@ -1,4 +1,4 @@
-"""Write lines of CSV in which no cell is one that a spreadsheet would take for a formula.
+"""Write lines of CSV in which a spreadsheet takes no cell for a formula.
 
 A spreadsheet evaluates a cell that begins with = + - @, a tab or a carriage return, and a take's name can begin so. An
 apostrophe in front makes the cell a text; readers of kinedex remove it again. Numbers stay numbers.

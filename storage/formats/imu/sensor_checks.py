@@ -164,10 +164,10 @@ class _Checks:
         return values * UNITS[name][unit]
 
     def acc_factor(self, times: F64, acc: F64, gyr: F64 | None, orientation: F64 | None) -> float:
-        """Return the remaining factor of accelerations; raise an error for a unit that gravity contradicts.
+        """Return the factor that corrects accelerations of unknown unit; raise an error if gravity contradicts a unit.
 
-        Gravity is estimated by the mean in the world, at rest, and by the median; one that fits is enough. Without a
-        stated unit, the unit that fits is used.
+        Gravity is estimated in three ways: by the mean in the world, at rest, and by the median. A unit is right if any
+        estimate fits it. If no unit is stated, the factor is that of the first unit that fits.
         """
         sizes = _gravity_sizes(times, acc, gyr, orientation)
         if not sizes or any(_fits(size) for size in sizes):
