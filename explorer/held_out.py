@@ -112,7 +112,7 @@ def show_effect(archive: Archive, asked: EditQuestion, _request: Request, progre
 
 
 def _divided(costs: tuple[F64, F64] | None) -> Row | None:
-    """Return F of each threshold between the training clips of the class and all others; None if there are too few."""
+    """Return F of each threshold between the training clips of the class and all others; None without their costs."""
     best = dividing_threshold(costs)
     if costs is None or best is None:
         return None

@@ -30,7 +30,7 @@ MOST_BYTES = 200_000_000
 
 @dataclass(frozen=True)
 class Held:
-    """The matches of a template below a threshold, which are also those below every lower one."""
+    """The matches of a template below a threshold; they contain the matches below every lower threshold."""
 
     tau: float
     starts: I32

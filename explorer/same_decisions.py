@@ -78,7 +78,7 @@ def _change(command: Any, row: Row, before: Row, by_person: str) -> tuple[str, s
 
 
 def _decide(command: Any, row: Row, by_person: str) -> tuple[str, str]:
-    """Return the lines that accept or reject an annotation."""
+    """Return the command and the Python line that accept or reject an annotation."""
     name = "accept" if row["verdict"] == "positive" else "reject"
     edges = f"start = {row['start']} AND stop = {row['stop']}"
     take = row["take"].replace("'", "''")

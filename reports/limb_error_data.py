@@ -43,7 +43,7 @@ class StageKeys:
 
 @dataclass(frozen=True)
 class MarkedRun:
-    """An interval of a limb that is wrong.
+    """An interval in which a limb is wrong, as detected or as marked by an annotator.
 
     Attributes
     ----------

@@ -137,7 +137,7 @@ class ConfusionRow:
 
 @dataclass(frozen=True)
 class ConfusionTable:
-    """A confusion matrix with the heads of its columns as (text, tooltip)."""
+    """A confusion matrix with the headings of its columns as (text, tooltip)."""
 
     heads: tuple[tuple[str, str], ...]
     rows: tuple[ConfusionRow, ...]

@@ -44,7 +44,7 @@ VOTES = "archive lent the pose"
 
 @dataclass(frozen=True)
 class Interval:
-    """Frames of a take that have something in common.
+    """Consecutive frames of a take that share a property, such as a remark.
 
     Attributes
     ----------
@@ -241,7 +241,7 @@ def _lender(frame: Mapping[str, Any]) -> str:
 def _intervals(
     held: Sequence[bool], texts: Sequence[str], row: Mapping[str, Any], total: int, rate_hz: float
 ) -> tuple[Interval, ...]:
-    """Return the runs of frames in which something holds, with the text of their first frame."""
+    """Return the runs of frames in which `held` is true, with the text of their first frame."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], np.asarray(held, np.bool_), [False]]).astype(np.int8)))
     found = []
     for first, last in edges.reshape(-1, 2).tolist():

@@ -57,7 +57,7 @@ def with_study(
 def _by_class(
     store: Store, clips: tuple[TrainingClips, ...], classes: Mapping[str, str]
 ) -> dict[str, list[tuple[str, int, int]]]:
-    """Return the clips of each class as take, start and stop, without those in the mirror."""
+    """Return the clips of each class as take, start and stop, without mirrored clips."""
     found: dict[str, list[tuple[str, int, int]]] = defaultdict(list)
     for one in clips:
         found[classes.get(one.subclass, one.subclass)] += stored_clips(

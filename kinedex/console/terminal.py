@@ -96,7 +96,7 @@ class _Escaped:
 
 
 class Progress:
-    """One progress bar; a context manager. Where the output is no terminal, lines report it every now and then."""
+    """One progress bar; a context manager. Outside a terminal, it prints a line from time to time."""
 
     def __init__(self, console: Console, pulse: Pulse, description: str, total: int | None) -> None:
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn

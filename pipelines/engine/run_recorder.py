@@ -120,7 +120,7 @@ class RunRecorder:
         write_run(self._store, self._run)
 
     def _kept_files(self) -> tuple[KeptText, ...]:
-        """Return the text of the user's files that parameters name; files that cannot be read are skipped."""
+        """Copy the user's files that parameters name into the history, skipping unreadable ones; return the copies."""
         paths = dict.fromkeys(path for stage in self._pipeline.stages for path in setting_files(stage.params))
         for settings in self._run.other_sources.values():
             names = [settings.get("skeleton"), settings.get("features"), *settings.get("skeletons", ())]

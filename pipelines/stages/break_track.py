@@ -53,7 +53,7 @@ class BreakTrack(Stage[BreakTrackParameters]):
         limbs, chosen = stored_fingerprints(store, KIND, stage), params.model_dump(exclude={"where"})
 
         def fingerprint(take_id: int) -> str | None:
-            """Return hashes of the inputs and labels of a take with errors, its fingerprint; None without limbs."""
+            """Return the fingerprint of a take with errors, from inputs and labels; None without labels or limbs."""
             found = marks.digest(takes[take_id])
             return f"{hash_of(context.code, chosen, limbs[take_id])} {found}" if found and take_id in limbs else None
 
