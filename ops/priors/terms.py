@@ -151,7 +151,7 @@ def _with_constraints(
     motions: Sequence[Motion],
     weights: Mapping[str, float],
 ) -> PriorTerms:
-    """Return the terms with those of the marked regions that the track passes through added."""
+    """Add the terms of the marked regions that the track passes through, and return all terms."""
     # index −1, of frames without a hit, selects the appended 0
     quality = np.append(allocation.qualities, 0.0)[allocation.owners]
     pulls: list[PlacePulls] = []
