@@ -31,7 +31,7 @@ STANDARD_GRAVITY = 9.80665
 
 
 class Channel(BaseModel):
-    """The errors of one kind of reading."""
+    """The error parameters of one channel of a sensor, such as acceleration or angular rate."""
 
     model_config = ConfigDict(extra="forbid")
     unit: Literal["m/s2", "g", "deg/s", "rad/s", "uT"] | None = Field(

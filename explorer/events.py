@@ -112,7 +112,7 @@ class Events:
                 yield chunk or b": quiet\n\n"
 
     async def _news(self, known: _Known) -> list[bytes]:
-        """Return the messages that a listener lacks: the state of the store and the jobs that run, or the trouble."""
+        """Return new messages if the store became readable or unreadable: its state or the error, and the running jobs."""
         news = await known.news()
         with self._lock:
             return [news, *self._running.values()] if news else []

@@ -94,7 +94,7 @@ def export_facts(archive: Archive, _request: Request) -> Row:
 
 
 def request_of(store: Store, asked: ExportQuestion) -> What:
-    """Return the source of the intervals that a request of the page exports."""
+    """Return the description of the intervals to export that a request of the explorer page asks for."""
     kind, name = asked.what.kind, asked.what.name
     if asked.hits:
         kind, name = "sql", _hits_query(asked.hits)

@@ -226,7 +226,7 @@ def _counts(prepared: Prepared, found: Sequence[tuple[Segment, ...]]) -> Counts:
 
 
 def _mistakes(prepared: Prepared, found: Sequence[tuple[Segment, ...]]) -> Row:
-    """Return the found segments that overlap no true one, cheapest first, and true ones that no found one overlaps."""
+    """Return false positives by ascending cost, and false negatives: segments that overlap no true or no found one."""
     names = {take_id: name for name, take_id in prepared.store.take_ids.items()}
     wrong, missed = [], []
     for take, own in zip(prepared.takes, found, strict=True):

@@ -239,7 +239,7 @@ def frames_of(store: Store, take_id: int) -> int:
 
 
 def packed(positions: npt.NDArray[np.floating], rate_hz: float, first: int = 0, step: int = 1) -> bytes:
-    """Return one block of positions, in the format that the module describes.
+    """Encode joint positions as one block of bytes, in the format that the module describes.
 
     Parameters
     ----------

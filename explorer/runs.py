@@ -70,7 +70,7 @@ def list_pipelines(archive: Archive, _request: Request) -> Row:
 
 
 def _files(archive: Archive) -> dict[str, Path]:
-    """Return id → file of the pipelines: shipped names, and the paths of others that the store has run."""
+    """Return a dict from id to file of pipelines: shipped ones by name, and others that the store has run by path."""
     found = {name: config_path("pipelines", name) for name in config_names("pipelines")}
     for run in list_runs(archive.path):
         path = Path(run.path)

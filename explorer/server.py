@@ -174,7 +174,7 @@ def serve(
 
 
 def _exit(number: int, _frame: FrameType | None) -> None:
-    """Raise SystemExit on a signal, so that jobs are ended: uvicorn raises its signal once more when it has ended."""
+    """Raise SystemExit on a signal, which uvicorn sends again after its shutdown, so that running jobs are ended."""
     raise SystemExit(128 + number)
 
 

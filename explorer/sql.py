@@ -60,7 +60,7 @@ class Results:
         self._held: OrderedDict[tuple[str, int, str], tuple[Answer, float]] = OrderedDict()
 
     def find(self, store: Store, text: str, *, anew: bool) -> tuple[Answer, float]:
-        """Return the rows of a statement and the seconds that it took; `anew` runs it again."""
+        """Return the rows of a statement and its run time in seconds, cached unless `anew` is True."""
         key = (str(store.path), store.manifest.version, text)
         with self._lock:
             if not anew and key in self._held:

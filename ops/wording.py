@@ -9,7 +9,7 @@ _MOST = 8
 
 
 def few(names: Sequence[str]) -> str:
-    """Return the names as text; of many, the first eight and the number of the others."""
+    """Join names with commas; of more than eight, only the first eight, and the number of the others."""
     return ", ".join(names[:_MOST]) + (f" and {len(names) - _MOST} more" if len(names) > _MOST else "")
 
 

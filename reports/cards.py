@@ -48,7 +48,7 @@ def card(template: Template, delta: float, rate_hz: float) -> Card:
 
 
 def origin(template: Template) -> str:
-    """Return the number of clips and rounds that a template was learned in, or its other origin."""
+    """Describe a template's origin: the numbers of clips and rounds of averaging for learned ones, else its source."""
     if not template.origin.startswith("learned"):
         return template.origin
     text = f"{counted(len(template.clips), 'clip')}, {counted(template.rounds, 'round')} of averaging"

@@ -48,8 +48,9 @@ class TakeRow:
 class Segment:
     """An interval `[start, stop)` of analysis frames of a take with a class.
 
-    Only automatic segments have `cost`, `subclass` and `confidence`, from 0 to 1. Where another method did not find the
-    class, `doubted` has the classes that it found there, or "nothing"; None if it agrees or the store has no other.
+    Only automatic segments have `cost`, `subclass` and `confidence`, from 0 to 1. If another method did not find the
+    class, `doubted` names the classes that this method found there, or "nothing"; it is None if both methods agree, or
+    if the store has no other method.
     """
 
     take: str

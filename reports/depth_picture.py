@@ -21,7 +21,7 @@ _TINT, _FAR_GREY = 0.65, 215
 
 
 def frame_picture(found: InspectedFrame) -> U8:
-    """Return the picture (H, W, 3) of a frame: depths in grey, components in colours, extrema with their numbers."""
+    """Return an RGB image (H, W, 3) of a frame: depth in grey, tinted by component."""
     image = found.image
     grey = np.zeros(image.shape)
     seen = image > 0

@@ -46,7 +46,7 @@ class StripRow:
 
 
 def draw_strip(rows: Sequence[StripRow], joints: Sequence[str], title: str, note: str, path: Path) -> None:
-    """Draw hits below each other and write the picture as PNG, whole or not at all.
+    """Draw hits below each other and write the picture as PNG; on an error, no file is written.
 
     Parameters
     ----------

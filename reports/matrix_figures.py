@@ -185,7 +185,7 @@ class Svg:
 
 
 class Png:
-    """A canvas whose content is PNG, with Pillow's own font, which is the same on all systems."""
+    """A canvas that renders to PNG, with Pillow's built-in font, which is the same on all systems."""
 
     def __init__(self, width: float, height: float) -> None:
         self._image = Image.new("RGB", (round(width * _FINE), round(height * _FINE)), (255, 255, 255))

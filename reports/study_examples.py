@@ -21,7 +21,7 @@ from kinedex.storage.store.store import Store
 def with_study(
     store: Store, study: Study, motions: Motions, progress: Progress = no_progress
 ) -> tuple[Motions, dict[Key, int]]:
-    """Add to the motions of a page the nearest example of every segment, also manual ones, of the takes in `motions`.
+    """Add the nearest training example of every segment, automatic or manual, to the motions of a page.
 
     Parameters
     ----------

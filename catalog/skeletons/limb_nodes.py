@@ -89,7 +89,7 @@ def _node_of(limb: Limb, fit: Fit, parents: Sequence[int], at_end: bool) -> int 
 
 
 def _single(fit: Fit, joint: str) -> int | None:
-    """Return the node at a joint; None where the joint is unknown or a mixture of nodes."""
+    """Return the index of the node at a joint; None if the joint is unknown or combined from several nodes."""
     mix = fit.joints.get(joint)
     return None if mix is None or mix.node is None else fit.places[mix.node]
 

@@ -56,7 +56,7 @@ class Mix:
         return f"{mixed} {self.out:+g} aside of {'-'.join(self.plane)}" if self.plane else mixed
 
     def apply(self, places: Mapping[str, F64], hand: float) -> F64:
-        """Return the position (3, T) from those of the nodes; `hand` is 1 for right-handed axes, −1 for left-handed."""
+        """Compute the position (3, T) from those of the nodes; `hand` is 1 for right-handed axes, else −1."""
         with np.errstate(over="ignore", invalid="ignore"):  # Invalid numbers become infinite and are refused later.
             mixed: F64 = np.sum([weight * places[name] for name, weight in self.weights], axis=0)
             if self.plane:

@@ -227,19 +227,19 @@ def archive_folder(store: Path, minutes: float) -> Path:
 
 
 def refuse_other_takes(store: Path, data: Path) -> None:
-    """Raise an error, before anything is written, if a store was not made by a demo from this archive.
+    """Raise an error if a store has takes, none of which are from this archive; nothing is written.
 
     Parameters
     ----------
     store : Path
         Directory of the store, which need not exist.
     data : Path
-        Folder of the motion files of the demo. A store that was moved together with it counts as made of it.
+        Folder of the motion files of the demo, compared by name, since store and folder may have been moved.
 
     Raises
     ------
     KinedexError
-        The store holds takes, and none of this archive.
+        The store holds takes, but none of this archive.
     """
     if not versions(store):
         return

@@ -54,7 +54,7 @@ class Pages:
 
     @property
     def picture(self) -> Path | None:
-        """The file of the picture; None where `--output` is none."""
+        """The path given by `--output` if it is a PNG file; else None."""
         return self.output if self.output is not None and self.output.suffix.lower() == ".png" else None
 
     def write_ranking(

@@ -88,7 +88,7 @@ class SqlTables(TakeCollection):
     def sql(
         self, query: str, params: Parameters = None, *, polars: bool = False, timeout: float | None = None
     ) -> pa.Table | pl.DataFrame:
-        """Run one SQL query that reads, over the views and macros of the store.
+        """Run a read-only SQL query over the views and macros of the store.
 
         Parameters
         ----------

@@ -93,7 +93,7 @@ class Matches:
 def local_minima(curve: F64, threshold: float) -> I64:
     """Return the frames where a distance curve has a local minimum below a threshold.
 
-    A minimum is finite and not above either neighbour, ∞ beyond the ends: every frame of a low plateau counts.
+    A minimum is finite and not above its neighbours, which are ∞ beyond the ends: all frames of a low plateau count.
     Costs closer than 1e-9 are equal.
 
     Parameters

@@ -1,1 +1,1 @@
-"""This package computes on bodies: forward kinematics, gaps, resampling, and features from joint positions."""
+"""This package computes on bodies: kinematics, filling of gaps, resampling, and features of joint positions."""

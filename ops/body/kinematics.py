@@ -319,14 +319,14 @@ def frames_along(across: F64, up: F64) -> F64:
 
 
 def quaternions(matrices: F64, before: F64 | None = None, after: F64 | None = None) -> F64:
-    """Return unit quaternions (4, T) w x y z of rotation matrices (9, T), continuous in sign.
+    """Convert rotation matrices (9, T) to unit quaternions (4, T) in the order w x y z, continuous in sign.
 
     Parameters
     ----------
     matrices : float64 array (9, T)
         Row by row.
     before, after : float64 array or None
-        (3, 3) fixed rotations that stand left and right of every matrix; None: none.
+        Fixed rotations (3, 3) by which every matrix is multiplied from the left and right; None for the identity.
     """
     q = np.empty((4, matrices.shape[1]))
     left = np.eye(3) if before is None else np.ascontiguousarray(before, dtype=np.float64)

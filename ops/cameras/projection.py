@@ -215,7 +215,7 @@ def _lens(numbers: F64, plane: F64) -> tuple[F64, F64]:
 
 
 def _coefficients(distortion: npt.ArrayLike) -> F64 | None:
-    """Return the eight distortion coefficients, missing ones as 0; None if all are 0."""
+    """Return the eight distortion coefficients, padded with zeros; None if all are 0."""
     numbers = np.asarray(distortion, np.float64).reshape(-1)
     if len(numbers) not in DISTORTION_COUNTS:
         raise ParameterError("distortion", "of 0, 4, 5 or 8 numbers (k1 k2 p1 p2 k3 k4 k5 k6)", len(numbers))

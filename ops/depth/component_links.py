@@ -35,17 +35,17 @@ class LinkRoom(NamedTuple):
     Attributes
     ----------
     order, keys, counts : int32 array (N,), (2, N), at least (N + 1,)
-        The nodes by component and tile, the tile of each node with a first order, and counts of a sort.
+        The nodes sorted by component and tile; the tile of each node and a preliminary order; counts of the sort.
     blocks, firsts : int32 array (N + 1,), (K + 1,)
-        Where the nodes of each block begin in the order, and where the blocks of each component begin.
+        The offset of each block in the order, and the index of the first block of each component.
     boxes : float64 array (N, 2, 3)
-        The least and the greatest coordinates of each block.
+        The minimum and maximum coordinates of each block.
     squares : float64 array (K,)
-        The squared distance of each component to the body so far.
+        The squared distance of each component to the components linked so far (the body).
     closest : int32 array (K, 2)
-        Its closest pair: a node of the body, a node of its own.
+        For each component the closest pair of nodes: one of the body, one of the component.
     joined : bool array (K,)
-        True for components of the body.
+        True for components that are linked to the body.
     pairs, spans : int32 array (K, 2), float64 array (K,)
         The links: both nodes, and the distance in metres.
     """

@@ -306,7 +306,7 @@ def _add_rigid(pivots: Pivots, pose: F64, sums: Sums) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _complete(face: F64, matrix: F64, right: F64) -> None:
-    """Add the sums along normals of a blended cone to those of all its rows."""
+    """Add the packed sums `face` along the normals of a blended cone to its normal equations `matrix` and `right`."""
     for i in range(3):
         right[i] += face[18 + i]
         right[6 + i] += face[21 + i]

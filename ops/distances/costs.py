@@ -234,7 +234,7 @@ def bound_table(
 
 
 def in_units(layout: Layout, units: F64) -> TemplateColumns:
-    """Return the columns with the weights of groups in units, rounded slightly down; 0 for padding.
+    """Return the columns with group weights divided by each template's unit, scaled slightly down; 0 for padding.
 
     Parameters
     ----------

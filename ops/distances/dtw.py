@@ -26,10 +26,10 @@ def distance_curves(
 ) -> npt.NDArray[Any]:
     """Return the distance curve of every template (thesis, Eq. 5.1 to 5.3).
 
-    The local cost of a column against a frame is the share of the column's bits that the frame contradicts, of their
-    weight where features have weights (Σ_f weight_f · contradicted_f / Σ_f weight_f over the fixed entries f), 0 for
-    a column of wildcards alone, ∞ for a frame without a word. Steps (template, take) are (1,1), (1,2) and (2,1); a
-    (2,1) step counts the local cost twice. A path starts at any frame, in the template's first column. Time is
+    The local cost of a column against a frame is the fraction of the column's fixed entries f that the frame
+    contradicts, weighted if features have weights: Σ_f weight_f · contradicted_f / Σ_f weight_f. It is 0 for a column
+    of wildcards alone, and ∞ for a frame without a word. Steps (template, take) are (1,1), (1,2) and (2,1); a (2,1)
+    step counts the local cost twice. A path starts at any frame, in the template's first column. Time is
     proportional to columns × frames. Memory, besides the result, is 20 to 28 bytes a frame while the words are numbered
     and 4 to 12 after that; tables of costs and sums are bounded, however long the take and however many its words.
 
@@ -38,7 +38,7 @@ def distance_curves(
     templates : sequence of QuantisedTemplate
         T templates, of N_1 … N_T columns.
     words : uint64 array (L,)
-        The words of a take, or those of many takes, with `ranges` that separate them.
+        The words of a take, or the concatenated words of many takes, which `ranges` separate.
     ranges : int64 array (R, 2), optional
         Half-open ranges of frames, ascending and disjoint; each is computed as if it were a take of its own. None: all
         of `words` is one take.

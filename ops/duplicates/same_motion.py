@@ -1,4 +1,4 @@
-"""This module judges from joint positions relative to the root whether two takes hold the same motion."""
+"""This module decides whether two takes hold the same motion, by joint positions relative to the root."""
 
 from __future__ import annotations
 

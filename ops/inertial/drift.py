@@ -54,9 +54,9 @@ class HeadingDrift:
 
 
 def heading_deg(sensor: F64, track: F64, q_global: F64, q_mount: F64) -> F64:
-    """Return the heading error (T,) in degrees, −180 to 180, of the sensor's orientations.
+    """Return the heading error (T,) of the sensor's orientations in degrees, −180 to 180.
 
-    It is 2·atan2(z, w) of q̄_G ∘ q_T ∘ q_L ∘ q̄_I.
+    It is 2·atan2(z, w) of the quaternion q̄_G ∘ q_T ∘ q_L ∘ q̄_I (global, track, mount, sensor).
     """
     turn = multiply(multiply(multiply(conjugate(q_global), track), q_mount), conjugate(sensor))
     heading = np.degrees(2.0 * np.arctan2(turn[:, 3], turn[:, 0]))

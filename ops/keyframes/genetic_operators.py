@@ -96,7 +96,7 @@ class OperatorSettings(NamedTuple):
 
 
 def new_population(rows: int, most: int) -> Population:
-    """Allocate a population of the given number of individuals and of most keyframes."""
+    """Allocate a population of `rows` individuals with at most `most` keyframes each."""
     shape = (rows, most)
     bits, numbers = np.uint64, np.int64
     return Population(
@@ -249,7 +249,7 @@ def _add_keyframe(rng, population, row, columns, settings):  # type: ignore[no-u
 
 @njit(**INNER)
 def _remove_keyframe(rng, population, row, least):  # type: ignore[no-untyped-def]
-    """Remove a random keyframe, unless only the least number is left."""
+    """Remove a random keyframe of the individual in a row, unless it has only `least` keyframes."""
     count = population.counts[row]
     if count <= least:
         return

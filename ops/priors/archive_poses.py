@@ -136,8 +136,9 @@ def own_way(means: F64, turns: F64, seen: Bool, rate_hz: float) -> OwnWay:
     Returns
     -------
     OwnWay
-        The mean of log(MᵀR) over the N frames where a node is seen, times min(1, N / rate / `FULL_SEEN_S`), or the
-        identity below `LEAST_SEEN_S`.
+        Per node, the rotation exp(v), where v is the mean of log(MᵀR) over the N frames in which the node is seen,
+        times min(1, N / rate_hz / `FULL_SEEN_S`); the identity if it is seen for less than `LEAST_SEEN_S`. Also the
+        root mean square of the remaining deviation in radians, and the seconds for which each node is seen.
     """
     counts = seen.sum(axis=0)
     enough = counts >= LEAST_SEEN_S * rate_hz - 1e-9

@@ -146,7 +146,7 @@ def template_marks(
 def _fixed(
     template: QuantisedTemplate, bits: Mapping[str, int], constraint: Constraint, side: Side, locomotion: bool
 ) -> Bool:
-    """Return a mask (N,) of the columns whose entries fix the features of a constraint, without short runs."""
+    """Return a mask (N,) of the columns that fix all features of a constraint, without runs below `LEAST_COLUMNS`."""
     fixed = np.ones(len(template), np.bool_)
     features = {side[0] + name: value for name, value in FEATURES[constraint].items()}
     if not features.keys() <= bits.keys() or (constraint == "foot_to_front" and not locomotion):

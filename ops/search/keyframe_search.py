@@ -1,4 +1,4 @@
-"""This module searches keyframes with inverted keyframe lists, as the thesis does (Sections 3.4 and 3.5).
+"""This module searches sequences of keyframes with inverted lists, as the thesis does (Sections 3.4 and 3.5).
 
 The symbols of the thesis correspond to these names; frames count from 0 and stops are exclusive, where the thesis
 counts from 1 and includes both ends.
@@ -8,14 +8,14 @@ counts from 1 and includes both ends.
     μ_k               admissible range, Eq. 3.11             gaps[k] = (low, high), from `ops.search.gaps.gap_bounds`
     KeyframeSearch    Algorithm 1                            `search_lists`
 
-Algorithm 1 is a recursion that visits the same segments again and again where the stiffness is low. Here two passes
+Algorithm 1 is a recursion that visits the same segments repeatedly if the stiffness is low. Here two passes
 over the lists find the same ranges. The first goes backwards: `completable_frames` keeps of every list the frames from
 which the rest of the query can be completed, so that no attempt fails later. The second goes forwards: the last frame
-of each remaining start segment is followed to the largest remaining frame that each gap admits. The tests hold both
-passes against the printed recursion (`tests/oracles/keyframes.py`).
+of each remaining start segment is followed to the largest remaining frame that each gap admits. The tests compare both
+passes with the recursion as printed (`tests/oracles/keyframes.py`).
 
-A search of a store does not make these lists: it reads bit slices (`ops.search.bit_slice_search`), which is faster. The
-lists explain its answers (`kinedex search --explain`) and test them.
+Searches of a store use bit slices instead (`ops.search.bit_slice_search`), which is faster. The lists serve to explain
+the results (`kinedex search --explain`) and to test them.
 """
 
 from __future__ import annotations

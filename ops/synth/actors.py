@@ -64,7 +64,7 @@ class Actor:
     over_toes: float
 
     def habit(self, what: str, low: float, high: float) -> float:
-        """Return this actor's constant preference for some property, between two values."""
+        """Return a uniform random number in [low, high) that is always the same for this actor and property."""
         rng = np.random.default_rng([self.seed, zlib.crc32(what.encode())])
         return float(rng.uniform(low, high))
 

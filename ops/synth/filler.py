@@ -68,7 +68,7 @@ def scratch(score: Score) -> None:
 
 
 def swing_arms(score: Score) -> None:
-    """Add the keyframes of swinging arms to and fro, or shaking them out."""
+    """Add a motion in which the arms swing to and fro two to four times."""
     score.begin()
     t = 0.0
     phase = 1.0 if score.rng.random() < 0.5 else -1.0

@@ -215,7 +215,7 @@ class Score:
 
 
 def curves(score: Score, rate_hz: float, stop: float) -> F64:
-    """Evaluate all keys to monotone cubic curves, smoothed where they meet.
+    """Interpolate the keys of every channel by monotone cubics, smooth the corners, and sample the curves.
 
     Parameters
     ----------
@@ -228,7 +228,8 @@ def curves(score: Score, rate_hz: float, stop: float) -> F64:
 
     Returns
     -------
-    float64 array (frames, channels)
+    float64 array (T, C)
+        The values of the C channels (`CHANNELS`) in each of the T frames before `stop`.
     """
     times = np.arange(round(stop * rate_hz)) / rate_hz
     result = np.empty((len(times), len(CHANNELS)))

@@ -131,7 +131,7 @@ class Learned:
 
 @dataclass(frozen=True)
 class Piece:
-    """A task of a worker: pairs of templates to align, int64 (P, 2), as indices of the stack."""
+    """A task of a worker: P pairs of templates to align, int64 array (P, 2) of indices into the stack."""
 
     method: Method
     stack: Stack

@@ -380,7 +380,7 @@ def _subtract_pair(front: F64, k: int, i: int, stop: int) -> None:
 
 @njit(cache=True, nogil=True)
 def _shift(front: F64, right: F64, m: int) -> None:
-    """Move the rows of the next two frames to the front's beginning."""
+    """Move the rows of the next two frames to the beginning of the front, and clear the last m rows."""
     for i in range(2 * m):
         row, source = front[i, i : 2 * m], front[m + i, m + i : 3 * m]
         for j in range(len(row)):

@@ -65,7 +65,7 @@ class Target:
     actors: Sequence[str | None]
 
     def seen(self, actors: Iterable[str | None]) -> bool:
-        """Return whether more than half of the takes to annotate are performed by known actors among the given ones."""
+        """Return whether the given actors perform more than half of the takes to annotate."""
         known = set(actors) - {None}
         return 2 * sum(one in known for one in self.actors) > len(self.actors)
 
@@ -125,7 +125,7 @@ class Known:
 
 @dataclass(frozen=True)
 class CalibratedConfidence:
-    """A learned confidence, with the numbers of segments and of right segments it was learned from, and a remark."""
+    """A confidence learned from segments, with the number of segments, the number of right ones, and a remark."""
 
     confidence: Confidence | None
     segments: int

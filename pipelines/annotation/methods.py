@@ -121,7 +121,7 @@ class ThesisMethod:
 
     @classmethod
     def prepare(cls, templates: ClassTemplates, clips: Callable[[], Sequence[U64]]) -> ThesisMethod:
-        """Make the method; it needs no clips."""
+        """Return the method for the given templates; the clips are not used."""
         return cls(templates.quantised, templates.class_index, templates.thresholds)
 
     def restricted(self, known: int, templates: Sequence[QuantisedTemplate], chosen: I64) -> ThesisMethod:

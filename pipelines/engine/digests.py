@@ -66,7 +66,7 @@ def takes_read(store: Store, filters: Mapping[str, str]) -> Reading:
 
 
 def hash_of(*parts: object) -> str:
-    """Return a hash of arrays and of values that their `repr` determines."""
+    """Return a hexadecimal hash of values: of the bytes of arrays, and of the `repr` of other values."""
     hasher = hashlib.sha256()
     for part in parts:
         content = np.ascontiguousarray(part).tobytes() if isinstance(part, np.ndarray) else repr(part).encode()

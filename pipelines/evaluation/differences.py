@@ -126,7 +126,7 @@ class Comparison:
 
 
 def compared(a: MethodEvaluation, b: MethodEvaluation, names: tuple[str, str]) -> Comparison:
-    """Compare two evaluations.
+    """Compare two evaluations over their common takes, with bootstrap intervals of the differences.
 
     Parameters
     ----------
@@ -134,6 +134,11 @@ def compared(a: MethodEvaluation, b: MethodEvaluation, names: tuple[str, str]) -
         The evaluations.
     names : tuple of str
         The names of A and B.
+
+    Returns
+    -------
+    Comparison
+        The changes from A to B: overall, by class and by take.
     """
     both = [name for name in a.takes if name in b.takes]
     ours, theirs = ([one.takes[name] for name in both] for one in (a, b))

@@ -48,7 +48,7 @@ class Method(MethodParameters):
 
     @property
     def curve_name(self) -> str:
-        """The name that methods share which differ only in τ, for the sweep over τ."""
+        """The name of a curve over τ, shared by all methods that differ only in τ."""
         how = "without keyframes"
         if self.preselects:
             how = (

@@ -1,1 +1,1 @@
-"""Limbs of takes, inertial sensors worn on them, errors between the two, and simulated errors."""
+"""Evaluate takes against inertial sensors worn on the limbs: calibration, limb errors, and simulated errors."""

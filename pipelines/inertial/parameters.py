@@ -84,7 +84,7 @@ class SimulateImuParameters(BaseModel):
 
 
 class BreakTrackParameters(BaseModel):
-    """The parameters of the stage `break_track`."""
+    """The parameters of the stage `break_track`, which puts simulated tracking errors into the limbs of takes."""
 
     model_config = ConfigDict(extra="forbid")
 

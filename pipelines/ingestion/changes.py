@@ -165,7 +165,7 @@ class _Comparison:
         self.failures = [refusal(refused) for refused in found.refused]
 
     def find_files(self) -> None:
-        """Match the files of the source with those that the store has takes of, by path first, then by content."""
+        """Match the files of the source with the files of the store's takes, first by path, then by content."""
         refused: set[str] = set()
         for motion in self.found.motions:
             if (file := self.files.at_place(motion)) is not None:

@@ -87,7 +87,7 @@ class Batch:
 
     @property
     def subject(self) -> str:
-        """The files of the batch, for messages."""
+        """The paths of the files of the batch, separated by commas, for messages."""
         return ", ".join(str(task.motion.absolute) for task in self.tasks)
 
 

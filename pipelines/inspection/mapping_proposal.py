@@ -105,7 +105,7 @@ def _comment(file: Path, person: str, fault: SourceError | None) -> str:
 
 
 def _renamed(fit: Fit, name: str) -> str:
-    """Return the text of a mapping file under another name."""
+    """Return the text of a skeleton's mapping file with another `name`."""
     text = read_text(fit.mapping.path)
     lines = [f"name: {scalar(name)}" if line.startswith("name:") else line for line in text.splitlines()]
     return f"# A copy of the mapping '{fit.mapping.name}'.\n" + "\n".join(lines) + "\n"

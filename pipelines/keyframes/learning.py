@@ -89,7 +89,7 @@ class TrainingSet:
         return f"the keyframe query of {self.subclass}"
 
     def key(self, setting: Setting) -> str:
-        """Return a hash of everything that a run depends on except its number.
+        """Return a hash of all inputs and parameters of a learning run except its number.
 
         It begins with the hash of the clips (`clips_key`) and a hyphen. Parameters that affect only the evaluation of
         finished runs are excluded.

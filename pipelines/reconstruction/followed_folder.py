@@ -1,4 +1,4 @@
-"""Reconstruct frames of a depth camera as another program writes them into a folder."""
+"""Reconstruct poses live from depth frames that another program writes into a folder."""
 
 from __future__ import annotations
 

@@ -124,7 +124,7 @@ class RecordingTrack(NamedTuple):
 
     @property
     def poses(self) -> F64:
-        """The poses in the axes of the placement, float64 (T, 24, 3); NaN without a person."""
+        """The tracked joint positions in the placement's axes, float64 (T, 24, 3); NaN in frames without a person."""
         poses = self.directions[FORWARD].poses
         for way in range(1, len(self.directions)):
             poses = np.where((self.chosen == way)[:, None, None], self.directions[way].poses, poses)
@@ -240,7 +240,7 @@ def reconstructor_of(
 def track_recording(
     recording: DepthRecording, tracker: Reconstructor, *, both_ways: bool, is_empty_room: bool
 ) -> RecordingTrack:
-    """Track a recording.
+    """Track the poses of a person through a depth recording, in one or both directions of time.
 
     Parameters
     ----------
@@ -252,6 +252,11 @@ def track_recording(
         True to track backwards as well, and take each frame from one of the two directions.
     is_empty_room : bool
         True if the background is an image of the empty room: frames with many pixels behind it are not used.
+
+    Returns
+    -------
+    RecordingTrack
+        The results of each direction, the direction chosen for each frame, and the frames that were not used.
     """
     moved: set[int] = set()
     missing: set[int] = set()

@@ -133,7 +133,7 @@ AnyTask = TypeVar("AnyTask", bound=Task)
 
 
 def take_ids_of(writer: StoreWriter, names: Iterable[str]) -> dict[str, int]:
-    """Return the ids of takes that are to be made, by their names."""
+    """Assign ids to new takes and return them by name; declare the columns of recorded takes, refuse invalid names."""
     takes = list(names)
     declare_recorded_columns(writer)
     refuse_names(writer.store, takes)

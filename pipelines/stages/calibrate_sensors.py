@@ -1,4 +1,4 @@
-"""Stage calibrate_sensors: estimate how sensors are mounted on limbs, and the rotation between their worlds."""
+"""Stage calibrate_sensors: estimate how sensors are mounted on limbs, and how their world frame is rotated."""
 
 from __future__ import annotations
 

@@ -291,7 +291,7 @@ def learn_templates(
     executor: Executor,
     feature_weights: F64 | None = None,
 ) -> Iterator[list[SubclassTemplate]]:
-    """Learn the templates of many subclasses in workers, the largest subclasses last.
+    """Learn the templates of many subclasses in workers; yield those of the largest subclasses last.
 
     Subclasses are divided among the workers, and for subclasses with very many clips also the alignments of each round.
     The templates do not depend on the executor, to the last bit.

@@ -1,4 +1,4 @@
-"""Observe, track and stabilise several recordings; each result is committed when done, unchanged ones are skipped."""
+"""Observe, track and stabilise several recordings; commit each result when done, skip unchanged recordings."""
 
 from __future__ import annotations
 

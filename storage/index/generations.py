@@ -143,7 +143,7 @@ class Generation:
 
     @property
     def frames(self) -> int:
-        """The frames of all its takes."""
+        """The total number of frames of the indexed takes."""
         return sum(shard.frames for shard in self.shards)
 
     def to_json(self) -> str:

@@ -267,7 +267,7 @@ def _merges(store: Snapshot, group: list[Part], target_bytes: int, workers: int)
 
 
 def _row_ranges(file: Path, part: Part) -> dict[int, tuple[int, int]]:
-    """Return the rows [start, stop) of each live take of a part."""
+    """Return a dict from take id to row range (start, stop) in a part, for takes that are not deleted."""
     with read_errors(file):
         ids = pq.read_table(file, columns=["take_id"]).column("take_id").to_numpy()
     live = np.array(part.live, np.int64)

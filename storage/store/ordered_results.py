@@ -113,10 +113,11 @@ PartValues = tuple[ResultPart, Sequence[Hashable]]
 
 
 def _staying(parts: Sequence[PartValues], rank: Mapping[Hashable, int], new: Sequence[int]) -> list[PartValues]:
-    """Return the parts to keep, with their takes, given the ascending ranks of takes with new rows.
+    """Return the parts that need not be rewritten, each with its takes.
 
     A part is kept if all its takes are reused, no new rows fall into its range and, unless it is full, none next to it.
-    If a take has rows in several parts, either all of these are kept or all are rewritten.
+    If a take has rows in several parts, either all of these are kept or all are rewritten. `rank` is the place of each
+    take in the order; `new` the ascending ranks of the takes with new rows.
     """
     ranks = [[rank.get(value, -1) for value in values] for _, values in parts]
     flat = [one for own in ranks for one in own if one >= 0]

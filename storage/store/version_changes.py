@@ -42,7 +42,7 @@ class Facts:
         self._counts[fact] += number
 
     def name(self, fact: str, name: str) -> None:
-        """Add a name to a fact of `NAMES`, unless the fact has it."""
+        """Add a name to the list of a fact of `NAMES`, unless the list contains it."""
         names = self._names.setdefault(fact, [])
         if name not in names:
             names.append(name)

@@ -141,9 +141,9 @@ class StoreWriter(TakeChanges, ResultChanges, RecordChanges):
         return pending
 
     def close(self) -> None:
-        """Release the lock; uncommitted changes are discarded.
+        """Release the lock and discard uncommitted changes.
 
-        After a commit, an existing database file for other clients is rewritten.
+        If a version was committed, rewrite the database file for other clients, if it exists.
         """
         try:
             if self._committed.version != self._opened and (self.path / DATABASE).is_file():

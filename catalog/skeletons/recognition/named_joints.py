@@ -98,14 +98,21 @@ def _nodes(tree: Tree, weights: Sequence[tuple[int, float]]) -> Mix:
 
 
 def polyline_point(lengths: Sequence[float], share: float) -> tuple[int, float]:
-    """Return where a share of a polyline's length is: the index of a segment, and the share of that segment.
+    """Locate the point at a fraction of a polyline's length: return its segment, and the fraction along the segment.
 
     Parameters
     ----------
     lengths : sequence of float
         The lengths of the segments, at least one.
     share : float
-        From 0 to 1.
+        The fraction of the whole length, from 0 to 1.
+
+    Returns
+    -------
+    segment : int
+        The index of the segment.
+    fraction : float
+        The fraction of the segment's length, from 0 to 1.
     """
     left = share * sum(lengths)
     for i, length in enumerate(lengths):

@@ -202,7 +202,7 @@ def _in_order(files: Sequence[Path], times: F64) -> FrameFiles:
 
 
 def _listed(path: Path) -> FrameFiles:
-    """Return the files of a list of TUM RGB-D: a time in seconds and a path from its folder on each line."""
+    """Read a file list of TUM RGB-D, whose lines hold a time in seconds and a path relative to the list's folder."""
     data = read_bytes(path, "lists of frames", "write shorter recordings")
     files, times = [], []
     for number, line in enumerate(data.decode("utf-8", "replace").splitlines(), 1):

@@ -39,7 +39,7 @@ _TYPES = {
 class _Header:
     """The header of a PCD file.
 
-    names, types, counts: the fields, the NumPy type of each, and how many values it has.
+    `names`, `types` and `counts` hold for each field its name, its NumPy type, and its number of values per point.
     """
 
     names: tuple[str, ...]

@@ -88,7 +88,7 @@ def recognises(path: Path, head: bytes) -> bool:
 
 
 def has_readings(path: Path, wanted: Iterable[str] = ("acc", "gyr")) -> bool:
-    """Return True for a table with columns, by known names, of any of the given channels."""
+    """Return whether a table has columns with known names for at least one of the given channels."""
     try:
         if _is_parquet(path):
             with pq.ParquetFile(path) as file:

@@ -82,17 +82,22 @@ class Written:
 
 
 def read_labels(path: str | Path) -> LabelFile:
-    """Read a label file in the format of its ending.
+    """Read a label file; its extension determines the format.
 
     Parameters
     ----------
     path : str or Path
         The file.
 
+    Returns
+    -------
+    LabelFile
+        The labels.
+
     Raises
     ------
     SourceError
-        The ending is unknown, or the file is damaged; the error names the line.
+        The extension is unknown, or the file is damaged; the error names the line.
     """
     ending = Path(path).suffix.lower().removeprefix(".")
     if ending not in FORMATS:

@@ -276,7 +276,7 @@ def _long(parameter: Parameter | None) -> int | None:
 
 
 def _frame_counts(found: dict[str, Parameter], first: int, last: int, processor: int) -> list[int]:
-    """Return the stated numbers of frames, first those of parameters that can hold large ones."""
+    """Return the numbers of frames stated in a file, most reliable first: parameters are not limited to 16 bits."""
     counts = []
     start, end = (_long(found.get(f"TRIAL:ACTUAL_{name}_FIELD")) for name in ("START", "END"))
     if start is not None and end is not None:

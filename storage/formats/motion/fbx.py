@@ -56,7 +56,7 @@ class FbxReader(FigureReader):
         return names if len(names) > 1 else ()
 
     def figure(self, file: MotionFile, settings: ReadSettings) -> Figure:
-        """Return the chosen figure with the motion of its clip."""
+        """Read the chosen figure of the file, with the motion of its animation clip."""
         scene = Scene(file.path, file.data)
         clips = figure_clips(scene)
         return figure_of(scene, clips[chosen_person(file.path, file.person, clip_names(clips))])

@@ -244,7 +244,7 @@ def _bound(
 
 
 def _binding(document: Document) -> dict[int, F64]:
-    """Return node → inverse bind matrix (4, 4), for the skins that have them."""
+    """Return a dict from node to inverse bind matrix (4, 4), for the joints of skins with invertible matrices."""
     found: dict[int, F64] = {}
     for skin in document.content.skins:
         if skin.inverseBindMatrices is not None:

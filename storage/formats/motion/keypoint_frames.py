@@ -120,7 +120,7 @@ def read_keypoints(path: Path, content: Any) -> Keypoints:
 
 
 def _header(found: Keypoints, content: Mapping[str, Any]) -> None:
-    """Take names and rate from the file's top-level object if they are valid."""
+    """Set the keypoint names and frame rate of `found` from the file's top-level object, if they are valid."""
     rate = next((content[key] for key in RATES if isinstance(content.get(key), float)), None)
     found.rate_hz = rate if rate is not None and math.isfinite(rate) else None
     names = next((content[key] for key in NAMES if isinstance(content.get(key), list)), None)

@@ -168,7 +168,7 @@ def sequence_of(path: Path, head: str) -> tuple[Path, ...]:
 
 @lru_cache(maxsize=8)
 def _sequences(folder: Path, _stamp: int) -> dict[tuple[str, str], tuple[Path, ...]]:
-    """Return (text before, text after the number) → the numbered JSON files of a folder, in numeric order."""
+    """Return the numbered JSON files of a folder in numeric order, grouped by the text before and after the number."""
     found: dict[tuple[str, str], list[Path]] = {}
     for path in folder.iterdir():
         if path.suffix.lower() == ".json" and (parts := _NUMBERED.fullmatch(path.stem)):

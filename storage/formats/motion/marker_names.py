@@ -1,4 +1,4 @@
-"""Name the 24 joints in marker files, by Pose2Sim's HALPE_26 model where it has such a point."""
+"""Define the marker names of the 24 joints: those of Pose2Sim's HALPE_26 model where it has such a point."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Describe an interval of a source file and its changes, the input of writers that cut original channels."""
+"""Define `SourceCut`, the input of writers: an interval to cut from a motion file, and the changes to apply."""
 
 from __future__ import annotations
 
