@@ -29,7 +29,7 @@ from kinedex.storage.store.store import Store
 FRAMES, SUBCLASSES, COLUMNS = *sized((133_019, 69), (6_000, 8)), 50
 DELTA, TAU = 0.05, 0.13
 KEPT = (0.05, 0.15)
-"""Approximate shares of the frames that queries leave, margins included."""
+"""Approximate fractions of the frames that queries leave, margins included."""
 
 _POSITIONS = (8, 25, 42)
 _GAP = Gap(8, 34)
@@ -65,7 +65,7 @@ def figures(store: Store) -> list[Figure]:
 
 
 def _share(annotator: Annotator, batches: list[TakeWords]) -> float:
-    """Return the share of the frames within the ranges, margins included, averaged over the templates."""
+    """Return the fraction of the frames within the ranges, margins included, averaged over the templates."""
     inside = sum(int((own[:, 1] - own[:, 0]).sum()) for batch in batches for own in ranges_of(annotator, batch))
     return inside / len(annotator.templates) / sum(len(batch.words) for batch in batches)
 
@@ -113,7 +113,7 @@ def _templates(store: Store) -> list[SubclassTemplate]:
 
 
 def _queries(one: SubclassTemplate, features: FeatureSet, words: TakeWords) -> list[tuple[float, KeyframeQuery]]:
-    """Return queries for three columns of a template, more and less strict, with the share that each leaves."""
+    """Return queries for three columns of a template, more and less strict, with the fraction that each leaves."""
     quantised = quantise(one.learned.template, DELTA)
     alone = load_classes("own", [one.subclass])
     found = []

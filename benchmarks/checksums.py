@@ -78,7 +78,7 @@ def figures(source: Store) -> Iterator[Figure]:
 
 
 def _processor(work: Callable[[], object], runs: int) -> float:
-    """Return the least time that the processors spent on work, which other work of the machine disturbs less."""
+    """Return the shortest time that the processors spent on work, which other work of the machine disturbs less."""
     times = []
     for _ in range(runs):
         begin = time.process_time()

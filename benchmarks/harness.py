@@ -100,7 +100,7 @@ class Figure:
 def seconds(work: Callable[[], object], runs: int = 5) -> float:
     """Return the best time of several runs, after one that compiles and fills the caches.
 
-    Other work of the machine only adds to a time, so the least is nearest to the cost of the work itself.
+    Other work of the machine only adds to a time, so the smallest is nearest to the cost of the work itself.
     """
     work()
     times = []

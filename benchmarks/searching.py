@@ -164,7 +164,7 @@ def _check(case: _Case, lists: dict[str, InvertedLists]) -> None:
 
 
 def _best(work: Callable[[], object], repeats: int = REPEATS) -> float:
-    """Return the least time of several runs; other work of the machine disturbs times of microseconds."""
+    """Return the shortest time of several runs; other work of the machine disturbs times of microseconds."""
     times = []
     for _ in range(repeats + 1):
         began = time.perf_counter()

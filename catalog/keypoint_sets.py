@@ -219,7 +219,7 @@ def _place(located: Located, chain: KinematicChain, name: str, point: str | dict
 
 @lru_cache(maxsize=1)
 def keypoint_sets_by_count() -> Mapping[int, tuple[KeypointSet, ...]]:
-    """Return number of keypoints → the shipped sets with as many, of those that may be recognised by it."""
+    """Return a dict from number of keypoints to the shipped sets that may be recognised by this number."""
     shipped = [load_keypoint_set(name) for name in config_names("keypoints")]
     counts = sorted({len(one.order) for one in shipped if one.by_count})
     return {count: tuple(one for one in shipped if one.by_count and len(one.order) == count) for count in counts}

@@ -138,7 +138,7 @@ class SensorSet:
         return sensor if not worn and sensor in LIMB_NAMES else None
 
     def limbs(self, sensors: Mapping[str, str]) -> dict[str, str]:
-        """Return sensor → limb of the sensors of one recording, without those that are assigned to no limb.
+        """Return a dict from sensor to limb for the sensors of a recording that are assigned to a limb.
 
         Parameters
         ----------

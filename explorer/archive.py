@@ -13,7 +13,7 @@ from kinedex.storage.snapshot.manifest_files import versions
 from kinedex.storage.store.store import Store, open_store
 
 LOOK_SECONDS = 1.0
-"""The least time between two looks for a newer version."""
+"""The shortest time between two checks for a newer version."""
 
 
 class ReadOnlyError(KinedexError):

@@ -295,7 +295,7 @@ def aligned_intervals(store: Store, one: Interval, other: Interval) -> Row:
     -------
     dict
         `start` and `stop` of the first, `frames` of the second take, one for each frame of the first, and `cost`: the
-        mean share of features that differ along the path; all differ in an invalid frame.
+        mean fraction of features that differ along the path; all differ in an invalid frame.
 
     Raises
     ------

@@ -112,7 +112,7 @@ class Events:
                 yield chunk or b": quiet\n\n"
 
     async def _news(self, known: _Known) -> list[bytes]:
-        """Return new messages if the store became readable or unreadable: its state or the error, and the running jobs."""
+        """Return new messages if the store became readable or unreadable: its state or the error, and running jobs."""
         news = await known.news()
         with self._lock:
             return [news, *self._running.values()] if news else []

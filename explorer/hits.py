@@ -33,7 +33,7 @@ MOST_HITS = 500
 """Most hits of one answer."""
 
 SHARED = 0.5
-"""Least overlap, as a share of the shorter interval, at which a label counts for a hit; the page uses it, too."""
+"""Least overlap, as a fraction of the shorter interval, at which a label counts for a hit; the page uses it, too."""
 
 Limit = Annotated[int, Field(ge=1, le=MOST_HITS)]
 
@@ -77,7 +77,7 @@ class LabelledQuestion(Question):
 
 
 def find_labels(archive: Archive, asked: LabelledQuestion, _request: Request) -> dict[str, Any]:
-    """Return the labels of each hit, by the share of overlap, the largest first."""
+    """Return the labels of each hit, by the fraction of overlap, the largest first."""
     store = archive.store()
     names = {take_id: name for name, take_id in store.take_ids.items()}
     places = [one.interval(store) for one in asked.hits]

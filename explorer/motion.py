@@ -54,7 +54,7 @@ UNKNOWN = -32_768
 """The number that stands for an unknown coordinate."""
 
 FINEST_M = 0.0001
-"""The least unit in metres."""
+"""The smallest unit in metres."""
 
 BLOCK_FRAMES = 3600
 """Most stored frames of a block: two minutes, 520 KB. Blocks grow to it."""
@@ -219,7 +219,7 @@ def _extent(positions: F32) -> float:
 
 
 def _bounds(positions: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.floating], npt.NDArray[np.floating]]:
-    """Return the least and the greatest x, y, z that are known; infinite where none is."""
+    """Return the smallest and the largest x, y, z that are known; infinite where none is."""
     # frames first: a pass along the long axis is ten times as fast as one along three numbers
     low = np.fmin.reduce(np.fmin.reduce(positions, 0, initial=np.inf), 0, initial=np.inf)
     return low, np.fmax.reduce(np.fmax.reduce(positions, 0, initial=-np.inf), 0, initial=-np.inf)

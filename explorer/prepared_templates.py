@@ -58,7 +58,7 @@ class TrainingCosts:
     actors: int
 
     def of(self, one: SubclassTemplate) -> tuple[F64, F64] | None:
-        """Return the least distance of the class's templates in its own clips and in all others.
+        """Return the smallest distance of the class's templates in its own clips and in all others.
 
         Parameters
         ----------

@@ -41,7 +41,7 @@ TYPES = {
 
 
 def report_names(archive: Archive) -> dict[tuple[str, str], list[str]]:
-    """Return (stage, run of the stage) → names of the files that it wrote, relative to the folder of reports."""
+    """Return a dict from (stage, stage run) to the files that it wrote, relative to the folder of reports."""
     found: dict[tuple[str, str], list[str]] = defaultdict(list)
     for key, record in archive.store().manifest.stages.items():
         for name in record.summary.get("files", ()):

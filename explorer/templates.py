@@ -3,13 +3,13 @@
 `GET /api/templates?stage=&kind=` → {stages: [name], stage, kind, kinds, templates: [row], delta, annotate, evaluate,
  method, remarks}; a row is {name, class, columns, seconds, clips, wildcards, origin, remarks, tau, picture}, where
  `tau` is null for a method without thresholds, and `picture` has a byte for each feature and column in base64: 200
- times the share of the clips in which the feature is on.
+ times the fraction of the clips in which the feature is on.
 
 `GET /api/templates/one?stage=&kind=&template=` → {name, class, kind, stage, columns, seconds,
  values: [feature][column], weights: [feature] or null, consistency: [feature], clips: [clip], missing,
  far: {limit, median, spread} or null, poses, delta, tau, remarks, origin, heading}. A clip is {name, take, take_id,
  start, stop, mirrored, to_others, to_template, far, frames}: the median cost to the other clips
- (`Learned.clip_costs`), the least distance of the template within it, and for each column the frame that shows it.
+ (`Learned.clip_costs`), the smallest distance of the template within it, and for each column the frame that shows it.
  `poses` is the place of the clip that the template fits best.
 
 `GET /api/templates/difference?stage=&kind=&template=&other=&other_stage=` → {first, second, columns: [[column of the

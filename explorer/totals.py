@@ -108,7 +108,7 @@ def values(archive: Archive, asked: ValuesQuestion, _request: Request) -> dict[s
 
 
 def _histogram(archive: Archive, inside: str) -> dict[str, Any]:
-    """Return the least and greatest value, and the takes in bins between them."""
+    """Return the smallest and largest value, and the takes in bins between them."""
     store = archive.store()
     number = f"SELECT value::DOUBLE AS value FROM ({inside}) WHERE isfinite(value::DOUBLE)"
     ends = f"SELECT min(value) AS low, max(value) AS high FROM ({number})"

@@ -20,7 +20,7 @@ LEAST_KNOWN = 0.6
 
 
 def known_share(masks: Iterable[int], known: int) -> float:
-    """Return the share of fixed entries that are known; 1 where nothing is fixed.
+    """Return the fraction of fixed entries that are known; 1 where nothing is fixed.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ def order_statistic(values: F64, rank: int) -> float:
     values : float64 array (n,)
         The values, which are reordered in place. NaN ranks above all numbers.
     rank : int
-        The rank, from 0 for the least value to n − 1.
+        The rank, from 0 for the smallest value to n − 1.
 
     Returns
     -------

@@ -331,7 +331,7 @@ def breakable(name: str) -> Markup:
 
 
 def share(value: float | None) -> str:
-    """Format a share as a percentage."""
+    """Format a fraction as a percentage."""
     return "–" if value is None else f"{value:.0%}" if value >= 0.1 or value == 0 else f"{value:.1%}"
 
 

@@ -55,7 +55,7 @@ class ArchiveStrip:
         The groups of takes; empty without groups.
     strip : tuple of Area
         All classes on top of each other: a column has the colour of the class with the most frames in it, and the
-        height of the share of frames that have a label.
+        height of the fraction of frames that have a label.
     lanes : tuple of Area
         The columns of each class by itself; classes without a segment have none.
     takes : tuple of (str, float, float)
@@ -109,7 +109,7 @@ def archive_strip(takes: Sequence[TakeRow], segments: Sequence[Segment], slots: 
 
 
 def _shares(ranges: Sequence[tuple[int, int]], total: int) -> F64:
-    """Return the share of the frames of each column that lie in ranges of a class, float64 (BINS,)."""
+    """Return the fraction of the frames of each column that lie in ranges of a class, float64 (BINS,)."""
     own = np.array(ranges, np.int64).reshape(-1, 2)
     own = own[np.argsort(own[:, 0], kind="stable")]
     begins = np.maximum(own[:, 0], np.concatenate(([0], np.maximum.accumulate(own[:, 1])[:-1])) if len(own) else 0)

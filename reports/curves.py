@@ -28,7 +28,7 @@ class Minimum:
 
 @dataclass(frozen=True)
 class Panel:
-    """The plot of one class, whose curve is the least cost over its subclasses."""
+    """The plot of one class, whose curve is the lowest cost over its subclasses."""
 
     label: str
     slot: int
@@ -122,7 +122,7 @@ def panel(
     top: float,
     tau: float | None,
 ) -> Panel:
-    """Lay out one class: the least cost over its subclasses as a line, the minima of each subclass as marks."""
+    """Lay out one class: the lowest cost over its subclasses as a line, the minima of each subclass as marks."""
     least = np.min(np.stack([curve.costs for curve in curves]), axis=0)
     finite = least[np.isfinite(least)]
     lowest = float(finite.min()) if finite.size else None

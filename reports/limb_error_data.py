@@ -101,7 +101,7 @@ class LimbErrors:
 
     @property
     def wrong(self) -> float:
-        """The share of these frames whose error is above τ; 0 if there are none."""
+        """The fraction of these frames whose error is above τ; 0 if there are none."""
         known = self.known
         return float((known > self.tau_deg).mean()) if len(known) else 0.0
 
@@ -136,13 +136,13 @@ class TakeErrors:
 
     @property
     def wrong(self) -> float:
-        """The share of all frames of its limbs that are above τ."""
+        """The fraction of all frames of its limbs that are above τ."""
         known = sum(len(one.known) for one in self.limbs)
         return sum(one.wrong * len(one.known) for one in self.limbs) / known if known else 0.0
 
     @property
     def worst(self) -> LimbErrors | None:
-        """The limb with the largest share of wrong frames, then the largest error; None if no error is known."""
+        """The limb with the largest fraction of wrong frames, then the largest error; None if no error is known."""
         known = [one for one in self.limbs if len(one.known)]
         return max(known, key=lambda one: (one.wrong, float(one.known.max())), default=None)
 
@@ -245,7 +245,7 @@ class StoredErrors:
         )  # fmt: skip
 
     def _manual(self, take_id: int, limb: str) -> dict[str, tuple[MarkedRun, ...]]:
-        """Return annotator → the intervals that the annotator has marked as wrong for a limb; empty for none."""
+        """Return a dict from annotator to the intervals that this annotator has marked as wrong for a limb."""
         found: dict[str, list[MarkedRun]] = {who: [] for who in self._annotators}
         for row in self._labels:
             if (row["take_id"], row["limb"]) == (take_id, limb):

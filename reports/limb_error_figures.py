@@ -16,7 +16,7 @@ from kinedex.reports.plots import line_path
 F64 = npt.NDArray[np.float64]
 
 BINS = 600
-"""Columns of a curve; each shows the least and the largest error of its frames."""
+"""Columns of a curve; each shows the smallest and the largest error of its frames."""
 
 CHART_WIDTH, CHART_HEIGHT = 260.0, 130.0
 """Size of a plot of precision, recall and F in SVG units."""
@@ -59,7 +59,7 @@ def box(start_s: float, stop_s: float, frames: int, rate_hz: float, text: str, *
 
 
 def curve_path(times: F64, degrees: F64, seconds: float, top: float, bins: int = BINS) -> str:
-    """Return the SVG path of errors over time as a band from the least to the largest error of each column.
+    """Return the SVG path of errors over time as a band from the smallest to the largest error of each column.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ class DriftCurve:
     path : str
         Its SVG path in a box of 100 by 30 units.
     span_deg : float
-        Degrees from its least to its largest value.
+        Degrees from its smallest to its largest value.
     """
 
     path: str

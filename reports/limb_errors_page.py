@@ -179,7 +179,7 @@ def limb_errors_page(store: Store, keys: StageKeys, title: str, most: int, *, de
     title : str
         The title.
     most : int
-        Most takes that are shown: those of whose frames the largest share is wrong.
+        Most takes that are shown: those of whose frames the largest fraction is wrong.
     demonstration : bool
         Show how a wrong mapping between sensor and limb hides errors (thesis, Figure 7.14).
     """

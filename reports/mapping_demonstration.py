@@ -40,7 +40,7 @@ class MappingCurve:
     path : str
         SVG path over frames and degrees.
     correct : tuple of (float, float)
-        The least and the largest error of correctly tracked frames.
+        The smallest and the largest error of correctly tracked frames.
     peak : float
         The error of frame 200, in which the track is off by 70 degrees.
     hidden : float

@@ -31,7 +31,7 @@ class Totals:
 
     @property
     def share(self) -> float:
-        """Return the share of the time that has a label."""
+        """Return the fraction of the time that has a label."""
         return self.labelled / self.seconds if self.seconds else 0.0
 
 

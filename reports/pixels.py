@@ -59,7 +59,7 @@ def quantised_image(values: npt.NDArray[np.float64], delta: float) -> str:
 
 
 def wildcard_share(values: npt.NDArray[np.float64], delta: float) -> float:
-    """Return the share of entries that are wildcards once quantised with δ."""
+    """Return the fraction of entries that are wildcards once quantised with δ."""
     if not values.size:
         return 0.0
     return float(np.mean((values > delta + TOLERANCE) & (values < 1 - delta - TOLERANCE)))

@@ -78,7 +78,7 @@ class ReconstructedOnPage:
     lent : float
         Share of the frames with a pose of the database.
     bins : tuple of float
-        Costs of the poses in strips, as a share of `MOST_COST_M`.
+        Costs of the poses in strips, as a fraction of `MOST_COST_M`.
     lanes : dict of str to tuple of Interval
         Name of a lane → its intervals of frames.
     lenders : tuple of (str, int)

@@ -1,4 +1,4 @@
-"""The reliability diagram of a page: the share of correct segments by their confidence."""
+"""The reliability diagram of a page: the fraction of correct segments by their confidence."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _MARGIN = 3.0
 
 @dataclass(frozen=True)
 class Bar:
-    """One bucket in SVG units: the bar of its share, the interval of the share, and the mean confidence.
+    """One bucket in SVG units: the bar of the fraction of correct segments, its interval, and the mean confidence.
 
     Attributes
     ----------
@@ -28,9 +28,9 @@ class Bar:
     x, y, width, height : float
         The place of the bar.
     low, high : float
-        The y of both ends of the interval of the share, from the top.
+        The y of both ends of the interval of the fraction, from the top.
     says : (float, float)
-        The point on the diagonal, at which the share of correct segments equals the mean confidence.
+        The point on the diagonal, at which the fraction of correct segments equals the mean confidence.
     """
 
     bucket: Bucket

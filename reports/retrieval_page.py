@@ -43,7 +43,7 @@ class Diagram:
 
 @dataclass(frozen=True)
 class Search:
-    """The keyframe search of one class; times are in milliseconds, `kept` is a share of the frames."""
+    """The keyframe search of one class; times are in milliseconds, `kept` is a fraction of the frames."""
 
     keyframes: int
     stiffness: float | None
@@ -261,7 +261,7 @@ def variants(trials: Sequence[Row]) -> list[Variant]:
 
 
 def courses(found: Sequence[Variant]) -> list[Course]:
-    """Lay out recall, mean average precision and the share of frames kept over the stiffness."""
+    """Lay out recall, mean average precision and the fraction of frames kept over the stiffness."""
     swept = sorted((one for one in found if one.stiffness is not None), key=lambda one: one.stiffness or 0.0)
     measures = (
         ("recall", "found at any rank", [one.recall for one in swept]),

@@ -28,7 +28,7 @@ from kinedex.storage.store.store import Store
 F64 = npt.NDArray[np.float64]
 
 BINS = 240
-"""Number of columns of a strip that shows the share of trusted keypoints."""
+"""Number of columns of a strip that shows the fraction of trusted keypoints."""
 
 BAD_CAMERA = 3.0
 """Ratio of a camera's median residual to that of the others from which the camera is marked."""

@@ -53,7 +53,7 @@ def labelled(store: Store) -> tuple[F64, list[str]]:
 
 
 def same_class(places: F64, classes: Sequence[str]) -> float:
-    """Return the share of the nearest other points that have the same class."""
+    """Return the fraction of the nearest other points that have the same class."""
     count = min(NEIGHBOURS, len(places) - 1)
     near = NearestNeighbors(n_neighbors=count).fit(places).kneighbors(return_distance=False)
     names = np.array(classes)

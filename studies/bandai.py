@@ -115,7 +115,7 @@ def labelled(store: Store, drawn: Draw, seed: int, executor: Executor) -> Iterat
 
 
 def winner(covered: Bool, costs: F64) -> int | None:
-    """Return the class that labels most frames, of several the one of the least cost; None without labels.
+    """Return the class that labels most frames, of several the one of the lowest cost; None without labels.
 
     Segments of the thesis's method overlap, and often several classes label all of a take.
     """

@@ -292,7 +292,7 @@ def grid(sets: Mapping[str, Sequence[Trial]], feature_set: FeatureSet) -> Table:
 
 
 def reliability(sets: Mapping[str, Sequence[Trial]]) -> Table:
-    """Lay out the share of right segments by confidence: those of the class that most of their frames have."""
+    """Lay out the fraction of right segments by confidence: those of the class that most of their frames have."""
     table = Table(box=box.SIMPLE_HEAD, title="right, of segments by confidence", title_justify="left")
     for name in ("confidence", *sets, "all"):
         table.add_column(name, justify="right")

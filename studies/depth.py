@@ -132,7 +132,7 @@ def pooled(tracks: Mapping[str, Tracked]) -> F64:
 
 
 def cell(tracks: Mapping[str, Tracked]) -> str:
-    """Return mean and median error in cm, and the share of frames that are off by more than 10 cm."""
+    """Return mean and median error in cm, and the fraction of frames that are off by more than 10 cm."""
     errors = pooled(tracks)
     return f"{errors.mean():.1f} / {np.median(errors):.1f}, {100 * (errors > OFF_CM).mean():.1f} %"
 
@@ -176,7 +176,7 @@ def printed_table(study: Study) -> list[str]:
 
 
 def class_table(found: Mapping[tuple[str, str], Tracks]) -> list[str]:
-    """Return the errors of each class both ways, with the share of frames whose five ends are all found."""
+    """Return the errors of each class both ways, with the fraction of frames whose five ends are all found."""
     first = next(iter(found.values()))[BOTH]
     lines = []
     for name in [*first, ""]:

@@ -55,7 +55,7 @@ class Worn:
     counted: Flags
 
     def orientation(self, magnetometer: bool) -> F64:
-        """Return the sensor's orientations (N, 4), sensor → F_GI, with or without its magnetometer."""
+        """Return the sensor's orientations (N, 4) in F_GI, computed with or without its magnetometer."""
         return estimate(self.rate_hz, self.acc, self.gyr, self.mag if magnetometer else None)
 
     def calibrated(self) -> Worn:

@@ -42,7 +42,7 @@ class Measured:
     kept : int64 array (T, 2)
         The frames kept and all frames of each take.
     covered : float
-        The mean share of a segment that is kept.
+        The mean fraction of a segment that is kept.
     own : float
         The class's share of the frames.
     """
@@ -55,12 +55,12 @@ class Measured:
 
     @property
     def hit_share(self) -> float:
-        """Return the share of the segments that are hit."""
+        """Return the fraction of the segments that are hit."""
         return float(self.hit[:, 0].mean())
 
     @property
     def kept_share(self) -> float:
-        """Return the share of the frames that are kept."""
+        """Return the fraction of the frames that are kept."""
         return float(self.kept[:, 0].sum() / self.kept[:, 1].sum())
 
 

@@ -78,7 +78,7 @@ class Annotated:
     kept : int
         The number of takes that an earlier run had annotated.
     searched : float
-        The share of the frames in which templates were matched.
+        The fraction of the frames in which templates were matched.
     f1, f2 : list of float
         F (frames) and F (segments), each with its 95 % interval over takes.
     """

@@ -91,7 +91,7 @@ def _rated(factor: float) -> Fault:
 
 
 def _frozen(share: float) -> Fault:
-    """Return the fault that keeps the last good frame for a share of the take."""
+    """Return the fault that keeps the last good frame for a fraction of the take."""
 
     def change(positions: F64) -> F64:
         frames = positions.shape[2]
@@ -116,7 +116,7 @@ def _spiked(joint: str, turned: tuple[str, ...]) -> Fault:
 
 
 def _stuck(joint: str, share: float) -> Fault:
-    """Return the fault that leaves one joint where it is for a share of the take."""
+    """Return the fault that leaves one joint where it is for a fraction of the take."""
 
     def change(take: Take) -> Take:
         frames = take.positions.shape[2]

@@ -51,7 +51,7 @@ def compare(store: Store, where: str, folder: Path) -> str:
 
 
 def main() -> None:
-    """Print the share of words that change with the rate."""
+    """Print the fraction of words that change with the rate."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("store", type=Path, help="a store of takes faster than 30 Hz")
     parser.add_argument("--where", default="class IS NULL", help="takes to compare: a SQL filter")

@@ -157,7 +157,7 @@ class Person:
         return SingleExamples(row, places).annotate(self._takes.words, [whole_takes(self._takes.words)])
 
     def decide(self, found: Sequence[Sequence[Segment]]) -> bool:
-        """Decide on the takes of the least margin, then on those most like accepted ones; False if none is left."""
+        """Decide on the takes of the smallest margin, then on those most like accepted ones; False if none is left."""
         left = [place for place in self._mine if place not in self._seen]
         doubtful = sorted((min(one.margin for one in found[place]), place) for place in left if found[place])
         accepted = self._shares[[place for place, _, _ in self._positives]]

@@ -35,7 +35,7 @@ bpy.ops.export_scene.fbx(
 
 
 def main() -> None:
-    """Print for each take and format the largest distance of a joint, and the share of equal words."""
+    """Print for each take and format the largest distance of a joint, and the fraction of equal words."""
     parser = argparse.ArgumentParser(prog="python -m studies.scenes", description=__doc__)
     parser.add_argument("python", type=Path, metavar="PYTHON")
     parser.add_argument("takes", type=Path, nargs="+", metavar="TAKE.bvh")

@@ -27,7 +27,7 @@ def two_stage_interval(
     draws : int
         How often groups and units are drawn.
     level : float
-        The share of draws within the interval.
+        The fraction of draws within the interval.
     seed : int
 
     Returns

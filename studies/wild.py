@@ -193,7 +193,7 @@ def _about_vertical(ours: F64, true: F64) -> F64:
 
 
 def _words(body: Body, made: Variant, actor: Actor) -> tuple[float, float, str]:
-    """Return the share of equal bits, and the smallest F of a feature that is neither always on nor always off."""
+    """Return the fraction of equal bits, and the smallest F of a feature that is neither always on nor always off."""
     true = np.stack([made.truth[joint] for joint in FEATURES.joints])
     known = known_features(FEATURES, body) & FEATURES.known(made.unknown)
     numbers = [i for i in range(len(FEATURES.features)) if known >> i & 1]

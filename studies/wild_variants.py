@@ -261,7 +261,7 @@ def _between(skeleton: Skeleton, above: int, below: int, line: list[F64], found:
 
 
 def along(line: Sequence[F64], share: float) -> F64:
-    """Return the point (3, T) at a share of the mean length of a polyline of points (3, T)."""
+    """Return the point (3, T) at a fraction of the mean length of a polyline of points (3, T)."""
     lengths = [float(np.linalg.norm(b - a, axis=0).mean()) for a, b in pairwise(line)]
     left = share * sum(lengths)
     for a, b, length in zip(line, line[1:], lengths, strict=False):

@@ -59,7 +59,7 @@ class Bench:
         self.work = work
 
     def timed(self, work: Callable[[], object], amount: float, before: Callable[[], object] = lambda: None) -> Measured:
-        """Return the least seconds of several runs of work, after one that fills the caches.
+        """Return the shortest time in seconds of several runs of work, after one that fills the caches.
 
         Parameters
         ----------
@@ -79,7 +79,7 @@ class Bench:
         return {"seconds": min(times[1:] or times), "amount": amount}
 
     def command(self, *words: str) -> Measured:
-        """Return the least seconds of a command of kinedex, from the start of its process to its end."""
+        """Return the shortest time in seconds of a command of kinedex, from the start of its process to its end."""
         command = [sys.executable, "-m", "kinedex", *words]
         # into a pipe: a wait with a bound for a process without one looks every 50 ms
         return self.timed(lambda: subprocess.run(command, check=True, stdout=subprocess.PIPE, timeout=600), 1.0)

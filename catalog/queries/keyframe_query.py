@@ -214,7 +214,7 @@ def word_pattern(chain: KeyframeQuery, feature_set: FeatureSet) -> WordPattern:
 
 
 def query_share(query: KeyframeQuery, feature_set: FeatureSet, known: int) -> float:
-    """Return the share of a query's fixed entries that are known; of several alternatives the greatest share."""
+    """Return the fraction of a query's fixed entries that are known; of several alternatives the greatest fraction."""
     return max(known_share(_whole_masks(chain, feature_set), known) for chain in query.chains)
 
 

@@ -145,7 +145,7 @@ class SkeletonMapping:
         return short
 
     def fit(self, nodes: Mapping[str, int]) -> Fit:
-        """Find the named joints in a skeleton, given as node name → index.
+        """Find the named joints in a skeleton, given as a dict from node name to index.
 
         The last fits are cached, because most files of an archive have the same nodes.
         """

@@ -14,10 +14,10 @@ from kinedex.ops.wording import duration
 _log = logging.getLogger("kinedex.progress")
 
 FIRST_SECONDS = 10.0
-"""Seconds without a message after which a line reports the step; also the least time between two lines."""
+"""Seconds without a message after which a line reports the step; also the shortest time between two lines."""
 
 SHARE = 0.2
-"""The least time between two lines as a share of the time since the step began, so that a long step has few."""
+"""The shortest time between two lines as a fraction of the time since the step began, so that a long step has few."""
 
 LOG_SECONDS = 1.0
 LOG_SHARE = 0.02

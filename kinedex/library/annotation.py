@@ -154,7 +154,7 @@ class _LoadedWords:
             yield from annotate_words(annotator, self.words(batch))
 
     def known(self) -> dict[int, int]:
-        """Return index → mask of known features, for the takes that lack features."""
+        """Return a dict from index to mask of known features, for the takes that lack features."""
         return {place: take.known for place, take in enumerate(self.takes) if take.known != ALL_KNOWN}
 
     def every_word(self) -> list[Any]:
@@ -186,7 +186,7 @@ class _StoredWords:
             yield from annotate_words(annotator, stored.words(batch), store=stored)
 
     def known(self) -> dict[int, int]:
-        """Return take id → mask of known features, for the takes that lack features."""
+        """Return a dict from take id to mask of known features, for the takes that lack features."""
         return known_of(self.store.stored.known, self.names)
 
     def every_word(self) -> list[Any]:

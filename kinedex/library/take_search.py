@@ -186,7 +186,7 @@ class TakeSearch(TakeCollection):
         return Template(learned, self.feature_set, self.rate_hz, lambda: self._clips(learned.clips))
 
     def _clips(self, names: Sequence[str]) -> Mapping[str, U64]:
-        """Return name → words of the clips that still exist in the store, as takes or intervals of takes."""
+        """Return a dict from name to words for clips that still exist in the store, as takes or intervals of takes."""
         from kinedex.pipelines.templates.examples import interval_of
 
         places = {name: interval_of(name, self._rows) for name in names}

@@ -45,9 +45,9 @@ class Template:
     name : str
         The name of the class (subclass) that the template stands for.
     kind : str
-        "soft": shares of the clips in which a feature is on; "hard": only values that all clips share.
+        "soft": fractions of the clips in which a feature is on; "hard": only values that all clips share.
     values : float64 array (N, f)
-        The share of the clips in which each of f features is on, 0 to 1, in N columns.
+        The fraction of the clips in which each of f features is on, 0 to 1, in N columns.
     weights : float64 array (N,)
         The weight of each column, about 1.
     feature_weights : float64 array (f,) or None

@@ -21,9 +21,9 @@ def best_threshold(own: F64, others: F64) -> tuple[float, float]:
     Parameters
     ----------
     own : float64 array (A,)
-        The least distance in each clip of the class, ∞ where no path fits.
+        The smallest distance in each clip of the class, ∞ where no path fits.
     others : float64 array (B,)
-        The least distance in each clip of other classes.
+        The smallest distance in each clip of other classes.
 
     Returns
     -------

@@ -251,7 +251,7 @@ def exclusive_shares(
     columns: Columns | None = None,
     promising: I64 | None = None,
 ) -> F64:
-    """Return for each segment the share of its value that other classes cannot reach.
+    """Return for each segment the fraction of its value that other classes cannot reach.
 
     Parameters
     ----------

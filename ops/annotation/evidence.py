@@ -37,7 +37,7 @@ def evidence_of(
         its root; "pace", the logarithm of the length over that of the template; "haste", its magnitude; "fixed", the
         share of entries that the template fixes; "support", how much more the frames support this label than the best
         of the other labels that most of them have, in √frames; "others", log(1 + n), n being the number of other labels
-        of a frame on average; "covered", the share of the take's frames that have a label.
+        of a frame on average; "covered", the fraction of the take's frames that have a label.
     found : sequence of sequence of Segment, length T
         The segments of each take in the order of their starts, in frames of the take.
     offsets : int64 array (T + 1,)
@@ -45,7 +45,7 @@ def evidence_of(
     columns : sequence of int
         The number of columns of each template.
     fixed : sequence of float
-        The share of fixed entries of each template.
+        The fraction of fixed entries of each template.
 
     Returns
     -------

@@ -18,7 +18,7 @@ I64 = npt.NDArray[np.int64]
 def least_costs(
     templates: Sequence[QuantisedTemplate], words: U64, ranges: Sequence[I64], chosen: I64, starts: I64, stops: I64
 ) -> F64:
-    """Return the least distance of the template's paths that end in each segment.
+    """Return the smallest distance of the template's paths that end in each segment.
 
     No path to a template of N columns is longer than 2 N − 1 frames, so the curve is only computed for each segment and
     the 2 N − 1 frames before it.

@@ -36,7 +36,7 @@ class Segment:
     class_index : int
         The class.
     cost : float
-        The least distance in the segment.
+        The smallest distance in the segment.
     subclass : int
         The index of the curve that attains it.
     margin : float
@@ -281,7 +281,7 @@ def grow_runs(
     Returns
     -------
     places : int64 array (R, 4)
-        The class, the half-open range of frames, and the first frame of the least cost of each segment.
+        The class, the half-open range of frames, and the first frame of the lowest cost of each segment.
     costs : float64 array (R,)
         That cost.
     margins : float64 array (R,)
@@ -335,7 +335,7 @@ def grow_runs(
 def first_members(
     places: I64, least: F64, offsets: I64, starts: I64, ends: I64, costs: F64, members: I64, edges: I64
 ) -> I64:
-    """Return the first subclass of each segment's class with the least cost at its minimum (kernel)."""
+    """Return the first subclass of each segment's class with the lowest cost at its minimum (kernel)."""
     longest = np.zeros(len(offsets) - 1, np.int64)
     for s in range(len(longest)):
         for place in range(offsets[s], offsets[s + 1]):

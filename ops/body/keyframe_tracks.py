@@ -15,7 +15,7 @@ USUAL_RATES_HZ = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 72.0, 75.0, 90.0, 100.0, 1
 """Rates of cameras and capture systems, slowest first."""
 
 OFF_GRID = 0.02
-"""Tolerance of a key's time as a share of a frame, for files that write times with few digits."""
+"""Tolerance of a key's time as a fraction of a frame, for files that write times with few digits."""
 
 
 def sample_track(times: F64, values: F64, at: F64, interpolation: str, turns: bool, late: float = 0.0) -> F64:

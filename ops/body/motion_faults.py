@@ -71,7 +71,7 @@ class MotionFaults:
     flight_s : float
         The longest time in which no joint touches the ground, in seconds.
     knee_forwards_share : float
-        The share of frames in which a knee bends forwards.
+        The fraction of frames in which a knee bends forwards.
     spike_deg : float
         The largest angle by which a limb turns from one frame to the next and back in the frame after that.
     jitter_m_s3 : float
@@ -80,7 +80,7 @@ class MotionFaults:
         The largest share of steps in which a knee, an elbow or a wrist keeps its place exactly, while the other end of
         its limb moves by more than `MOVES_M_S`.
     invalid_share : float
-        The share of invalid frames.
+        The fraction of invalid frames.
     """
 
     foot_skate_m_s: float = UNKNOWN
@@ -285,7 +285,7 @@ def _jitter(positions: F64, valid: Bool, lag: int) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _stuck(positions: F64, valid: Bool, limbs: I64, rate_hz: float) -> float:
-    """Return the largest share of steps in which a limb's end keeps its position while its start moves."""
+    """Return the largest fraction of steps in which a limb's end keeps its position while its start moves."""
     frames = positions.shape[2]
     steps = (valid[1:] & valid[:-1]).sum()
     if not len(limbs) or not steps:

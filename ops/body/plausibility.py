@@ -78,11 +78,11 @@ class Plausibility(MotionFaults):
     thigh_share, shank_share, upper_arm_share, forearm_share : float
         The lengths of limbs, mean of left and right, as shares of the height.
     neck_share : float
-        How far the neck lies above the middle of the shoulders along the trunk, as a share of the height.
+        How far the neck lies above the middle of the shoulders along the trunk, as a fraction of the height.
     asymmetry : float
-        The largest difference between the left and the right limb, as a share of their mean.
+        The largest difference between the left and the right limb, as a fraction of their mean.
     bone_variation : float
-        The largest standard deviation of the length of a limb over time, as a share of its mean.
+        The largest standard deviation of the length of a limb over time, as a fraction of its mean.
     up_axis : str
         The axis along which the body stands: "y" for a take that is read rightly, empty where nothing decides.
     up_confidence : float
@@ -101,7 +101,7 @@ class Plausibility(MotionFaults):
     tempo_hz, acceleration_m_s2 : float
         The tempo of hands and feet, and the 90th percentile of their acceleration.
     repeated_share : float
-        The share of frames that are equal to the one before.
+        The fraction of frames that are equal to the one before.
     seconds : float
         The time in which speeds are measured.
     fastest : (str, int) or None

@@ -206,7 +206,7 @@ def turn_rate(orientation: F64, rate_hz: float, start: int, out: F64) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def bounds(comparison: int, low: float, high: float) -> tuple[float, float]:
-    """Return the least and greatest number for which a comparison holds; only WITHIN uses `high`."""
+    """Return the smallest and largest number for which a comparison holds; only WITHIN uses `high`."""
     if comparison == ABOVE:
         return np.nextafter(low, np.inf), np.inf
     if comparison == AT_LEAST:

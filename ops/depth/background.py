@@ -52,7 +52,7 @@ def percentile_depths(images: F32, percentile: float = PERCENTILE) -> F32:
 
 
 def behind_share(image: F32, background: F32) -> float:
-    """Return the share of pixels farther away than the background; only a moved camera makes it large, not a person.
+    """Return the fraction of pixels farther away than the background; only a moved camera makes it large, not a person.
 
     Parameters
     ----------

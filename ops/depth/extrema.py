@@ -4,7 +4,7 @@ The first is the node farthest from the source. Each found node becomes a furthe
 node farthest from all of them. The distances of one step are those of the step before, made smaller around the new
 source: the search is continued, and visits only nodes that come nearer. Nodes wait in buckets of about equal distance
 (Dial, 1969) instead of a heap, in a third of the time. The distances are those of Dijkstra's algorithm started from all
-sources, to the last bit: each is the least sum over its neighbours in any order of visits.
+sources, to the last bit: each is the smallest sum over its neighbours in any order of visits.
 """
 
 from __future__ import annotations

@@ -43,7 +43,7 @@ class Floor(NamedTuple):
     height : float
         Where the floor lies along it: minus the height of the camera above the floor, in metres.
     share : float
-        The share of the points that belong to it.
+        The fraction of the points that belong to it.
     """
 
     normal: F64
@@ -115,7 +115,7 @@ def admissible_planes(points: F64, up: F64, least: float, seed: int) -> tuple[F6
     up : float64 array (3,)
         A unit vector that points upwards.
     least : float
-        The least cosine between a normal and `up`.
+        The smallest cosine between a normal and `up`.
     seed : int
         Seed of the triples.
 
@@ -149,7 +149,7 @@ def fitted_plane(points: F64, up: F64) -> tuple[F64, float]:
 
 
 def upright_turn(up: npt.ArrayLike) -> F64:
-    """Return the least rotation (3, 3) that maps a direction to +Y.
+    """Return the smallest rotation (3, 3) that maps a direction to +Y.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ _ROUNDING_M = 1e-6
 
 
 def depth_limits(background: F32 | None, rises: F64, floor_height: float | None, far: float) -> F32:
-    """Return for each pixel the least depth that does not belong to the foreground any more.
+    """Return for each pixel the smallest depth that does not belong to the foreground any more.
 
     Parameters
     ----------

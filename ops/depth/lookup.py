@@ -29,7 +29,7 @@ JUMP_M = 0.25
 """Distance in metres; the lowest extrema are tried as feet if one is farther than this from all extrema before."""
 
 MOST_MAPS = 12
-"""Number of assignments, those of least sum of distances, that are tried."""
+"""Number of assignments, those of smallest sum of distances, that are tried."""
 
 NEIGHBOURS = 10
 """Number of poses that are retrieved for each assignment (K)."""

@@ -67,7 +67,7 @@ class Sums(NamedTuple):
     square : float64 array (6, 6)
         Σ w row rowᵀ of one pivot.
     levers : float64 array (K, 2, 4)
-        −a_k at both ends of a cone, and the share of the rotation that applies to each end.
+        −a_k at both ends of a cone, and the fraction of the rotation that applies to each end.
     columns : float64 array (12, 3)
         Products of a pivot's columns with the sums.
     matrix : float64 array (3 P + 3, 3 P + 3)

@@ -96,6 +96,6 @@ def _sampled(points: F64, rows: I64) -> F64:
 
 
 def _apart(one: F64, other: F64) -> float:
-    """Return the least distance between two samples of points, in metres."""
+    """Return the smallest distance between two samples of points, in metres."""
     squares = ((one[:, None] - other[None]) ** 2).sum(axis=2)
     return float(np.sqrt(squares.min()))

@@ -29,7 +29,7 @@ F64 = npt.NDArray[np.float64]
 I32 = npt.NDArray[np.int32]
 
 MOST_POINTS = 6000
-"""The most points of the median frame: the stride is the least that does not exceed it."""
+"""The most points of the median frame: the stride is the smallest that does not exceed it."""
 
 STRIDE_FRAMES = 10
 """Number of first frames from which the stride is chosen."""
@@ -200,7 +200,7 @@ def choose_stride(
     is_range: bool = False,
     most: int = MOST_POINTS,
 ) -> int:
-    """Return the least stride with which the median of the first ten frames has at most `most` points.
+    """Return the smallest stride at which the median of the first ten frames has at most `most` points.
 
     Parameters
     ----------

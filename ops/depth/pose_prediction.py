@@ -19,14 +19,14 @@ SHARE = 0.7
 def predicted_pose(pose: F64, before: F64, share: float = SHARE) -> F64:
     """Return the extrapolated pose of the next frame; its bones keep their lengths.
 
-    The root continues by a share of its last movement, and each bone's direction by that share of its last change.
+    The root continues by a fraction of its last movement, and each bone's direction by that share of its last change.
 
     Parameters
     ----------
     pose, before : float64 array (24, 3)
         The last pose and the one before it, on the same bones, in metres.
     share : float, optional
-        The share.
+        The fraction.
     """
     predicted = np.empty_like(pose)
     _predict(pose, before, share, PARENTS, predicted)

@@ -107,7 +107,7 @@ def estimate_size(
 
 
 def least_height(cost: Callable[[float], float]) -> tuple[float, dict[float, float]]:
-    """Return the height of least cost, and the costs of all heights that were tried.
+    """Return the height of lowest cost, and the costs of all heights that were tried.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def least_height(cost: Callable[[float], float]) -> tuple[float, dict[float, flo
     Returns
     -------
     height : float
-        The vertex of the parabola through the least cost and its neighbours; the tried height where there is none.
+        The vertex of the parabola through the lowest cost and its neighbours; the tried height where there is none.
     tried : dict of float to float
         Height to cost.
     """

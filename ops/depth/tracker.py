@@ -333,7 +333,7 @@ class Reconstructor:
         return _Scene(cloud, cloud.points[nodes], centre, self._facing.copy(), *counts)
 
     def _vote(self, scene: _Scene, previous: F64 | None) -> FrameResult:
-        """Fit both hypotheses, and choose the one of least cost; the local one at equal costs."""
+        """Fit both hypotheses, and choose the one of lowest cost; the local one at equal costs."""
         local = database = pose = None
         cost_local = cost_database = np.nan
         parts: list[PoseCost | None] = [None, None]

@@ -251,14 +251,14 @@ def in_units(layout: Layout, units: F64) -> TemplateColumns:
 
 
 def grid_step(columns: int) -> float:
-    """Return the step of the grid on which float32 costs lie: 2^−24 times the least power of two ≥ the columns.
+    """Return the step of the grid on which float32 costs lie: 2^−24 times the smallest power of two ≥ the columns.
 
     A complete path of a template of N columns has N units of weight (a (2,1) step counts twice) and costs of at most 1
     a unit. Costs that are multiples of this step therefore add up to at most 2^24 steps, and float32 holds every such
     sum exactly: on the grid nothing is rounded, in whatever order the costs are added.
 
     A float32 distance is therefore within step / 2 + 2^−24 of the exact one: rounding to the grid moves a local cost by
-    half a step at most, a path of N units of weight by N / 2 steps, and so the least cost over all paths, since
+    half a step at most, a path of N units of weight by N / 2 steps, and so the lowest cost over all paths, since
     |min a − min b| ≤ max |a − b|. Division by N leaves half a step, and rounds a number of at most 1 by 2^−25 at most;
     float64 errs by far less than another 2^−25.
     """

@@ -21,7 +21,7 @@ class LeastCurve(NamedTuple):
     Attributes
     ----------
     costs : float64 array (L,)
-        Δ^min, the least distance in each frame (thesis, Eq. 6.5); ∞ where no path ends.
+        Δ^min, the smallest distance in each frame (thesis, Eq. 6.5); ∞ where no path ends.
     curves : int64 array (L,)
         Δ^arg, the first curve that attains it (thesis, Eq. 6.6); −1 where no path ends.
     """

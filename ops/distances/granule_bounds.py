@@ -7,7 +7,7 @@ where it is on in none. This bounds the cost of a path through a granule, whiche
 *Blocks of columns.* The columns of a template are taken B at a time, the last ones at the end; fewer than B at its
 beginning are ignored. A path collects a weight of B − 1 or more in a block: B for its columns, less one where a (2,1)
 step skips the last of them, which counts in the block after. Each of these units costs at least what the block costs in
-the cheapest granule that the path visits within it, and that is at least the share of entries, fixed alike in all
+the cheapest granule that the path visits within it, and that is at least the fraction of entries, fixed alike in all
 columns of the block, that the granule contradicts.
 
 *Steps.* From a cell of a block to one of the next there are at most 2B − 1 columns, and so twice as many frames; the
@@ -47,7 +47,7 @@ class GranuleBlocks(NamedTuple):
     must_on, must_off : uint64 array (G, K)
         The features of each group of weights that all columns of a block require to be on, or off.
     weights : float32 array (G, K)
-        The weight of a feature of each group as a share of all weights of a column.
+        The weight of a feature of each group as a fraction of all weights of a column.
     """
 
     must_on: U64
@@ -149,7 +149,7 @@ def granule_bounds(template: QuantisedTemplate, words: GranuleWords, edges: I64)
 
 @nb.njit(cache=True, nogil=True)
 def _bound(blocks, on, off, edges, steps, ends, memory, bounds):  # type: ignore[no-untyped-def]
-    """Fill in the least sums over blocks of the paths that end in each granule (kernel)."""
+    """Fill in the smallest sums over blocks of the paths that end in each granule (kernel)."""
     must_on, must_off, weights = blocks
     pad = max(steps, ends)
     for take in range(len(edges) - 1):

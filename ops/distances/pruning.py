@@ -94,7 +94,7 @@ def coarse_bounds(
 
     *Coarse units.* With u = τN / 255 every local cost c holds ⌊c/u⌋ whole units. A path costs the sum of its local
     costs, each counted once or twice, N counted ones in all, and the sum of their whole units is no more than cost / u.
-    Sums saturate at 255 in 8 bits, and a saturated sum is still a lower bound. So where the least sum is q units, no
+    Sums saturate at 255 in 8 bits, and a saturated sum is still a lower bound. So where the smallest sum is q units, no
     path costs less than q u, and where it is 255, none is below τ: a path below any τ' ≤ τ ends only at frames of fewer
     than τ'N / u units.
 

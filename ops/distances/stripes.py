@@ -25,7 +25,7 @@ BLOCK = 8
 
 
 def least_sums(layout: Layout, coded: CodedWords, units: F64, pieces: I64) -> U8:
-    """Return the least sum of coarse units over the paths of each template that end in each block of `BLOCK` frames.
+    """Return the smallest sum of coarse units over the paths of each template that end in each block of `BLOCK` frames.
 
     *Layout.* The columns of all templates are stacked in slots of R rows, slot after slot. A template occupies whole
     slots, and is shifted down in them so that its last column is in the last row, with at least one empty cell above
@@ -34,7 +34,7 @@ def least_sums(layout: Layout, coded: CodedWords, units: F64, pieces: I64) -> U8
 
     *Starts.* The cells above a first column always hold 0, so that the first column costs c alone. The second column
     has such a cell two columns before it, which allows additional paths that skip the first column and count the second
-    one twice. The least sum over more paths is no greater, so it is still a lower bound. Values carried over from
+    one twice. The smallest sum over more paths is no greater, so it is still a lower bound. Values carried over from
     another template are at least 0, so they do not lower these cells.
 
     Parameters
@@ -129,7 +129,7 @@ def aligned_bytes(shape: tuple[int, ...], value: int | None = None) -> U8:
 def sweep_stripes(
     table: U8, codes: I32, pieces: I64, initial: U8, above: U8, state: U8, least: U8, slots: I64, sums: U8
 ) -> None:  # fmt: skip
-    """Lower `sums` to the least sums of the paths of all templates that end in the blocks of pieces (kernel).
+    """Lower `sums` to the smallest sums of the paths of all templates that end in the blocks of pieces (kernel).
 
     The two rows above the first one repeat the last two, shifted by one slot, with 0 where a template begins.
 

@@ -39,7 +39,7 @@ def split_groups(sizes: Sequence[float] | F64, shares: Sequence[float] | F64) ->
     Raises
     ------
     ParameterError
-        There are fewer groups than splits, or a share is not above 0.
+        There are fewer groups than splits, or a fraction is not above 0.
     """
     amounts, wanted = np.asarray(sizes, np.float64), np.asarray(shares, np.float64)
     if not (wanted > 0).all():

@@ -32,9 +32,9 @@ class Bucket:
     confidence : float
         Their mean confidence; NaN where there is none.
     share : float
-        The share of right ones; NaN where there is none.
+        The fraction of right ones; NaN where there is none.
     interval : (float, float)
-        The Wilson interval of the share, at 95 %, as if segments were independent.
+        The Wilson interval of the fraction, at 95 %, as if segments were independent.
     """
 
     low: float

@@ -73,7 +73,7 @@ def _above(values: F64, limits: F64) -> I64:
 
 
 def _least_between(values: F64, marked: I64) -> F64:
-    """Return the least value from each marked frame up to and including the next."""
+    """Return the smallest value from each marked frame up to and including the next."""
     if len(marked) < 2:
         return np.empty(0)
     # each piece ends before the next marked frame, whose own value is added

@@ -42,7 +42,7 @@ class HeadingDrift:
         return np.interp(times, self.times, self.degrees) if len(self.times) else np.zeros(len(times))
 
     def corrected(self, times: F64, sensor: F64) -> F64:
-        """Return orientations (T, 4) of the sensor, sensor → F_GI, with the drift removed."""
+        """Return the orientations (T, 4) of the sensor in F_GI, with the drift removed."""
         return multiply(self._turns(times), sensor) if len(self.times) else sensor
 
     def uncorrected(self, times: F64, sensor: F64) -> F64:

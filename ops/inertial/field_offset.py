@@ -21,7 +21,7 @@ BLOCK_S = 0.1
 """Duration in seconds over which readings are averaged."""
 
 PRIOR = 0.01
-"""Standard deviation of the offset of a calibrated magnetometer on each axis, as a share of the field."""
+"""Standard deviation of the offset of a calibrated magnetometer on each axis, as a fraction of the field."""
 
 LIKELY = 4.0
 """Length of an offset in standard deviations from which the magnetometer counts as uncalibrated, and the prior widens.

@@ -106,11 +106,11 @@ class StreamFit:
     frames : int
         The frames that were fitted.
     inliers : float
-        The share of these frames with an error below 15°.
+        The fraction of these frames with an error below 15°.
     median_deg : float
         The median error of those.
     observability : float
-        The least eigenvalue of the normal matrix of q_G and q_L; 0 where a direction is free.
+        The smallest eigenvalue of the normal matrix of q_G and q_L; 0 where a direction is free.
     tilt_deg : float
         The angle between the inertial world's vertical and the take's; 0 where the vertical is known.
     refused : str
@@ -262,7 +262,7 @@ def _guesses(units: Sequence[Unit], given: Sequence[F64 | None], options: Option
 def _reconcile(
     units: Sequence[Unit], spread: Sequence[Unit], worlds: F64, mounts: F64, options: Options, held: _Held
 ) -> None:
-    """Choose one mount for units that share it but have different worlds: the one of least total cost."""
+    """Choose one mount for units that share it but have different worlds: the one of lowest total cost."""
     for mount in range(len(mounts)):
         members = [i for i, unit in enumerate(units) if unit.mount == mount]
         if len(members) < 2 or mount in held.mounts:

@@ -181,7 +181,7 @@ def _pair_costs(sensor: F64, track: F64, worlds: F64, mounts: F64, costs: F64) -
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _mount_costs(sensor: F64, track: F64, worlds: F64, mounts: F64, costs: F64) -> None:
-    """Find for each q_G the single-frame mount that has the least mean clipped distance to those of all frames."""
+    """Find for each q_G the single-frame mount that has the smallest mean clipped distance to those of all frames."""
     degrees = 2.0 * 180.0 / math.pi
     near = math.cos(0.5 * CLIP_DEG * math.pi / 180.0)
     count = len(sensor)

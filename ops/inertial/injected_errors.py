@@ -30,7 +30,7 @@ LABEL_DEG = 20.0
 
 THRESHOLD_DEG, ONSET_S, MISSES = (15.0, 30.0), 0.2, 0.05
 """Range of the simulated annotators' thresholds in degrees, standard deviation of their onsets and ends in seconds, and
-the share of errors that they miss.
+the fraction of errors that they miss.
 """
 
 
@@ -183,7 +183,7 @@ def annotate(
     rate_hz : float
         Frames per second.
     threshold_deg : float
-        The least error that this annotator sees, in degrees.
+        The smallest error that this annotator sees, in degrees.
     random : Generator
         Random numbers.
     """

@@ -21,7 +21,7 @@ TILTED_DEG, FEW = 3.0, 0.4
 
 
 def least_eigenvalues(units: Sequence[Unit], worlds: F64, weights: Sequence[F64], vertical_known: bool) -> list[float]:
-    """Compute the least eigenvalue of each mount's normal matrix, divided by the weights' sum.
+    """Compute the smallest eigenvalue of each mount's normal matrix, divided by the weights' sum.
 
     The unknowns are small rotations of q_L and of each q_G that its units have; the row of a frame is [R(q̄_T ∘ q_G),
     −1]. With one q_G it is 1 − |M|₂, M the weighted mean of R(q̄_T ∘ q_G); with the vertical known, 1 − |M z|.
@@ -67,9 +67,9 @@ def refusal(limb: str, value: float, level: float, vertical_known: bool, several
     limb : str
         The limb's name.
     value : float
-        The least eigenvalue of this mount, or a larger one of a limb that shares its q_G.
+        The smallest eigenvalue of this mount, or a larger one of a limb that shares its q_G.
     level : float
-        The least eigenvalue with the vertical known.
+        The smallest eigenvalue with the vertical known.
     vertical_known : bool
         True if the vertical is already known.
     several : bool
@@ -95,11 +95,11 @@ def warning(limb: str, value: float, tilt_deg: float, inliers: float) -> str:
     limb : str
         The limb's name.
     value : float
-        The least eigenvalue of this mount, or a larger one of a limb that shares its q_G.
+        The smallest eigenvalue of this mount, or a larger one of a limb that shares its q_G.
     tilt_deg : float
         The angle between the inertial world's vertical and the take's.
     inliers : float
-        The share of frames with an error below 15°.
+        The fraction of frames with an error below 15°.
     """
     parts = []
     if value < DOUBTFUL:

@@ -30,7 +30,7 @@ CUTOFF_HZ = 15.0
 """Frequency in Hz at which positions and rotations of takes are smoothed before they are differentiated."""
 
 LEAST_SAMPLES = 8
-"""The least number of samples for a quintic spline and a filter."""
+"""The smallest number of samples for a quintic spline and a filter."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 The thesis correlates magnitudes of accelerations (Section 7.6.1). Here angular speeds are correlated first: they do not
 depend on the worlds of take and sensor or on the sensor's position on the limb, and need no second derivative. After a
-first calibration, the final offset is the one near it with the least orientation errors.
+first calibration, the final offset is the one near it with the smallest orientation errors.
 """
 
 from __future__ import annotations
@@ -314,7 +314,7 @@ def refine(limbs: Sequence[Fine], offset_s: float, ppm: float = 0.0) -> float:
 
 
 def _least(cost: Callable[[float], float], middle: float, reach: float, step: float) -> float:
-    """Return the offset of least cost on a grid about the middle, refined by a parabola through the least value."""
+    """Return the offset of lowest cost on a grid about the middle, refined by a parabola through the smallest value."""
     count = round(reach / step)
     offsets = middle + step * np.arange(-count, count + 1)
     costs = np.array([cost(float(offset)) for offset in offsets])

@@ -38,7 +38,7 @@ class Consensus:
     fitness, rank : float
         Its fitness and its rank.
     agreement : float
-        The share of keyframes that had to agree on an entry; 0 for a run.
+        The fraction of keyframes that had to agree on an entry; 0 for a run.
     median, best : float
         The rank of the median run and of the best one.
     matrix : float64 array (N, f)
@@ -88,7 +88,7 @@ def recurring_keyframes(
     queries : sequence of Individual
         The best individuals of the runs.
     agreement : float
-        The share of keyframes at a place that must fix an entry to the same value for it to be fixed.
+        The fraction of keyframes at a place that must fix an entry to the same value for it to be fixed.
     tolerance : int
         The number of columns by which two keyframes may differ and still count as the same.
     features : int
@@ -123,7 +123,7 @@ def recurring_keyframes(
 def _majority(
     masks: npt.NDArray[np.uint64], values: npt.NDArray[np.uint64], share: float, features: int
 ) -> tuple[int, int]:
-    """Return mask and value of the entries that at least a share of the keyframes fixes to the same value."""
+    """Return mask and value of the entries that at least a fraction of the keyframes fixes to the same value."""
     fixed, ones = bits(masks, features), bits(values, features)
     on = ones.sum(axis=0)
     off = (fixed - ones).sum(axis=0)

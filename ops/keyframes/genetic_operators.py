@@ -74,13 +74,13 @@ class OperatorSettings(NamedTuple):
     mean, deviation : float
         Mean and standard deviation of the number of keyframes of an initial individual.
     least : int
-        The least number of keyframes.
+        The smallest number of keyframes.
     tolerance : float
         The upper end of U(0, 2) in Algorithm 2.
     centre : float
-        The centre of initial gaps, as a share of the spacing of the columns.
+        The centre of initial gaps, as a fraction of the spacing of the columns.
     open_share : float
-        The largest share of a keyframe's entries that a generalisation turns into wildcards at a time.
+        The largest fraction of a keyframe's entries that a generalisation turns into wildcards at a time.
     keyframe_odds, entry_odds : float
         The probabilities that a mutation changes keyframes, and that it changes entries; other mutations change gaps.
     """
@@ -303,7 +303,7 @@ def _bit(bits, number):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def mutate_gaps(rng, population, row):  # type: ignore[no-untyped-def]
-    """Change both ends of every gap at random, by up to a share of the spacing of the columns or one frame."""
+    """Change both ends of every gap at random, by up to a fraction of the spacing of the columns or one frame."""
     for k in range(population.counts[row] - 1):
         step = max(1.0, GAP_STEP * (population.positions[row, k + 1] - population.positions[row, k]))
         low = population.lows[row, k] + int(np.round((2.0 * rng.random() - 1.0) * step))

@@ -48,7 +48,7 @@ class EvolutionSettings:
         The cost of the share of the template that lies before the first or after the last keyframe, as this part has to
         be searched around each hit.
     tempo : float
-        The share by which gaps are narrowed when positive clips are tested, so that they would also be retrieved at
+        The fraction by which gaps are narrowed when positive clips are tested, so that they would also be retrieved at
         another tempo.
     """
 

@@ -31,7 +31,7 @@ class Trait:
     feature : int
         The index of the feature, from 0.
     share : float
-        The mean, over the cluster's points, of the share of frames in which the feature is on.
+        The mean, over the cluster's points, of the fraction of frames in which the feature is on.
     rest : float
         The same mean over all other points.
     """
@@ -49,7 +49,7 @@ def map_clusters(layout: Layout, least: int | None = None) -> I64:
     layout : Layout
         A map. Points that were not laid out get the cluster of the point beside which they were put.
     least : int, optional
-        The least number of points of a cluster among those that were laid out; None: one in `SHARE`, and at least
+        The smallest number of points of a cluster among those that were laid out; None: one in `SHARE`, and at least
         `LEAST`.
 
     Returns
@@ -109,13 +109,13 @@ def traits(shares: F64, inside: npt.NDArray[np.bool_], most: int = 3, least: flo
     Parameters
     ----------
     shares : float64 array (P, f)
-        The share of frames of each feature, NaN where unknown.
+        The fraction of frames of each feature, NaN where unknown.
     inside : bool array (P,)
         The points of the cluster.
     most : int, optional
         The most features to return.
     least : float, optional
-        The least difference of the mean shares that counts.
+        The smallest difference of the mean shares that counts.
 
     Returns
     -------

@@ -15,7 +15,7 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 LEAST_QUALITY = 0.1
-"""The least quality of a hit; a hit's priors are weighted by its quality."""
+"""The smallest quality of a hit; a hit's priors are weighted by its quality."""
 
 POSE, ARCHIVE = "pose", "archive"
 """Kinds of priors other than the constraints of `ops.priors.constraints.CONSTRAINTS`."""
@@ -30,7 +30,7 @@ class Allocation:
     hits : tuple of Hit
         The hits, in frames of the recording.
     owners : int64 array (T,)
-        The hit of least cost that covers each frame, −1 for none.
+        The hit of lowest cost that covers each frame, −1 for none.
     columns : int64 array (T,)
         The column of the hit's template, −1 for none.
     qualities : float64 array (H,)
@@ -51,7 +51,7 @@ class Allocation:
 
 
 def allocate(hits: Sequence[Hit], frames: int, threshold: float) -> Allocation:
-    """Assign to each frame the hit of least cost that covers it, and the frame whose pose is its prior.
+    """Assign to each frame the hit of lowest cost that covers it, and the frame whose pose is its prior.
 
     Parameters
     ----------

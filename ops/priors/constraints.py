@@ -42,7 +42,7 @@ GROUND_M, FRONT_M, BENT_RAD = 0.03, 0.05, 0.2
 """Standard deviations of a foot's height (m), of the forward movement of a hand or foot (m), and of flexion (rad)."""
 
 BENT_AT_RAD = np.pi / 3
-"""The least flexion of a bent elbow, in radians."""
+"""The smallest flexion of a bent elbow, in radians."""
 
 GROUND_PERCENTILE = 10.0
 """Percentile of a joint's heights over the track that is its height when the foot stands."""

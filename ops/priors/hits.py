@@ -138,7 +138,7 @@ def cut_to(hits: Sequence[Hit], frames: I64, least: float) -> list[Hit]:
     frames : int64 array (F,)
         Ascending frames.
     least : float
-        The least number of frames of a part.
+        The smallest number of frames of a part.
 
     Returns
     -------

@@ -228,7 +228,7 @@ def is_least(frames: I64, distances: F64, low: int, i: int, threshold: float) ->
 
 @nb.njit(cache=True, nogil=True)
 def group_heap(units: U16, unit: float, candidates: Candidates, order: I64) -> Heap:
-    """Make a heap of groups, ordered by the least bound in each (kernel)."""
+    """Make a heap of groups, ordered by the lowest bound in each (kernel)."""
     frames, possible, groups, _, takes = candidates
     heap = [(np.int64(0), np.int64(0), np.int64(0), np.int64(0))]
     heap.pop()

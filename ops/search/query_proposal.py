@@ -57,7 +57,7 @@ class Pose:
     mask, value : int
         The keyframe in bits of whole words.
     share : float
-        The share of the archive's frames that match, as if the feature sets were independent.
+        The fraction of the archive's frames that match, as if the feature sets were independent.
     """
 
     frame: int
@@ -134,7 +134,7 @@ def _pose(clip: U64, frame: int, counts: Sequence[SetCounts], unknown: int) -> P
 
 
 def _share(counts: SetCounts, mask: int, value: int) -> float:
-    """Return the share of an archive's frames that match a keyframe of one feature set."""
+    """Return the fraction of an archive's frames that match a keyframe of one feature set."""
     met = (counts.words & np.uint64(mask)) == np.uint64(value)
     return float(counts.frames[met].sum() / max(counts.frames.sum(), 1))
 

@@ -64,7 +64,7 @@ class Flesh:
     kinds : int64 array (C,)
         The kind of part of each cone; parts of a kind share a factor.
     factors : float64 array (K, 2)
-        The least and the greatest factor of the radii of each kind.
+        The smallest and the largest factor of the radii of each kind.
     clothes : Clothes
         Bumps of the surface.
     """

@@ -159,7 +159,7 @@ def _row_cones(boxes: F64, v: int, row: I64) -> int:
 
 @njit(cache=True)
 def _column_cones(boxes: F64, row: I64, in_row: int, u: float, listed: I64) -> tuple[int, float, float]:
-    """List the cones of a row that may be visible in a column; return their number and least and greatest depth."""
+    """List the cones of a row that may be visible in a column; return their number and smallest and largest depth."""
     count, begin, end = 0, np.inf, -np.inf
     for i in range(in_row):
         c = row[i]

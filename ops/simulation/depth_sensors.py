@@ -175,7 +175,7 @@ def _pattern(
 
 
 def window_range(depth: F64) -> tuple[F64, F64]:
-    """Return the least and greatest depth (H, W) in the 3 × 3 window of each pixel, cropped at the border."""
+    """Return the smallest and largest depth (H, W) in the 3 × 3 window of each pixel, cropped at the border."""
     near, far = np.empty_like(depth), np.empty_like(depth)
     _window_range(depth, near, far)
     return near, far

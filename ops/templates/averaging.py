@@ -32,7 +32,7 @@ _LIGHT = 0.75 - TOLERANCE
 
 @dataclass(frozen=True)
 class Soft:
-    """The operations of soft templates: columns are float64 (N, f), the weighted share of clips with the feature on.
+    """The operations of soft templates: columns are float64 (N, f), the weighted fraction of clips with the feature on.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ F64 = npt.NDArray[np.float64]
 
 
 def contradicted_shares(template: Template, clips: Sequence[U64], delta: float) -> F64:
-    """Return the share of each feature's template entries that each clip contradicts.
+    """Return the fraction of each feature's template entries that each clip contradicts.
 
     A clip is aligned with the template by classical DTW of its features with the template's values.
 

@@ -31,7 +31,7 @@ class NearestClip:
     clip : int
         Its index.
     cost : float
-        Its least distance within the interval, as of a template without wildcards; ∞ where the interval is shorter
+        Its smallest distance within the interval, as of a template without wildcards; ∞ where the interval is shorter
         than half of every clip.
     frames : int64 array (L,)
         For each frame of the interval the frame of the clip on the warping path. A clip that matches several times in a
@@ -126,7 +126,7 @@ def _frames(clip: U64, interval: U64, matches: Sequence[tuple[int, int]], featur
 
 
 def word_differences(clip: U64, interval: U64, features: int) -> F64:
-    """Return the share of differing features between all pairs of frames of two motions.
+    """Return the fraction of differing features between all pairs of frames of two motions.
 
     Parameters
     ----------

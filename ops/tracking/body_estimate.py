@@ -173,7 +173,7 @@ def estimate_body(
 
 
 def _places(chain: KinematicChain, points: F64, cameras: I64, joints: I64) -> tuple[int, dict[str, F64]]:
-    """Return the least number of cameras, and the positions (T, 3) of the joints that are keypoints."""
+    """Return the smallest number of cameras, and the positions (T, 3) of the joints that are keypoints."""
     trunk = [chain.joint(name) for name in ("lhip", "rhip", "lshoulder", "rshoulder")]
     columns = {int(joint): p for p, joint in reversed(list(enumerate(joints))) if joint >= 0}
     missing = [chain.joints[joint] for joint in trunk if joint not in columns]

@@ -105,7 +105,7 @@ class FrameTrack:
     shifts_px : float64 array (T,)
         Mean distance of the contour from the silhouettes' boundary in pixels of the cameras, NaN without any.
     differences : float64 array (T,)
-        Pixels that are either body or foreground but not both, as a share of the foreground; NaN without any.
+        Pixels that are either body or foreground but not both, as a fraction of the foreground; NaN without any.
     """
 
     poses: Poses

@@ -139,7 +139,7 @@ def seen_joints(view: View, joints: F64, seen: F64) -> None:
 
 @njit(cache=True, nogil=True)
 def sphere_interval(across: float, depth: float, radius: float) -> tuple[float, float]:
-    """Return the least and the greatest x/z of a sphere with its centre at x = across, z = depth.
+    """Return the smallest and the largest x/z of a sphere with its centre at x = across, z = depth.
 
     It is (−∞, ∞) for a sphere that reaches the plane of the camera.
     """

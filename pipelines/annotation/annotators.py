@@ -73,7 +73,7 @@ class Annotator:
 
     @property
     def shapes(self) -> tuple[list[int], list[float]]:
-        """The number of columns of each template, and its mean share of fixed features per column."""
+        """The number of columns of each template, and its mean fraction of fixed features per column."""
         features = len(self.feature_set.features)
         return [len(one) for one in self.templates], [one.fixed / features for one in self.templates]
 

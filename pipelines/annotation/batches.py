@@ -42,7 +42,7 @@ class TakeAnnotation:
     segments : tuple of Segment
         Its segments, in the order of their starts.
     preselected : float64 array (S,)
-        The share of the take's frames that each template was matched in.
+        The fraction of the take's frames that each template was matched in.
     curves : float32 array (S, L), optional
         Its distance curves, if they are stored; ∞ for templates that are not applied to the take.
     applied : bool array (S,), optional

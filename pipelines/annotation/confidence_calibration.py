@@ -40,7 +40,7 @@ MOST_LAID = 16
 """The largest number of examples that are concatenated to one take."""
 
 LEAST_SEGMENTS = 20
-"""The least number of segments from which a confidence is learned, for a method that has no prior of its own."""
+"""The smallest number of segments from which a confidence is learned, for a method that has no prior of its own."""
 
 Make = Callable[[Sequence[SubclassTemplate], Sequence[TrainingClips], Sequence[Rejected]], Annotator]
 """A function that makes an annotator from templates, the clips that they were learned from, and rejected intervals."""

@@ -109,7 +109,7 @@ class AnnotationMethod(Protocol):
 
 @dataclass(frozen=True)
 class ThesisMethod:
-    """Labels each frame with the class of the least distance below its threshold (thesis, Section 5.2)."""
+    """Labels each frame with the class of the smallest distance below its threshold (thesis, Section 5.2)."""
 
     name: ClassVar[str] = "thesis"
     label: ClassVar[str] = "templates"
@@ -194,7 +194,7 @@ class BestMethod:
     def annotate(
         self, words: TakeWords, ranges: Sequence[I64], promising: Sequence[I64] | None = None
     ) -> list[list[Segment]]:
-        """Label takes; the cost of a segment is its least distance, NaN if no warping path ends in it.
+        """Label takes; the cost of a segment is its smallest distance, NaN if no warping path ends in it.
 
         `promising` holds the `promising_ranges` of each take, if they are known.
         """

@@ -21,7 +21,7 @@ Threshold = Annotated[float, Field(gt=0, le=1)]
 
 
 def least_frames(min_seconds: float, rate_hz: float) -> int:
-    """Return the least number of frames of a segment that lasts at least `min_seconds`."""
+    """Return the smallest number of frames of a segment that lasts at least `min_seconds`."""
     return math.ceil(round(min_seconds * rate_hz, 9))
 
 

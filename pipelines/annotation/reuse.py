@@ -129,7 +129,7 @@ class EarlierAnnotations:
     run : str
         The id of the run.
     searched : dict of int to float
-        For each take that is up to date, by take_id, the share of its frames that templates were matched in.
+        For each take that is up to date, by take_id, the fraction of its frames that templates were matched in.
     """
 
     store: Store

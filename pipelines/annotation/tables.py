@@ -31,7 +31,7 @@ def takes_table(
     run : str
         The id of the run.
     searched : mapping of int to float
-        For each take_id the share of its frames that a template was matched in, on average.
+        For each take_id the fraction of its frames that a template was matched in, on average.
     prints : mapping of int to str, optional
         For each take_id the fingerprint by which a later run finds its annotation up to date.
     """

@@ -74,7 +74,7 @@ class SourceFiles:
 
 @dataclass(frozen=True)
 class SourceState:
-    """The source files of a pipeline at its last ingest: path → hash of the content, None if it was rejected."""
+    """The source files of a pipeline at its last ingest: their paths, with content hashes, None for rejected files."""
 
     files: dict[str, str | None] = field(default_factory=dict)
 

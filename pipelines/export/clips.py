@@ -69,7 +69,7 @@ def clips_of(store: Store, intervals: Sequence[Interval], how: How) -> list[Clip
     intervals : sequence of Interval
         The intervals, by take and start.
     how : How
-        The margins, the context and the least length.
+        The margins, the context and the smallest length.
 
     Raises
     ------

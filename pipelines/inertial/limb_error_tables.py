@@ -99,7 +99,7 @@ class ErrorFigures:
         self.squares += float(error @ error)
 
     def texts(self) -> tuple[str, str, str]:
-        """Return mean, standard deviation, and the share of wrong frames, as text."""
+        """Return mean, standard deviation, and the fraction of wrong frames, as text."""
         if not self.frames:
             return "–", "–", "–"
         mean = self.total / self.frames

@@ -151,7 +151,7 @@ def find_recordings(
 def _with_made(
     groups: Mapping[tuple[str, str], list[Path]], made: Mapping[str, Sequence[str]]
 ) -> dict[tuple[str, str], list[Path]]:
-    """Return (take, name) → files; those of a camera recording also for takes made from it without own folder."""
+    """Return a dict from (take, name) to files; takes of a camera recording without own folder get its files."""
     own = {take for take, _ in groups}
     found = dict(groups)
     for (take, name), files in groups.items():

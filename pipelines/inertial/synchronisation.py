@@ -38,7 +38,7 @@ class RecordingClock:
     limbs : int
         The number of limbs that were correlated.
     refined : bool
-        True if the offset was refined to the least orientation errors.
+        True if the offset was refined to the smallest orientation errors.
     left_out : str
         The reason why there is no clock; empty if there is one.
     """
@@ -86,7 +86,7 @@ def _refused(found: TimeOffset, limbs: int) -> RecordingClock:
 def _refined(
     take: WornTake, sensors: list[WornSensor], clock: Clock, params: SynchroniseParameters
 ) -> tuple[Clock, bool]:
-    """Return the clock with the least orientation errors, and whether it was refined; the first one if nothing fits.
+    """Return the clock with the smallest orientation errors, and whether it was refined; the first one if nothing fits.
 
     A search on a grid comes close to it, and least squares on whitened errors refine it. A wrong offset impairs the
     calibration slightly, so both are repeated until the clock hardly changes.

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from kinedex.pipelines.ingestion.pattern_proposal import Proposal
 
 _MOST = 0.34
-"""The largest share of the takes that is held out."""
+"""The largest fraction of the takes that is held out."""
 
 _VALUES = 5
 """The largest number of values that are held out, so that the filter stays readable."""

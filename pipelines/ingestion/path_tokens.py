@@ -16,7 +16,7 @@ from functools import cached_property
 SEPARATORS = ("_", "-", " ", ".")
 
 USUAL = 0.8
-"""The least share of names that must contain a separator for it to divide them."""
+"""The smallest fraction of names that must contain a separator for it to divide them."""
 
 _MOST_FIELDS = 12
 

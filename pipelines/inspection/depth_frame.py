@@ -71,7 +71,7 @@ def inspect_depth_frame(
     background : Path, optional
         A frame of the empty room; by default all measured pixels are foreground.
     stride : int, optional
-        Step between the rows and columns whose pixels are used; by default the least with at most 6,000 points.
+        Step between the rows and columns whose pixels are used; by default the smallest with at most 6,000 points.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Compute statistics of the features of a take: shares of frames, runs, and missing joints."""
+"""Compute statistics of the features of a take: fractions of frames, runs, and missing joints."""
 
 from __future__ import annotations
 

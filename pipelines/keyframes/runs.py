@@ -35,7 +35,7 @@ PATIENCE = 2
 """The number of rounds without a better outcome after which a class settles."""
 
 SETTLED = 0.001
-"""The least rise in rank by which an outcome counts as better."""
+"""The smallest rise in rank by which an outcome counts as better."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class Rounds:
     patience : int
         The number of rounds without a better outcome after which a class settles.
     settled : float
-        The least rise in rank by which an outcome counts as better.
+        The smallest rise in rank by which an outcome counts as better.
     """
 
     runs: int

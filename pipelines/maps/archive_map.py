@@ -186,7 +186,7 @@ def windows(frames: I64, length: float | None) -> tuple[I64, I64]:
 
 @dataclass(frozen=True)
 class _Points:
-    """The points of a map: takes, lengths in frames, shares of features, and clusters."""
+    """The points of a map: takes, lengths in frames, fractions of features, and clusters."""
 
     take_ids: I64
     frames: I64

@@ -68,14 +68,14 @@ class Ranking:
 
     @property
     def skipped(self) -> float | None:
-        """The share of the searched frames that a bound excluded; None if no bound was computed."""
+        """The fraction of the searched frames that a bound excluded; None if no bound was computed."""
         if not self.bounded:
             return None
         return max(0.0, 1 - self.computed / self.searched) if self.searched else 0.0
 
     @property
     def kept(self) -> float:
-        """The share of all frames that keyframe queries kept; 1 without queries."""
+        """The fraction of all frames that keyframe queries kept; 1 without queries."""
         return self.searched / self.frames if self.frames else 0.0
 
 

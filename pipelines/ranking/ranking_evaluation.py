@@ -73,7 +73,7 @@ class Judged:
 
     @property
     def recall(self) -> float:
-        """The share of segments or clips that was found below τ; NaN if there are none to find."""
+        """The fraction of segments or clips that was found below τ; NaN if there are none to find."""
         return self.found / self.total if self.total else math.nan
 
 
@@ -137,7 +137,7 @@ def _same(hit: Hit, segment: Manual) -> bool:
 
 
 def clip_costs(templates: Mapping[str, QuantisedTemplate], clips: TakeWords) -> dict[str, np.ndarray]:
-    """Return the least distance of each template in each clip, float64 (C,).
+    """Return the smallest distance of each template in each clip, float64 (C,).
 
     It is ∞ for clips that are too short for a template, and for clips that lack too many of its features.
     """
@@ -179,7 +179,7 @@ def mean_average_precision(judged: Sequence[Judged]) -> float:
 
 
 def recall_at_tau(judged: Sequence[Judged]) -> float:
-    """Return the share of all segments or clips to find that were found below τ."""
+    """Return the fraction of all segments or clips to find that were found below τ."""
     total = sum(one.total for one in judged)
     return sum(one.found for one in judged) / total if total else math.nan
 

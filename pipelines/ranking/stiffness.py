@@ -1,4 +1,4 @@
-"""Run the stiffness experiment: shares of frames that queries keep, precision and recall, by stiffness of gaps."""
+"""Run the stiffness experiment: fractions of frames that queries keep, precision and recall, by stiffness of gaps."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Trial:
     judged : Judged
         The evaluation of the ranking.
     kept : float
-        The share of frames that was ranked.
+        The fraction of frames that was ranked.
     """
 
     variant: str

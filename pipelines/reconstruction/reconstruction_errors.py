@@ -278,7 +278,7 @@ def _means(gaps: F64) -> F64:
 
 
 def _rate(one: Comparison) -> float | None:
-    """Return the share of the frames with a pose in which all five end effectors are found; None if not known."""
+    """Return the fraction of the frames with a pose in which all five end effectors are found; None if not known."""
     seen = np.isfinite(one.gaps).any(axis=1)
     return None if one.ends is None or not seen.any() else float(one.ends[seen].mean())
 

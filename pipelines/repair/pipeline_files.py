@@ -12,7 +12,7 @@ from kinedex.storage.snapshot.manifest_files import read_version, versions
 
 
 def known_stages(store: Path) -> dict[str, StageRecord]:
-    """Return the last record of every stage of a pipeline, "<pipeline>/<stage>" → record.
+    """Return a dict from "<pipeline>/<stage>" to the last record of the stage, for all stages of a pipeline.
 
     A stage whose record was removed so that it runs again has none in the newest version, so older versions are read as
     well.

@@ -100,7 +100,7 @@ class Sources:
         return described_columns(self.store.manifest.columns)
 
     def row(self, take_id: int) -> dict[str, Any]:
-        """Return a copy of the store's row of a take, column → value."""
+        """Return a copy of the store's row of a take, as a dict from column to value."""
         return dict(self._rows[take_id])
 
     def _task(self, row: Mapping[str, Any]) -> tuple[int, Task]:

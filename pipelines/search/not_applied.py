@@ -17,7 +17,7 @@ from kinedex.storage.snapshot.schemas import result_schema
 
 @dataclass(frozen=True)
 class Applicability:
-    """The share of the entries of one template or query that is known in takes with a given feature mask.
+    """The fraction of the entries of one template or query that is known in takes with a given feature mask.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class Applicability:
     mask : int
         The mask of the known features, with the bits of a word.
     share : float
-        The share of its fixed entries that are known.
+        The fraction of its fixed entries that are known.
     """
 
     kind: str
@@ -48,7 +48,7 @@ def applicability(
     templates: Mapping[str, QuantisedTemplate],
     queries: Iterable[KeyframeQuery] = (),
 ) -> list[Applicability]:
-    """Return the known share of templates and queries that fix features which some takes do not have.
+    """Return the known fraction of templates and queries that fix features which some takes do not have.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def applicability(
     Returns
     -------
     list of Applicability
-        Those with a share below 1, by mask; templates come first.
+        Those with a fraction below 1, by mask; templates come first.
     """
     asked = list(dict.fromkeys(queries))
     found = []

@@ -23,7 +23,7 @@ def propose_query(store: Store, take: str, start: int, stop: int, *, name: str =
     Parameters
     ----------
     store : Store
-        A store whose index is built; its vocabulary gives the share of frames of a pose.
+        A store whose index is built; its vocabulary gives the fraction of frames of a pose.
     take : str
         The name of the take that contains the example.
     start, stop : int

@@ -16,7 +16,7 @@ F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
 LEAST_SECONDS = 2.0
-"""The least length of a piece in seconds, unless windows are shorter."""
+"""The smallest length of a piece in seconds, unless windows are shorter."""
 
 SHORT_GAP_S = 0.1
 """The longest gap, in seconds, over which frames without an orientation are interpolated."""
@@ -87,7 +87,7 @@ def take_pieces(
     named : bool
         True if the user named them; limbs with a known long axis only are always excluded.
     least_s : float
-        The least length of a piece in seconds.
+        The smallest length of a piece in seconds.
     """
     without = {}
     usable: dict[str, tuple[LimbMotion, F64, F64, Bool]] = {}

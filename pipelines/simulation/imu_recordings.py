@@ -65,7 +65,7 @@ class Request:
 
     @property
     def least_seconds(self) -> float:
-        """The least length of a piece of a take in seconds: that of a window, within 0.5 to 2 s, or 3 samples."""
+        """The smallest length of a piece of a take in seconds: that of a window, within 0.5 to 2 s, or 3 samples."""
         return min(LEAST_SECONDS, max(0.5, self.windowing.seconds, 3.0 / self.wearing.rate_hz))
 
 
@@ -109,7 +109,7 @@ class Simulated:
     clipped : int
         The number of samples beyond the range of a sensor.
     least_seconds : float
-        The least length of a piece in seconds.
+        The smallest length of a piece in seconds.
     short, lost_frames : int
         The numbers of pieces excluded because they are shorter, and of source frames outside of all pieces.
     without : dict of str to list of str

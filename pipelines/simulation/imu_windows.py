@@ -14,7 +14,7 @@ from kinedex.storage.store.store import Store
 F64 = npt.NDArray[np.float64]
 
 LEAST_SHARE = 0.5
-"""The share of a window above which the class that covers most of it becomes its class."""
+"""The fraction of a window above which the class that covers most of it becomes its class."""
 
 
 @dataclass(frozen=True)

@@ -170,7 +170,7 @@ class Done:
     kept : int
         The number of takes whose earlier annotations were up to date.
     searched : dict of int to float
-        For each take_id the share of its frames that templates were matched in.
+        For each take_id the fraction of its frames that templates were matched in.
     """
 
     segments: int
@@ -248,7 +248,7 @@ def _report_exclusions(
 
 
 def _share_searched(searched: Mapping[int, float], takes: pl.DataFrame) -> float:
-    """Return the share of frames that templates were matched in, over all takes and templates."""
+    """Return the fraction of frames that templates were matched in, over all takes and templates."""
     frames = dict(takes.select("take_id", "frames").iter_rows())
     total = sum(frames.values())
     return sum(searched[take_id] * length for take_id, length in frames.items()) / total if total else 0.0

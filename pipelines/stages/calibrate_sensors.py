@@ -91,7 +91,7 @@ def _remarks(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def _wearing(store: Store, columns: list[str]) -> dict[int, Hashable]:
-    """Return take_id → key of the takes that share sensor mounts: values of columns, else the take itself."""
+    """Return a dict from take id to a key that is equal for takes with the same mounts: column values, or the id."""
     rows = store.take_rows.to_pylist()
     known = list(rows[0]) if rows else []
     for column in columns:

@@ -71,7 +71,7 @@ class LearnTemplates(Stage[TemplateParameters]):
 
 
 def _warnings(templates: Sequence[SubclassTemplate]) -> dict[str, list[str]]:
-    """Return warnings about templates → their subclasses, with the kind of template if only some are concerned."""
+    """Return a dict from warning to subclasses, with the kind of template if it concerns only some kinds."""
     kinds: dict[str, set[str]] = {}
     found: dict[str, dict[str, list[str]]] = {}
     for one in templates:

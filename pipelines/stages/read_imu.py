@@ -148,13 +148,13 @@ def _put(context: StageContext, writer: StoreWriter, read: Sequence[ReadRows], g
 
 
 def take_ids(store: Store) -> dict[str, int]:
-    """Return the takes of a store as name → take_id."""
+    """Return a dict from name to id of the takes of a store."""
     rows = store.take_rows
     return dict(zip(rows.column("name").to_pylist(), rows.column("take_id").to_pylist(), strict=True))
 
 
 def made_takes(store: Store) -> dict[str, list[str]]:
-    """Return camera recording → names of the takes made from it (tracked, stabilised or reconstructed)."""
+    """Return a dict from camera recording to names of takes made from it (tracked, stabilised, reconstructed)."""
     found: dict[str, list[str]] = {}
     if "recording" in store.take_rows.column_names:
         for row in store.take_rows.select(["name", "recording"]).to_pylist():
@@ -170,7 +170,7 @@ def _made_key(store: Store) -> tuple[object, ...]:
 
 
 def _fingerprints(store: Store, stage: str) -> dict[str, str]:
-    """Return recording → fingerprint for the recordings that a stage has stored."""
+    """Return a dict from recording to fingerprint for the recordings that a stage has stored."""
     return {str(row["recording"]): str(row["fingerprint"]) for row in earlier_rows(store, "imu_recordings", stage)}
 
 

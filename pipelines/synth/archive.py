@@ -21,7 +21,7 @@ from kinedex.storage.disk import whole_file
 from kinedex.storage.formats.motion.acclaim_writer import Dialect, write_amc, write_asf
 
 CLIP_SHARE = 0.50
-"""The share of the duration of the archive that is training clips; the rest are long takes."""
+"""The fraction of the duration of the archive that is training clips; the rest are long takes."""
 LONGEST_TAKE = 150.0
 """Greatest length of a long take in seconds."""
 DEFAULT_SEED = 2026

@@ -90,7 +90,7 @@ def stored_clips(store: Store, template: SubclassTemplate) -> list[StoredClip]:
 
 
 def template_costs(templates: Sequence[SubclassTemplate], clips: Sequence[StoredClip], delta: float) -> F64:
-    """Return the least distance of each template within each clip, computed as in annotation.
+    """Return the smallest distance of each template within each clip, computed as in annotation.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def template_costs(templates: Sequence[SubclassTemplate], clips: Sequence[Stored
     Returns
     -------
     float64 array (T, C)
-        The least distances; ∞ if a clip is too short for a template, or lacks features that it needs.
+        The smallest distances; ∞ if a clip is too short for a template, or lacks features that it needs.
     """
     each = tuple(TrainingClips("", (one.name,), (one.words,), known=one.known) for one in clips)
     return fold_costs(Fold(tuple(templates), each, delta))

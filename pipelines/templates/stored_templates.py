@@ -164,7 +164,7 @@ def templates_overview(store: Store, delta: float, stage: str | None = None) -> 
     store : Store
         The store to read.
     delta : float
-        Entries within delta of 0 or 1 are fixed; the share of the others is the column `wildcards`.
+        Entries within delta of 0 or 1 are fixed; the fraction of the others is the column `wildcards`.
     stage : str, optional
         The stage, as for `stored_templates`.
 

@@ -25,7 +25,7 @@ F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
 AGREEING = 0.5
-"""The least robust weight of a keypoint with which a camera agrees with a track."""
+"""The smallest robust weight of a keypoint with which a camera agrees with a track."""
 
 _MEDIAN_OF_GAUSSIAN = 1.1774  # median distance from the centre of a 2D Gaussian, in standard deviations
 
@@ -282,7 +282,7 @@ class FrameFigures:
     agreeing : float64 array (T,), optional
         The number of cameras that agree with the track, as mean over the keypoints seen; None without cameras.
     trusted : float64 array (T,)
-        The share of keypoints that are trusted.
+        The fraction of keypoints that are trusted.
     contested : int64 array (T,)
         The number of keypoints on which the cameras disagree.
     """

@@ -93,7 +93,7 @@ class CsvTable:
         return self.separator != ","
 
     def rows(self, *, strict: bool = False) -> Iterator[tuple[int, dict[str, str]]]:
-        """Yield the line of each row, and column → cell without blanks around it; rows without any text are skipped.
+        """Yield the line number and a dict from column to stripped cell of each row; empty rows are skipped.
 
         Parameters
         ----------

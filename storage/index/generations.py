@@ -258,7 +258,7 @@ def slices_name(number: int) -> str:
 
 
 def index_files(record: Generation) -> dict[str, tuple[int, str]]:
-    """Return the files of a generation that readers open: name → (size in bytes, XXH3)."""
+    """Return a dict from name to (size in bytes, XXH3) for the files of a generation that readers open."""
     slices = {slices_name(shard.number): (shard.slices_bytes, shard.slices_xxh3) for shard in record.shards}
     return {FILE: (record.bytes, record.xxh3), **slices}
 

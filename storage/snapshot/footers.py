@@ -75,7 +75,7 @@ def _read(file: str, _inode: int, _bytes: int, _mtime_ns: int) -> Footer:
 
 
 def _bounds(metadata: pq.FileMetaData, column: int) -> I64:
-    """Return the least and the greatest value of a column in each row group; the full integer range if unknown."""
+    """Return the smallest and the largest value of a column in each row group; the full integer range if unknown."""
     statistics = [metadata.row_group(group).column(column).statistics for group in range(metadata.num_row_groups)]
     known = [(one.min, one.max) if one is not None and one.has_min_max else _ANY for one in statistics]
     return np.array(known, np.int64).reshape(-1, 2)

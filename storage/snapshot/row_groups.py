@@ -84,12 +84,12 @@ class RowGroups:
         return pa.concat_tables(found)
 
     def _may_hold(self, place: tuple[int, int], column: str, among: Collection[str]) -> bool:
-        """Return whether a row group may contain one of some values of a column, by its least and greatest value."""
+        """Return whether a row group may contain one of some values of a column, by its smallest and largest value."""
         low, high = self._ranges(place[0], column)[place[1]]
         return low is None or high is None or any(low <= value <= high for value in among)
 
     def _ranges(self, part: int, column: str) -> list[tuple[str | None, str | None]]:
-        """Return the least and the greatest value of a column in each row group of a part; None if unknown."""
+        """Return the smallest and the largest value of a column in each row group of a part; None if unknown."""
         if (part, column) not in self._known_ranges:
             file = self._store.checked.part(self._parts[part])
             with read_errors(file), pq.ParquetFile(file) as opened:

@@ -85,22 +85,22 @@ class Snapshot:
 
     @cached_property
     def take_ids(self) -> dict[str, int]:
-        """Name of a take → its id; sorted by name."""
+        """A dict from take name to id, sorted by name."""
         return self._pairs("name", "take_id")
 
     @cached_property
     def take_frames(self) -> dict[int, int]:
-        """Id of a take → its number of frames."""
+        """A dict from take id to number of frames."""
         return self._pairs("take_id", "frames")
 
     @property
     def checksums(self) -> dict[str, str]:
-        """Name of a take → the checksum of its source file."""
+        """A dict from take name to the checksum of the source file."""
         return self._pairs("name", "checksum")
 
     @cached_property
     def known(self) -> dict[int, int]:
-        """Id of a take that lacks joints → the mask of its known features, with the bits of a word."""
+        """A dict from take id to mask of known features (with the bits of a word), for takes that lack joints."""
         masks: dict[int, int] = {}
         for part in self.manifest.takes:
             rows = _known_rows(self.checked.part(part))

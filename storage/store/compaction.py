@@ -43,7 +43,7 @@ FANOUT = 8
 """The number of parts of one tier that are merged, and the ratio of the tiers' sizes."""
 
 LEAST_ROWS = 131_072
-"""The least number of rows of the parts into which a merge is divided among workers: about 27 MB on disk."""
+"""The smallest number of rows of the parts into which a merge is divided among workers: about 27 MB on disk."""
 
 KEPT_ROWS = 262_144
 """The largest number of old rows that a merge keeps in memory, some 90 MB; one row group or take may be larger."""

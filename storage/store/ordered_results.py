@@ -20,7 +20,7 @@ from kinedex.storage.snapshot.row_groups import RowGroups
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 LEAST_ROWS = 50_000
-"""The least number of rows in a row group: a long take has groups of its own, and short takes share one."""
+"""The smallest number of rows in a row group: a long take has groups of its own, and short takes share one."""
 
 Pieces = Callable[[pa.Table], Iterable[pa.Table]]
 

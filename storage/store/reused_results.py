@@ -81,7 +81,7 @@ def reused_parts(
 
 
 def stored_fingerprints(store: Snapshot, kind: str, stage: str, column: str = "take_id") -> dict[int | str, str]:
-    """Return take (or recording) → fingerprint in a stage's results; empty if they cannot be read.
+    """Return a dict from take or recording to fingerprint in a stage's results; empty if these cannot be read.
 
     Parameters
     ----------

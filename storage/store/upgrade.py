@@ -177,7 +177,7 @@ def _summary(
 
 
 def _checked_sums(root: Path, parts: Iterable[AnyPart], progress: Callable[[int], object]) -> dict[str, str]:
-    """Return path → XXH3 of every part with the right size and SHA-256; sums of a killed upgrade are reused."""
+    """Return a dict from path to XXH3 for parts with right size and SHA-256; sums of a killed upgrade are reused."""
     known = _known_sums(root)
     found: dict[str, str] = {}
 
@@ -302,7 +302,7 @@ def _with_groups(root: Path, part: Part, columns: dict[str, TakeColumn]) -> Part
 def _sources(
     root: Path, takes: Iterable[Part], stages: dict[str, StageRecord], sums: dict[str, str]
 ) -> dict[str, Source]:
-    """Return source → settings, from the records of the stages that ingested them."""
+    """Return a dict from source to settings, from the records of the ingesting stages."""
     roots: set[str] = set()
     for part in takes:
         if part.path in sums or part.xxh3:

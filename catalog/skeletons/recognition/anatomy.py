@@ -11,10 +11,10 @@ from kinedex.catalog.skeletons.recognition.limbs import Pair, limb_pairs
 from kinedex.catalog.skeletons.recognition.tree import ARM, LEG, Tree, lengths, medians
 
 ARM_TO_LEG = 0.68
-"""Upper arm and forearm as a share of thigh and calf (0.66 to 0.70 in the skeletons of HDM05 and CMU)."""
+"""Upper arm and forearm as a fraction of thigh and calf (0.66 to 0.70 in the skeletons of HDM05 and CMU)."""
 
 TRUNK_TO_LEG = 0.6
-"""The distance from mid-hips to mid-shoulders as a share of thigh and calf, in the same skeletons."""
+"""The distance from mid-hips to mid-shoulders as a fraction of thigh and calf, in the same skeletons."""
 
 _NAMED = 2.2  # a score of names, of at most 3, from which on a limb counts as named
 _UNLIKELY = -4.0
@@ -48,7 +48,7 @@ class Anatomy:
 
     @property
     def names(self) -> float:
-        """Return the share of the limbs' parts that are named, from 0 to 1; negative where names contradict."""
+        """Return the fraction of the limbs' parts that are named, from 0 to 1; negative where names contradict."""
         pairs = [pair for pair in (self.legs, self.arms) if pair is not None]
         return sum(pair.names for pair in pairs) / (3 * len(pairs))
 

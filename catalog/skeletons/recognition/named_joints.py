@@ -18,13 +18,13 @@ SPINE_SHARES = {"belly": 1 / 3, "chest": 2 / 3}
 """The positions of spine joints as shares of the path from root to neck: Acclaim's three bones are equally long."""
 
 NECK_SHARE = 0.7
-"""The position of the neck as a share of the path from root to head: 0.65 in HDM05 and CMU, 0.75+ in game rigs."""
+"""The position of the neck as a fraction of the path from root to head: 0.65 in HDM05 and CMU, 0.75+ in game rigs."""
 
 HEAD_M = 0.14
-"""The distance from the head joint to the top of the head, along the neck, as a share of thigh and calf."""
+"""The distance from the head joint to the top of the head, along the neck, as a fraction of thigh and calf."""
 
 FINGERS_SHARE = 0.25
-"""The distance from wrist to first knuckle as a share of the forearm (0.247 in every skeleton of HDM05 and CMU)."""
+"""The distance from wrist to first knuckle as a fraction of the forearm (0.247 in every skeleton of HDM05 and CMU)."""
 
 _FOOT_AHEAD, _FOOT_DOWN = 0.2, 0.06  # shares of the leg: from the ankle to estimated toes
 _PAST_BALL = 0.45  # the distance from ball to toes as a share of that from ankle to ball

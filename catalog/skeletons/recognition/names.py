@@ -97,7 +97,7 @@ class Vocabulary:
 
     @cached_property
     def by_key(self) -> dict[str, tuple[str, ...]]:
-        """Return synonym → the parts that it may name."""
+        """Return a dict from synonym to the parts that it may name."""
         found: dict[str, tuple[str, ...]] = {}
         for part, synonyms in self.terms.items():
             for synonym in synonyms:

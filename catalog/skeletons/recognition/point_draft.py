@@ -65,7 +65,7 @@ def mean_of(labels: Sequence[str]) -> Mix | None:
 
 
 def blend(a: Mix, b: Mix, share: float) -> Mix:
-    """Return the combination at a share of the line from one combination of points to another."""
+    """Return the combination at a fraction of the line from one combination of points to another."""
     weights: dict[str, float] = {}
     for mix, part in ((a, 1.0 - share), (b, share)):
         for name, weight in mix.weights:

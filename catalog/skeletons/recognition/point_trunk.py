@@ -92,7 +92,7 @@ def add_trunk(draft: BodyDraft, reading: Reading) -> None:
 
 
 def _along_spine(draft: BodyDraft, labels: Sequence[str], share: float) -> Mix | None:
-    """Return a mix of points at a share of the arc length from root over the points of the spine to the neck.
+    """Return a mix of points at a fraction of the arc length from root over the points of the spine to the neck.
 
     None if root, neck or points of the spine between them are missing.
     """

@@ -100,7 +100,7 @@ def find_files(folder: Path, pattern: str, endings: tuple[str, ...] = (), exclud
 def match_cameras(
     path: Path, what: str, names: Iterable[str], labels: Mapping[str, str], files: Iterable[str]
 ) -> tuple[dict[str, str], str]:
-    """Return camera → what `{camera}` stands for in its files, and a note on how they were matched.
+    """Return a dict from camera to the value of `{camera}` in its file names, and a note on how they were matched.
 
     They are matched by name if any name agrees, else by natural order if their numbers are equal.
 

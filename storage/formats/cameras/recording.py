@@ -230,7 +230,7 @@ class _Entry:
         return [found.get(camera, 0) for camera in cameras]
 
     def _matched(self, key: str, values: Mapping[str, object], notes: list[str]) -> dict[str, str]:
-        """Return camera → the value of `{camera}` in its files' names; append to `notes` how they were matched."""
+        """Return a dict from camera to the value of `{camera}` in its file names; append a note on the matching."""
         names = [camera.name for camera in self.cameras]
         try:
             pairs, note = match_cameras(self.file.folder, key, names, self.labels, values)
@@ -303,7 +303,7 @@ def _keypoint_set(file: RecordingsFile, name: str) -> KeypointSet | None:
 
 
 def _mask_arrays(files: CameraFiles) -> dict[str, tuple[Path, str]]:
-    """Return the name of a camera's masks → NPZ file and array, for one file of all cameras or a file for each."""
+    """Return a dict from the name of a camera's masks to NPZ file and array; files hold one camera or all of them."""
     arrays: dict[str, tuple[Path, str]] = {}
     for value, paths in files.files.items():
         names = mask_arrays(paths[0])

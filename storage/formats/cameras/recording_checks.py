@@ -20,7 +20,7 @@ LEAST_CONFIDENCE = 0.1
 """The least confidence of a keypoint that counts as seen."""
 
 TRUNK_M = (0.2, 0.9)
-"""The least and greatest plausible distance between the middles of hips and shoulders, in metres."""
+"""The smallest and largest plausible distance between the middles of hips and shoulders, in metres."""
 
 LIMBS = {
     "thigh": ("hip", "knee"), "shank": ("knee", "ankle"), "foot": ("ankle", "toes"),

@@ -71,7 +71,7 @@ class FrameFiles:
         return 1 / step if step > 1e-4 else None
 
     def numbers(self, rate_hz: float | None) -> dict[int, Path]:
-        """Return frame number → file, from the last number in a name or from the time since the first file.
+        """Return a dict from frame number to file, by the last number in a name or the time since the first file.
 
         Parameters
         ----------
@@ -95,7 +95,7 @@ class FrameFiles:
         return found
 
     def _numbered(self) -> dict[int, Path]:
-        """Return frame number → file, from the last numbers in the names."""
+        """Return a dict from frame number to file, by the last numbers in the names."""
         found: dict[int, Path] = {}
         for path in self.files:
             number = frame_number(path)
@@ -111,7 +111,7 @@ class FrameFiles:
         return found
 
     def _timed(self, times: F64, rate_hz: float) -> dict[int, Path]:
-        """Return frame number → file, from times, which may jitter by less than a frame."""
+        """Return a dict from frame number to file, by times, which may jitter by less than a frame."""
         found: dict[int, Path] = {}
         last = -1
         for path, time in zip(self.files, (times - times[0]).tolist(), strict=True):

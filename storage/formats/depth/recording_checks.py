@@ -14,22 +14,22 @@ from kinedex.ops.depth.background import behind_share, person_extent
 F32 = npt.NDArray[np.float32]
 
 NEAREST_M, FARTHEST_M = 0.4, 8.0
-"""The least and greatest distance of a person from the camera, in metres."""
+"""The smallest and largest distance of a person from the camera, in metres."""
 
 SMALLEST_M, LARGEST_M = 0.45, 4.5
-"""The least and greatest size of what stands before the background, in metres; two persons may be 3 m apart."""
+"""The smallest and largest size of what stands before the background, in metres; two persons may be 3 m apart."""
 
 PERSON_M = 0.5, 2.3
-"""The least and greatest size of a person in metres, by which the likely unit is chosen."""
+"""The smallest and largest size of a person in metres, by which the likely unit is chosen."""
 
 MOST_BEHIND = 0.2
-"""The share of pixels behind the background above which the camera must have moved."""
+"""The fraction of pixels behind the background above which the camera must have moved."""
 
 OTHER_UNIT = 5.0
 """The ratio between the distances of images and background above which their units differ."""
 
 MOST_ROOM = 0.5
-"""The share of measured pixels above which the images show the room."""
+"""The fraction of measured pixels above which the images show the room."""
 
 UNITS_M = (0.001, 0.0001, 0.0002, 0.00025, 0.000125, 0.0005, 0.01, 1.0, 0.0254)
 """Metres per unit of depth cameras and clouds that are tried, the usual ones first."""
@@ -130,7 +130,7 @@ def _unlikely(extents: Extents, scale: float) -> float:
 
 
 def moved_frames(images: Mapping[int, F32], background: F32) -> dict[int, float]:
-    """Return frame → share of pixels behind the background, for frames in which it is too large."""
+    """Return a dict from frame to fraction of pixels behind the background, for frames in which it is too large."""
     shares = {frame: behind_share(image, background) for frame, image in images.items()}
     return {frame: share for frame, share in shares.items() if share > MOST_BEHIND}
 

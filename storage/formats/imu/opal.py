@@ -104,7 +104,7 @@ def _sensors(
     path: Path, lines: Sequence[str], header: Sequence[str], body: int,
     columns: dict[str, dict[str, dict[str, int]]], tick_s: float, units: dict[str, str], rate_hz: float | None,
 ) -> list[RawSensor]:  # fmt: skip
-    """Return the sensors of a table: label → channel → axis → column."""
+    """Return the sensors of a table, with the column of every axis of their channels."""
     if not columns or len(columns) > MOST_SENSORS:
         raise SourceError(path, f"must have the columns of 1 to {MOST_SENSORS} sensors, got {len(columns)}")
     places: dict[str, dict[str, list[int]]] = {}

@@ -191,7 +191,7 @@ class _Checks:
         return 1.0
 
     def unit_quaternions(self) -> F64 | None:
-        """Return the orientations, sensor → world, as unit quaternions; None if all are missing.
+        """Return the orientations (from sensor to world) as unit quaternions; None if all are missing.
 
         Zero quaternions count as missing, and become NaN.
         """

@@ -370,7 +370,7 @@ def sensors_of(
 
 
 def _rows_by_name(path: Path, names: Sequence[str], lines: I64 | None) -> dict[str, I64]:
-    """Return sensor name → its row indices, in the order in which the names first occur."""
+    """Return a dict from sensor name to row indices, in the order in which the names first occur."""
     rows: dict[str, list[int]] = {}
     if "" in names:
         row = names.index("")

@@ -121,7 +121,7 @@ def _set_field(sensor: RawSensor, table: _Table, near: _Table) -> None:
 
 
 def _quaternions(table: _Table) -> F64 | None:
-    """Return sensor → world quaternions, None if the table has none; NGIMU's, world → sensor, are conjugated."""
+    """Return quaternions from sensor to world, or None; those of NGIMU, from world to sensor, are conjugated."""
     for names in _QUATERNIONS:
         if (found := table.columns(names)) is not None:
             return conjugate(found) if names == _QUATERNIONS[1] else found

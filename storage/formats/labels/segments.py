@@ -163,7 +163,7 @@ class LabelFile:
 
     @property
     def looked_at(self) -> dict[str, set[str]]:
-        """Annotator of limb errors → the takes that they examined; empty for a file without limb errors.
+        """A dict from annotator of limb errors to the examined takes; empty for a file without limb errors.
 
         An annotator who marks errors of limbs in a file has examined all takes that the file names.
         """

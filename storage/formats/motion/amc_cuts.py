@@ -154,7 +154,7 @@ _ROOT = {b"position": b"direction", b"orientation": b"axis"}
 
 
 def _bone_words(text: bytes) -> dict[str, dict[bytes, list[bytes]]]:
-    """Return bone → keyword → words of its line, for the lines that a mirror changes."""
+    """Return for each bone a dict from keyword to the words of its line, for the lines that mirroring changes."""
     bones: dict[str, dict[bytes, list[bytes]]] = {}
     found: dict[bytes, list[bytes]] = {}
     for line in text.splitlines():

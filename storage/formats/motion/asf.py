@@ -70,7 +70,7 @@ class Skeleton:
 
     @property
     def bones(self) -> dict[str, int]:
-        """Bone name → node index."""
+        """A dict from bone name to node index."""
         return {node.name: i for i, node in enumerate(self.nodes)}
 
 

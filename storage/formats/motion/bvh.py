@@ -68,7 +68,7 @@ class Person:
 
     @property
     def places(self) -> dict[str, int]:
-        """Node name → index, for all nodes that a skeleton mapping can use."""
+        """A dict from node name to index, for all nodes that a skeleton mapping can use."""
         return {node.name: i for i, node in enumerate(self.nodes) if i not in self.redundant}
 
 

@@ -62,7 +62,7 @@ class Bvh:
 
     @property
     def places(self) -> dict[str, int]:
-        """Node name → index, for all nodes that a skeleton mapping can use."""
+        """A dict from node name to index, for all nodes that a skeleton mapping can use."""
         return _places(self.nodes, self.redundant)
 
 
@@ -169,7 +169,7 @@ class BvhFile(RowFile):
 
     @property
     def places(self) -> dict[str, int]:
-        """Node name → index, for all nodes that a skeleton mapping can use."""
+        """A dict from node name to index, for all nodes that a skeleton mapping can use."""
         return _places(self.nodes, self.redundant)
 
     @property

@@ -187,7 +187,7 @@ class Scene:
         return RATES_HZ.get(mode)
 
     def bind_pose(self) -> dict[int, F64]:
-        """Return node → transform (4, 4) in the scene's axes, from the file's bind pose."""
+        """Return a dict from node to transform (4, 4) in the scene's axes, from the file's bind pose."""
         found: dict[int, F64] = {}
         for pose in self._objects.all("Pose"):
             if "BindPose" not in pose.values:

@@ -111,7 +111,7 @@ def _groups(document: Document) -> list[Group]:
 
 
 def _human_bones(document: Document) -> dict[str, int]:
-    """Return bone name (such as `leftUpperLeg`) → node for VRM files; empty for files without that extension."""
+    """Return a dict from bone name (such as `leftUpperLeg`) to node; empty for files without the VRM extension."""
     extensions = document.content.extensions
     for key in ("VRMC_vrm", "VRMC_vrm_animation", "VRM"):
         humanoid = extensions[key].get("humanoid") if isinstance(extensions.get(key), dict) else None

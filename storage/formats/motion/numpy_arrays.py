@@ -48,7 +48,7 @@ def load_arrays(path: Path, wanted: Iterable[str]) -> tuple[dict[str, npt.NDArra
 
 
 def array_shapes(path: Path) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
-    """Return name → shape and type of the arrays of an NPZ file, by their headers; the name is "" for an NPY file.
+    """Return a dict from array name to shape and type in an NPZ file, by the headers; an NPY file has the name "".
 
     Raises
     ------

@@ -47,7 +47,7 @@ class _Layout:
     warnings: tuple[str, ...]
 
     def coordinates(self) -> dict[str, int]:
-        """Return coordinate → column; OpenSim 4 states have the joint's path before the name and /value after it."""
+        """Return a dict from coordinate to column; OpenSim 4 writes them with the joint's path and /value."""
         whole = {name: i for i, name in enumerate(self.columns) if "/" not in name}
         return whole | {found[1]: i for i, name in enumerate(self.columns) if (found := _VALUE.fullmatch(name))}
 

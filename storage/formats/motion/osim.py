@@ -23,7 +23,7 @@ LARGEST = 1e6
 """The largest number of a body model: positions in metres, angles in radians, coefficients of functions."""
 
 NEAREST = 1e-9
-"""The least distance between knots of a spline, and the least length of an axis."""
+"""The smallest distance between knots of a spline, and the smallest length of an axis."""
 
 MOST_KNOTS = 1000
 """The largest number of knots of a spline."""

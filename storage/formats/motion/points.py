@@ -57,7 +57,7 @@ class Points:
     warnings: list[str] = field(default_factory=list)
 
     def places(self, names: Sequence[str] = ()) -> dict[str, int]:
-        """Return name → index of the points present in any frame; `names` is used for a file without names."""
+        """Return a dict from name to index of the points present in any frame; `names` replaces missing names."""
         seen = np.count_nonzero(np.isfinite(self.positions), axis=(1, 2)) > 0
         return {name: i for i, name in enumerate(self.names or names) if seen[i]}
 

@@ -23,13 +23,13 @@ from kinedex.storage.formats.motion.points import Points, body_of_points, points
 from kinedex.storage.formats.motion.reader import Body, Extent, MotionFile, Reader, ReadSettings
 
 LEAST_LANDMARKS = 8
-"""The least number of known labels of a subject that counts as a person."""
+"""The smallest number of known labels of a subject that counts as a person."""
 
 SURE_UP = 0.75
 """The confidence from which a body is rotated upright, or the file's up axis is doubted."""
 
 LEAST_POINTS = 10
-"""The least number of points of a person; a subject with fewer is an object, such as a box or a racket."""
+"""The smallest number of points of a person; a subject with fewer is an object, such as a box or a racket."""
 
 
 class FittedPoints(NamedTuple):
@@ -192,7 +192,7 @@ def points_of_person(points: AnyPoints, person: str) -> AnyPoints:
 
 
 def subjects(labels: Sequence[str]) -> dict[str, list[int]]:
-    """Return subject → indices of its labels, such as `Ann:LFHD`; labels without a prefix have the subject ""."""
+    """Return a dict from subject to label indices; `Ann:LFHD` has subject `Ann`, labels without a prefix ""."""
     found: dict[str, list[int]] = {}
     for i, label in enumerate(labels):
         found.setdefault(label.rpartition(":")[0], []).append(i)

@@ -38,7 +38,7 @@ READERS: Plugins[type[Reader]] = Plugins(
 
 
 def readers_by_ending() -> dict[str, tuple[Reader, ...]]:
-    """Return ending → readers in the order in which they are tried; the last one accepts without checking."""
+    """Return a dict from extension to readers in the order of trial; the last one accepts without checking."""
     return dict(_readers_by_ending(tuple(READERS)))
 
 
