@@ -26,7 +26,7 @@ _WEIGHT = "weight"
 
 
 def read_templates(path: str | Path, feature_set: FeatureSet) -> tuple[NamedTemplate, ...]:
-    """Read a file of templates: YAML, or CSV by its ending.
+    """Read a file of templates: YAML, or CSV by its extension.
 
     A YAML file maps a name to `rows`: a feature (by name or number) and its value in every column, as a text of 0, 1
     and * (a wildcard), or as a list of numbers from 0 to 1. Features without a row are wildcards throughout. `weights`

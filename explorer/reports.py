@@ -37,7 +37,7 @@ TYPES = {
     ".md": "text/plain",
     ".txt": "text/plain",
 }
-"""Ending of a file → its media type; files with other endings are sent as downloads."""
+"""A dict from file extension to media type; files with other extensions are sent as downloads."""
 
 
 def report_names(archive: Archive) -> dict[tuple[str, str], list[str]]:

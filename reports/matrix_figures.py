@@ -87,7 +87,7 @@ class Canvas(Protocol):
 
 
 def write_figure(figure: MatrixFigure, path: Path) -> None:
-    """Write a figure in the format of the ending of its path, .svg or .png.
+    """Write a figure in the format of the extension of its path, .svg or .png.
 
     Raises
     ------

@@ -232,7 +232,7 @@ class Template:
         Raises
         ------
         KinedexError
-            The ending or the name does not fit, or the folder is missing.
+            The extension or the name does not fit, or the folder is missing.
 
         Examples
         --------

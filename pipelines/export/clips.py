@@ -37,7 +37,7 @@ class Clip:
     folder : str
         The folder of the file in the data set, which is that of its split.
     name : str
-        Name of the file without its ending.
+        Name of the file without its extension.
     """
 
     interval: Interval

@@ -1,4 +1,4 @@
-"""The formats of exported files: their file endings, and their writers from joints or from the channels of a source."""
+"""The formats of exported files: extensions, and writers from joints or from the channels of a source."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from kinedex.storage.formats.imu.recording import belongs_to, has_readings, sess
 from kinedex.storage.formats.motion.sources import readable
 
 ENDINGS = (".txt", ".csv", ".tsv", ".parquet", ".h5", ".hdf5", ".mvnx")
-"""The file endings of sensor files."""
+"""The file extensions of sensor files."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def source_root(source: str) -> Path:
 
 
 def sensor_files(root: Path) -> list[Path]:
-    """Return all files below a folder with the ending of a sensor file, without links that lead out of it."""
+    """Return all files below a folder with the extension of a sensor file, without links that lead out of it."""
     found = []
     for folder, folders, names in os.walk(root):
         folders[:] = sorted(name for name in folders if not name.startswith("."))

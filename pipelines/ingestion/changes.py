@@ -280,10 +280,10 @@ def has_recipe(made_by: str, skeleton: str, row: Mapping[str, Any]) -> bool:
 
 
 def recipes(feature_set: FeatureSet, mappings: Mappings, settings: ReadSettings) -> dict[str, str]:
-    """Return for each file ending a hash of everything except the files that its takes depend on.
+    """Return for each file extension a hash of everything except the files that its takes depend on.
 
     If the hash changes, takes are read again. The format of an .npz file is known only when it is read, so the settings
-    of all readers of an ending count.
+    of all readers of an extension count.
     """
     code = code_digest(read_body, persons_of, analyse, blind, known_features, judged)
     return {

@@ -90,7 +90,7 @@ class Metadata:
     tables : tuple of MetadataTable
         The tables.
     sidecars : tuple of MetadataRow
-        The content of YAML files beside motion files; the key is the path of both without the ending.
+        The content of YAML files beside motion files; the key is the path of both without the extension.
     remarks : tuple of str
         Files beside motion files that are not used, with the reason.
     """
@@ -149,8 +149,8 @@ class Metadata:
     def join(self, rows: Sequence[Row], root: str, declared: Mapping[str, TakeColumn]) -> Joined:
         """Match the rows of the tables with takes.
 
-        A key is the name of a take; or the path of a file below the source, with or without ending; or the name of a
-        file, with or without ending. It may contain * and ?, and then matches several takes. The row of one take takes
+        A key is the name of a take; or the path of a file below the source, with or without extension; or the name of a
+        file, with or without extension. A key with * or ? matches several takes. The row of one take takes
         precedence over a file beside the motion file, and this one over rows with * or ?, of which the last one counts.
 
         Parameters
@@ -264,7 +264,7 @@ class _Takes:
         return []
 
     def beside(self, path: str) -> list[int]:
-        """Return the takes of the motion files with the given path without ending."""
+        """Return the takes of the motion files with the given path without extension."""
         return self._stages[1].get(path, [])
 
     def fitting(self, pattern: re.Pattern[str]) -> list[int]:

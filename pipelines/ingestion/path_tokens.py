@@ -118,7 +118,7 @@ def layouts(paths: Iterable[str]) -> list[Layout]:
 
 
 def stem_of(path: str) -> str:
-    """Return the name of a file without its folder and ending."""
+    """Return the name of a file without its folder and extension."""
     return os.path.splitext(os.path.basename(path))[0]
 
 

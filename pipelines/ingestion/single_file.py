@@ -15,7 +15,7 @@ ABOVE = 3
 
 
 def motion_ending(file: Path) -> str:
-    """Return the ending of a motion file in lower case, such as ".bvh".
+    """Return the extension of a motion file in lower case, such as ".bvh".
 
     Raises
     ------

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from typing import Literal
 
 Naming = Literal["stem", "path", "file"]
-"""The rule for the name of a take: the stem of its file, its path without the ending, or its path."""
+"""The rule for the name of a take: the stem of its file, its path without the extension, or its path."""
 
 
 def file_names(naming: Naming, path: str) -> tuple[str, ...]:
@@ -49,7 +49,7 @@ class TakeNames:
         self._owners = dict(owners)
 
     def add_files(self, paths: Iterable[str], named: Mapping[str, str]) -> dict[str, str]:
-        """Name the files of a source; files with equal stems are named by their paths, then with their endings.
+        """Name the files of a source; files with equal stems are named by their paths, then with their extensions.
 
         Parameters
         ----------

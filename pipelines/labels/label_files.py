@@ -32,7 +32,7 @@ def label_files(paths: Iterable[Path]) -> list[LabelFile]:
     Parameters
     ----------
     paths : iterable of Path
-        Files, and folders, whose files are read by their endings.
+        Files, and folders, whose files are read by their extensions.
 
     Raises
     ------

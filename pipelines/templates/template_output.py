@@ -12,7 +12,7 @@ from kinedex.pipelines.templates.stored_templates import TEMPLATE_ENDINGS
 
 
 def write_template(made: NamedTemplate, features: FeatureSet, path: Path) -> None:
-    """Write a template file in the format of the path's ending.
+    """Write a template file in the format of the path's extension.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def write_template(made: NamedTemplate, features: FeatureSet, path: Path) -> Non
     Raises
     ------
     KinedexError
-        The ending is not one of these, a CSV file has another name than the template, or the folder is missing.
+        The extension is not one of these, a CSV file has another name than the template, or the folder is missing.
     """
     ending = path.suffix.lower()
     if ending not in TEMPLATE_ENDINGS:

@@ -122,7 +122,7 @@ def read_metadata(path: str | Path) -> MetadataTable:
     Parameters
     ----------
     path : str or Path
-        The file; its ending is one of `ENDINGS`. YAML and JSON hold a mapping from keys to mappings, or a list of
+        The file; its extension is one of `ENDINGS`. YAML and JSON hold a mapping from keys to mappings, or a list of
         mappings.
 
     Raises

@@ -106,7 +106,7 @@ def calibration_files(path: Path) -> tuple[Path, ...]:
 
 
 def _load(path: Path) -> Located:
-    """Return the content of a file by its ending."""
+    """Return the content of a file by its extension."""
     ending = path.suffix.lower()
     if ending not in ENDINGS:
         raise ConfigError(path, f"expected a calibration ending in {', '.join(ENDINGS)}")

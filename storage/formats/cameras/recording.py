@@ -26,7 +26,7 @@ from kinedex.storage.formats.cameras.recording_checks import check_cameras, chec
 F64 = npt.NDArray[np.float64]
 
 _ENDINGS = {"cameras": ENDINGS, "keypoints": (".json",), "silhouettes": (".png",)}
-"""Key of a recording → the endings of the files that are read if the key names a folder."""
+"""A dict from key of a recording to the extensions of the files that are read if the key names a folder."""
 
 _MOST_LISTED, _MOST_IDS = 26, 8  # most keypoints, and ids of persons, listed in a note
 

@@ -172,7 +172,7 @@ def find_frames(folder: Path, pattern: str, excluded: Path | None = None) -> Fra
 
 
 def _in_folder(folder: Path, pattern: str) -> tuple[Path, ...]:
-    """Return the frame files in a folder that have the first of the known endings to occur there."""
+    """Return the frame files in a folder that have the first of the known extensions to occur there."""
     fault: SourceError | None = None
     for ending in (*IMAGES, *RAW):
         try:

@@ -83,7 +83,7 @@ class Layout:
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Return True for a table: by its ending, or by its first bytes."""
+    """Return True for a table: by its extension, or by its first bytes."""
     return path.suffix.lower() in (".csv", ".txt", ".tsv", ".parquet") or head.startswith(b"PAR1")
 
 

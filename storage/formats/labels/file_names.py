@@ -14,7 +14,7 @@ _MOST_BYTES = 180
 
 
 def file_names(takes: Sequence[str]) -> list[str]:
-    """Return a file name without its ending for each take: the take's name if it is valid on every system.
+    """Return a file name without its extension for each take: the take's name if it is valid on every system.
 
     Characters that are invisible or forbidden on some system become underscores. A name that was changed, and one that
     another take already has on a system that ignores case, ends in a tilde and eight digits of its checksum.

@@ -1,4 +1,4 @@
-"""Choose the format of label files by their endings, and read and write the labels of takes."""
+"""Choose the format of label files by their extensions, and read and write the labels of takes."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def write_labels(takes: Sequence[TakeLabels], form: str | None, output: str | Pa
     takes : sequence of TakeLabels
         The labels.
     form : str or None
-        A key of `FORMATS`, in upper or lower case; None for the format of the file's ending, CSV for a folder.
+        A key of `FORMATS`, in upper or lower case; None for the format of the file's extension, CSV for a folder.
     output : str or Path
         A file if its name ends as the format's files do; a folder if it does not, exists as one, or has a slash at its
         end. Missing folders are made, and the files in them are named after the takes, as far as `file_names` allows.

@@ -1,11 +1,11 @@
-"""Classify files of an archive that are not motion, by their names and endings."""
+"""Classify files of an archive that are not motion, by their names and extensions."""
 
 from __future__ import annotations
 
 import os
 
 NO_MOTION = "tables or data in which no reader finds motion"
-"""The kind of files with an ending of some reader but content that no reader recognises."""
+"""The kind of files with an extension of some reader but content that no reader recognises."""
 
 _SYSTEM, _OTHER = "hidden files and files of the system", "files of other kinds"
 

@@ -39,7 +39,7 @@ _ROUNDED = 3e-4  # relative error of a rate that follows from times of four digi
 
 
 def parse_positions(path: Path) -> Points:
-    """Read a file of joint positions by its ending: .trc, .csv, .npz or .npy.
+    """Read a file of joint positions by its extension: .trc, .csv, .npz or .npy.
 
     Parameters
     ----------

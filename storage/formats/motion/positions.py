@@ -30,7 +30,7 @@ class PositionsReader(Reader):
     endings: ClassVar[tuple[str, ...]] = (".trc", ".csv", ".npz", ".npy")
 
     def sniff(self, path: Path) -> bool:
-        """Return whether a .csv has the header of joint positions; for other endings return True."""
+        """Return whether a .csv has the header of joint positions; for other extensions return True."""
         return path.suffix.lower() != ".csv" or is_positions_csv(path)
 
     def relevant_settings(self, settings: ReadSettings) -> object:

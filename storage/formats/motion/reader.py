@@ -183,7 +183,7 @@ class Reader(ABC):
     endings : tuple of str
         Endings of its files in lower case, with the dot.
     title : str
-        The format in words, for `kinedex inspect`; by default its ending.
+        The format in words, for `kinedex inspect`; by default its extension.
     reads_whole : bool
         True if the reader reads the whole file at once, so that its caller can pass the bytes.
     distribution : str
@@ -197,7 +197,7 @@ class Reader(ABC):
     distribution: str = ""
 
     def sniff(self, path: Path) -> bool:
-        """Return whether a file with one of the endings is of this format; by default return True.
+        """Return whether a file with one of the extensions is of this format; by default return True.
 
         An unreadable file counts as one of the format, so that `read` reports the fault.
         """

@@ -1,4 +1,4 @@
-"""Find the reader of a motion file by its ending, among built-in readers and those of plugins."""
+"""Find the reader of a motion file by its extension, among built-in readers and those of plugins."""
 
 from __future__ import annotations
 
@@ -55,17 +55,17 @@ def _readers_by_ending(names: tuple[str, ...]) -> dict[str, tuple[Reader, ...]]:
 
 
 def motion_endings() -> tuple[str, ...]:
-    """Return the endings of all supported motion files, with the dot."""
+    """Return the extensions of all supported motion files, with the dot."""
     return tuple(readers_by_ending())
 
 
 def reader_of(path: str | Path) -> Reader:
-    """Return the reader of a motion file by its ending and, if several readers share it, by its content.
+    """Return the reader of a motion file by its extension and, if several readers share it, by its content.
 
     Raises
     ------
     SourceError
-        No reader reads files with this ending.
+        No reader reads files with this extension.
     """
     file = path if isinstance(path, Path) else Path(path)
     readers = _readers_by_ending(tuple(READERS)).get(file.suffix.lower(), ())

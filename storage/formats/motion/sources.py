@@ -73,12 +73,12 @@ class SourceFile:
 
     @property
     def stem(self) -> str:
-        """The file's name without folder and ending, which is the take's name."""
+        """The file's name without folder and extension, which is the take's name."""
         return os.path.splitext(os.path.basename(self.path))[0]
 
     @property
     def format(self) -> str:
-        """The file's ending in lower case, without the dot, such as "amc"."""
+        """The file's extension in lower case, without the dot, such as "amc"."""
         return os.path.splitext(self.path)[1][1:].lower()
 
 
@@ -99,7 +99,7 @@ class PassedOver:
 
     @property
     def ending(self) -> str:
-        """The file's ending in lower case, with the dot."""
+        """The file's extension in lower case, with the dot."""
         return os.path.splitext(self.path)[1].lower()
 
 
@@ -167,7 +167,7 @@ class Scan:
         ]
 
     def passed_over_lines(self) -> list[str]:
-        """Return a line for every kind of file that is not motion: the number of files, and their endings."""
+        """Return a line for every kind of file that is not motion: the number of files, and their extensions."""
         kinds: dict[str, Counter[str]] = {}
         for file in self.passed_over:
             kinds.setdefault(file.kind, Counter())[file.ending or "without an ending"] += 1
