@@ -83,12 +83,12 @@ class Camera:
 
     @cached_property
     def centre(self) -> F64:
-        """Its centre C = −Rᵀ t in the world, in metres."""
+        """The centre C = −Rᵀ t of the camera in the world, in metres."""
         return projection.camera_centre(self.rotation, self.translation)
 
     @property
     def focal_px(self) -> float:
-        """Its focal length in pixels, the mean of both axes."""
+        """The focal length in pixels, the mean of both axes."""
         return float(self.matrix[0, 0] + self.matrix[1, 1]) / 2
 
     def project(self, points: npt.ArrayLike) -> tuple[F64, F64]:

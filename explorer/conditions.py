@@ -32,7 +32,7 @@ Answer = Callable[["Archive", Asked, "Request"], dict[str, Any]]
 
 
 def own_words(function: Answer[Asked]) -> Answer[Asked]:
-    """Wrap the function of an address, so that SQL errors quote the user's condition and not the statement around it.
+    """Wrap the handler of an address, so that SQL errors quote the user's condition, not the statement around it.
 
     Parameters
     ----------

@@ -260,7 +260,7 @@ def _by_class(rows: list[Row], sizes: list[int] | None) -> list[Row]:
 
 
 def write_export(archive: Archive, asked: ExportQuestion, _request: Request) -> Row:
-    """Start the job that writes an export."""
+    """Start a job that writes an export, and return it as a JSON object."""
     if not asked.folder or not asked.folder.strip():
         raise KinedexError("the folder is missing: name one that does not exist yet, or is empty")
     folder = folder_of(archive, asked.folder)

@@ -124,7 +124,7 @@ class Jobs:
         self._thread: threading.Thread | None = None
 
     def add(self, job: Job) -> Job:
-        """Start a job, or let it wait for those before it."""
+        """Add a job to the queue, which starts it after all earlier jobs, and return it."""
         with self._lock:
             self._jobs.append(job)
             if self._thread is None:
@@ -141,7 +141,7 @@ class Jobs:
                 self._spare = SpareProcess(**_GROUP)
 
     def _begin(self, job: Job, out: IO[bytes], words: Sequence[str]) -> subprocess.Popen[bytes]:
-        """Start the process of a job, or give the job to the one that waits for it; the lock is held."""
+        """Start and return the process of a job, or pass the job to the spare process; call this with the lock held."""
         spare = self._spare
         if job.learns and spare is not None and spare.waits:
             self._spare = None
@@ -376,7 +376,7 @@ def job_log(archive: Archive, request: Request) -> dict[str, Any]:
 
 
 def stop_job(archive: Archive, asked: StopQuestion, request: Request) -> dict[str, Any]:
-    """Stop a job."""
+    """Stop a job, and return its state as a JSON object."""
     jobs = jobs_of(archive)
     job = jobs.find(request.path_params["job"])
     jobs.stop(job, force=asked.force)

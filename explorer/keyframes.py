@@ -142,7 +142,7 @@ def _hits(table: pa.Table) -> list[dict[str, Any]]:
 
 
 def read_text(text: str, store: Store) -> tuple[KeyframeQuery, ...]:
-    """Read the text of a query file, which may refer to shipped files alone.
+    """Return the queries in the text of a query file, which may refer to shipped files only.
 
     Raises
     ------

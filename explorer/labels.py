@@ -178,7 +178,7 @@ class Decisions(Question):
 
 
 def decide(archive: Archive, asked: Decisions, _request: Request) -> Row:
-    """Record edits of the labels of a take; they are on disk before the answer is sent."""
+    """Record edits of a take's labels, and return the recorded rows, which are on disk before the answer is sent."""
     with _DECIDING:
         store = archive.store()
         _require_take(store, asked.take)

@@ -159,7 +159,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def learn(archive: Archive, asked: LearnQuestion, _request: Request) -> Row:
-    """Start the job that learns again from labels and annotates."""
+    """Start a job that learns from labels and annotates again, and return the job as a JSON object."""
     store = archive.store()
     if any(job.title == TITLE and job.state in ("waiting", "running") for job in jobs_of(archive).every()):
         raise ConflictError("it is being learned again already; stop that job first, or wait for it")
@@ -275,7 +275,7 @@ def _segments(store: Store, stage: str) -> list[Segment]:
 
 
 def undo(archive: Archive, _asked: NoQuestion, _request: Request) -> Row:
-    """Start the job that restores the annotations that were current before the last run."""
+    """Start a job that restores the annotations from before the last run, and return it as a JSON object."""
     last = _last(archive)
     if last is None or last["undone"]:
         raise KinedexError("nothing was learned again that could be undone")

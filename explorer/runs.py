@@ -173,7 +173,7 @@ def _step_row(step: Step) -> Row:
 
 
 def start(archive: Archive, asked: RunQuestion, _request: Request) -> Row:
-    """Start a job that runs a pipeline; invalid settings are refused before it begins."""
+    """Check the settings of a pipeline, start a job that runs it, and return the job as a JSON object."""
     pipeline = _load(_file(archive, asked.pipeline), asked)
     words = run_words(archive, asked.pipeline, _assignments(asked))
     return jobs_of(archive).add(Job(f"Run {pipeline.name}", words, len(pipeline.stages))).shown()

@@ -62,7 +62,7 @@ class GroupFindings:
 
 
 def totals(data: ReportData) -> Totals:
-    """Sum up the automatic segments; a frame with several labels counts once."""
+    """Return totals of the automatic segments; a frame with several labels counts once."""
     rates = {take.name: take.rate_hz for take in data.takes}
     return Totals(
         segments=len(data.automatic),

@@ -52,7 +52,7 @@ class Findings:
 
 
 def findings_of(segments: Iterable[Segment]) -> dict[str, Findings]:
-    """Sum up the automatic segments of each take."""
+    """Return the number, frames and confidences of the automatic segments of each take."""
     found: dict[str, Findings] = {}
     for one in segments:
         old = found.get(one.take, Findings(0, 0, 1.0, 0))

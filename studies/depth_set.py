@@ -81,7 +81,7 @@ class Film:
 
     @property
     def name(self) -> str:
-        """Its name in tables and folders."""
+        """The name in tables and folders."""
         side = "left" if self.azimuth_deg > 0 else "right"
         return "-".join([self.camera, *([self.body] if self.body != "first" else []),
                          *([f"{side}-{abs(self.azimuth_deg):g}"] if self.azimuth_deg else [])])  # fmt: skip

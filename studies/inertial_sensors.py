@@ -163,7 +163,7 @@ class Rest:
 
     @property
     def seconds(self) -> float:
-        """Its length."""
+        """The length in seconds."""
         return len(self.acc) / self.rate_hz
 
 

@@ -56,7 +56,7 @@ class GapEntry(BaseModel):
 
 
 def read_gap(located: Located, written: Any, rate_hz: float, *key: str | int) -> Gap:
-    """Read one gap.
+    """Convert one gap of a query file to a `Gap`.
 
     Parameters
     ----------

@@ -305,7 +305,7 @@ class Reconstructor:
         )  # fmt: skip
 
     def _look(self, cloud: FrameCloud) -> _Scene:
-        """Find the extrema, the centre and the facing direction in a frame's points."""
+        """Return the extrema, the centre and the facing direction of the nearest person in a frame's points."""
         pixels = self.preparation.shape[0] * self.preparation.shape[1]
         if self._graph is None:
             self._graph = graph_room(pixels)

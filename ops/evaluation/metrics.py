@@ -139,7 +139,7 @@ def _covered(segments: npt.NDArray[np.int64], stop: int) -> npt.NDArray[np.bool_
 
 
 def _hit(segments: npt.NDArray[np.int64], covered: npt.NDArray[np.bool_]) -> int:
-    """Count the segments that overlap at least one covered frame."""
+    """Return the number of segments that contain at least one covered frame."""
     return sum(bool(covered[start:end].any()) for start, end in segments)
 
 

@@ -98,7 +98,7 @@ def fit_drift(times: F64, headings: F64) -> HeadingDrift:
 
 
 def _weighted(left: npt.NDArray[np.int64], share: F64, headings: F64, weights: F64, stiff: F64) -> F64:
-    """Solve the normal equations of the curve's knots."""
+    """Return the headings at the curve's knots, by weighted least squares."""
     count = len(stiff)
     hessian = stiff + 1e-12 * np.eye(count)
     gradient = np.zeros(count)

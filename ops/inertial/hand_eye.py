@@ -385,7 +385,7 @@ def _results(
     options: Options,
     held: _Held,
 ) -> list[StreamFit]:
-    """Assess a fit: the errors of each stream, and whether its movements determine the mount."""
+    """Return the fit of each stream: its errors, and whether its movements determine the mount."""
     takes = {limb: {stream.take for stream in streams if stream.limb == limb} for limb in {s.limb for s in streams}}
     values = least_eigenvalues(units, fit.worlds, fit.weights, options.vertical_known)
     level = least_eigenvalues(units, fit.worlds, fit.weights, True)

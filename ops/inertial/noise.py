@@ -124,11 +124,11 @@ class Clock:
     ppm: float = 0.0
 
     def of_take(self, seconds: F64) -> F64:
-        """Convert times of the take to times of the sensor."""
+        """Convert times of the take to times of the sensor's clock, in seconds."""
         return seconds * (1.0 + 1e-6 * self.ppm) + self.offset_s
 
     def to_take(self, seconds: F64) -> F64:
-        """Convert times of the sensor to times of the take."""
+        """Convert times of the sensor's clock to times of the take, in seconds."""
         return (seconds - self.offset_s) / (1.0 + 1e-6 * self.ppm)
 
 

@@ -134,7 +134,7 @@ class _Iterations(io.TextIOBase):
         self._progress = progress
 
     def write(self, text: str) -> int:
-        """Report progress for the iterations that a line of text mentions."""
+        """Report progress for each "Iteration <number>" in a text, and return the text's length, as streams do."""
         for found in re.finditer(r"Iteration (\d+)", text):
             self._progress(min(int(found.group(1)), ITERATIONS), ITERATIONS)
         return len(text)

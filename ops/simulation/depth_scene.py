@@ -55,7 +55,7 @@ class CameraPlace:
     outside: Bool
 
     def seen(self, points: F64) -> F64:
-        """Transform points (…, 3) to the axes of the camera."""
+        """Transform points (…, 3) from world axes to the axes of the camera."""
         found: F64 = (points - self.place) @ self.rotation.T
         return found
 

@@ -274,7 +274,7 @@ def _average(
 
 
 def _weighed_in(method: Method, template: Weighted, count: int, rest: Sequence[U64], align: Align) -> Weighted:
-    """Average a template of `count` clips with further clips, each warped to it once, and rebalance."""
+    """Update a template of `count` clips: average it with further clips, each warped to it once, and rebalance."""
     stack = Stack.of([template, *_clips(method, rest)])
     places = np.arange(len(stack))
     pairs = np.stack([np.zeros(len(rest), np.int64), places[1:]], axis=1)

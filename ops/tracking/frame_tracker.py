@@ -209,7 +209,7 @@ class FrameTracker:
         return self.observations is None
 
     def track(self, start: Poses | None = None, priors: PriorTerms | None = None) -> FrameTrack:
-        """Track the recording with priors; every frame starts from the frame before, so `start` is ignored."""
+        """Track the recording with priors; `start` is ignored, as each frame starts from the previous one."""
         return track_frames(
             self.body, self.observations, self.points, self.rate_hz, self.first, priors, self.silhouettes, self.sigma_px
         )
@@ -341,7 +341,7 @@ class _Frames:
         return plain if best.difference > WORSE * plain.difference else best
 
     def _fit(self, t: int, masks: list[tuple[View, U8]], place: F64, turns: F64, priors: PriorArrays) -> _Fit:
-        """Fit a frame on silhouettes from a start, to which nodes without a prior are pulled."""
+        """Fit the pose of a frame to silhouettes; nodes without a prior are pulled to the initial pose."""
         free = priors.turn_weights[t].max(axis=1) <= 0.0
         targets, weights = priors.turn_targets[t].copy(), priors.turn_weights[t].copy()
         priors.turn_targets[t, free], priors.turn_weights[t, free] = turns[free], START_RAD**-2.0

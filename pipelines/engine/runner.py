@@ -258,7 +258,7 @@ def _makes_results(pipeline: Pipeline) -> bool:
 
 
 def _take_step(run: _Run, planner: Planner, number: int, planned: Step | None) -> Step:
-    """Run or skip a stage, and show which; the step is determined again unless it is given."""
+    """Run or skip a stage, and return its step of the plan; the step is planned again unless it is given."""
     stage = run.pipeline.stages[number]
     step = planner.step(stage) if planned is None else planner.follow(replace(planned, stage=stage))
     text = f"[{number + 1}/{len(run.pipeline.stages)}] {stage.name}: {_status(step)}"

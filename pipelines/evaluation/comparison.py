@@ -188,7 +188,7 @@ def _known(context: StageContext, params: ComparisonParameters, store: Store) ->
 
 
 def _folds(context: StageContext, plan: Plan, split: Split, known: StudyMaterial) -> list[Fold]:
-    """Make the folds of a split."""
+    """Return the folds of a split."""
     store, group = known.store, plan.params.divide_by
     material = training_material(store, known.learned_with.model_copy(update={"where": split.train}))
     tested = plan.tested(store, split)
@@ -220,7 +220,7 @@ def _swept(params: ComparisonParameters) -> list[Method]:
 
 
 def _run(context: StageContext, cells: Sequence[Cell]) -> dict[str, SegmentsByTake]:
-    """Compute the cells that are not in the store yet, and store them."""
+    """Compute and store the cells that the store lacks, and return the segments of all cells."""
     store = context.open()
     known = known_cells(store.result("method_cells", pipeline=context.pipeline))
     distinct = list({cell.key: cell for cell in cells}.values())
@@ -245,7 +245,7 @@ def _result(
     found: Mapping[str, SegmentsByTake],
     classes: Classes,
 ) -> SplitResult:
-    """Score all methods in a split."""
+    """Return the scores of all methods in a split."""
 
     def outcome(method: Method) -> SegmentsByTake:
         keys = [cells[split.name, fold.name, method.name].key for fold in folds]

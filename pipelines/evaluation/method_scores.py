@@ -119,7 +119,7 @@ def labels_of(test_takes: Sequence[TestTake], classes: Sequence[str]) -> list[st
 
 
 def judge(outcome: Outcome, test_takes: Sequence[TestTake], classes: Sequence[str], draws: int = 1000) -> MethodScores:
-    """Score the segments that a method has found in all takes of a split.
+    """Return the scores of the segments that a method has found in all takes of a split.
 
     Parameters
     ----------

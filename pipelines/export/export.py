@@ -98,13 +98,13 @@ def export_data_set(
 
 
 def _matched(results: Sequence[Done], rest: Sequence[Job]) -> Iterable[tuple[Done, Job]]:
-    """Pair the results of workers with the jobs of this process."""
+    """Return pairs of a worker's result and this process's job with the same files."""
     jobs = {job.files: job for job in rest}
     return ((one, jobs[one.job.files]) for one in results)
 
 
 def _finished(target: Folder, jobs: Sequence[Job]) -> tuple[list[Done], list[Job]]:
-    """Divide jobs into those whose files exist already, and the others."""
+    """Return the results of jobs whose files exist already, and the remaining jobs."""
     finished, rest = [], []
     for job in jobs:
         sums = target.checksums([(file, job.fingerprint) for file in job.files])

@@ -100,7 +100,7 @@ class KnownFile:
         return any(self._has_content(row, content) for row in self.rows)
 
     def _has_content(self, row: Row, content: FileContent) -> bool:
-        """Compare contents; the file is read only if path, size or modification time differ."""
+        """Return whether a file has the known content; it is read only if path, size or modification time differ."""
         motion = content.motion
         if row["source_bytes"] != motion.size:
             return False

@@ -153,7 +153,7 @@ def _splitter(stems: Sequence[str]) -> tuple[str, Callable[[str], list[str]]]:
 
 
 def _numbered(stem: str) -> list[str]:
-    """Divide a name before the number at its end."""
+    """Split a name before the number at its end; a name without such a number is the only part."""
     found = _NUMBERED.fullmatch(stem)
     return [found[1], found[2]] if found else [stem]
 

@@ -294,7 +294,7 @@ def _cached_task(training: TrainingSet, setting: Setting) -> TrainingTask:
 
 
 def learn_runs(task: RunTask) -> list[LearningRun]:
-    """Make runs of one training set, in a worker; a run depends only on seed, subclass and number."""
+    """Perform learning runs on one training set, in a worker; a run depends only on seed, subclass and number."""
     material = _cached_task(task.training, task.setting)
     evolution = task.setting.evolution
     results = []

@@ -100,7 +100,7 @@ class Reach:
 
 
 def _shared(reached: Sequence[Reach], learned: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Shorten margins frame by frame while no frame of a clip is uncovered, always the longest that can be shortened.
+    """Shorten the longest margin by one frame, as often as this leaves no frame of a clip uncovered.
 
     No margin becomes shorter than one part in `ALONE`, because a motion of another person may be found by only one of
     the queries.

@@ -268,7 +268,7 @@ def label_edits(store: Store, take: str, annotator: str | None = None) -> LabelE
 
 
 def record_edits(store: Store, edits: LabelEdits) -> Recorded:
-    """Record edits of labels; afterwards the store shows them."""
+    """Record edits of labels in a store, which then shows them, and return the recorded rows."""
     recorded = record_labels(store.path, pa.Table.from_pylist(edits.rows, schema=labels_schema()))
     store.forget_labels()
     return Recorded(recorded)

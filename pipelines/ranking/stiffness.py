@@ -84,7 +84,7 @@ def run_trials(
     workers: int,
     progress: Progress,
 ) -> list[Trial]:
-    """Rank takes completely in all frames, within the hits of the queries as written, and with other stiffnesses.
+    """Rank takes in all frames, within the hits of the queries as written, and with changed stiffnesses.
 
     Parameters
     ----------

@@ -42,7 +42,7 @@ def named_bodies(params: ReconstructParameters) -> dict[str, str]:
 
 
 def reconstruct(writer: StoreWriter, params: ReconstructParameters, database: str, place: Place) -> Outcome:
-    """Reconstruct recordings, and commit each as a take.
+    """Reconstruct depth recordings, commit each as a take, and return the outcome.
 
     Parameters
     ----------

@@ -148,7 +148,7 @@ def run_tasks(
     tasks: Sequence[AnyTask],
     are_kernels_compiled: Callable[[], bool],
 ) -> Outcome:
-    """Run the tasks whose takes are not up to date, and commit each take with its results.
+    """Run the tasks whose takes are out of date, commit each take with its results, and return the outcome.
 
     Parameters
     ----------

@@ -66,7 +66,7 @@ class Sources:
             self._skeletons[row["source_root"], row["source"]] = row["checksum"]
 
     def find(self, take_ids: Iterable[int]) -> Found:
-        """Look up the source files of takes, in order of take_id."""
+        """Find the source files from which takes can be read again, in order of take id."""
         found = Found()
         tasks: dict[int, list[Task]] = {}
         for take_id in sorted(take_ids):

@@ -120,7 +120,7 @@ class FilmedTake:
 def film_take(
     sensor: DepthSensor, body: FilmedBody, joints: F64, bone_lengths: F64, azimuth_deg: float, seed: list[int]
 ) -> FilmedTake:
-    """Place a take before a simulated depth camera.
+    """Place a take in front of a simulated depth camera.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def simulate_depth(store: Store, request: Request, folder: Path, progress: Progr
 
 
 def _filmed(store: Store, request: Request, body: FilmedBody, take: str) -> FilmedTake:
-    """Place a take of a store before the camera."""
+    """Return an interval of a take of a store, placed in front of the simulated camera."""
     table = store.frames(take).combine_chunks()
     unknown = [joint for joint in JOINTS if joint not in table.column_names]
     if unknown:

@@ -207,7 +207,7 @@ class _DataSet:
         self.limbs: dict[str, None] = {}
 
     def write(self, takes: Iterable[TakeToSimulate], progress: Progress) -> Simulated:
-        """Write all takes, and the tables beside them."""
+        """Write the simulated recordings of all takes and the tables of the data set, and return a summary."""
         (self.folder / RECORDINGS).mkdir()
         with progress("sensors", len(self.homes)) as bar:
             for take in takes:

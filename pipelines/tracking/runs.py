@@ -47,7 +47,7 @@ NO_LOCOMOTION = (
 
 
 def observe(writer: StoreWriter, params: ObserveParameters, place: Place) -> Outcome:
-    """Read recordings, and commit each.
+    """Read new and changed recordings, commit each, and return the outcome.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def observe(writer: StoreWriter, params: ObserveParameters, place: Place) -> Out
 
 
 def track(writer: StoreWriter, params: TrackParameters, names: Sequence[str], observed: str, place: Place) -> Outcome:
-    """Track recordings that a stage has observed, and commit each as a take.
+    """Track recordings that a stage has observed, commit each as a take, and return the outcome.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def stabilise(
     archive: Archive,
     place: Place,
 ) -> Outcome:
-    """Stabilise takes by priors of an archive, and commit each.
+    """Stabilise takes by priors of an archive, commit each, and return the outcome.
 
     Parameters
     ----------
