@@ -63,7 +63,7 @@ class PipelineMaterial:
 
     @cached_property
     def queries(self) -> tuple[list[KeyframeQuery], list[KeyframeQuery]]:
-        """The keyframe queries of files, and those that the pipeline has learned."""
+        """The keyframe queries of files, and the queries that the pipeline has learned."""
         given, learned = queries_of(self.store, self.use.params), self.use.keyframes
         return given, [] if learned is None else learned_queries(self.store, learned)
 

@@ -199,7 +199,7 @@ class Jobs:
             self._kill()
 
     def _kill(self) -> None:
-        """End the process that runs, and those that it has started."""
+        """End the running process, and all processes that it has started."""
         if self._process is not None and self._process.poll() is None:
             if os.name == "nt":
                 self._process.kill()

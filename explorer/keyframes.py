@@ -44,7 +44,7 @@ MOST_POSES = 20
 
 
 class PoseEntry(Question):
-    """A pose: the features that are on, and those that are off; all others are wildcards."""
+    """A pose: the features that are on, and the features that are off; all others are wildcards."""
 
     on: tuple[str, ...] = ()
     off: tuple[str, ...] = ()

@@ -351,7 +351,7 @@ def limb_error_curve(store: Store, take_id: int, limb: str) -> npt.NDArray[np.fl
 
 
 def nearest_in_time(times: F64, values: F64, wanted: F64, within: float) -> F64:
-    """Return the values at the times nearest to wanted ones; ∞ where none is close enough or known.
+    """Return the values at the times nearest to wanted times; ∞ where no value is known close enough.
 
     Parameters
     ----------

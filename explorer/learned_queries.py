@@ -51,7 +51,7 @@ def list_queries(archive: Archive, request: Request) -> Row:
 
 
 def _rows(store: Store, outcome: Outcome, queries: Sequence[KeyframeQuery]) -> list[Row]:
-    """Return the queries of one class; the scores are those of all of them together."""
+    """Return the queries of one class; the scores refer to all of its queries together."""
     return [
         {
             "name": query.name,

@@ -50,7 +50,7 @@ MOST_CHANGES = 1000
 
 
 class LearnQuestion(Question):
-    """The settings of a run that learns again; by default those of the current annotation."""
+    """The settings of a run that learns again; defaults are the settings of the current annotation."""
 
     examples: Literal["labels", "clips and labels"] | None = None
     method: Literal["best", "thesis"] | None = None

@@ -180,7 +180,7 @@ def training_costs(
 
 
 def dividing_threshold(costs: tuple[F64, F64] | None) -> tuple[float, float] | None:
-    """Return the τ that divides the clips of a class from those of all others best, and its F; None without costs."""
+    """Return the τ that best separates the clips of a class from all other clips, and its F; None without costs."""
     if costs is None:
         return None
     tau, score = best_threshold(*costs)

@@ -193,7 +193,7 @@ def list_history(archive: Archive, _request: Request) -> Row:
 
 
 def _run_row(run: PipelineRun, results: Row | None, reports: dict[tuple[str, str], list[str]]) -> Row:
-    """Return a run as JSON; it has the reports of those stages whose current results are of this run."""
+    """Return a run as a JSON object, with the reports of stages whose current results are of this run."""
     stages = [
         {"stage": one.stage, "state": one.state, "reason": one.reason, "seconds": one.seconds} for one in run.stages
     ]

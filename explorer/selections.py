@@ -139,7 +139,7 @@ FEW_IDS = 100
 
 
 def _chosen(name: str, text: str) -> str:
-    """Return the condition that a column of integers is among those whose bits are set.
+    """Return the SQL condition that a column of integers is one of the numbers whose bits are set.
 
     Raises
     ------

@@ -153,7 +153,7 @@ def named(use: TemplateUse, name: str) -> SubclassTemplate:
 
 
 def clip_rows(store: Store, use: TemplateUse, one: SubclassTemplate) -> list[Row]:
-    """Return the clips behind a template, those farthest from the others first."""
+    """Return the clips that a template was learned from, by descending distance to the other clips."""
     clips = stored_clips(store, one)
     costs = template_costs([one], clips, use.params.delta)[0] if clips else np.empty(0)
     rows = [_clip_row(store, one, clip, float(cost)) for clip, cost in zip(clips, costs, strict=True)]

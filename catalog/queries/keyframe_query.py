@@ -258,7 +258,7 @@ def _restricted(keyframe: Keyframe, feature_set: FeatureSet, known: int) -> Keyf
 
 
 def features_of(keyframe: Keyframe, feature_set: FeatureSet) -> tuple[list[str], list[str]]:
-    """Return the names of the features that a keyframe asks to be on, and of those that it asks to be off."""
+    """Return the names of the features that a keyframe requires to be on, and of features that must be off."""
     on: list[str] = []
     off: list[str] = []
     for number in feature_set.word_set(keyframe.set).numbers:

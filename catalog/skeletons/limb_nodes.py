@@ -95,7 +95,7 @@ def _single(fit: Fit, joint: str) -> int | None:
 
 
 def limb_markers(source: str | Path, fit: Fit, landmarks: Landmarks | None = None) -> dict[str, tuple[int, ...]]:
-    """Return the markers on each limb that has three or more: those of the mapping, else those on its landmarks.
+    """Return the markers on each limb that has three or more: as the mapping names them, else by landmarks.
 
     Parameters
     ----------

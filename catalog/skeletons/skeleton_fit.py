@@ -183,7 +183,7 @@ class SkeletonMapping:
         return Fit(self, places, found, missing, instead)
 
     def apply(self, source: str | Path, nodes: Mapping[str, int], positions: F64, joints: tuple[str, ...]) -> F64:
-        """Compute the positions of the named joints from those of the nodes.
+        """Compute the positions of the named joints from the positions of the nodes.
 
         Parameters
         ----------

@@ -41,7 +41,7 @@ class WatchedMappings(Mappings):
 
     @classmethod
     def of_mappings(cls, mappings: Mappings) -> WatchedMappings:
-        """Return mappings that answer as the given ones do."""
+        """Return mappings that behave like the given mappings."""
         return cls(**{one.name: getattr(mappings, one.name) for one in fields(Mappings)})
 
     def exact(self, source: str | Path, form: Format, nodes: Mapping[str, int]) -> Fit | None:

@@ -288,7 +288,7 @@ def sum_ratios(row: F64, word: np.uint64, offset: float, columns: Columns, first
 def change_ratios(
     row: F64, before: F64, old: np.uint64, new: np.uint64, difference: float, slopes: F64, first: int
 ) -> None:
-    """Fill in the log ratios of a word by updating those of the word before, in double or single precision.
+    """Fill in the log ratios of a word by updating the ratios of the previous word, in double or single precision.
 
     Parameters
     ----------

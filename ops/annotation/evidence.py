@@ -1,4 +1,4 @@
-"""Evidence is a set of numbers of an annotated segment that help to tell right labels from wrong ones."""
+"""This module computes evidence: features of an annotated segment by which right and wrong labels differ."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""This module finds the frames that cause those measures of `ops.body.motion_faults` that depend on single frames."""
+"""This module finds the frames that cause the frame-wise measures of `ops.body.motion_faults`."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def _knees(at: dict[str, F64], none: Bool) -> Bool:
 
 
 def _ground(at: dict[str, F64], none: Bool, rate_hz: float) -> tuple[Bool, Bool]:
-    """Return the frames in which a foot slides, and those in which a foot is below the floor."""
+    """Return the frames in which a foot slides, and the frames in which a foot is below the floor."""
     lowest = np.fmin.reduce([place[:, 1] for place in at.values()])
     if not np.isfinite(lowest).any():
         return none, none

@@ -1,4 +1,4 @@
-"""This module finds gaps in trajectories, in which a point was not seen, and interpolates the short ones."""
+"""This module finds gaps in trajectories, in which a point was not seen, and interpolates short gaps."""
 
 from __future__ import annotations
 

@@ -196,7 +196,7 @@ def _pelvis(chain: KinematicChain, positions: F64) -> F64:
 
 
 def _held(rows: F64) -> F64:
-    """Return rows in which those that are not finite repeat the last finite row, or the first one at the start."""
+    """Return rows with each row that is not finite replaced by the last finite row, or at the start by the first."""
     seen = np.isfinite(rows.reshape(len(rows), -1).sum(axis=1))
     if not seen.any():
         raise ParameterError("positions of the root and the hips", "finite in a frame at least", "none")

@@ -56,7 +56,7 @@ def slerp(first: F64, second: F64, share: F64) -> F64:
 
 
 def global_transforms(parents: Sequence[int], linear: F64, offsets: F64) -> tuple[F64, F64]:
-    """Compute the transforms of nodes in the scene from those relative to their parents.
+    """Compute the transforms of nodes in the scene from transforms relative to the parents.
 
     Parameters
     ----------

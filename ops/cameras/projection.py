@@ -136,7 +136,7 @@ def distort(distortion: npt.ArrayLike, plane: F64) -> F64:
 
 
 def undistort(distortion: npt.ArrayLike, seen: F64) -> F64:
-    """Return the undistorted points on the plane z = 1 for distorted ones, by Newton's iteration.
+    """Return the undistorted points on the plane z = 1 of distorted points, by Newton's method.
 
     Parameters
     ----------

@@ -151,7 +151,7 @@ def geodesic_extrema(graph: PointGraph, source: int, count: int = COUNT, room: E
 
 
 def tips_first(cloud: FrameCloud, graph: PointGraph, extrema: Extrema, room: ExtremaRoom) -> Extrema:
-    """Return the extrema reordered: first those at the tips of limbs, then the others, each group in its former order.
+    """Return the extrema reordered: first the tips of limbs, then the others, each group in its former order.
 
     At a tip, no point that is connected to it within 0.15 m is farther from the source. Where a hand hangs at the hip,
     a knee or a shoulder may be among the first five extrema, but it is rarely a tip.

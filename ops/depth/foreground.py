@@ -225,7 +225,7 @@ def _clean_run(
 
 @njit(cache=True, nogil=True)
 def _sort_columns(above: F32, here: F32, below: F32, lows: F32, middles: F32, highs: F32, counts: F32) -> None:
-    """Sort the three values of each column, and count those above 0."""
+    """Sort the three values of each column, and count the values above 0."""
     for i in range(len(above)):
         a, b, c = above[i], here[i], below[i]
         one = np.float32(1.0)

@@ -52,7 +52,7 @@ def pivots_of(joints: I64) -> Pivots:
 
 
 def moved_joints(joints: I64) -> npt.NDArray[np.bool_]:
-    """Return a mask (P, 24), True where a pivot moves a joint: for those below it, not for itself."""
+    """Return a mask (P, 24), True where a pivot moves a joint: for all joints below it, not for itself."""
     moved = np.zeros((len(joints), len(PARENTS)), np.bool_)
     for k, pivot in enumerate(joints):
         for joint in range(len(PARENTS)):

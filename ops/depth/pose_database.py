@@ -153,7 +153,7 @@ def turn_poses(points: F64, sine: float, cosine: float) -> None:
 
 
 class PoseThinning:
-    """A growing set of poses that keeps a pose only if none of those kept so far is near it.
+    """A growing set of poses that keeps a new pose only if no kept pose is near it.
 
     The kept poses are hashed by grid cells along `_cell_axes`, unit directions in the space of compared joints, so that
     near poses lie in the same cell or in neighbouring ones.

@@ -99,7 +99,7 @@ class Layout:
 
     @property
     def width(self) -> int:
-        """Return the number of columns S, including those of the padding."""
+        """Return the number of columns S, including padding."""
         return len(self.columns.values)
 
 
@@ -321,7 +321,7 @@ def column_costs(word: np.uint64, columns: TemplateColumns, costs: F64) -> None:
 
 @nb.njit(cache=True, nogil=True)
 def contradicted_weights(word: np.uint64, columns: TemplateColumns, sums: F64) -> None:
-    """Fill in the weight of those bits of each column that a word contradicts (kernel)."""
+    """Fill in the total weight of the bits of each column that a word contradicts (kernel)."""
     values, masks, weights, _ = columns
     for g in range(len(masks)):
         mask, weight = masks[g], weights[g]

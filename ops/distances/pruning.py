@@ -228,7 +228,7 @@ def mark_words(codes: I32, pieces: I64, needed: Bool) -> None:
 
 @nb.njit(cache=True, nogil=True)
 def possible_minima(units: U16, ranges: I64, slack: int) -> tuple[I64, Bool]:
-    """Return the frames that can be minima, with their neighbours, and a mask of those that can (kernel).
+    """Return the frames that can be minima with their neighbours, and a mask of the possible minima (kernel).
 
     Parameters
     ----------

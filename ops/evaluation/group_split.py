@@ -18,7 +18,7 @@ _ROUNDS = 100
 
 
 def split_groups(sizes: Sequence[float] | F64, shares: Sequence[float] | F64) -> I64:
-    """Divide groups into splits whose shares of the total size are as close to the wanted ones as possible.
+    """Divide groups into splits whose fractions of the total size are as close as possible to the wanted fractions.
 
     For few groups, all divisions are tried; otherwise groups are assigned greedily, the largest first, each to the
     split that lacks most, and then moved and exchanged as long as this improves the shares. No split is empty. The
@@ -82,7 +82,7 @@ def _greedy(amounts: F64, goal: F64) -> I64:
 
 
 def _improved(chosen: I64, amounts: F64, goal: F64) -> I64:
-    """Move groups between splits and exchange pairs of groups as long as this brings the shares closer."""
+    """Move groups between splits and exchange pairs of groups as long as this brings the fractions closer."""
     for _ in range(_ROUNDS):
         if not (_move(chosen, amounts, goal) or _exchange(chosen, amounts, goal)):
             break

@@ -133,7 +133,7 @@ class Clock:
 
 
 def generator(seed: int, *names: str) -> np.random.Generator:
-    """Return a random generator that is seeded by a number and names, such as those of a take and a sensor."""
+    """Return a random generator that is seeded by a number and names, such as a take's and a sensor's."""
     if seed < 0:
         raise ParameterError("seed", "at least 0", seed)
     return np.random.default_rng(np.random.SeedSequence([seed, *(zlib.crc32(name.encode()) for name in names)]))

@@ -22,7 +22,7 @@ def typical_length(vectors: F64) -> float:
 
 
 def compare_with_orientation(times: F64, gyr: F64, quaternions: F64) -> tuple[float, float, float]:
-    """Compare angular velocities with those computed from the orientations.
+    """Compare measured angular velocities with angular velocities computed from the orientations.
 
     Parameters
     ----------

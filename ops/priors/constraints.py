@@ -243,7 +243,7 @@ def _pulls(frames: I64, joint: int, directions: F64, targets: F64, sigma_m: floa
 
 
 def joined(parts: Sequence[PlacePulls]) -> PlacePulls:
-    """Concatenate pulls, sorted by frame; those of one frame keep their order."""
+    """Concatenate pulls, sorted by frame; pulls of one frame keep their order."""
     if not parts:
         none = np.zeros(0, np.int64)
         return PlacePulls(none, none, np.zeros((0, 3)), np.zeros(0), np.zeros(0))

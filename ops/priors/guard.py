@@ -19,7 +19,7 @@ LOCAL_GUARD, LOCAL_S = 1.05, 0.5
 
 
 def cost_ratios(allocation: Allocation, costs: F64, without: F64) -> F64:
-    """Return for each hit the ratio of observation costs of the track with priors to those of the track without.
+    """Return for each hit the ratio of the observation costs of the track with priors and without.
 
     Parameters
     ----------

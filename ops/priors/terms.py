@@ -114,7 +114,7 @@ def _add_archive(
 
 
 def actual_variance(spreads: F64, residuals: F64, seen_s: F64) -> F64:
-    """Return the variance of rotations about those of the archive, from the archive's spread and the hit's residuals.
+    """Return the variance of rotations about the archive's rotations, from its spread and the hit's residuals.
 
     Where the cameras are consistent for a node, they show how well the hit fits it: the variances of the archive and of
     the residuals are averaged, with the weights `SPREAD_S` and the time for which the node is seen. So hits of a wrong

@@ -72,7 +72,7 @@ class InvertedLists(NamedTuple):
         return np.diff(ends[self.offsets])
 
     def matching(self, mask: int, value: int) -> I64:
-        """Return the indices of the words that a keyframe matches, those with ``word & mask == value``.
+        """Return the indices of the words that a keyframe matches: ``word & mask == value``.
 
         Raises
         ------

@@ -77,7 +77,7 @@ class Limbs:
     legs: tuple[I64, I64]
 
     def named(self, limb: str) -> I64:
-        """Return the keypoints of a limb that a failure displaces: those of an arm, or of a leg without the hip."""
+        """Return the keypoints of a limb that a failure displaces: of the whole arm, or of the leg without the hip."""
         side = "lr".index(limb[0])
         return self.arms[side] if limb[1:] == "arm" else self.legs[side][1:]
 

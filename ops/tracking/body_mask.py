@@ -44,7 +44,7 @@ def render_mask(capsules: Capsules, joints: F64, view: View) -> Bool:
 
 @njit(cache=True, nogil=True)
 def count_overlap(capsules: Capsules, joints: F64, view: View, mask: U8) -> tuple[int, int]:
-    """Return the number of pixels of a body (J, 3) in a camera, and of those that are foreground in a mask."""
+    """Return the number of pixels of a body (J, 3) in a camera, and how many of these are foreground in a mask."""
     drawn = np.zeros(mask.shape, np.bool_)
     _render(capsules, joints, view, drawn)
     own, common = 0, 0

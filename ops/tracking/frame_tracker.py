@@ -324,7 +324,7 @@ class _Frames:
         return _State(fit.place, fit.turns, step, turned, fit, 0)
 
     def _best_fit(self, t: int, masks: list[tuple[View, U8]], last: _State) -> _Fit:
-        """Return the fit on silhouettes with priors, or without priors if those fit the masks much worse."""
+        """Return the fit to silhouettes with priors, or without them if the masks then fit much better."""
         priors = self.priors
         place = last.place + last.moved
         moved = last.turns @ np.stack([rotation_of(_CARRIED * vector) for vector in last.turned])

@@ -93,7 +93,7 @@ def planned(store: Store, what: What, how: How, progress: Progress) -> Plan:
 
 
 def needed_mappings(store: Store, jobs: Sequence[Job]) -> Mappings | None:
-    """Return the shipped skeleton mappings and those of a store; None if no channels are exported."""
+    """Return the shipped and the store's skeleton mappings; None if no channels are exported."""
     if not any(job.channels for job in jobs):
         return None
     # imported here because they import numba

@@ -40,7 +40,7 @@ class VersionDraft:
 
     @property
     def takes_schema(self) -> pa.Schema:
-        """The columns of takes, including those declared since the last commit."""
+        """The columns of takes, including columns declared since the last commit."""
         return self._manifest.takes_schema
 
     @property

@@ -120,7 +120,7 @@ def _upright(places: Mapping[str, F64], evidence: Evidence) -> tuple[F64, list[s
 
 
 def _mapping(draft: BodyDraft, reading: Reading, joints: Sequence[str], axes: F64, form: Format) -> SkeletonMapping:
-    """Return the mapping of a draft; joints made of joints come after those that they are made of."""
+    """Return the mapping of a draft; joints that are combined from other joints come after these."""
     made = {joint: draft.joints[joint] for joint in draft.joints}
     order = sorted(made, key=lambda joint: _depth(made, joint))
     choices: dict[str, tuple[Mix | None, ...]] = {joint: tuple(made[joint]) for joint in order}

@@ -241,7 +241,7 @@ def _own_columns(one: SeenPersons, keypoint_set: KeypointSet) -> tuple[str, ...]
 
 
 def _padded(rows: F64, count: int) -> F64:
-    """Return the keypoints (count, 3) of a person, those at the end filled up as missing (NaN, NaN, 0)."""
+    """Return the keypoints (count, 3) of a person, padded with missing keypoints (NaN, NaN, 0)."""
     if len(rows) == count:
         return rows
     return np.concatenate([rows, np.tile([np.nan, np.nan, 0.0], (count - len(rows), 1))])

@@ -95,7 +95,7 @@ def _add_frames(seen: SeenPersons, path: Path, entries: list[Any]) -> None:
 
 
 def _add(seen: SeenPersons, path: Path, where: str, number: int, persons: Sequence[Any]) -> None:
-    """Add the persons of a frame to those seen."""
+    """Add the persons of a frame to the result."""
     if number in seen.frames:
         raise SourceError(path, f"{where}: a second frame has the number {number}; one camera a folder, or a file")
     refuse_crowds(path, where, persons)

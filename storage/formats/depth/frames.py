@@ -125,7 +125,7 @@ class DepthFrames:
 
     @property
     def numbers(self) -> range:
-        """The numbers of all frames in the files, those of missing ones included."""
+        """The numbers of all frames in the files, including missing frames."""
         return range(self.first, self.first + self._length)
 
     @property
@@ -134,7 +134,7 @@ class DepthFrames:
         return tuple(t for t in range(self._length) if self.first + t not in self._numbers)
 
     def notes(self) -> list[str]:
-        """Return sentences on the frames that are missing and on those read so far that are damaged."""
+        """Return notes on missing frames, and on damaged frames among the frames read so far."""
         found = []
         if missing := self._length - len(self._numbers):
             found.append(f"{missing} of {self._length} frames are missing in the numbering of the files")

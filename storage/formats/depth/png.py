@@ -137,7 +137,7 @@ def size_fault(found: Sequence[int], size: Sequence[int]) -> str:
 
 
 def _opened(path: Path) -> Image.Image:
-    """Open an image without decoding its pixels; raise SourceError unless it is a depth image of a possible size."""
+    """Open an image without decoding its pixels; raise SourceError if it is no depth image of a plausible size."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)

@@ -56,7 +56,7 @@ class Extents(NamedTuple):
 
     @property
     def sized(self) -> bool:
-        """True if the sizes are those of a person."""
+        """True if the sizes are plausible for a person."""
         return self.greatest > 0
 
 
@@ -124,7 +124,7 @@ def unit_fault(extents: Extents, unit_m: float) -> str:
 
 
 def _unlikely(extents: Extents, scale: float) -> float:
-    """Return a measure of how far distance and size, times a scale, are from those of a person."""
+    """Return a measure of how implausible distance and size, times a scale, are for a person."""
     size = abs(np.log(extents.greatest * scale / _USUAL_SIZE_M))
     return float(size + abs(np.log(extents.distance * scale / _USUAL_DISTANCE_M)))
 

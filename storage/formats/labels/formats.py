@@ -220,7 +220,7 @@ def _format(form: str | None, output: str | Path, folder: bool) -> str:
 
 @contextmanager
 def _writing(path: Path) -> Iterator[None]:
-    """Turn an operating system's error into a KinedexError that names the file and the cause."""
+    """Convert an operating system's error to a KinedexError that names the file and the cause."""
     try:
         yield
     except OSError as fault:

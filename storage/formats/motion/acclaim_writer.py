@@ -149,7 +149,7 @@ def _same(text: bytes, frames: int) -> tuple[U8, npt.NDArray[np.bool_]]:
 
 
 def _digits(numbers: npt.NDArray[np.int64], least: int = 1) -> tuple[U8, npt.NDArray[np.bool_]]:
-    """Return non-negative integers as characters, at least `least` digits, and a mask of those to write."""
+    """Return non-negative integers as characters, at least `least` digits, and a mask of the characters to write."""
     width = max(least, len(str(int(numbers.max(initial=0)))))
     digits = np.empty((*numbers.shape, width), np.uint8)
     rest = numbers
@@ -177,7 +177,7 @@ def _joined(pieces: list[tuple[U8, npt.NDArray[np.bool_]]]) -> tuple[U8, npt.NDA
 
 
 def _fixed(values: F64, decimals: int) -> tuple[U8, npt.NDArray[np.bool_]]:
-    """Return numbers with a fixed number of decimals as characters, and a mask of those to write."""
+    """Return numbers with a fixed number of decimals as characters, and a mask of the characters to write."""
     scaled = np.rint(np.abs(values) * 10.0**decimals).astype(np.int64)
     whole = scaled // 10**decimals
     fraction = scaled - whole * 10**decimals

@@ -312,7 +312,7 @@ def parse_amass(path: Path) -> Poses:
 
 
 def _of_pickle(found: dict[str, Any]) -> dict[str, Any]:
-    """Return the arrays of a pickle, or those of a dict in it that holds the angles."""
+    """Return the arrays of a pickle, or of the dict in it that holds the angles."""
     inner = next((found[key] for key in _NESTED if isinstance(found.get(key), dict)), found)
     return {key: value for key, value in inner.items() if not isinstance(value, dict) and key in _READ}
 

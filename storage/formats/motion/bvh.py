@@ -298,7 +298,7 @@ def _free_name(name: str, used: list[str]) -> str:
 
 
 def _person(file: BvhFile, nodes: Sequence[kinematics.Node], name: str, members: list[int]) -> Person:
-    """Return the tree of one root, without the suffixes by which its names differ from those of other trees."""
+    """Return the tree of one root, without the suffixes by which its names differ from the names of other trees."""
     index = {old: new for new, old in enumerate(members)}
     plain = [_SECOND.sub("", nodes[old].name.removesuffix("_end")) for old in members]
     ends = ["_end" if nodes[old].name.endswith("_end") else "" for old in members]

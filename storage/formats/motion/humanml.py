@@ -73,7 +73,7 @@ def recovered_joints(features: F64) -> F64:
     cosine, sine = np.cos(2 * half), np.sin(2 * half)
 
     def turned_back(x: F64, z: F64) -> tuple[F64, F64]:
-        """Rotate x and z from the root's axes to those of the ground."""
+        """Rotate coordinates x and z from the root's axes to the axes of the ground."""
         return cosine * x - sine * z, sine * x + cosine * z
 
     steps = np.zeros((2, frames))
