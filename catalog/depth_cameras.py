@@ -25,13 +25,13 @@ NOT_MEASURED = (0, 65535)
 """Values of integer images that mark pixels without a measurement."""
 
 MOST_PIXELS = 1 << 22
-"""Most pixels of an image; larger ones are rejected, as no depth camera makes them."""
+"""Maximum number of pixels of an image; larger ones are rejected, as no depth camera makes them."""
 
 FARTHEST_M = 1e6
 """Depths beyond this, in metres, count as not measured."""
 
 FASTEST_HZ = 10_000.0
-"""Most frames per second of a camera; higher rates are rejected."""
+"""Maximum number of frames per second of a camera; higher rates are rejected."""
 
 _LARGEST_UNIT_M = 1.0
 

@@ -31,7 +31,7 @@ _LIMBS = tuple(
 )
 
 MOST_KEYPOINTS = 1000
-"""Most keypoints of a set."""
+"""Maximum number of keypoints of a set."""
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ _ALL = (
 )
 
 LIMBS = {limb.name: limb for limb in _ALL}
-"""Name → limb, from the trunk outwards."""
+"""A dict from name to limb, from the trunk outwards."""
 
 LIMB_NAMES = tuple(LIMBS)
 """The names of all limbs."""
@@ -70,7 +70,7 @@ GROUPS = {
     group: tuple(limb.name for limb in _ALL if limb.group == group)
     for group in dict.fromkeys(one.group for one in _ALL)
 }
-"""Group → the names of its limbs: trunk, head, arms, hands and legs."""
+"""A dict from group to the names of its limbs: trunk, head, arms, hands and legs."""
 
 WORN = ("torso", "lhand", "rhand", "lshank", "rshank")
 """The limbs with a sensor in the recordings of the thesis (Section 7.6)."""

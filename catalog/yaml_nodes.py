@@ -16,19 +16,19 @@ from yaml.resolver import Resolver
 from kinedex.ops.errors import ConfigError
 
 MOST_BYTES = 8_000_000
-"""The most bytes of a YAML text."""
+"""Maximum number of bytes of a YAML text."""
 
 MOST_NODES = 300_000
-"""The most keys, values, lists and mappings of a file; the templates of 65 classes have 260,000."""
+"""Maximum number of keys, values, lists and mappings of a file; the templates of 65 classes have 260,000."""
 
 MOST_DEPTH = 64
-"""The most levels of lists and mappings; the deepest file that ships with kinedex has 9."""
+"""Maximum number of levels of lists and mappings; the deepest file that ships with kinedex has 9."""
 
 MOST_DIGITS = 400
-"""The most characters of an integer; Python prints none of more than 4,300 decimal digits."""
+"""Maximum number of characters of an integer; Python prints none of more than 4,300 decimal digits."""
 
 MOST_VALUES = 100_000
-"""The most values that a file may hold by way of aliases; one without aliases may have `MOST_NODES`."""
+"""Maximum number of values that a file may hold by way of aliases; one without aliases may have `MOST_NODES`."""
 
 EXPLAINED_CHARACTERS = 200_000
 """The longest text that is parsed once more for a better message; the parser in Python takes a second for this."""

@@ -81,7 +81,7 @@ _STATUS: dict[type[KinedexError], int] = {
     ParameterError: 422,
     KinedexError: 400,
 }
-"""Class of an error → its status; a class inherits that of its parent."""
+"""A dict from class of an error to its status; a class without entry has the status of its parent."""
 
 
 async def fault_answer(_request: Request, fault: Exception) -> Response:

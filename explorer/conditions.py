@@ -24,7 +24,7 @@ _QUOTE = re.compile(r"(.*?)\n\nLINE (\d+): (.*)\n( *)\^+\s*", re.DOTALL)
 """A message of DuckDB: the error, and the line of the statement, cut to the part around the position that ^ marks."""
 
 _SHOWN = 60
-"""Most characters of a condition that a message quotes."""
+"""Maximum number of characters of a condition that a message quotes."""
 
 
 Asked = TypeVar("Asked", bound=Selection)

@@ -46,7 +46,7 @@ DELTA = 0.05
 """The default δ: values of a template within δ of 0 or 1 count, the others are wildcards."""
 
 MOST_ALIGNED = 1800
-"""Most frames of each of two aligned intervals: a minute, for which the matrix of costs takes 26 MB."""
+"""Maximum number of frames of each of two aligned intervals: a minute, for which the matrix of costs takes 26 MB."""
 
 
 @dataclass(frozen=True)

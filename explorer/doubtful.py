@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 Row = dict[str, Any]
 
 BLOCK = 100
-"""Most annotations of one answer."""
+"""Maximum number of annotations of one answer."""
 
 _PLACE = ["take", "start", "stop"]
 

@@ -90,7 +90,7 @@ class LabelsQuestion(Selection):
 
 
 def find_similar(archive: Archive, asked: ExamplesQuestion, _request: Request) -> dict[str, Any]:
-    """Return the intervals of the archive that are most like the examples."""
+    """Return the intervals of the archive that are most similar to the examples."""
     begin = time.perf_counter()
     store = archive.store()
     made = _template(store, asked)

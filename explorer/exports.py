@@ -49,10 +49,10 @@ Row = dict[str, Any]
 TITLE = "Export"
 
 MOST_HITS = 1000
-"""Most hits of a request, because they are written into the command line, whose length systems limit."""
+"""Maximum number of hits of a request, because they are written into the command line, whose length systems limit."""
 
 NAMES = {"hits": "name the saved hits", "ranges": "name the file", "sql": "write a query"}
-"""The sources of clips that need a name → what the error asks for if it is missing."""
+"""A dict from each source of clips that needs a name to the error message if the name is missing."""
 
 Name = Annotated[str, Field(min_length=1, max_length=500)]
 Frame = Annotated[int, Field(ge=0)]
@@ -172,7 +172,7 @@ def words_of(archive: Archive, what: What, how: How, folder: str) -> tuple[str, 
 
 
 _ARGUMENTS = {"form": "format", "rate_hz": "resample"}
-"""Fields of `How` → their names as arguments of `Store.export`, where these differ."""
+"""A dict from fields of `How` to their names as arguments of `Store.export`, where these differ."""
 
 
 def python_line(what: What, how: How, folder: str) -> str:

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 Row = dict[str, Any]
 
 MOST_SEGMENTS = 24
-"""Most segments of a list; its total counts all of them."""
+"""Maximum number of segments of a list; its total counts all of them."""
 
 FAR_BETTER = 0.05
 """A gain in F of training clips that is worth a remark."""

@@ -20,10 +20,10 @@ Source = Literal["evaluation", "labels"]
 SOURCES: tuple[Source, ...] = ("evaluation", "labels")
 
 MOST_SECONDS = 3600.0
-"""Most seconds of held-out takes, in all, for an evaluation, unless all takes are asked for."""
+"""Maximum number of seconds of held-out takes, in all, for an evaluation, unless all takes are asked for."""
 
 Segments = dict[str, list[tuple[int, int]]]
-"""Name of a take → the segments [start, stop) of one class in it, in frames; an empty list if it has none."""
+"""A dict from take name to the segments [start, stop) of one class in it, in frames; an empty list if it has none."""
 
 
 @dataclass(frozen=True)

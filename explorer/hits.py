@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     from kinedex.storage.store.store import Store
 
 MOST_HITS = 500
-"""Most hits of one answer."""
+"""Maximum number of hits of one answer."""
 
 SHARED = 0.5
-"""Least overlap, as a fraction of the shorter interval, at which a label counts for a hit; the page uses it, too."""
+"""Minimum overlap, as a fraction of the shorter interval, at which a label counts for a hit; the page uses it, too."""
 
 Limit = Annotated[int, Field(ge=1, le=MOST_HITS)]
 

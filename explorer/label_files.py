@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 Row = dict[str, Any]
 
 MOST_ROWS = 2000
-"""Most rows of an answer; the numbers count all of them."""
+"""Maximum number of rows of an answer; the numbers count all of them."""
 
 Place = Annotated[str, Field(min_length=1, max_length=4000)]
 

@@ -48,10 +48,10 @@ if TYPE_CHECKING:
 Row = dict[str, Any]
 
 MOST_CHANGES = 1000
-"""Most changes of one request."""
+"""Maximum number of changes of one request."""
 
 BLOCK = 500
-"""Most rows of one answer about the labels of a store."""
+"""Maximum number of rows of one answer about the labels of a store."""
 
 Id = Annotated[str, Field(pattern="^[0-9a-f]{32}$")]
 Name = Annotated[str, Field(min_length=1, max_length=1000)]

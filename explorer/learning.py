@@ -46,7 +46,7 @@ Row = dict[str, Any]
 PIPELINE = "learn-again"
 
 MOST_CHANGES = 1000
-"""Most changes of an answer; the numbers count all of them."""
+"""Maximum number of changes of an answer; the numbers count all of them."""
 
 
 class LearnQuestion(Question):

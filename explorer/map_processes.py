@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from kinedex.storage.store.store import Store
 
 KEPT = 4
-"""Most maps that are cached, with some 30 bytes a point."""
+"""Maximum number of maps that are cached, with some 30 bytes a point."""
 
 LOOK_SECONDS = 0.2
 

@@ -57,16 +57,16 @@ FINEST_M = 0.0001
 """The smallest unit in metres."""
 
 BLOCK_FRAMES = 3600
-"""Most stored frames of a block: two minutes, 520 KB. Blocks grow to it."""
+"""Maximum number of stored frames of a block: two minutes, 520 KB. Blocks grow to it."""
 
 WIDEST_M = 65.0
-"""Most extent of a block of several frames along an axis, for a unit of 1 mm."""
+"""Maximum extent of a block of several frames along an axis, for a unit of 1 mm."""
 
 FIRST_FRAMES = 150
 """Stored frames of the first block, which is short so that the first pose is shown soon."""
 
 MOST_FIGURES = 500
-"""Most figures of one answer."""
+"""Maximum number of figures of one answer."""
 
 _LARGEST = 32_767
 _HEADER = struct.Struct("<4s4I5f8x")

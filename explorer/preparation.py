@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger("kinedex.explorer")
 
 MOST_CHECKED = 8_000_000_000
-"""Most bytes of frame files that are verified ahead; in a larger archive, each is verified when it is first read."""
+"""Maximum number of bytes of frame files that are verified ahead; in a larger archive, each is verified when it is
+first read.
+"""
 
 EXAMPLE_FRAMES = 60
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 F64 = npt.NDArray[np.float64]
 
 KEPT = 2
-"""Most templates whose held-out takes' words are kept in memory between two edits."""
+"""Maximum number of templates whose held-out takes' words are kept in memory between two edits."""
 
 
 @dataclass(frozen=True)

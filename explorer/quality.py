@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from kinedex.explorer.archive import Archive
 
 ROWS = 2000
-"""Most rows of one answer; `total` counts all."""
+"""Maximum number of rows of one answer; `total` counts all."""
 
 FLAGS = 50_000
-"""Most figures beyond their limits, of all takes together, in one answer."""
+"""Maximum number of figures beyond their limits, of all takes together, in one answer."""
 
 _SUSPECT = (
     "SELECT figure, any_value(meaning) AS meaning, any_value(unit) AS unit, any_value(low) AS low, "

@@ -25,7 +25,9 @@ Found = tuple[I64, I64, F64]
 Key = tuple[object, ...]
 
 MOST_BYTES = 200_000_000
-"""Most bytes of cached matches, of which the least recently used are dropped; 28 templates in 100 h take 110 MB."""
+"""Maximum number of bytes of cached matches, of which the least recently used are dropped; 28 templates in 100 h take
+110 MB.
+"""
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 Row = dict[str, Any]
 
 MOST_RUNS = 200
-"""Most runs of an answer, the newest first; `total` counts all."""
+"""Maximum number of runs of an answer, the newest first; `total` counts all."""
 
 METRICS = (
     "SELECT pipeline, stage, evaluation, f1, p1, r1, f2, p2, r2 FROM all_metrics WHERE scope = 'pooled' "

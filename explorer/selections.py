@@ -135,7 +135,9 @@ def packed_ids(ids: npt.NDArray[np.int64]) -> str:
 
 
 FEW_IDS = 100
-"""Most ids that are listed in SQL; more are looked up in the bit set, as a list of 33,000 ids takes half a second."""
+"""Maximum number of ids that are listed in SQL; more are looked up in the bit set, as a list of 33,000 ids takes half a
+second.
+"""
 
 
 def _chosen(name: str, text: str) -> str:

@@ -32,10 +32,10 @@ if TYPE_CHECKING:
     from kinedex.storage.store.store import Store
 
 MOST_ROWS = 100_000
-"""Most rows of a result that are kept for scrolling."""
+"""Maximum number of rows of a result that are kept for scrolling."""
 
 MOST_BYTES = 100_000_000
-"""Most bytes of all results that are kept."""
+"""Maximum number of bytes of all results that are kept."""
 
 SECONDS = 30.0
 """The longest time of a query, in seconds."""

@@ -61,7 +61,7 @@ def features_of(store: Store) -> list[dict[str, Any]]:
 
 
 STAGES = {"annotate": ("annotations",), "learn": ("templates", "queries")}
-"""The purpose of a stage → the kinds of results that such stages store."""
+"""A dict from the purpose of a stage to the kinds of results that such stages store."""
 
 
 def stages_of(store: Store, kinds: tuple[str, ...]) -> list[str]:

@@ -38,10 +38,10 @@ if TYPE_CHECKING:
     from kinedex.storage.store.store import Store
 
 BLOCK = 500
-"""Most rows of one answer."""
+"""Maximum number of rows of one answer."""
 
 KEPT = 32
-"""Most queries whose sorted takes are cached; each needs some bytes a take."""
+"""Maximum number of queries whose sorted takes are cached; each needs some bytes a take."""
 
 
 class Sort(Question):

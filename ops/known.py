@@ -16,7 +16,7 @@ import numpy.typing as npt
 from kinedex.ops.words import NO_WORD, U64
 
 LEAST_KNOWN = 0.6
-"""Least share of known fixed entries for which a template or query is applied to a take."""
+"""Minimum fraction of known fixed entries for which a template or query is applied to a take."""
 
 
 def known_share(masks: Iterable[int], known: int) -> float:

@@ -18,7 +18,7 @@ features, so none equals it, and `cut` keeps it. In Parquet it is null.
 """
 
 MOST_FEATURES = 63
-"""The most features a word can have."""
+"""Maximum number of features a word can have."""
 
 ALL_KNOWN = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
 """The mask of known features of a take whose body has all joints."""

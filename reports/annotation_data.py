@@ -44,7 +44,7 @@ ROLES = {
     "ground_truth": "evaluation",
     "metrics": "evaluation",
 }
-"""Kind of result → the input of the stage `report` that made it."""
+"""A dict from kind of result to the input of the stage `report` that made it."""
 
 BOOKKEEPING = {"uses", "params", "inputs", "fingerprint_parts", SUMS}
 """The keys that the runner adds to the summary of a stage."""

@@ -20,7 +20,7 @@ STEPS = 10
 """Number of heights of a column, which shows its share of labelled frames in tenths."""
 
 MOST_NAMED = 2000
-"""Most takes whose names are on the page, to be shown at the pointer; with more takes, there are no names."""
+"""Maximum number of takes whose names the page shows at the pointer; with more takes, it has no names."""
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]

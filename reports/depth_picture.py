@@ -15,7 +15,7 @@ from kinedex.storage.disk import whole_file
 U8 = npt.NDArray[np.uint8]
 
 LEAST_WIDTH = 640
-"""Least width of a picture in pixels; smaller images are enlarged by a whole factor."""
+"""Minimum width of a picture in pixels; smaller images are enlarged by a whole factor."""
 
 _TINT, _FAR_GREY = 0.65, 215
 

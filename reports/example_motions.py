@@ -11,7 +11,7 @@ from kinedex.reports.motions import MOST_BYTES, Motions
 from kinedex.storage.store.store import Store
 
 MOST_PIECES = 500
-"""Most segments that are embedded as motions of their own, because their whole takes are not embedded."""
+"""Maximum number of segments that are embedded as motions of their own, because their whole takes are not embedded."""
 
 
 def with_hits(

@@ -27,7 +27,7 @@ BINS = 10
 PANEL, ROW, NAMES = 330, 13, 170
 """Width of a matrix, height of a row, and width of the names of the rows, in SVG units."""
 LEAST_CELL = 3.0
-"""Least width of a keyframe of a long template."""
+"""Minimum width of a keyframe of a long template."""
 FAINT = 0.2
 """Features weaker than this share of the strongest one are omitted from a matrix, unless a query requires them."""
 LINES = HISTORY_COLUMNS[:3]

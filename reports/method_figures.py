@@ -242,7 +242,7 @@ def bare_part(block: tuple[int, int], later: Sequence[tuple[int, int]]) -> tuple
 
 
 def room_for(number: int, share: float) -> int | None:
-    """Return the least width of a strip in pixels, one of `ROOMS`, at which a number fits into a share of the strip.
+    """Return the smallest strip width of `ROOMS`, in pixels, at which a number fits into a fraction of the strip.
 
     None if it does not fit at the largest of these widths.
     """

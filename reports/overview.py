@@ -16,7 +16,7 @@ MOVING = 4
 """Number of the most confident, and of the least confident segments, that are moving figures on the first screen."""
 
 BARS = 20
-"""Most classes on the first screen; the table has all of them."""
+"""Maximum number of classes on the first screen; the table has all of them."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Totals:
 
 @dataclass(frozen=True)
 class ClassFindings:
-    """The segments of a class: their number, takes and seconds, and the median and the least of their confidences."""
+    """The segments of a class: their number, takes and seconds, median and minimum of the confidences."""
 
     label: str
     segments: int

@@ -13,7 +13,7 @@ from kinedex.pipelines.reconstruction.explanations import explained_votes
 from kinedex.storage.store.store import Store
 
 MOST_JUMPS = 30
-"""Most jumps of a take in its table: of more, those that reduced the cost most."""
+"""Maximum number of jumps of a take in its table: of more, those that reduced the cost most."""
 
 MARGIN_S = 0.5
 """Seconds that are played before and after a jump."""

@@ -36,7 +36,7 @@ MOST_COST_M = 0.15
 """The cost, in metres, at the top of a strip."""
 
 LENDERS = 8
-"""Most takes of the archive in the table of those that poses are from."""
+"""Maximum number of archive takes in the table of takes that provide poses."""
 
 VOTES = "archive lent the pose"
 """The lane of frames whose pose is that of the database."""

@@ -14,7 +14,7 @@ from kinedex.reports.motions import Motions, script_json
 from kinedex.storage.formats.csv_cells import csv_line
 
 MOST_ROWS = 5000
-"""Most segments on the page, the least confident ones; the CSV file beside it has all."""
+"""Maximum number of segments on the page, the least confident ones; the CSV file beside it has all."""
 
 LOOKS = 25
 """Number of segments that the page proposes to review first."""

@@ -8,7 +8,7 @@ from pathlib import PurePosixPath
 import polars as pl
 
 FEWEST, MOST = 2, 40
-"""Least and largest number of groups for which takes are grouped."""
+"""Minimum and maximum number of groups for which takes are grouped."""
 
 NONE = "other"
 """The group of takes without a value."""

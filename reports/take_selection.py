@@ -43,7 +43,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Findings:
-    """The segments of a take: their number and frames, the least confidence, and how many another method doubts."""
+    """The segments of a take: their number and frames, the lowest confidence, and how many another method doubts."""
 
     segments: int
     frames: int

@@ -18,7 +18,7 @@ from kinedex.ops.errors import ConfigError, KinedexError, did_you_mean
 from kinedex.ops.local_paths import refuse_addresses
 
 MOST_CHAINS = 64
-"""The most chains of keyframes into which one query may expand: alternatives within sequences multiply."""
+"""Maximum number of chains of keyframes into which one query may expand: alternatives within sequences multiply."""
 
 STRUCTURE = ("keyframes", "sequence", "any_of")
 """The keys of a query of which it has exactly one."""

@@ -23,7 +23,7 @@ _LANDMARKS = {
     "shank": ("shank", "kneelat", "kneemed", "anklelat", "anklemed"),
     "foot": ("heel", "toe1", "toe2", "toe5", "midfoot", "anklelat", "anklemed"),
 }  # fmt: skip
-"""Limb, without its side → the landmarks of configs/names/landmarks.yaml that move with it, without their side.
+"""A dict from limb to the landmarks of configs/names/landmarks.yaml that move with it, both without side.
 
 A wrist bends about the line through its two markers, so that these turn with the hand as well as with the forearm. A
 shoulder's marker does not move with the upper arm, whose orientation is that of the hinge.

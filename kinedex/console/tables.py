@@ -43,22 +43,24 @@ _HEAD, _FOOT = 2, 2
 """Lines above the rule of a table whose headings have one line each; the rule and the empty line at the end."""
 
 _CAP = 60
-"""Most characters that a column is padded to in a file or a pipe, and that it counts for in a terminal."""
+"""Maximum number of characters that a column is padded to in a file or a pipe, and that it counts for in a terminal."""
 
 _NARROWEST = 4
 """Fewest characters that a column of a terminal needs, with the space between two."""
 
 _TALL_FIRST = 12
-"""Least width of the names in a table whose headings have several lines."""
+"""Minimum width of the names in a table whose headings have several lines."""
 
 _STYLES = {"plain": "", "main": "bold", "better": "green", "worse": "red", "doubtful": "yellow"}
 """The rich style of each tone of a line or cell."""
 
 _LEAST = 3
-"""Least number of columns of a table; if fewer fit, each row is printed as a block."""
+"""Minimum number of columns of a table; if fewer fit, each row is printed as a block."""
 
 _WORD = 48
-"""Most characters of a word that is kept whole on a terminal, such as the name of a take; a path may be broken."""
+"""Maximum number of characters of a word that is kept whole on a terminal, such as the name of a take; a path may be
+broken.
+"""
 
 _EARLY = (
     "name", "take", "query", "template", "of_take", "actor", "class", "subclass", "start", "cost", "same", "stop",

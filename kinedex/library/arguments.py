@@ -37,7 +37,7 @@ _KINDS: dict[str, tuple[str, Accepts]] = {
     "Sequence": ("a sequence", lambda value: isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)),
     "Iterable": ("a sequence", lambda value: isinstance(value, Iterable) and not isinstance(value, str)),
 }
-"""Name in an annotation → its description in errors, and the check of a value."""
+"""A dict from type name in annotations to its description in errors and the check of a value."""
 
 _CLASSES = {"Store", "Take", "Template", "Query", "DataFrame"}
 """Classes that are checked by name: the modules that define them are imported only where they are needed."""

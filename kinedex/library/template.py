@@ -368,7 +368,7 @@ class Difference:
 
     @property
     def table(self) -> pl.DataFrame:
-        """Return the contradictions, those of the most columns first.
+        """Return the contradictions, by descending number of columns.
 
         Returns
         -------

@@ -29,7 +29,9 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 _GROUP_COLUMNS, _GROUP_TEMPLATES = 1024, 128
-"""The most columns and templates that are compared with a take together, so that the working set stays in the cache."""
+"""Maximum number of columns and templates that are compared with a take together, so that the working set stays in the
+cache.
+"""
 
 _SLACK, _SLACK_COLUMN = 1e-3, 1e-5
 """Slack for rounding in single precision: of a value, and in addition for each of a template's columns."""

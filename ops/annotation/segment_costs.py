@@ -1,4 +1,4 @@
-"""This module adds distances to segments that were found without: the least value of the template's distance curve."""
+"""This module computes missing costs of segments: the minimum of the template's distance curve in the segment."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ def words(
 
 
 def words_bytes(rules: Sequence[Rule]) -> int:
-    """Return the most bytes that `words` needs per frame besides its input, including values of other primitives."""
+    """Return the maximum number of bytes that `words` needs per frame besides its input."""
     given = {term for rule in rules for term in rule.terms if term.primitive not in KINDS}
     return 8 + 8 * len(given) + max((24 * len(term.joints) + 32 for term in given), default=0)
 

@@ -50,7 +50,7 @@ MOVES_M_S = 0.03
 """Speed in m/s above which a joint moves."""
 
 SAMPLED = 200
-"""Least number of frames, spread over the take, in which knees are measured."""
+"""Minimum number of frames, spread over the take, in which knees are measured."""
 
 _FEET = (("ltoes", "lankle"), ("rtoes", "rankle"))
 _LEGS = (("lhip", "lknee", "lankle"), ("rhip", "rknee", "rankle"))

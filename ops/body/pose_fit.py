@@ -30,7 +30,7 @@ POINT_M = 0.01
 """Standard deviation of a joint's position, in metres."""
 
 MOST_STEPS = 25
-"""The most steps of Levenberg's method in a frame, rejected ones included."""
+"""Maximum number of steps of Levenberg's method in a frame, rejected ones included."""
 
 # the initial damping, and its factors after an accepted and a rejected step
 _DAMPING, _EASED, _RAISED = 1e-3, 0.2, 10.0

@@ -30,7 +30,7 @@ from kinedex.ops.order_statistics import median, order_statistic
 F64 = npt.NDArray[np.float64]
 
 SURE = 0.5
-"""Least confidence of an axis that is returned."""
+"""Minimum confidence of an axis that is returned."""
 
 AXES = ("x", "y", "z", "-x", "-y", "-z")
 

@@ -17,7 +17,7 @@ _NO_POSE = 1e6  # the cost of a track in a frame in which it has no pose
 
 
 def choose_directions(forward: F64, backward: F64, costs: F64, change: float = CHANGE) -> I64:
-    """Choose one of two tracks in every frame so that the sum of frame costs and change costs is least.
+    """Choose one of two tracks in every frame so that the sum of frame costs and change costs is minimal.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ TILE_BITS = 3
 """Base-2 logarithm of a block's width and height in pixels."""
 
 MOST_TILES = 1 << 14 >> TILE_BITS
-"""The most tiles in a row: images have fewer than 2¹⁴ columns."""
+"""Maximum number of tiles in a row: images have fewer than 2¹⁴ columns."""
 
 
 class LinkRoom(NamedTuple):

@@ -21,7 +21,7 @@ WITHIN_M = 0.03
 """Distance in metres up to which a point belongs to a plane."""
 
 LEAST_SHARE = 0.15
-"""Least share of the points that the floor must have."""
+"""Minimum fraction of the points that the floor must have."""
 
 MOST_FROM_UP, MOST_FROM_IMAGE_UP = np.radians(5.0), np.radians(45.0)
 """Greatest angles between the floor's normal and `up`, or the image's upward axis if there is no `up`, in radians."""

@@ -18,7 +18,7 @@ I32 = npt.NDArray[np.int32]
 I64 = npt.NDArray[np.int64]
 
 NEAR_M, FAR_M = 0.4, 8.0
-"""Least and greatest depth of the foreground, in metres."""
+"""Minimum and maximum depth of the foreground, in metres."""
 
 BEFORE_BACKGROUND, BEFORE_BACKGROUND_SHARE = 0.06, 0.015
 """A foreground pixel is nearer than the background by more than the first, in metres, plus the second times its depth.

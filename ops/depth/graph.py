@@ -30,7 +30,7 @@ STEP_SHARE, STEP_BIN_M, STEP_BINS = 0.2, 0.001, 64
 """The quantile of depth differences that is a frame's depth step, and the width and number of its histogram bins."""
 
 LEAST_NODES = 12
-"""Least number of nodes of a component that is kept."""
+"""Minimum number of nodes of a component that is kept."""
 
 FORWARD = 4
 """Number of neighbours of a pixel that follow it row by row: right, and three below."""

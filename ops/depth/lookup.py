@@ -35,7 +35,7 @@ NEIGHBOURS = 10
 """Number of poses that are retrieved for each assignment (K)."""
 
 APART_M = 0.1
-"""Least root mean square distance in metres between two candidates, over the compared joints."""
+"""Minimum root mean square distance in metres between two candidates, over the compared joints."""
 
 _LAMBDA = 0.5  # weight of the end effectors' distance in Eq. 8.6; the previous pose's distance has the rest
 _FEET = 12  # number of assignments in which the two lowest extrema are the feet
@@ -187,7 +187,7 @@ def turned_direction(facing: F64, degrees: float) -> F64:
 
 @nb.njit(cache=True, nogil=True)
 def near_maps(extrema: F64, ends: F64, maps: I64, sums: F64) -> int:
-    """Write the `MOST_MAPS` injective maps of five end effectors to extrema of least sum, all distances below `NEAR_M`.
+    """Write the `MOST_MAPS` injective maps of five end effectors to extrema of smallest sum, distances below `NEAR_M`.
 
     Parameters
     ----------

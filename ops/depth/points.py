@@ -29,7 +29,7 @@ F64 = npt.NDArray[np.float64]
 I32 = npt.NDArray[np.int32]
 
 MOST_POINTS = 6000
-"""The most points of the median frame: the stride is the smallest that does not exceed it."""
+"""Maximum number of points of the median frame: the stride is the smallest that does not exceed it."""
 
 STRIDE_FRAMES = 10
 """Number of first frames from which the stride is chosen."""

@@ -21,7 +21,7 @@ LEAST_BONE_M = 1e-4
 """Length in metres below which a bone has no direction: in Acclaim skeletons the clavicles coincide with the neck."""
 
 DISTANCE_M = 0.05
-"""Least distance between two poses of a database: root mean square over `COMPARED` joints, in metres."""
+"""Minimum distance between two poses of a database: root mean square over `COMPARED` joints, in metres."""
 
 _FAR = ("fingers", "toes", "wrist", "ankle", "elbow", "knee", "headtop")
 _ORDERED = np.array(  # compared joints, those that vary most first, so that sums of squares exceed their limit early

@@ -51,7 +51,7 @@ I64 = npt.NDArray[np.int64]
 Form = Literal["best", "printed"]
 
 STEPS, PRINTED_STEPS = 8, 6
-"""The most steps of a fit, and those of the form printed in the thesis."""
+"""Maximum numbers of steps of a fit: of the best form, and of the form printed in the thesis."""
 
 SIGMA_M, RETRIEVED_SIGMA_M = (0.20, 0.05), (0.25, 0.06)
 """σ of the robust weights at the first and last step in metres: for a fit from the last pose, and from a retrieved one.
@@ -64,7 +64,7 @@ SILHOUETTE_WEIGHT, STIFFNESS, LEAST_STIFFNESS = 2.0, 3.0, 1e-3
 """Weight of a sample outside the foreground, factor of a pivot's stiffness, and the damping of all unknowns."""
 
 MOST_TURN, LEAST_TURN = 0.6, 0.004
-"""The most rotation of a pivot in a step, in radians, and the rotation below which the fit has converged."""
+"""Maximum rotation of a pivot in a step, in radians, and the rotation below which the fit has converged."""
 
 WINDOW = 3
 """Half-width in pixels of the window that is searched for the point of a sample."""

@@ -15,7 +15,7 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
 LEAF = 16
-"""The most poses in a leaf of the tree."""
+"""Maximum number of poses in a leaf of the tree."""
 
 AHEAD_M = 0.1
 """Distance in metres from the midpoint of root and neck forwards to the middle of the visible surface."""

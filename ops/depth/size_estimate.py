@@ -23,7 +23,7 @@ HEIGHTS_M = (1.45, 2.0)
 STEP_M = 0.05
 
 LIMITS_M = (1.0, 2.4)
-"""Least and greatest height in metres that is ever tried."""
+"""Minimum and maximum height in metres that is ever tried."""
 
 SECONDS = 1.0
 """Duration in seconds of the part of a recording that is tracked at each height."""

@@ -32,7 +32,7 @@ F64 = npt.NDArray[np.float64]
 Hypothesis = Literal["local", "database"]
 
 LEAST_POINTS = 200
-"""Least number of points of a frame that shows a person."""
+"""Minimum number of points of a frame that shows a person."""
 
 ABSENT_S, MISSING_S = 0.5, 0.2
 """Durations in seconds after which the tracker restarts: without a person in view, and with missing frames."""
@@ -88,7 +88,7 @@ class TrackerSettings:
 
     @property
     def most_candidates(self) -> int:
-        """Return the most candidates that a frame's result can have."""
+        """Return the maximum number of candidates in a frame's result."""
         return self.candidates if self.is_printed else self.candidates + 1
 
 

@@ -1,4 +1,4 @@
-"""This module traces paths of distance curves, and finds least curves and essential minima (thesis, Chapter 6)."""
+"""This module traces paths of distance curves, and finds minimum curves and essential minima (thesis, Chapter 6)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from kinedex.ops.words import U64
 
 
 class LeastCurve(NamedTuple):
-    """The least of several distance curves.
+    """The pointwise minimum of several distance curves.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class LeastCurve(NamedTuple):
 
 
 def least_curve(curves: F64) -> LeastCurve:
-    """Return the least of several distance curves and the curve that attains it (thesis, Eq. 6.5 and 6.6).
+    """Return the pointwise minimum of distance curves, and the curve that attains it (thesis, Eq. 6.5 and 6.6).
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ from kinedex.ops.words import NO_WORD, U64
 _NO_WORD = np.uint64(NO_WORD)
 
 MOST_COSTS = 4_000_000
-"""The most costs of words against columns that are kept for tracing paths: 32 MB."""
+"""Maximum number of costs of words against columns that are kept for tracing paths: 32 MB."""
 
 
 class Window(NamedTuple):

@@ -40,7 +40,7 @@ KEPT = 3
 """Number of alignments of a pair of takes that are verified, those with most votes first."""
 
 MOST_VOTES = 4_000_000
-"""The most votes in memory at once, some 400 MB while they are sorted."""
+"""Maximum number of votes in memory at once, some 400 MB while they are sorted."""
 
 _PRIME = np.uint64(0x9E37_79B9_7F4A_7C15)
 

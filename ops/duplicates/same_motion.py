@@ -28,13 +28,13 @@ FLOOR_M = 0.0001
 """Distance in metres below which poses count as equal, due to rounding in files, however still the body is."""
 
 LEAST_S = 1.0
-"""Least duration in seconds of a common interval, unless it is nearly all of the shorter take."""
+"""Minimum duration in seconds of a common interval, unless it is nearly all of the shorter take."""
 
 NEARLY_ALL = 0.9
 """Share of the shorter take from which a common interval counts as nearly all of it."""
 
 MOST = 256
-"""Most frames in which the shift between two frames is estimated."""
+"""Maximum number of frames in which the shift between two frames is estimated."""
 
 _STEPS = 8  # steps per frame of the first search for the shift between two frames
 

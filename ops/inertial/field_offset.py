@@ -28,7 +28,7 @@ LIKELY = 4.0
 """
 
 LEAST_CORRELATED_S = 1.0
-"""Least time in seconds over which residuals are taken to be correlated."""
+"""Minimum time in seconds over which residuals are taken to be correlated."""
 
 ROUNDS = 6
 OUTLIER = 2.0

@@ -14,10 +14,10 @@ from kinedex.ops.inertial.rotations import conjugate, matrix, multiply
 F64 = npt.NDArray[np.float64]
 
 REFUSED, DOUBTFUL = 0.002, 0.02
-"""Least eigenvalue below which a mount is refused, and below which it is doubtful."""
+"""Eigenvalues below which a mount is refused, and below which it is doubtful."""
 
 TILTED_DEG, FEW = 3.0, 0.4
-"""Tilt of q_G in degrees above which there is a warning, and share of fitting frames below which there is one."""
+"""Tilt of q_G in degrees above which there is a warning, and fraction of fitting frames below which there is one."""
 
 
 def least_eigenvalues(units: Sequence[Unit], worlds: F64, weights: Sequence[F64], vertical_known: bool) -> list[float]:

@@ -34,7 +34,7 @@ CLIP_DEG = 10.0
 COARSE_S, COARSE_STEP_S, FINE_S, FINE_STEP_S = 0.1, 0.01, 0.01, 0.001
 WINDOW_S, WINDOW_STEP_S = 30.0, 15.0
 MOST_FRAMES = 20_000
-"""The most frames of each limb, evenly spread, that the fine search compares."""
+"""Maximum number of frames of each limb, evenly spread, that the fine search compares."""
 
 _STILL = 1e-12  # a sum of squares in (rad/s)² below which there is no motion
 
@@ -283,7 +283,7 @@ def _vertex(curve: F64, best: int) -> float:
 
 
 def refine(limbs: Sequence[Fine], offset_s: float, ppm: float = 0.0) -> float:
-    """Search the offset with the least orientation errors within 0.1 s of a first one, to fractions of a millisecond.
+    """Refine an offset: find the smallest orientation errors within 0.1 s, to fractions of a millisecond.
 
     Parameters
     ----------

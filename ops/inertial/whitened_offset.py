@@ -42,7 +42,9 @@ FARTHEST_S, STILL_S = 0.02, 2e-5
 
 ROUNDS, WEIGHTINGS = 4, 6
 MOST_FRAMES, BLOCK = 6_000, 300
-"""The most frames of each limb that are compared, and the length of the evenly spread blocks that they come in."""
+"""Maximum number of frames of each limb that are compared, and the length of the evenly spread blocks that they come
+in.
+"""
 
 _AXIS_SCALE = 2.366  # the median of the sum of squares of three standard normal variables
 RIDGE, WORST_CONDITION = 1e-9, 1e12

@@ -81,7 +81,7 @@ def agreement_matrix(queries: Sequence[Individual], columns: int, features: int)
 def recurring_keyframes(
     queries: Sequence[Individual], agreement: float, tolerance: int, features: int
 ) -> Individual | None:
-    """Return a query of the keyframes that recur most (thesis, Figure 4.2 b).
+    """Return a query of the most frequent keyframes of several runs (thesis, Figure 4.2 b).
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ from kinedex.ops.words import I64
 F32 = npt.NDArray[np.float32]
 
 MOST = 5_000
-"""The most points that t-SNE lays out; each of the others is put beside the most similar of these."""
+"""Maximum number of points that t-SNE lays out; each of the others is put beside the most similar of these."""
 
 PERPLEXITY = 30.0
 ITERATIONS = 1_000

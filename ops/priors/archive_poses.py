@@ -18,7 +18,7 @@ I64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
 
 LEAST_SEEN_S = 5 / 30
-"""Least time in seconds that a node must be seen in a hit for the actor's own deviation to be measured."""
+"""Minimum time in seconds that a node must be seen in a hit for the actor's own deviation to be measured."""
 
 FULL_SEEN_S = 0.5
 """Time in seconds of a node seen in a hit from which the actor's own deviation has its full weight."""

@@ -36,7 +36,7 @@ FEATURES: Mapping[Constraint, Mapping[str, bool]] = {
 """The features of each constraint, without the prefix l or r, and their values."""
 
 LEAST_COLUMNS = 3
-"""Least number of columns of a run that is marked by default."""
+"""Minimum number of columns of a run that is marked by default."""
 
 GROUND_M, FRONT_M, BENT_RAD = 0.03, 0.05, 0.2
 """Standard deviations of a foot's height (m), of the forward movement of a hand or foot (m), and of flexion (rad)."""
@@ -48,7 +48,7 @@ GROUND_PERCENTILE = 10.0
 """Percentile of a joint's heights over the track that is its height when the foot stands."""
 
 FRONT_SPEED: Mapping[Constraint, float] = {"hand_to_front": 1.3, "foot_to_front": 2.0}
-"""Least speeds of forward movement in upper arm lengths per second: the weak thresholds of the features."""
+"""Minimum speeds of forward movement in upper arm lengths per second: the weak thresholds of the features."""
 
 
 @dataclass(frozen=True)

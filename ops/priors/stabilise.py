@@ -35,7 +35,7 @@ FAR_RAD = 0.7
 """Angle in radians between a node and its prior above which the tracker starts this node from the prior."""
 
 LEAST_TRIED_S = 5 / 30
-"""Least time in seconds that another hit must cover of withdrawn frames to be tried."""
+"""Minimum time in seconds that another hit must cover of withdrawn frames to be tried."""
 
 _LOCAL_REASON = f"over {LOCAL_S:g} s the observations fit {LOCAL_GUARD:g} times as badly as without priors, or worse"
 

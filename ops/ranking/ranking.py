@@ -25,7 +25,7 @@ low.
 """
 
 _BLOCK = 1024
-"""The most neighbouring frames, as in a motionless interval, that are computed together."""
+"""Maximum number of neighbouring frames, as in a motionless interval, that are computed together."""
 
 
 @dataclass(frozen=True)

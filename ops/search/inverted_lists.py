@@ -15,8 +15,8 @@ from kinedex.ops.words import I64, MOST_FEATURES, NO_WORD, U64, cut
 I32 = npt.NDArray[np.int32]
 
 MOST_COUNTED = 18
-"""The most features for which a table with an entry for every possible word (2 MB) fits into the caches, so that runs
-are placed by counting in one pass. With more features the runs are sorted.
+"""Maximum number of features for which a table with an entry for every possible word (2 MB) fits into the caches, so
+that runs are placed by counting in one pass. With more features the runs are sorted.
 """
 
 

@@ -24,7 +24,7 @@ TOES_M = 0.03
 EYE_M, DISTANCE_M, STEP_M, MOST_STEPS = 1.1, 3.0, 0.25, 20
 LEAST_DEPTH_M, WALL_M = 0.8, 1.5
 BORDER_PX = (6.0, 6.0, 8.0, 4.0)
-"""Least distance in pixels of the joints from the image's left, right, upper and lower border."""
+"""Minimum distance in pixels of the joints from the image's left, right, upper and lower border."""
 
 EMPTY_FRAMES = 15
 """Number of frames of the empty room whose median is the background."""

@@ -11,7 +11,7 @@ from kinedex.ops.synth.body import F64
 from kinedex.ops.synth.channels import CHANNELS, GROUP, INDEX
 
 _SHORTEST = 0.035
-"""Least time in seconds between two keys of a channel, as closer keys would require implausible speeds."""
+"""Minimum time in seconds between two keys of a channel, as closer keys would require implausible speeds."""
 
 # Standard deviations between repetitions of the trunk, head and hands, in the channels' own units.
 _OFF = {

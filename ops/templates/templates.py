@@ -25,7 +25,9 @@ MOST_ROUNDS = 10
 CONVERGED = 0.005
 
 MOST_AVERAGED = 80
-"""The most clips that are averaged, drawn evenly over actors and lengths; the other clips of a class are added last."""
+"""Maximum number of clips that are averaged, drawn evenly over actors and lengths; the other clips of a class are added
+last.
+"""
 
 REFERENCES = 8
 """Number of references among the drawn clips of a class with more than `MOST_AVERAGED` clips; otherwise all are."""

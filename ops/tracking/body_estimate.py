@@ -21,7 +21,7 @@ UNEVEN = 1.1
 """Ratio of left and right bone lengths, or its inverse, above which the difference is reported."""
 
 TRUNK_M = (0.2, 0.9)
-"""Least and greatest plausible distance in metres between the midpoints of hips and shoulders."""
+"""Minimum and maximum plausible distance in metres between the midpoints of hips and shoulders."""
 
 _UNITS = {"mm": 0.001, "cm": 0.01, "in": 0.0254, "ft": 0.3048, "dm": 0.1, "km": 1000.0}
 _USUAL_M = 0.5

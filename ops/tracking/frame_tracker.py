@@ -53,7 +53,7 @@ U8 = npt.NDArray[np.uint8]
 Bool = npt.NDArray[np.bool_]
 
 STEPS = 10
-"""The most steps in a frame without silhouettes, rejected ones included."""
+"""Maximum number of steps in a frame without silhouettes, rejected ones included."""
 
 PASSES, PASS_STEPS = 8, 2
 """Number of times that correspondences with silhouettes are computed in a frame, and of steps after each time."""
@@ -64,13 +64,13 @@ priors.
 """
 
 LEAST_CONTOURS = 30
-"""Least number of correspondences with silhouettes; with fewer a frame is lost."""
+"""Minimum number of correspondences with silhouettes; with fewer a frame is lost."""
 
 LEAST_FOUND = 0.5
-"""Least share of the visible contour that must find a boundary; below it a frame is lost."""
+"""Minimum fraction of the visible contour that must find a boundary; below it a frame is lost."""
 
 LEAST_RAYS, LEAST_PLACES = 12, 4
-"""Least numbers of rays and of joint positions without silhouettes; with fewer a frame is lost."""
+"""Minimum numbers of rays and of joint positions without silhouettes; with fewer a frame is lost."""
 
 FASTEST_M_S = 9.0
 """Speed of the root in m/s above which a frame is lost: 0.3 m a frame at 30 Hz."""

@@ -31,7 +31,7 @@ LEAST_CONFIDENCE = 0.1
 """Confidence below which a keypoint counts as not seen."""
 
 LEAST_DEPTH_M = 0.3
-"""Least depth in metres; points nearer to the camera, or behind it, are treated as if at this depth."""
+"""Minimum depth in metres; points nearer to the camera, or behind it, are treated as if at this depth."""
 
 
 class Evidence(NamedTuple):

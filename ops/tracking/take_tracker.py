@@ -40,7 +40,7 @@ WINDOW_FRAMES, OVERLAP_FRAMES = 2000, 60
 """Number of frames that are solved at once, and overlap of two such windows in frames."""
 
 MOST_TRIES, TOLERANCE = 12, 1e-4
-"""The most tries for each c, and the relative decrease of the cost below which a solve has converged."""
+"""Maximum number of tries for each c, and the relative decrease of the cost below which a solve has converged."""
 
 # the initial damping, and its factors after an accepted and a rejected step
 _DAMPING, _EASED, _RAISED = 1e-3, 0.2, 10.0

@@ -17,13 +17,13 @@ I64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
 
 LEAST_CONFIDENCE = 0.3
-"""Least confidence of a keypoint that is used in triangulation."""
+"""Minimum confidence of a keypoint that is used in triangulation."""
 
 MOST_ERROR_PX = 20.0
 """Greatest mean reprojection error in pixels of a valid point."""
 
 MOST_CAMERAS = 10
-"""The most cameras for which all subsets are tried; with more, cameras are removed one by one."""
+"""Maximum number of cameras for which all subsets are tried; with more, cameras are removed one by one."""
 
 START_SIGMA_M, START_STEPS = 0.05, 15
 """Standard deviation of a point in metres, and the most steps, in the fit of the chain to the initial points."""

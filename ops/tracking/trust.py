@@ -21,7 +21,7 @@ TRUST_WIDTH = 3.0
 """The width c of the robust loss whose weights give trust."""
 
 SEEN = 1.2
-"""Least sum of confidence times robust weight over cameras for a keypoint to count as seen in a frame."""
+"""Minimum sum of confidence times robust weight over cameras for a keypoint to count as seen in a frame."""
 
 AGREEMENT = 0.6
 """Share of a keypoint's confidence that robust weights must leave, or it is contested between cameras."""

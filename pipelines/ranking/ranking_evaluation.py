@@ -158,7 +158,7 @@ def clip_costs(templates: Mapping[str, QuantisedTemplate], clips: TakeWords) -> 
 def judge_clips(
     fold: str, label: str, costs: np.ndarray, labels: Sequence[str], names: Sequence[str], tau: float
 ) -> Judged:
-    """Evaluate the clips of a fold, ranked by their least distance; clips of equal distance are ordered by name."""
+    """Evaluate the clips of a fold, ranked by smallest distance; clips of equal distance are ordered by name."""
     keys = [round(cost * KEYS) if math.isfinite(cost) else math.inf for cost in costs.tolist()]
     order = sorted(range(len(names)), key=lambda i: (keys[i], names[i]))
     relevant = tuple(labels[i] == label for i in order)

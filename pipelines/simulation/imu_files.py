@@ -100,7 +100,9 @@ WRITERS: dict[str, Callable[[Path, SampledPiece, float, float], list[Path]]] = {
     "npz": write_npz,
     "xsens-txt": write_xsens,
 }
-"""Format → the function that writes a piece to files whose names begin with a stem, and returns their paths."""
+"""A dict from format to the function that writes a piece to files whose names begin with a stem, and returns their
+paths.
+"""
 
 CLOCKLESS = ("xsens-txt",)
 """Formats in which times are counted from the first sample."""

@@ -116,7 +116,7 @@ def shares(counts: Sequence[int], most: int) -> list[int]:
 
 
 def grouped(clips: Sequence[Clip], name_of: Callable[[Clip], str], most: int) -> list[Group]:
-    """Return clips in groups, in the order of their first clips, `most` of them in all."""
+    """Return at most `most` clips in groups, which are in the order of their first clips."""
     found: dict[str, list[Clip]] = {}
     for clip in clips:
         found.setdefault(name_of(clip), []).append(clip)

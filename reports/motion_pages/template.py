@@ -92,7 +92,7 @@ def _aligned(template: Template, words: Sequence[U64], features: int) -> tuple[l
 
 
 def _medoids(words: Sequence[U64], paths: Sequence[I64], columns: int) -> list[tuple[int, int]]:
-    """Return for each column the clip, and its frame, whose word differs least from those of the other clips."""
+    """Return for each column the clip and frame whose word differs least from the words of the other clips."""
     found = []
     for column in range(columns):
         seen = np.array([clip[frames[column]] for clip, frames in zip(words, paths, strict=True)], np.uint64)

@@ -34,13 +34,13 @@ DEEPEST = 30
 """The largest depth of nested elements; MVNX files have seven levels."""
 
 FRAME_NUMBERS = {"orientation": 4, "position": 3, "velocity": 3, "acceleration": 3, "angularVelocity": 3}
-"""Field → the number of its values for every segment."""
+"""A dict from field to the number of its values for every segment."""
 
 SENSOR_NUMBERS = {"sensorOrientation": 4, "sensorFreeAcceleration": 3, "sensorMagneticField": 3}
-"""Field → the number of its values for every sensor."""
+"""A dict from field to the number of its values for every sensor."""
 
 JOINT_NUMBERS = {"jointAngle": 3, "jointAngleXZY": 3}
-"""Field → the number of its values, in degrees, for every joint."""
+"""A dict from field to the number of its values, in degrees, for every joint."""
 
 _LONGEST_TAG = 256
 _NORMAL = "normal"

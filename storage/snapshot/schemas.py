@@ -73,7 +73,7 @@ COLUMN_TYPES = {
     "BOOLEAN": pa.bool_(),
     "VARCHAR[]": pa.list_(pa.string()),
 }
-"""SQL name of a type → Arrow type, for declared columns of takes."""
+"""A dict from SQL name of a type to Arrow type, for declared columns of takes."""
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ _LISTS = re.compile(r"\b(SHOW|DESCRIBE|SUMMARIZE|PRAGMA)\b", re.IGNORECASE)
 """Keywords of statements that may list the views; matching one inside a literal only costs time."""
 
 _read_by: dict[str, frozenset[str]] = {}
-"""View or macro → the names in its body, for those needed so far."""
+"""A dict from view or macro to the names in its body, for those needed so far."""
 
 
 def check_parts(store: Snapshot, connection: duck.Connection, text: str) -> frozenset[str]:

@@ -17,7 +17,7 @@ from kinedex.storage.snapshot.shown_results import origin_of, shown_parts
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 ALL_VIEWS = {f"{ALL}{kind}": kind for kind in RESULT_KINDS}
-"""View that shows the rows of every pipeline → its kind of results."""
+"""A dict from view that shows the rows of every pipeline to its kind of results."""
 
 
 def result_parts(store: Snapshot, view: str) -> tuple[ResultPart, ...]:

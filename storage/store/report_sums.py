@@ -12,7 +12,7 @@ from kinedex.storage.snapshot.manifest import StageRecord
 from kinedex.storage.snapshot.manifest_files import read_newest, versions
 
 SUMS = "file_sums"
-"""The field of a record's summary: path of a file relative to the store → its XXH3."""
+"""The field of a record's summary that is a dict from file path, relative to the store, to the XXH3 of the file."""
 
 
 def file_sums(store: Path, files: Iterable[str]) -> dict[str, str]:

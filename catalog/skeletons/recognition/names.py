@@ -17,7 +17,9 @@ from kinedex.catalog.configs import Located, load_yaml, shipped_configs
 Side: TypeAlias = Literal["l", "r", ""]
 
 LONGEST_PREFIX = 100
-"""Most characters of a shared prefix, which limits the number of prefixes that are tried for a very long name."""
+"""Maximum number of characters of a shared prefix, which limits the number of prefixes that are tried for a very long
+name.
+"""
 
 _WORD = re.compile(r"[^\W\d_]+|\d+")
 _CAMEL = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[^A-Z]+|[A-Z]+")

@@ -28,7 +28,7 @@ _SEGMENTS: dict[str, tuple[str, ...]] = {
     "lknee": ("lkneelat", "lkneemed", "lthigh"), "lankle": ("lanklelat", "lanklemed", "lkneelat", "lshank"),
     "rknee": ("rkneelat", "rkneemed", "rthigh"), "rankle": ("ranklelat", "ranklemed", "rkneelat", "rshank"),
 }  # fmt: skip
-"""Joint → landmarks that move with it."""
+"""A dict from joint to landmarks that move with it."""
 
 _AMID = 0.1  # hip widths; a pelvis point nearer than this to the middle of the hips was computed from them
 _ROOT_UP = 0.12  # share of the way from mid-hips to mid-shoulders; 0.06 to 0.20 in Acclaim bodies

@@ -26,7 +26,7 @@ NAME = {True: "recognised markers", False: "recognised points"}
 """The names of mappings that are made for markers on the skin, and for joint centres."""
 
 LEAST_CONFIDENCE = 0.5
-"""Least confidence at which a recognised body is accepted."""
+"""Minimum confidence at which a recognised body is accepted."""
 
 _LEGS = tuple(f"{side}{part}" for side in SIDES for part in ("hip", "knee", "ankle"))
 _ARMS = tuple(f"{side}{part}" for side in SIDES for part in ("shoulder", "elbow", "wrist"))

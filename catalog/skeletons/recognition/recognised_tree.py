@@ -31,7 +31,7 @@ from kinedex.ops.errors import SourceError
 F64 = npt.NDArray[np.float64]
 
 LEAST_CONFIDENCE = 0.35
-"""Least confidence at which a recognised body is accepted."""
+"""Minimum confidence at which a recognised body is accepted."""
 
 NAME = "recognised"
 """The name of a mapping that recognition makes."""

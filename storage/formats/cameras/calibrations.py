@@ -32,7 +32,7 @@ from kinedex.storage.formats.small_files import read_bytes
 F64 = npt.NDArray[np.float64]
 
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
-"""Unit of length → its size in metres."""
+"""A dict from unit of length to its size in metres."""
 
 _TURNS = {
     "y": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),

@@ -31,7 +31,7 @@ KEYS = {
     "centre": ("centre", "center"),
     "size": ("size", "image_size", "resolution", "imageSize", "img_size"),
 }  # fmt: skip
-"""Attribute of a camera → the keys under which programs write it."""
+"""A dict from attribute of a camera to the keys under which programs write it."""
 
 _MOST_NUMBERS = 64
 _NO_POINT = re.compile(r"[-+]?[0-9]{1,18}[eE][-+]?[0-9]{1,2}")

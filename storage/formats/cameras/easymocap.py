@@ -12,7 +12,7 @@ from kinedex.ops.errors import ConfigError
 from kinedex.storage.formats.cameras.camera_values import Calibration, camera_of, numbers_of, refuse_names
 
 PREFIXES = {"K": ("K_",), "dist": ("dist_", "D_"), "R": ("R_", "Rot_"), "T": ("T_",)}
-"""Key of a camera → the prefixes that EasyMocap writes before the camera's name."""
+"""A dict from key of a camera to the prefixes that EasyMocap writes before the camera's name."""
 
 _FILES = ("intri", "extri")
 _ENDINGS = (".yml", ".yaml")

@@ -19,7 +19,7 @@ from kinedex.storage.formats.motion.table_sections import beginning
 INSTANCES, POINTS, SCORES = "instances", "keypoints", "keypoint_scores"
 
 OTHER_NAMES = {"head": "head_top", "hip": "mid_hip"}
-"""Name of a keypoint in MMPose → its name in the keypoint sets."""
+"""A dict from name of a keypoint in MMPose to its name in the keypoint sets."""
 
 _OWN = re.compile(r'"(instance_info|instances|keypoint_scores|frame_id)"|"keypoints"\s*:\s*\[\s*\[')
 _IDS = ("track_id", "person_id", "instance_id")

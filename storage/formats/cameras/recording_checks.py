@@ -17,7 +17,7 @@ from kinedex.storage.formats.cameras.keypoint_files import KeypointArrays
 F64 = npt.NDArray[np.float64]
 
 LEAST_CONFIDENCE = 0.1
-"""The least confidence of a keypoint that counts as seen."""
+"""Minimum confidence of a keypoint that counts as seen."""
 
 TRUNK_M = (0.2, 0.9)
 """The smallest and largest plausible distance between the middles of hips and shoulders, in metres."""
@@ -26,7 +26,7 @@ LIMBS = {
     "thigh": ("hip", "knee"), "shank": ("knee", "ankle"), "foot": ("ankle", "toes"),
     "upper arm": ("shoulder", "elbow"), "forearm": ("elbow", "wrist"),
 }  # fmt: skip
-"""Limb → the two joints at its ends."""
+"""A dict from limb to the two joints at its ends."""
 
 LONGEST_LIMB_M, MOST_UNLIKE = 0.75, 1.5
 """The longest plausible limb in metres, and the left-to-right length ratio that suggests a misnamed keypoint."""

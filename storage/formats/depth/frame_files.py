@@ -34,7 +34,7 @@ CONVERTERS = {
     ".db3": "`ros2 run image_view image_saver --ros-args -r image:=/camera/depth/image_rect_raw -p encoding:=16UC1 -p "
     "filename_format:=depth_%06d.png` writes 16-bit PNG while `ros2 bag play` runs",
 }
-"""Ending of recordings that cannot be read → the command that converts them to files that can."""
+"""A dict from extension of recordings that cannot be read to the command that converts them to files that can."""
 
 CONVERTERS[".mcap"] = CONVERTERS[".db3"]
 

@@ -21,7 +21,9 @@ MILLIMETRE_M = 0.001
 _AZURE_MODES = {
     (320, 288): (512, 96, 90), (640, 576): (1024, 192, 180), (512, 512): (512, 0, 0), (1024, 1024): (1024, 0, 0),
 }  # fmt: skip
-"""Size of the depth images of Azure Kinect → side of the sensor's image, and the pixels cut off at the left and top."""
+"""A dict from size of the depth images of Azure Kinect to side of the sensor's image, and the pixels cut off at the
+left and top.
+"""
 
 _UNIT_KEYS = ("depth_unit_m", "depth_scale", "depth_units")
 _RATE_KEYS = ("rate_hz", "fps", "framerate")

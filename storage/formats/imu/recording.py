@@ -81,7 +81,7 @@ FORMATS = {
     "xio": ImuFormat("x-io CSV (x-IMU3, NGIMU)", xio.recognises, xio.read),
     "table": ImuFormat("table (CSV or Parquet)", tables.recognises, tables.read),
 }
-"""Name → format; a file has the first format that recognises it."""
+"""A dict from name to format; a file has the first format that recognises it."""
 
 HDF5_ENDINGS = (".h5", ".hdf5")
 """Endings of HDF5 files."""

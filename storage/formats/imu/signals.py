@@ -21,7 +21,7 @@ UNITS = {
     "mag": {"uT": 1.0, "nT": 0.001, "mT": 1000.0, "gauss": 100.0, "mgauss": 0.1, "1": 1.0},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
 }
-"""Quantity → unit → its size in m/s², rad/s, µT or seconds; a field of unit 1 is in units of the local field."""
+"""For each quantity, a dict from unit to its size in m/s², rad/s, µT or s; unit 1 of a field is the local field."""
 
 _SPELLINGS = {
     "m/s^2": "m/s2", "m/(s^2": "m/s2", "m/s²": "m/s2", "m/s/s": "m/s2", "m s-2": "m/s2",

@@ -26,7 +26,7 @@ _CLOCKS = {"timestamp (us)": 1e-6, "time (s)": 1.0}
 _QUATERNIONS = (("w element", "x element", "y element", "z element"), ("w", "x", "y", "z"))
 _GYR, _ACC, _MAG = ("gyroscope {} (deg/s)", "accelerometer {} (g)", "magnetometer {} ({})")
 _WORDS = {"Inertial": ("Quaternion", "Magnetometer"), "sensors": ("quaternion",)}
-"""Word in the name of a file of readings → the words in the names of the files that accompany it."""
+"""A dict from word in the name of a file of readings to the words in the names of the files that accompany it."""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ CHANNELS = {
     "gyr": ("Gyr_X", "Gyr_Y", "Gyr_Z"),
     "mag": ("Mag_X", "Mag_Y", "Mag_Z"),
 }
-"""Channel → the names of its columns."""
+"""A dict from channel to the names of its columns."""
 
 QUATERNIONS: tuple[tuple[str, ...], ...] = (
     ("Quat_q0", "Quat_q1", "Quat_q2", "Quat_q3"),

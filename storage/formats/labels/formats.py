@@ -57,7 +57,7 @@ FORMATS: dict[str, Format] = {
     "vtt": Format("WebVTT", _of_one(webvtt.write), webvtt.read),
     "txt": Format("Audacity labels", _of_one(audacity.write), audacity.read),
 }
-"""File ending → format."""
+"""A dict from file extension to format."""
 
 ENDINGS = ", ".join(f".{name} ({form.title})" for name, form in FORMATS.items())
 

@@ -61,7 +61,7 @@ _SYNONYMS = {
     "pose_jaw": ("jaw_pose",),
     "scaling": ("smpl_scaling",),
 }
-"""The usual keys → those of other sources."""
+"""A dict from the usual keys to those of other sources."""
 
 _PAIRS = {"pose_hand": ("left_hand_pose", "right_hand_pose"), "pose_eye": ("leye_pose", "reye_pose")}
 _NESTED = ("smpl_params_global", "smpl_params", "smplx_params", "smpl")

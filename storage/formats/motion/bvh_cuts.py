@@ -23,7 +23,7 @@ from kinedex.storage.formats.motion.text_blocks import after_last_line
 from kinedex.storage.formats.motion.text_rows import TextRows
 
 Replacements = dict[tuple[int, int], bytes]
-"""Start and stop of a part of a text → the text that replaces it."""
+"""A dict from start and stop of a part of a text to the text that replaces it."""
 
 
 def write_bvh_cut(paths: Sequence[Path], cut: SourceCut) -> None:

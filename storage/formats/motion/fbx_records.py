@@ -34,7 +34,7 @@ KEPT: dict[str, set[str] | None] = {
     "Connections": None,
     "GlobalSettings": None,
 }
-"""The top-level records that are kept → the records in them that are kept, None for all."""
+"""A dict from the top-level records that are kept to the records in them that are kept, None for all."""
 
 UNPACKED = 30
 """The largest ratio of decompressed arrays to the records that are kept, beyond `FREE_BYTES`."""

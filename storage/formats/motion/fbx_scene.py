@@ -28,13 +28,13 @@ RATES_HZ = {
     1: 120.0, 2: 100.0, 3: 60.0, 4: 50.0, 5: 48.0, 6: 30.0, 7: 30.0, 8: 29.97, 9: 29.97, 10: 25.0, 11: 24.0,
     12: 1000.0, 13: 23.976, 15: 96.0, 16: 72.0, 17: 59.94, 18: 119.88,
 }  # fmt: skip
-"""The file's TimeMode → frames per second; 14 stands for a rate that the file states itself."""
+"""A dict from the file's TimeMode to frames per second; 14 stands for a rate that the file states itself."""
 
 ORDERS = ("XYZ", "XZY", "YZX", "YXZ", "ZXY", "ZYX", "XYZ")
 """The order of a node's rotations about its axes, the first applied one first, indexed by RotationOrder."""
 
 CHANNELS = {"Lcl Translation": 0, "Lcl Rotation": 1, "Lcl Scaling": 2}
-"""The properties that move a node → their indices."""
+"""A dict from the properties that move a node to their indices."""
 
 BONES = {"LimbNode", "Limb", "Root", "Effector"}
 """Classes of nodes that are bones."""

@@ -20,7 +20,7 @@ from kinedex.storage.formats.motion.scene_figures import Group, chosen_person, c
 F64 = npt.NDArray[np.float64]
 
 PATHS = {"translation": "VEC3", "rotation": "VEC4", "scale": "VEC3"}
-"""The properties that move a node → the types of their values."""
+"""A dict from the properties that move a node to the types of their values."""
 
 _HALF_TURN = np.diag([-1.0, 1.0, -1.0])
 """The rotation from the axes of VRM 0, whose avatars face −Z, to those of glTF."""

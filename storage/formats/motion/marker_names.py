@@ -15,7 +15,7 @@ MARKER_NAMES = {
     "lclavicle": "LClavicle", "lshoulder": "LShoulder", "lelbow": "LElbow", "lwrist": "LWrist", "lfingers": "LFingers",
     "rclavicle": "RClavicle", "rshoulder": "RShoulder", "relbow": "RElbow", "rwrist": "RWrist", "rfingers": "RFingers",
 }  # fmt: skip
-"""Named joint → marker, `Head` for the top of the head as in HALPE_26; the mappings `named-markers*` read them."""
+"""A dict from named joint to marker, as the mappings `named-markers*` read them; `Head` is the top of the head."""
 
 
 def seen_markers(motion: JointMotion) -> tuple[tuple[str, ...], npt.NDArray[np.float32]]:

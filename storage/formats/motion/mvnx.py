@@ -35,19 +35,19 @@ PARENTS = {
     "RightToe": "RightFoot",
     "LeftUpperLeg": "Pelvis", "LeftLowerLeg": "LeftUpperLeg", "LeftFoot": "LeftLowerLeg", "LeftToe": "LeftFoot",
 }  # fmt: skip
-"""Segment of MVN's body model → its parent segment; a segment's origin is its upper joint."""
+"""A dict from segment of MVN's body model to its parent segment; a segment's origin is its upper joint."""
 
 TIPS = {
     "Head": "pTopOfHead", "RightHand": "pRightTopOfHand", "LeftHand": "pLeftTopOfHand", "RightToe": "pRightToe",
     "LeftToe": "pLeftToe",
 }  # fmt: skip
-"""Segment without children → the point at its end, which becomes a node such as `Head_end`."""
+"""A dict from segment without children to the point at its end, which becomes a node such as `Head_end`."""
 
 MEASURED = {
     "UpperBody": ("UpperLeg", "LowerLeg", "Foot", "Toe"),
     "LowerBody": ("L5", "L3", "T12", "T8", "Neck", "Head", "Shoulder", "UpperArm", "ForeArm", "Hand"),
 }
-"""Suit → endings of the names of segments without sensors, which move rigidly with the pelvis."""
+"""A dict from suit to endings of the names of segments without sensors, which move rigidly with the pelvis."""
 
 _Y_UP = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 """The matrix from MVN's axes (X forward, Y left, Z up) to kinedex's (X left, Y up, Z forward)."""

@@ -26,7 +26,7 @@ _SMPL_FROM_NAMED = {
         }.items()
     },
 }  # fmt: skip
-"""Joint of SMPL → the named joint at its position; no named joint corresponds to spine3."""
+"""A dict from joint of SMPL to the named joint at its position; no named joint corresponds to spine3."""
 
 SPINE3 = 0.2
 """The fraction of the way from chest (spine2) to neck at which spine3 is placed."""

@@ -33,7 +33,7 @@ JOINT_OF_BODY = {
     "femur": "hip", "tibia": "knee", "talus": "ankle", "calcn": "heel", "toes": "mtp", "humerus": "shoulder",
     "ulna": "elbow", "hand": "wrist", "head": "head",
 }  # fmt: skip
-"""Body of OpenSim's human models → the joint at its origin; other bodies are named by their joint."""
+"""A dict from body of OpenSim's human models to the joint at its origin; other bodies are named by their joint."""
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ _TURNS: dict[str, str] = {
     "FreeJoint": "xyz", "SliderJoint": "", "PlanarJoint": "z",
 }  # fmt: skip
 _SHIFTS: dict[str, str] = {"FreeJoint": "xyz", "SliderJoint": "x", "PlanarJoint": "xy"}
-"""Joint type → the axes of its translations; its coordinates are those of rotations, then of translations."""
+"""A dict from joint type to the axes of its translations; rotations precede translations in its coordinates."""
 
 
 @dataclass(frozen=True)

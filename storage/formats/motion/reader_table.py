@@ -34,7 +34,7 @@ READERS: Plugins[type[Reader]] = Plugins(
         "fbx": "kinedex.storage.formats.motion.fbx:FbxReader",
     },
 )
-"""Name → reader. For a shared ending, readers of plugins are tried first, then built-in ones in this order."""
+"""The readers by name. For a shared extension, readers of plugins are tried first, then these in this order."""
 
 
 def readers_by_ending() -> dict[str, tuple[Reader, ...]]:

@@ -28,7 +28,7 @@ UNREAD = {
     ".ma": "export it from Maya as FBX",
     ".mb": "export it from Maya as FBX",
 }
-"""Ending of motion files that kinedex cannot read → how to convert them."""
+"""A dict from extension of motion files that kinedex cannot read to advice on conversion."""
 
 
 SIDECARS = (".yaml", ".yml")
