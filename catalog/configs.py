@@ -165,7 +165,7 @@ class Located:
 
 
 def _reason(error: Any) -> str:
-    """Return the part of a pydantic error message that tells what was expected."""
+    """Return the part of a pydantic error message that states what was expected."""
     return str(error["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
 
 

@@ -97,7 +97,7 @@ def limb_of(name: str) -> Limb:
 
 
 def chosen_limbs(names: Iterable[str]) -> tuple[str, ...]:
-    """Return the limbs that names of limbs or groups stand for, in the order of `LIMBS`; all of them for no name.
+    """Return the limbs denoted by names of limbs or groups, in the order of `LIMBS`; all limbs if there are no names.
 
     Parameters
     ----------

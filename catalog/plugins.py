@@ -23,7 +23,7 @@ class PluginError(KinedexError):
 
 
 class Plugins(Generic[Part]):
-    """The parts of one kind by name; each is imported when it is first asked for.
+    """The parts of one kind by name; each is imported on first access.
 
     A distribution adds a part by an entry point of the group, in its pyproject.toml::
 

@@ -79,7 +79,7 @@ def matching_takes(store: Store, where: str) -> npt.NDArray[np.int64]:
 
 
 def in_own_words(message: str, text: str) -> str:
-    """Return DuckDB's error message with the position in the user's condition in place of that in the statement.
+    """Return DuckDB's error message with the position relative to the user's condition, not the statement.
 
     Parameters
     ----------

@@ -72,7 +72,7 @@ class Events:
                 loop.call_soon_threadsafe(queue.put_nowait, chunk)
 
     async def listen(self, look: Callable[[], Mapping[str, object]]) -> AsyncIterator[bytes]:
-        """Yield the messages as they come, and check the store for changes meanwhile.
+        """Yield messages when they arrive, and check the store regularly for changes.
 
         Parameters
         ----------

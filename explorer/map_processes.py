@@ -122,7 +122,7 @@ class Maps:
         self._running: dict[Key, MapRun] = {}
 
     async def find(self, store: Store, unit: Unit) -> AsyncIterator[Step | ArchiveMap]:
-        """Yield the steps of a computation as it goes on, and the map at the end.
+        """Yield the steps of a computation when they are done, and finally the map.
 
         A map is cached by the content of the takes, so that versions that differ in results alone share it. A
         computation is stopped when all iterators have been closed.

@@ -67,7 +67,7 @@ class TemplateUse:
         raise KinedexError(f"stage {self.stage} has no {self.kind} template of '{name}'")
 
     def class_of(self, name: str) -> str:
-        """Return the class that a template stands for; its own name where the classes of the pipeline exclude it."""
+        """Return the class of a template, or the template's own name if the classes of the pipeline exclude it."""
         return self.classes.of_subclass().get(name, name)
 
     def class_templates(self, label: str) -> list[SubclassTemplate]:

@@ -57,7 +57,7 @@ def _digits(eight: np.uint64) -> int:
 
 @njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _whole(eight: np.uint64, digits: int) -> np.int64:
-    """Return the number made of the first 0 to 7 digits, by combining digits to pairs, fours and eight."""
+    """Return the number that the first 0 to 7 digits encode, by combining digits to pairs, fours and eight."""
     eight = (eight << (_56 - _8 * unsigned(digits))) << _8
     eight = (eight * _10 + (eight >> _8)) & _PAIRS
     eight = (eight * _100 + (eight >> _16)) & _FOURS

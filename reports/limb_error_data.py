@@ -182,7 +182,7 @@ def refusals(
 
 
 class StoredErrors:
-    """The errors of takes that stages have stored; the frames of a take are read when it is asked for.
+    """The errors of takes that stages have stored; the frames of a take are read on access.
 
     Parameters
     ----------

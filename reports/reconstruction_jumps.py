@@ -114,7 +114,7 @@ def _jump(vote: Mapping[str, Any], followed: float | None, source_hz: float, tot
 
 
 def _most_telling(jumps: Sequence[Jump]) -> Jumps:
-    """Return the jumps of a table: of many, those that reduced the cost most; starts of tracking come first."""
+    """Return the jumps that a table shows: starts of tracking, then the jumps that reduced the cost most."""
 
     def gain(one: Jump) -> float:
         return float("inf") if one.followed_cost is None else one.followed_cost - one.cost

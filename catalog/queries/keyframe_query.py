@@ -13,7 +13,7 @@ from kinedex.ops.search.gaps import UNBOUNDED, gap_bounds, nominal_gap
 
 @dataclass(frozen=True)
 class Keyframe:
-    """A pose in one feature set, which stands for every word of the set with ``word & mask == value``.
+    """A pose in one feature set, which matches every word of the set with ``word & mask == value``.
 
     Parameters
     ----------

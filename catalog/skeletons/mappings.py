@@ -246,7 +246,7 @@ class Mappings:
         return f"; of {differ}, none is taken: write one figure a file"
 
     def names_in_order(self, source: str | Path, count: int) -> tuple[str, tuple[str, ...]]:
-        """Return the mapping with as many points in its `order` as a file without names, and the names in order.
+        """Return the mapping whose `order` has as many points as a file without names, and the names in this order.
 
         Raises
         ------

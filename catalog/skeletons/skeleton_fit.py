@@ -287,7 +287,7 @@ class Fit:
 
     @cached_property
     def nodes(self) -> tuple[int, ...]:
-        """Return the indices of the nodes that the named joints are made of."""
+        """Return the indices of the nodes from which the named joints are computed."""
         mixes = [*self.joints.values(), *(mix for others in self.instead.values() for mix in others)]
         own = [mix for mix in mixes if mix is not None and not mix.of_joints]
         return tuple(sorted({self.places[name] for mix in own for name in mix.names}))

@@ -70,7 +70,7 @@ def guess_unit(source: str | Path, positions: F64, joints: tuple[str, ...]) -> t
 
 
 def contradicted_unit(positions: F64, joints: tuple[str, ...], unit_m: float) -> tuple[str, float, float] | None:
-    """Return the unit that gives a body a human height in place of a stated one; None if that may be right.
+    """Return the unit in which a body has a human height; None if the stated unit may be right.
 
     A stated unit holds if it makes a body of 0.4 to 4.1 m, or if no unit makes a human height.
 

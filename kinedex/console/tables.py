@@ -302,7 +302,7 @@ def _is_number(kind: pa.DataType) -> bool:
 
 
 def _texts(table: pa.Table, null: str) -> list[list[str]]:
-    """Return the cells of the rows as they are shown; only columns that are made of lines have line breaks."""
+    """Return the cells of the rows as they are shown; only columns of several lines have line breaks."""
     lines = [field.name == "explain_value" or field.metadata == _LINES for field in table.schema]
     return [
         [visible_text(text) if broken else visible(text) for text, broken in zip(cells, lines, strict=True)]

@@ -149,7 +149,7 @@ class Terminal:
         return self._pulse.during(name)
 
     def say(self, text: str) -> None:
-        """Print one indented line as it is (no markup); in a terminal a long one goes on below, between two words."""
+        """Print one indented line without markup; a terminal wraps a long line between words."""
         text = visible_lines(text)
         if self.console.is_terminal:
             text = "\n".join(self._wrapped(line) for line in text.splitlines())

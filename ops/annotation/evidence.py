@@ -28,7 +28,7 @@ def evidence_of(
     columns: Sequence[int],
     fixed: Sequence[float],
 ) -> F64:
-    """Return the numbers of segments from which the confidence of their labels is computed.
+    """Return the evidence of segments, from which the confidence of their labels is computed.
 
     Parameters
     ----------

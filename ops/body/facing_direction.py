@@ -46,7 +46,7 @@ def facing_yaw(left: F64, right: F64) -> F64:
 
 
 def turn_about_y(places: F64, yaw: float) -> F64:
-    """Rotate positions about the Y axis, so that +Z comes to lie at an angle of yaw towards +X.
+    """Rotate positions about the Y axis by the angle yaw, from +Z towards +X.
 
     Parameters
     ----------

@@ -269,7 +269,7 @@ def _pair(sampled: F64, at: npt.NDArray[np.int64], there: Bool, choices: npt.NDA
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _length(a: F64, b: F64) -> tuple[float, float]:
-    """Return the median distance of two joints, and its standard deviation divided by it."""
+    """Return the median distance of two joints, and the standard deviation of the distance divided by the median."""
     frames = a.shape[1]
     lengths = np.empty(frames)
     for t in range(frames):

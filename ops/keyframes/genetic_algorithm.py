@@ -72,7 +72,7 @@ def evolve(task: TrainingTask, settings: EvolutionSettings, seed: int | tuple[in
 
 
 def random_search(task: TrainingTask, settings: EvolutionSettings, seed: int | tuple[int, ...]) -> LearningRun:
-    """Draw as many initial individuals as a run evaluates, and return the fittest (Algorithm 2 alone), as a baseline.
+    """Return the fittest of as many random individuals as a run evaluates (Algorithm 2 alone), as a baseline.
 
     Parameters
     ----------

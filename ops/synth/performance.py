@@ -157,7 +157,7 @@ def _pause(score: Score) -> float:
 
 
 def _perform(score: Score, what: Motion, spans: list[tuple[Motion, float, float]]) -> None:
-    """Add a labelled motion, and let the next one begin slightly before it has come to rest."""
+    """Add a labelled motion; the next motion begins slightly before this one ends."""
     begin, end = what.scene(score)
     score.hurry(_overlap(score.rng))
     spans.append((what, begin, min(end, score.now)))

@@ -206,11 +206,11 @@ class Score:
         self.relax(start, stop, *parts)
 
     def hurry(self, seconds: float) -> None:
-        """Move `now` back, so that the next motion begins before the last one has come to rest."""
+        """Move `now` back by some seconds, so that the next motion begins before the last one ends."""
         self.now -= seconds
 
     def after(self, seconds: float) -> None:
-        """Move `now` forward, so that the next motion begins later."""
+        """Move `now` forward by some seconds, so that the next motion begins later."""
         self.now += seconds
 
 

@@ -147,7 +147,7 @@ def calibrated_thresholds(
     executor: Executor,
     rejected: Callable[[], Sequence[Rejected]] = tuple,
 ) -> Calibration:
-    """Calibrate the thresholds of classes, if the parameters ask for it and the method uses thresholds.
+    """Calibrate the thresholds of classes, if the parameters require it and the method uses thresholds.
 
     Parameters
     ----------

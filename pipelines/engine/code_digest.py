@@ -222,7 +222,7 @@ def _is_text(node: ast.AST) -> bool:
 
 
 def _bound(node: ast.Import | ast.ImportFrom, package: str) -> dict[str, Place]:
-    """Return the names that an import binds, with their places; "*" stands for all names of a module."""
+    """Return the names that an import binds, with the places of the definitions; "*" denotes all names of a module."""
     if isinstance(node, ast.Import):
         return {
             one.asname or one.name.partition(".")[0]: (one.name if one.asname else one.name.partition(".")[0], WHOLE)
@@ -403,7 +403,7 @@ class Sources:
         return next((path for path in candidates if path.is_file()), None)
 
     def _resolve(self, module: Module, chain: str, local: Mapping[str, Place]) -> Place | None:
-        """Return the definition that a name stands for; None if it belongs neither to kinedex nor to a plugin."""
+        """Return the definition that a name refers to; None if it belongs neither to kinedex nor to a plugin."""
         head, *rest = chain.split(".")
         if head in local:
             return self._at(local[head], rest)

@@ -156,7 +156,7 @@ def make_plan(pipeline: Pipeline, store_path: Path, force: frozenset[str] = froz
 
 
 def _with_remembered(pipeline: Pipeline, store_path: Path) -> Pipeline:
-    """Return the pipeline with remembered parameters in place of those that the user left unset."""
+    """Return the pipeline, with unset parameters replaced by remembered values."""
     store = _open(store_path)
     if store is None:
         return pipeline

@@ -74,7 +74,7 @@ def at_most_per_class(clips: Sequence[Clip], how: How) -> list[Clip]:
 
 
 def balanced_clips(clips: Sequence[Clip], how: How) -> list[Clip]:
-    """Return in each split as many clips of each class as its rarest class has, selected by content and seed.
+    """Return equally many clips of each class in each split, as many as the rarest class has, by content and seed.
 
     Raises
     ------

@@ -15,7 +15,7 @@ from kinedex.storage.store.store import Store
 
 
 def limb_error_stage(store: Store, wanted: str | None = None) -> str:
-    """Find the stage whose runs of wrong limbs a user has asked for.
+    """Return the stage whose intervals of wrong limbs the user has requested.
 
     Parameters
     ----------

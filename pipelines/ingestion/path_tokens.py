@@ -101,7 +101,7 @@ class Layout:
 
 
 def layouts(paths: Iterable[str]) -> list[Layout]:
-    """Divide paths into layouts, the one with the most paths first.
+    """Divide paths into layouts, sorted by descending number of paths.
 
     Parameters
     ----------

@@ -93,7 +93,7 @@ class Proposal:
 
 
 def propose(paths: Iterable[str]) -> list[Proposal]:
-    """Propose patterns for paths; those for deeper paths and more fields come first, because they must be tried first.
+    """Propose patterns for paths, in the order in which to try them: first for deeper paths and more fields.
 
     Parameters
     ----------

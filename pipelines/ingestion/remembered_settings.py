@@ -10,7 +10,7 @@ from kinedex.storage.store.store import Store
 
 
 def with_remembered(params: IngestParameters, unset: frozenset[str], store: Store) -> IngestParameters:
-    """Return the parameters of an ingest, with those of the source's last ingest in place of unset ones.
+    """Return the parameters of an ingest, with unset parameters taken from the source's last ingest.
 
     Parameters
     ----------

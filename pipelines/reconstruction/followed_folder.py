@@ -161,7 +161,7 @@ def _check_steps(path: Path, steps: Sequence[int]) -> None:
 
 
 def _new_files(folder: Path, seen: set[str]) -> list[tuple[int | None, Path]]:
-    """Return number and path of the new files, sorted by number; those without a number come first."""
+    """Return number and path of the new files, sorted by number; files without a number come first."""
     with os.scandir(folder) as entries:
         names = [one.name for one in entries if one.name not in seen]
     paths = [folder / name for name in names if not name.startswith(".") and Path(name).suffix.lower() in IMAGES + RAW]

@@ -105,7 +105,7 @@ class MotionPage:
 
 
 def shares(counts: Sequence[int], most: int) -> list[int]:
-    """Return how many of each group are shown, so that all have as many as there is room for."""
+    """Return how many clips of each group are shown, such that the available space is divided evenly."""
     given = [0] * len(counts)
     while sum(given) < min(most, sum(counts)):
         open_groups = [place for place, count in enumerate(counts) if given[place] < count]

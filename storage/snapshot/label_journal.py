@@ -211,7 +211,7 @@ def _read(path: Path) -> Journal:
 
 
 def _bytes_of(path: Path) -> bytes:
-    """Return the content of a file with a constant header byte in place of the stored one, which is not read."""
+    """Return the content of a file, with its header byte replaced by a constant."""
     deadline = time.monotonic() + 5.0
     while True:
         try:

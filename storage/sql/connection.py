@@ -247,7 +247,7 @@ def _define_labels(connection: duck.Connection, store: Snapshot) -> None:
 
 
 def _define_failing(connection: duck.Connection, store: Snapshot) -> None:
-    """Define views in place of those of a missing index, so that a query over them fails with the reason."""
+    """Define substitutes for the views of a missing index, so that a query over them fails with the reason."""
     for view in VIEWS:
         if view.name in INDEXED:
             _define_view_that_fails(connection, view, str(missing_index(store.path, store.manifest)))

@@ -1,4 +1,4 @@
-"""The vocabulary of points: labels of landmarks, joint centres and keypoints, and the joints that are made of them."""
+"""Define the vocabulary of points: landmarks, joint centres, keypoints, and the joints computed from them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Convert between the frame time of a BVH file and the rate that it stands for."""
+"""Convert between the frame time of a BVH file and the frame rate."""
 
 from __future__ import annotations
 

@@ -200,7 +200,7 @@ def _invalid(
 
 
 def _gaps_in_words(gaps: list[Gap], names: list[str], most: int = 6) -> str:
-    """List points with the frames of their gaps, those with most frames first, and the number of further points."""
+    """List points with the frames of their gaps, by descending number of frames, and the number of further points."""
     frames: dict[str, list[int]] = {}
     for gap in gaps:
         frames.setdefault(names[gap.point], []).append(gap.frames)

@@ -77,7 +77,7 @@ class PointsReader(Reader):
         return settings.rate_hz, settings.override_rate_hz, settings.fill_gap_frames
 
     def extent(self, file: MotionFile, joints: int, settings: ReadSettings) -> Extent:
-        """Return the frames, and estimate the memory: all points, and the body made of them."""
+        """Return the number of frames, and the estimated memory for all points and the body computed from them."""
         frames, points, more = self.size(file)
         return Extent(frames, points_bytes(frames, points, joints) + more, settings.override_rate_hz)
 
