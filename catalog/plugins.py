@@ -54,7 +54,7 @@ class Plugins(Generic[Part]):
         return iter(self._all())
 
     def load(self, name: str) -> Part:
-        """Import and return the part of a name.
+        """Import and return the part with the given name.
 
         Raises
         ------

@@ -187,7 +187,7 @@ def _switches(pose: PoseEntry, store: Store) -> str:
 
 
 def model_of(queries: Sequence[KeyframeQuery], store: Store) -> dict[str, Any] | None:
-    """Return queries as a sequence of poses; None where they are more than that."""
+    """Return queries as a sequence of poses; None if a sequence of poses cannot represent them."""
     (first, *others) = queries
     if others or first.alternatives or first.takes is not None:
         return None

@@ -28,7 +28,7 @@ def open_store(
     files: Iterable[str | os.PathLike[str]] = (),
     at: int | Literal["newest"] | None = None,
 ) -> Store:
-    """Open a version of a store for reading: the newest one that has its index, unless another is asked for.
+    """Open a version of a store for reading: by default the newest version that has its index.
 
     While an ingest runs, this is the version before it. The store keeps showing its version, whatever is written or
     removed meanwhile; open it again to see what is new.

@@ -166,7 +166,7 @@ def _missing(limb: Limb, places: dict[str, F64], estimated: Sequence[str]) -> st
 
 
 def common_markers(markers: F64) -> F64:
-    """Return the markers (T, M, 3) without those seen least often, so that at least one frame has all that remain.
+    """Return the markers (T, M, 3) without rarely seen ones, so that at least one frame has all remaining markers.
 
     At least three markers are kept.
     """

@@ -91,7 +91,7 @@ def _whole(tree: Tree, legs: Pair, arms: Pair) -> Anatomy | None:
 
 
 def _relations(tree: Tree, legs: Pair, arms: Pair, head: bool) -> float:
-    """Return how well the proportions between legs, arms and trunk fit a human's; 0 is perfect, and less is worse."""
+    """Return how well the proportions between legs, arms and trunk fit a human's; 0 is perfect, lower is worse."""
     score = -((math.log(arms.length / legs.length / ARM_TO_LEG) / 0.25) ** 2) / 2
     score -= (math.log(max(trunk_length(tree, legs, arms) / legs.length, 1e-3) / TRUNK_TO_LEG) / 0.35) ** 2 / 2
     return max(score, -12.0) - (0.0 if head else 1.5)

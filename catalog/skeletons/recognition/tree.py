@@ -56,7 +56,7 @@ class Tree:
     _far: dict[int, list[float]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def ancestors(self, node: int) -> list[int]:
-        """Return a node and all above it, the root last."""
+        """Return a node and all its ancestors, the root last."""
         path = [node]
         while self.parents[path[-1]] >= 0:
             path.append(self.parents[path[-1]])

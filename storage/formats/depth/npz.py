@@ -78,7 +78,7 @@ class NpzFrames:
         return self.camera.depths(image)
 
     def _unpack(self, start: int, size: int) -> bytes:
-        """Return up to `size` bytes of the array from an image's offset; fewer if the file is damaged."""
+        """Return `size` bytes of the array from an image's offset on; fewer if the file is damaged."""
         data = b""
         try:
             with zipfile.ZipFile(self.path) as packed, packed.open(f"{_ARRAY}.npy") as entry:
