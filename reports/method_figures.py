@@ -231,7 +231,7 @@ def _strip(
 
 
 def bare_part(block: tuple[int, int], later: Sequence[tuple[int, int]]) -> tuple[int, int]:
-    """Return the longest part of a block that no later block covers, the first of equal parts; (start, start) for none."""
+    """Return the longest part of a block that no later block covers, the first of equal parts; empty for none."""
     at, stop = block
     best = (at, at)
     for begin, end in [*sorted(one for one in later if one[0] < stop), (stop, stop)]:
