@@ -44,7 +44,8 @@ def main(words: Sequence[str], measure: Measure = measure_once) -> int:
     commit = (newest_tag() or FIRST) if chosen.commit == NEWEST else chosen.commit
     try:
         figures = guarded_figures(chosen.parts)
-        sides = (other_side(commit, lambda line: console.print(line, markup=False)), this_side())
+        with_page = any(one.part == "explorer" for one in figures)
+        sides = (other_side(commit, lambda line: console.print(line, markup=False), with_page), this_side())
     except KinedexError as fault:
         if chosen.commit == NEWEST and isinstance(fault, UnknownCommitError):
             console.print(f"nothing is compared: {fault}", markup=False)

@@ -74,7 +74,7 @@ def resolve(commit: str) -> str:
     return done.stdout.strip()
 
 
-def other_side(commit: str, report: object = print) -> Side:
+def other_side(commit: str, report: object = print, with_page: bool = False) -> Side:
     """Return the side of a commit; make its checkout and environment where they are missing.
 
     Parameters
@@ -83,13 +83,15 @@ def other_side(commit: str, report: object = print) -> Side:
         A commit or tag.
     report : callable, optional
         Is called with a line on what is made.
+    with_page : bool, optional
+        True if the explorer's page is needed; it is built where the commit has one.
 
     Raises
     ------
     UnknownCommitError
         The git history lacks the commit.
     KinedexError
-        Its packages could not be installed.
+        Its packages could not be installed, or its page could not be built.
     """
     assert callable(report)
     sha = resolve(commit)
@@ -102,15 +104,24 @@ def other_side(commit: str, report: object = print) -> Side:
         if done.returncode:
             raise KinedexError(f"git could not check out '{commit}' into {tree}: {done.stderr.strip()}")
     python = environment / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
-    if not (environment / "installed").is_file():
+    if not (environment / "run.stamp").is_file():
         report(f"installing the packages of {commit} into {environment.relative_to(ROOT)}")
         _run([sys.executable, "-m", "venv", "--clear", str(environment)])
-        lock = str(tree / "requirements.lock")
+        locks = [tree / "requirements.lock", tree / "requirements-dev.lock"]  # the second has what the extras need
         pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--require-hashes"]
-        _run([*pip, "-r", lock])
-        (environment / "installed").touch()
+        _run([*pip, *(word for lock in locks if lock.is_file() for word in ("-r", str(lock)))])
+        (environment / "run.stamp").touch()
+    if with_page and not (home / "page-built").is_file() and _has_page(tree):
+        report(f"building the explorer's page of {commit}")
+        _run(["make", "-C", str(tree), "page", f"VENV={environment}"])
+        (home / "page-built").touch()
     own = [path for path in DRIVERS.glob("commit_*.py") if sha.startswith(path.stem.removeprefix("commit_"))]
     return Side(commit, python, tree, own[0] if own else DRIVERS / "public_api.py", home / "work")
+
+
+def _has_page(tree: Path) -> bool:
+    makefile = tree / "Makefile"
+    return makefile.is_file() and any(line.startswith("page:") for line in makefile.read_text("utf-8").splitlines())
 
 
 GIT_SECONDS, SETUP_SECONDS = 300.0, 1800.0
@@ -127,4 +138,4 @@ def _git(*words: str) -> subprocess.CompletedProcess[str]:
 def _run(command: list[str]) -> None:
     done = subprocess.run(command, capture_output=True, text=True, timeout=SETUP_SECONDS)
     if done.returncode:
-        raise KinedexError(f"'{' '.join(command)}' failed: {done.stderr.strip().splitlines()[-1:]}")
+        raise KinedexError(f"'{' '.join(command)}' failed:\n" + "\n".join(done.stderr.strip().splitlines()[-5:]))

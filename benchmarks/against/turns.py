@@ -96,9 +96,15 @@ def measure_once(side: Side, figure: str, inputs: Path) -> Measurement:
     except subprocess.TimeoutExpired:
         raise DriverError(f"{figure} at {side.name} took longer than {LIMIT_SECONDS:g} s") from None
     if done.returncode:
-        last = (done.stderr.strip().splitlines() or ["nothing was printed"])[-1]
-        raise DriverError(f"{figure} at {side.name} ended with status {done.returncode}: {last}")
+        raise DriverError(f"{figure} at {side.name} ended with status {done.returncode}: {reason_of(done.stderr)}")
     return read_answer(done.stdout, figure, side.name)
+
+
+def reason_of(printed: str) -> str:
+    """Return what a process printed on its failure: the last line, after that which a command of it printed before."""
+    lines = printed.strip().splitlines() or ["nothing was printed"]
+    begin = next((number for number, line in enumerate(lines) if line.startswith("Traceback ")), 0)
+    return "; ".join([*lines[max(0, begin - 1) : begin], lines[-1]])
 
 
 def read_answer(text: str, figure: str, name: str) -> Measurement:

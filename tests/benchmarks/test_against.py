@@ -25,6 +25,7 @@ from benchmarks.against.turns import (
     measure_once,
     order_of_turns,
     read_answer,
+    reason_of,
 )
 from kinedex.ops.errors import KinedexError
 
@@ -134,7 +135,7 @@ def compared(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     monkeypatch.setattr(program, "RESULT", tmp_path / "against.json")
     monkeypatch.setattr(program, "ROOT", tmp_path)
     monkeypatch.setattr(program, "inputs", lambda: tmp_path)
-    monkeypatch.setattr(program, "other_side", lambda commit, report: side("old"))
+    monkeypatch.setattr(program, "other_side", lambda commit, report, with_page: side("old"))
     monkeypatch.setattr(program, "this_side", lambda: Side("this", Path(), Path(), Path(), tmp_path / "this"))
     monkeypatch.setattr(program, "rival_rows", lambda figures, rows, inputs: [])
     return tmp_path / "against.json"
@@ -278,6 +279,42 @@ def test_a_commit_gets_a_checkout_and_an_environment_once(repository: Path, monk
     assert len(said) == 2
     assert commits.other_side("v0.1.0", said.append) == made
     assert (len(run), len(said)) == (2, 2)
+
+
+def test_the_page_of_a_commit_is_built_once_if_it_has_one_and_it_is_needed(
+    repository: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, said = list[list[str]](), list[str]()
+
+    def install(command: list[str]) -> None:
+        run.append(command)
+        if "venv" in command:
+            Path(command[-1]).mkdir()
+
+    monkeypatch.setattr(commits, "_run", install)
+    tree = commits.other_side("v0.1.0", said.append, with_page=True).tree
+    assert [command for command in run if command[0] == "make"] == []
+    (tree / "Makefile").write_text("page: built\n")
+    commits.other_side("v0.1.0", said.append)
+    assert [command for command in run if command[0] == "make"] == []
+    for _ in range(2):
+        commits.other_side("v0.1.0", said.append, with_page=True)
+    environment = tree.parent / "environment"
+    assert [command for command in run if command[0] == "make"] == [
+        ["make", "-C", str(tree), "page", f"VENV={environment}"]
+    ]
+    assert (environment / "run.stamp").is_file()
+    assert said[-1] == "building the explorer's page of v0.1.0"
+
+
+def test_what_a_command_of_a_failed_process_printed_is_in_the_error() -> None:
+    trace = "Traceback (most recent call last):\n  File\nCalledProcessError: exit status 1."
+    assert reason_of(f"a notice\nkinedex: no such limb\n{trace}\n") == (
+        "kinedex: no such limb; CalledProcessError: exit status 1."
+    )
+    assert reason_of(trace) == "CalledProcessError: exit status 1."
+    assert reason_of("killed\n") == "killed"
+    assert reason_of("") == "nothing was printed"
 
 
 def test_the_first_commit_has_a_driver_of_its_own() -> None:
