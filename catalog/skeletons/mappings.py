@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+import sys
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -371,7 +372,7 @@ def parse_skeleton(located: Located, joints: tuple[str, ...]) -> SkeletonMapping
         )
     unit_m = parsed.unit_m
     number = isinstance(unit_m, (int, float)) and not isinstance(unit_m, bool)
-    if unit_m != "guess" and not (number and 0 < unit_m < np.inf):
+    if unit_m != "guess" and not (number and 0 < unit_m <= sys.float_info.max):
         raise located.error(f"must be a positive number of metres, or guess; got {unit_m!r}", "unit_m")
     if parsed.format == "acclaim" and parsed.unit_m == "guess":
         raise located.error("an ASF file states its unit; give the metres of one inch, 0.0254", "unit_m")

@@ -83,6 +83,7 @@ def propose_points(
     return _recognised(evidence, joints, form, landmarks or load_landmarks())[0]
 
 
+@np.errstate(over="ignore", invalid="ignore")  # Absurd numbers are refused later.
 def _recognised(evidence: Evidence, joints: tuple[str, ...], form: Format, landmarks: Landmarks) -> tuple[Fit, str]:
     """Return the best fit, and why it is no body; an empty text if it is one."""
     reading = landmarks.read(evidence.names)

@@ -254,6 +254,11 @@ FAULTS = {
     "a virtual of one below": (("neck: -2, head: 3", "lfingers: -2, head: 3"), "joints.headtop", "'lfingers' is none"),
     "no kind of mix": (("{virtual: {neck: -2, head: 3}}", "{}"), "joints.headtop", "expected `virtual`"),
     "a unit of nothing": (("unit_m: 0.01", "unit_m: -1"), "unit_m", "a positive number of metres, or guess; got -1"),
+    "a unit beyond all numbers": (
+        ("unit_m: 0.01", f"unit_m: {10**320}"),
+        "unit_m",
+        "a positive number of metres, or guess",
+    ),
     "a unit of a name": (("unit_m: 0.01", "unit_m: cm"), "unit_m", "a positive number of metres, or guess; got 'cm'"),
     "one axis twice": (("facing: z\nroot", "facing: -y\nroot"), "facing", "different axes"),
     "a root's axis twice": (("up: x, facing: z", "up: x, facing: x"), "root_axes", "different axes"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from itertools import combinations
 from pathlib import Path
 
@@ -152,6 +153,15 @@ def test_labels_of_a_body_on_points_of_none_are_refused() -> None:
     points = np.random.default_rng(0).normal(size=(len(LABELS), 3, 8))
     with pytest.raises(SourceError, match="no human proportions"):
         recognise_points("x", evidence(points), JOINTS)
+
+
+@given(st.integers(0, len(LABELS) - 1), st.integers(0, 2), st.sampled_from([1e284, 1e308, -1e308]))
+def test_numbers_that_nobody_measures_give_a_body_or_a_refusal(point: int, axis: int, number: float) -> None:
+    points = standing_markers(3)
+    points[point, axis] = number
+    points[:, axis, 1] = -number
+    with contextlib.suppress(SourceError):
+        assert recognise_points("walk.trc", evidence(points), JOINTS).confidence <= 1
 
 
 def test_stand_ins_place_a_joint_as_a_rigid_body_has_it() -> None:
