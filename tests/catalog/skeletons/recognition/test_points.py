@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import warnings
 from itertools import combinations
 from pathlib import Path
 
@@ -160,7 +161,7 @@ def test_numbers_that_nobody_measures_give_a_body_or_a_refusal(point: int, axis:
     points = standing_markers(3)
     points[point, axis] = number
     points[:, axis, 1] = -number
-    with contextlib.suppress(SourceError):
+    with contextlib.suppress(SourceError), warnings.catch_warnings(action="error"):
         assert recognise_points("walk.trc", evidence(points), JOINTS).confidence <= 1
 
 
