@@ -1,0 +1,82 @@
+"""An interval is a range of frames of a take; its frames become seconds, and seconds frames, by the functions here.
+
+A frame begins at frame / rate seconds, so frame 0 begins at 0. Stored and computed seconds are never rounded. Shown
+ones are rounded to hundredths, and times that somebody enters to the nearest frame, halves upwards in both.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple, overload
+
+import numpy as np
+import numpy.typing as npt
+
+
+class Interval(NamedTuple):
+    """A half-open range of analysis frames of a take.
+
+    Parameters
+    ----------
+    take : str
+        The name of the take.
+    start, stop : int
+        The first frame, and the frame after the last.
+    """
+
+    take: str
+    start: int
+    stop: int
+
+    @property
+    def frames(self) -> int:
+        """Return the number of frames."""
+        return self.stop - self.start
+
+    def overlaps(self, other: Interval) -> bool:
+        """Return whether both have a frame in common."""
+        return self.take == other.take and self.start < other.stop and other.start < self.stop
+
+
+@overload
+def in_seconds(frames: float, rate_hz: float) -> float: ...
+
+
+@overload
+def in_seconds(frames: npt.NDArray[Any], rate_hz: float) -> npt.NDArray[np.float64]: ...
+
+
+def in_seconds(frames: float | npt.NDArray[Any], rate_hz: float) -> float | npt.NDArray[np.float64]:
+    """Return the seconds at which frames begin, or that a number of frames lasts, without rounding.
+
+    Parameters
+    ----------
+    frames : float or array
+        Frames, or numbers of frames.
+    rate_hz : float
+        Frames per second.
+    """
+    return frames / rate_hz
+
+
+def shown_seconds(frames: float, rate_hz: float, digits: int = 2) -> str:
+    """Return the seconds of a frame, or of a number of frames, as text without a unit: "22.67".
+
+    Halves are rounded upwards: frame 15 of 120 Hz, at 0.125 s, is "0.13".
+
+    Parameters
+    ----------
+    frames : float
+        A frame, or a number of frames.
+    rate_hz : float
+        Frames per second.
+    digits : int
+        Digits after the point: 2, or 1 where lengths are meant.
+    """
+    scale = 10**digits
+    return f"{math.floor(scale * frames / rate_hz + 0.5) / scale:.{digits}f}"
+
+
+def nearest_frame(seconds: float, rate_hz: float) -> int:
+    """Return the frame that begins nearest to a time in seconds, the later of two that are equally near."""
+    return math.floor(seconds * rate_hz + 0.5)
