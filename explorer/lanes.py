@@ -22,6 +22,7 @@ from kinedex.explorer.motion import POSITIONS, PositionCache, frames_of, whole_n
 from kinedex.explorer.same import command_line, python_lines
 from kinedex.ops.body.fault_marks import fault_marks
 from kinedex.ops.errors import ParameterError, did_you_mean
+from kinedex.ops.intervals import in_seconds
 from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
 from kinedex.storage.store.store import Store
 
@@ -82,7 +83,7 @@ def take_document(store: Store, take_id: int) -> Row:
         "name": row["name"],
         "frames": frames,
         "rate_hz": store.rate_hz,
-        "seconds": frames / store.rate_hz,
+        "seconds": in_seconds(frames, store.rate_hz),
         "version": store.manifest.version,
         "columns": {name: _plain(value) for name, value in row.items() if name not in hidden and value is not None},
         "unknown": [bit for bit in range(features) if not known >> bit & 1],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from kinedex.ops.intervals import in_seconds
 from kinedex.ops.wording import counted
 from kinedex.reports.axes import Axis, percent, time_axis
 from kinedex.reports.data import FeatureNames, Template
@@ -30,7 +31,7 @@ class Card:
 def card(template: Template, delta: float, rate_hz: float) -> Card:
     """Draw a template, as learned and quantised with δ; its columns are frames of the analysis rate."""
     frames = int(template.values.shape[0])
-    seconds = frames / rate_hz
+    seconds = in_seconds(frames, rate_hz)
     share = wildcard_share(template.values, delta)
     return Card(
         template=template,

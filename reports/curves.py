@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.annotation.segments import local_minima
+from kinedex.ops.intervals import shown_seconds
 from kinedex.ops.wording import counted
 from kinedex.reports.axes import Axis, percent, time_axis
 from kinedex.reports.data import Curve, Segment, TakeRow
@@ -198,7 +199,7 @@ def minima(curve: Curve, top: float, rate_hz: float, tau: float) -> list[Minimum
     for plateau in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if at.size else []:
         first, last = int(plateau[0]), int(plateau[-1])
         cost = float(costs[first])
-        text = f"{curve.subclass} ends at frame {first}, {first / rate_hz:.2f} s: cost {cost:.3f}"
+        text = f"{curve.subclass} ends at frame {first}, {shown_seconds(first, rate_hz)} s: cost {cost:.3f}"
         marks.append(Minimum(f"M{first} {round(HEIGHT * (1 - cost / top))}h{last - first}", text))
     return marks
 

@@ -9,6 +9,8 @@ from datetime import datetime
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.ops.intervals import in_seconds
+
 
 @dataclass(frozen=True)
 class FeatureNames:
@@ -41,7 +43,7 @@ class TakeRow:
     @property
     def seconds(self) -> float:
         """Return the duration of the take in seconds."""
-        return self.frames / self.rate_hz
+        return in_seconds(self.frames, self.rate_hz)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
+from kinedex.ops.intervals import shown_seconds
 from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT
 from kinedex.storage.disk import whole_file
 
@@ -95,7 +96,15 @@ def _draw_row(pen: ImageDraw.ImageDraw, row: StripRow, joints: Sequence[str], to
     pen.line([_fine(_EDGE, floor), _fine(_EDGE + FRAMES * _CELL, floor)], fill=_GROUND, width=_FINE)
     for column, frame in enumerate(frames.tolist()):
         centre = _EDGE + (column + 0.5) * _CELL
-        _write(pen, centre, top + _HEIGHT + 2, f"{(row.first + frame) / row.rate_hz:.2f} s", 12, _FAINT, middle=True)
+        _write(
+            pen,
+            centre,
+            top + _HEIGHT + 2,
+            f"{shown_seconds(row.first + frame, row.rate_hz)} s",
+            12,
+            _FAINT,
+            middle=True,
+        )
         if not seen[column]:
             continue
         x = centre + (points[:, 0, column] - (low[0, column] + high[0, column]) / 2) * scale

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.queries.keyframe_query import SAME_FRAME
 from kinedex.ops.evaluation.confidence_intervals import wilson
+from kinedex.ops.intervals import in_seconds
 from kinedex.ops.keyframes.individuals import Individual
 from kinedex.ops.keyframes.training_task import HISTORY_COLUMNS, LearningRun
 from kinedex.ops.words import bits
@@ -218,7 +219,7 @@ def matrix_of(outcome: Outcome, feature_set: FeatureSet, rate_hz: float) -> Matr
         for number, one in enumerate(outcome.chosen)
         for cell in _query_cells(one.query, rows, names, width, number, len(feature_set.features))
     ]
-    ticks = time_axis(outcome.columns / rate_hz, most=6, room=0.9).ticks
+    ticks = time_axis(in_seconds(outcome.columns, rate_hz), most=6, room=0.9).ticks
     return Matrix(tuple(names), tuple(runs), tuple(queries), ticks)
 
 
@@ -250,7 +251,7 @@ def _card(outcome: Outcome, feature_set: FeatureSet, rate_hz: float) -> Card:
     return Card(
         outcome,
         tuple(sentence(query, feature_set) for query in keyframe_queries(outcome, feature_set)),
-        tuple((one.left / rate_hz, one.right / rate_hz) for one in outcome.chosen),
+        tuple((in_seconds(one.left, rate_hz), in_seconds(one.right, rate_hz)) for one in outcome.chosen),
         found,
         every - found,
         wilson(found, len(outcome.clips)),

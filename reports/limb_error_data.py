@@ -13,6 +13,7 @@ import pyarrow.compute as pc
 
 from kinedex.catalog.limbs import LIMB_NAMES
 from kinedex.ops.inertial.disagreement import TAU_DEG
+from kinedex.ops.intervals import in_seconds
 from kinedex.pipelines.recordings.stored_results import earlier_rows
 from kinedex.storage.snapshot.row_groups import RowGroups
 from kinedex.storage.store.store import Store
@@ -225,7 +226,7 @@ class StoredErrors:
         limbs = tuple(self._limb(take_id, limb, bases.get(limb, ""), rows) for limb in LIMB_NAMES if limb in present)
         last = max((float(one.times[-1]) for one in limbs if len(one.times)), default=0.0)
         return TakeErrors(
-            take_id, self._names[take_id], frames, max(frames / self._store.rate_hz, last), limbs,
+            take_id, self._names[take_id], frames, max(in_seconds(frames, self._store.rate_hz), last), limbs,
             tuple(row for row in self.clocks if row["take_id"] == take_id), calibrations,
         )  # fmt: skip
 

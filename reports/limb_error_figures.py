@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.inertial.disagreement import flagged_ranges
+from kinedex.ops.intervals import in_seconds
 from kinedex.reports.axes import percent
 from kinedex.reports.plots import line_path
 
@@ -53,7 +54,7 @@ def box(start_s: float, stop_s: float, frames: int, rate_hz: float, text: str, *
     """Return the box of the interval [start_s, stop_s) of a take with `frames` analysis frames."""
     first = min(max(0, round(start_s * rate_hz)), max(frames - 1, 0))
     last = max(first + 1, min(round(stop_s * rate_hz), frames))
-    seconds = max(frames, 1) / rate_hz
+    seconds = in_seconds(max(frames, 1), rate_hz)
     left, right = (min(max(percent(value, seconds), 0.0), 100.0) for value in (start_s, stop_s))
     return Box(first, last, left, round(max(right - left, 0.05), 2), text, jump)
 

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.intervals import in_seconds
 from kinedex.reports.axes import time_axis
 from kinedex.reports.pixels import Colour
 
@@ -147,7 +148,7 @@ def _panel(canvas: Canvas, figure: MatrixFigure, panel: Panel, left: float, cell
             )
     for row in figure.rules:
         canvas.rectangle(left - 1, _HEAD + _ROW * row - 1, width + 2, 1, _RULE)
-    seconds = columns / figure.rate_hz
+    seconds = in_seconds(columns, figure.rate_hz)
     for percent, text in time_axis(seconds, most=max(1, int(width / 45)), room=0.9).ticks:
         x = left + width * percent / 100
         canvas.rectangle(x, _HEAD + _ROW * rows, 1, 5, _FRAME)

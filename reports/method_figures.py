@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.evaluation.metrics import Counts
+from kinedex.ops.intervals import in_seconds, shown_seconds
 from kinedex.pipelines.evaluation.confusion import Confusion
 from kinedex.pipelines.evaluation.method_scores import Outcome
 from kinedex.pipelines.evaluation.study import Threshold
@@ -193,7 +194,9 @@ def strips(
     for name, outcome in outcomes.items():
         own = [(one.start, one.stop, one.label) for one in outcome[test_take.name]]
         rows.append(_strip(name, own, manual, test_take, numbers, rate_hz, near or {}))
-    return Strips(title, what, test_take, tuple(rows), time_axis(max(test_take.frames / rate_hz, 1e-6)), dict(scores))
+    return Strips(
+        title, what, test_take, tuple(rows), time_axis(max(in_seconds(test_take.frames, rate_hz), 1e-6)), dict(scores)
+    )
 
 
 def _strip(
@@ -208,7 +211,7 @@ def _strip(
     blocks, words = [], []
     for place, (start, stop, label) in enumerate(segments):
         wrong = not any(label == other and start < end and begin < stop for begin, end, other in others)
-        text = f"{label}, {start / rate_hz:.2f}–{stop / rate_hz:.2f} s"
+        text = f"{label}, {shown_seconds(start, rate_hz)}–{shown_seconds(stop, rate_hz)} s"
         tip = f"{name}: {text}" + ("; " + ("not found" if name == "manual" else "no manual segment") if wrong else "")
         left, right = bare_part((start, stop), [(begin, end) for begin, end, _ in segments[place + 1 :]])
         blocks.append(
@@ -272,7 +275,7 @@ def confusion_table(confusion: Confusion, numbers: Mapping[str, int]) -> Confusi
 
 def boundary_errors(frames: npt.NDArray[np.int64], rate_hz: float) -> list[HistogramBar]:
     """Lay out a histogram of boundary errors in seconds; the outermost bars count everything beyond the ends too."""
-    seconds = np.clip(frames / rate_hz, -FURTHEST, FURTHEST)
+    seconds = np.clip(in_seconds(frames, rate_hz), -FURTHEST, FURTHEST)
     return histogram(seconds, -FURTHEST, FURTHEST, BINS, (WIDTH, HEIGHT), 1)
 
 

@@ -13,6 +13,7 @@ import pyarrow.compute as pc
 
 from kinedex.catalog.kinematics import load_kinematic_chain
 from kinedex.ops.body.kinematic_chain import ChainBody, forward
+from kinedex.ops.intervals import in_seconds
 from kinedex.ops.tracking.rays import LEAST_CONFIDENCE
 from kinedex.ops.wording import counted
 from kinedex.pipelines.recordings.stored_results import earlier_rows
@@ -189,7 +190,7 @@ def _shown(store: Store, row: Mapping[str, Any], moved: F64, stage: str, frames:
     order = np.argsort(-moved.mean(axis=0), kind="stable")[: MOVED if whole else 0]
     figures = {name: _metrics(store, name) for name in (before, take)}
     return ShownTake(
-        take, before, row["recording"] or "", frames, frames / store.rate_hz, near, float(moved.mean()), row,
+        take, before, row["recording"] or "", frames, in_seconds(frames, store.rate_hz), near, float(moved.mean()), row,
         tuple(float(part.mean()) for part in np.array_split(trusted, min(BINS, len(trusted)))),
         tuple(_prior(one, frames, store.rate_hz) for one in _of_take(store, "priors", stage, take).to_pylist()),
         tuple((joints[j], float(moved[:, j].mean()), float(moved[:, j].max())) for j in order),

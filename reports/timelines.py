@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from kinedex.ops.intervals import shown_seconds
 from kinedex.ops.wording import counted
 from kinedex.reports.axes import Axis, percent, time_axis
 from kinedex.reports.data import Score, Segment, TakeRow
@@ -126,7 +127,7 @@ def overlap(one: Segment, other: Segment) -> bool:
 
 def tip(segment: Segment, rate_hz: float, origin: str, agrees: bool | None) -> str:
     """Describe a segment in one line."""
-    seconds = f"{segment.start / rate_hz:.2f}–{segment.stop / rate_hz:.2f} s"
+    seconds = f"{shown_seconds(segment.start, rate_hz)}–{shown_seconds(segment.stop, rate_hz)} s"
     text = f"{segment.label}, {origin}: {seconds}, frames [{segment.start}, {segment.stop})"
     if segment.cost is not None:
         text += f", cost {segment.cost:.3f}"

@@ -14,6 +14,7 @@ from kinedex.commands.options import AtOption, JsonOption, StorePath, WhereOptio
 from kinedex.commands.output import print_json, print_message, print_path
 from kinedex.commands.store_access import open_for_reading
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.intervals import in_seconds
 from kinedex.pipelines.export.forms import FORMS, form_named
 
 if TYPE_CHECKING:
@@ -179,7 +180,7 @@ def _export_take(store: Store, take: str, how: How, output: str | None, as_json:
     (name,) = file_names([Path(take).name])
     files = export_take(store, take, how, Path(output or f"{name}.{form.endings[0]}"))
     if as_json:
-        seconds = store.take_frames[store.take_id(take)] / store.rate_hz
+        seconds = in_seconds(store.take_frames[store.take_id(take)], store.rate_hz)
         print_json(_document(store, files, clips=1, written=1, seconds=seconds))
         return
     for file in files:

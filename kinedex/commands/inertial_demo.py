@@ -16,6 +16,7 @@ from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.inertial.packages import imu_package
 from kinedex.ops.inertial.rotations import distance_deg
+from kinedex.ops.intervals import in_seconds
 from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
 from kinedex.pipelines.recordings.stored_results import earlier_rows
@@ -94,7 +95,7 @@ def run_inertial_demo(store: Path, minutes: float, executor: str, workers: int |
 def _long_takes(store: Store) -> list[str]:
     """Return the first takes that are long enough to be synchronised."""
     rows = store.take_rows.to_pylist()
-    long = [row["name"] for row in rows if row["class"] is None and row["frames"] / store.rate_hz >= LEAST_S]
+    long = [row["name"] for row in rows if row["class"] is None and in_seconds(row["frames"], store.rate_hz) >= LEAST_S]
     return sorted(str(name) for name in long)[:TAKES]
 
 

@@ -15,6 +15,7 @@ from kinedex.library.arguments import checked_methods
 from kinedex.library.array_body import body_of_array
 from kinedex.library.take_frames import F32, U64, Frames, FrameSource, LoadedFrames
 from kinedex.ops.errors import ParameterError
+from kinedex.ops.intervals import in_seconds
 from kinedex.ops.words import ALL_KNOWN, NO_WORD
 
 if TYPE_CHECKING:
@@ -168,7 +169,7 @@ class Take:
             raise ParameterError("frames", "a slice with step 1, such as take[30:90]", frames)
         start, stop, _ = frames.indices(self._length)
         stop = max(start, stop)
-        info = {**self.info, "frames": stop - start, "seconds": (stop - start) / self.rate_hz}
+        info = {**self.info, "frames": stop - start, "seconds": in_seconds(stop - start, self.rate_hz)}
         source = self._source.part(start, stop)
         first = self.interval[0] if self.interval else 0
         of_whole = (first + start, first + stop)
@@ -209,7 +210,7 @@ class Take:
         float
             The number of frames divided by the rate.
         """
-        return self._length / self.rate_hz
+        return in_seconds(self._length, self.rate_hz)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -364,7 +365,7 @@ def take_of_body(name: str, body: Body, feature_set: FeatureSet, about: Mapping[
         "source_frames": body.frames,
         "rate_hz": ANALYSIS_RATE_HZ,
         "frames": len(words),
-        "seconds": body.frames / body.rate_hz,
+        "seconds": in_seconds(body.frames, body.rate_hz),
         "invalid_frames": int(np.count_nonzero(words == NO_WORD)),
         "warnings": [*body.warnings, *blind(feature_set, body), *doubts],
         "known": None if known == feature_set.every_bit else known,

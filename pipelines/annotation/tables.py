@@ -11,6 +11,7 @@ import polars as pl
 import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.intervals import in_seconds
 from kinedex.ops.wording import few
 from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.batches import TakeAnnotation
@@ -85,8 +86,8 @@ def annotations_table(
             "subclass": annotator.subclasses[segment.subclass],
             "start": segment.start,
             "stop": segment.stop,
-            "start_seconds": segment.start / rate_hz,
-            "stop_seconds": segment.stop / rate_hz,
+            "start_seconds": in_seconds(segment.start, rate_hz),
+            "stop_seconds": in_seconds(segment.stop, rate_hz),
             "cost": None if math.isnan(segment.cost) else segment.cost,
             "confidence": confidence,
             "method": annotator.label,

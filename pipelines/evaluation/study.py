@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 
 from kinedex.ops.evaluation.metrics import Counts, pooled
+from kinedex.ops.intervals import in_seconds
 from kinedex.pipelines.evaluation.annotation_scores import Row, scores
 from kinedex.pipelines.evaluation.method_scores import MethodScores, Outcome, SegmentOutcome, chosen_takes
 from kinedex.pipelines.evaluation.scheme import Method, Metric, Split
@@ -134,7 +135,7 @@ def boundary_summary(
     summary: dict[str, dict[str, float | int | None]] = {}
     frames = judgement.joined_boundaries if joined else judgement.boundaries
     for column, end in enumerate(("start", "stop")):
-        errors = frames[:, column] / rate_hz
+        errors = in_seconds(frames[:, column], rate_hz)
         sizes = np.abs(errors)
         summary[end] = {
             "segments": len(errors),

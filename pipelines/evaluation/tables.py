@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from kinedex.ops.evaluation.metrics import Counts
+from kinedex.ops.intervals import shown_seconds
 from kinedex.ops.wording import counted, digits
 from kinedex.pipelines.engine.display import Line, ResultTable
 from kinedex.pipelines.evaluation.annotation_scores import MEASURES
@@ -166,7 +167,7 @@ def _missed(result: SplitResult, rate_hz: float) -> list[str]:
     lines = [f"### Found by no method: {len(result.missed)}", ""]
     for one in result.missed[:MOST_LISTED]:
         labels = "; ".join(f"{method}: {', '.join(names) or 'nothing'}" for method, names in one.labels.items())
-        seconds = f"{one.start / rate_hz:.1f}–{one.stop / rate_hz:.1f} s"
+        seconds = f"{shown_seconds(one.start, rate_hz)}–{shown_seconds(one.stop, rate_hz)} s"
         lines.append(f"- {plain(f'{one.take}, {seconds}, {one.label} ({labels})')}")
     if len(result.missed) > MOST_LISTED:
         lines.append(f"- and {len(result.missed) - MOST_LISTED} more, in the JSON")
@@ -177,7 +178,7 @@ def _missed(result: SplitResult, rate_hz: float) -> list[str]:
     rows = [
         [
             one.take,
-            f"{one.start / rate_hz:.1f}–{one.stop / rate_hz:.1f}",
+            f"{shown_seconds(one.start, rate_hz)}–{shown_seconds(one.stop, rate_hz)}",
             one.label,
             *(outcome_text(one, n) for n in names),
         ]

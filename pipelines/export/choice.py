@@ -10,6 +10,7 @@ from dataclasses import replace
 
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.evaluation.group_split import split_groups
+from kinedex.ops.intervals import in_seconds
 from kinedex.ops.wording import counted
 from kinedex.pipelines.export.clips import Clip
 from kinedex.pipelines.export.request import How
@@ -44,7 +45,7 @@ def split_clips(store: Store, clips: Sequence[Clip], how: How) -> list[Clip]:
     group_of = {take: _group(value) for take, value in zip(*columns, strict=True)}
     sizes: dict[str, float] = defaultdict(float)
     for clip in clips:
-        sizes[group_of[clip.take]] += (clip.stop - clip.start) / store.rate_hz
+        sizes[group_of[clip.take]] += in_seconds(clip.stop - clip.start, store.rate_hz)
     folders = how.folders
     if len(sizes) < len(folders):
         shown = ", ".join(sorted(sizes))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.intervals import in_seconds, nearest_frame, shown_seconds
 from kinedex.ops.wording import counted
 from kinedex.pipelines.export.request import CLIPS, How
 from kinedex.pipelines.export.selection import Interval
@@ -77,26 +77,22 @@ def clips_of(store: Store, intervals: Sequence[Interval], how: How) -> list[Clip
         No interval is long enough.
     """
     rate, lengths = store.rate_hz, store.take_frames
-    margin, context = _frames(how.margin, rate), _frames(how.context, rate)
+    margin, context = nearest_frame(how.margin, rate), nearest_frame(how.context, rate)
     clips: dict[tuple[str, int, int, str | None], Clip] = {}
     for one in intervals:
-        if (one.stop - one.start) / rate < how.min_length - 1e-9:
+        if in_seconds(one.stop - one.start, rate) < how.min_length - 1e-9:
             continue
         length = lengths[store.take_ids[one.take]]
         start, stop = max(0, one.start - margin), min(length, one.stop + margin)
         clip = Clip(one, start, stop, max(0, start - context), min(length, stop + context), one.label)
         clips.setdefault((one.take, start, stop, one.label), clip)
     if not clips:
-        longest = max(one.stop - one.start for one in intervals) / rate
+        longest = shown_seconds(max(one.stop - one.start for one in intervals), rate)
         raise KinedexError(
             f"nothing to export: none of {counted(len(intervals), 'interval')} lasts {how.min_length:g} s; the longest "
-            f"lasts {longest:.2f} s"
+            f"lasts {longest} s"
         )
     return list(clips.values())
-
-
-def _frames(seconds: float, rate_hz: float) -> int:
-    return math.floor(seconds * rate_hz + 0.5)
 
 
 def with_twins(clips: Sequence[Clip], known: Iterable[str] = ()) -> list[Clip]:

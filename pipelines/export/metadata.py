@@ -11,6 +11,7 @@ from datetime import date, datetime
 from pathlib import Path
 from typing import Any
 
+from kinedex.ops.intervals import in_seconds
 from kinedex.pipelines.export.folder import FORMAT
 from kinedex.pipelines.export.forms import FORMS
 from kinedex.pipelines.export.motions import frames_at, source_frames
@@ -92,7 +93,7 @@ def _row(facts: Facts, done: Done) -> dict[str, Any]:
         "take": clip.take,
         "start": clip.start,
         "stop": clip.stop,
-        "seconds": round((clip.stop - clip.start) / store.rate_hz, 6),
+        "seconds": round(in_seconds(clip.stop - clip.start, store.rate_hz), 6),
         "mirrored": clip.mirrored,
         "rate_hz": rate,
         "frames": count,

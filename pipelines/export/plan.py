@@ -13,6 +13,7 @@ import numpy as np
 
 from kinedex.ops.distances.near_duplicates import F32, motion_outline, near_duplicates
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.intervals import in_seconds
 from kinedex.ops.wording import counted, few
 from kinedex.pipelines.engine.display import Progress
 from kinedex.pipelines.export.choice import at_most_per_class, balanced_clips, split_clips
@@ -129,7 +130,7 @@ def _distinct(store: Store, clips: Sequence[Clip], most: float, progress: Progre
                 outlines[number] = motion_outline(places[clip.start : clip.stop], start)
             bar.advance(len(by_take[take_id]))
     numbers = sorted(outlines)
-    seconds = [(clips[number].stop - clips[number].start) / store.rate_hz for number in numbers]
+    seconds = [in_seconds(clips[number].stop - clips[number].start, store.rate_hz) for number in numbers]
     same = near_duplicates([outlines[number] for number in numbers], seconds, most)
     left_out = {number for number, earlier in zip(numbers, same, strict=True) if earlier >= 0}
     return [clip for number, clip in enumerate(clips) if number not in left_out]

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
+from kinedex.ops.intervals import nearest_frame
 from kinedex.ops.wording import counted, few
 from kinedex.pipelines.export.request import What
 from kinedex.pipelines.labels.rejections import Rejections
@@ -256,7 +257,7 @@ def _frame(store: Store, value: object, name: str, default: int) -> int:
     match = _PLACE.fullmatch(str(value).strip())
     if match is None or (not match[2] and not float(match[1]).is_integer()):
         raise KinedexError(f"{name} must be a frame (45) or seconds (1.5s), got '{value}'")
-    return math.floor(float(match[1]) * store.rate_hz + 0.5) if match[2] else int(float(match[1]))
+    return nearest_frame(float(match[1]), store.rate_hz) if match[2] else int(float(match[1]))
 
 
 _SOURCES: dict[str, Callable[[Store, What, list[str]], Iterator[Interval]]] = {

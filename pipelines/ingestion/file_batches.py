@@ -13,6 +13,7 @@ import numpy.typing as npt
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError, StoreError
+from kinedex.ops.intervals import in_seconds
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.ingestion.analysis import analyse, blind, known_features
 from kinedex.pipelines.ingestion.described_takes import group_values
@@ -214,7 +215,7 @@ def _take_row(batch: Batch, task: Task, content: str, body: Body, words: npt.NDA
             "source_frames": body.frames,
             "rate_hz": batch.rate_hz,
             "frames": len(words),
-            "seconds": body.frames / body.rate_hz,
+            "seconds": in_seconds(body.frames, body.rate_hz),
             "invalid_frames": int(np.count_nonzero(words == NO_WORD)),
             **group_values(task.groups),
             "warnings": [*task.warnings, *body.warnings, *blind(batch.feature_set, body), *doubts],

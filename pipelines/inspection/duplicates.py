@@ -16,6 +16,7 @@ import xxhash
 from kinedex.ops.duplicates.alignments import find_alignments
 from kinedex.ops.duplicates.same_motion import NEARLY_ALL, local_poses, same_motion
 from kinedex.ops.duplicates.word_agreement import plausible
+from kinedex.ops.intervals import in_seconds
 from kinedex.ops.search.runs import word_runs
 from kinedex.ops.wording import counted
 from kinedex.ops.words import TakeWords
@@ -211,8 +212,8 @@ def _row(
     return {
         "take_id": store.take_id(take), "take": take, "of_take_id": store.take_id(other), "of_take": other,
         "same": same, "start": start, "stop": stop,
-        "start_seconds": start / store.rate_hz, "stop_seconds": stop / store.rate_hz,
-        "share": (stop - start) / frames, "shift_seconds": shift / store.rate_hz, "mirrored": image,
+        "start_seconds": in_seconds(start, store.rate_hz), "stop_seconds": in_seconds(stop, store.rate_hz),
+        "share": (stop - start) / frames, "shift_seconds": in_seconds(shift, store.rate_hz), "mirrored": image,
         "distance_mm": 1000.0 * far,
     }  # fmt: skip
 

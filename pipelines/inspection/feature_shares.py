@@ -9,6 +9,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
+from kinedex.ops.intervals import in_seconds
 from kinedex.ops.search.runs import feature_runs
 from kinedex.ops.words import NO_WORD
 
@@ -51,7 +52,7 @@ def feature_shares(
             "name": [feature.name for feature in feature_set.features],
             "percent": 100 * frames / max(valid, 1),
             "runs": runs,
-            "longest_seconds": longest / rate_hz,
+            "longest_seconds": in_seconds(longest, rate_hz),
             "remark": pa.array(_remarks(feature_set, set(unknown)), pa.string()),
         }
     )

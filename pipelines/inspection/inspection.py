@@ -20,6 +20,7 @@ from kinedex.ops.body.gaps import find_gaps
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.body.plausibility import Plausibility, reasons
 from kinedex.ops.errors import KinedexError, SourceError
+from kinedex.ops.intervals import shown_seconds
 from kinedex.pipelines.ingestion.analysis import analyse, blind
 from kinedex.pipelines.ingestion.quality import figures_of
 from kinedex.pipelines.ingestion.single_file import chosen_person, motion_ending, skeleton_beside
@@ -176,7 +177,7 @@ def _add_persons(found: Inspection, file: Path, persons: list[str], mappings: Ma
             continue
         height = body_height(body.positions, joints)
         tall = "" if height is None else f", {height:.2f} m tall"
-        found.add("", f"{person}: mapping {body.skeleton}, {body.frames / body.rate_hz:.2f} s{tall}")
+        found.add("", f"{person}: mapping {body.skeleton}, {shown_seconds(body.frames, body.rate_hz)} s{tall}")
 
 
 def _raw(
@@ -292,7 +293,7 @@ def _add_nodes(found: Inspection, nodes: Iterable[str]) -> None:
 
 def _add_time(found: Inspection, rate_hz: float, frames: int, note: str = "") -> None:
     found.add("rate", f"{rate_hz:.6g} Hz{note}")
-    found.add("length", f"{frames} frames, {frames / rate_hz:.2f} s")
+    found.add("length", f"{frames} frames, {shown_seconds(frames, rate_hz)} s")
 
 
 def _add_mapping(found: Inspection, raw: _Skeleton, mappings: Mappings) -> None:
@@ -408,7 +409,7 @@ def _figure(file: Path, body: Body, joints: tuple[str, ...]) -> Figure:
         times=_times(shown, body.rate_hz),
         views=[(views[0] if faces else _AXES[0], 0, 1), (views[1] if faces else _AXES[1], 2, 1)],
         ground=ground,
-        title=f"{file.name}: {body.skeleton}, {body.frames} frames, {body.frames / body.rate_hz:.2f} s",
+        title=f"{file.name}: {body.skeleton}, {body.frames} frames, {shown_seconds(body.frames, body.rate_hz)} s",
         legend=[("left", LEFT), ("right", RIGHT), ("middle", MIDDLE)],
         note=f"ground line: the take's lowest point, y = {ground:.2f} m",
     )
@@ -433,4 +434,4 @@ def _shown(frames: int) -> list[int]:
 
 
 def _times(shown: list[int], rate_hz: float) -> list[str]:
-    return [f"{frame / rate_hz:.2f} s (frame {frame})" for frame in shown]
+    return [f"{shown_seconds(frame, rate_hz)} s (frame {frame})" for frame in shown]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from kinedex.ops.intervals import in_seconds
 from kinedex.ops.maps.clusters import Trait, map_clusters, outline, traits, typical
 from kinedex.ops.maps.interval_numbers import F64, interval_numbers, standardised
 from kinedex.ops.maps.layout import F32, Layout, Progress, map_layout
@@ -206,7 +207,7 @@ def _described(store: Store, points: _Points, layout: Layout) -> tuple[Cluster, 
             Cluster(
                 int(inside.sum()),
                 len(takes),
-                float(points.frames[inside].sum()) / store.rate_hz / 3600,
+                in_seconds(float(points.frames[inside].sum()), store.rate_hz) / 3600,
                 tuple(traits(points.shares, inside)),
                 tuple(sorted(counts.items(), key=lambda one: (-one[1], one[0] or ""))),
                 tuple(typical(layout.places, inside).tolist()),

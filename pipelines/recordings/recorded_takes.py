@@ -12,6 +12,7 @@ import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.intervals import in_seconds
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.ingestion.analysis import analyse, blind, known_features
 from kinedex.pipelines.ingestion.described_takes import group_values
@@ -181,7 +182,7 @@ def _row(
             "source_frames": body.frames,
             "rate_hz": rate_hz,
             "frames": len(words),
-            "seconds": body.frames / body.rate_hz,
+            "seconds": in_seconds(body.frames, body.rate_hz),
             "invalid_frames": int(np.count_nonzero(words == NO_WORD)),
             "warnings": [*body.warnings, *blind(features, body), *doubts],
             "recording": origin.recording,

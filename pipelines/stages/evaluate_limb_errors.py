@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 from kinedex.catalog.printed_figures import load_printed
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.intervals import in_seconds
 from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest, hash_of
@@ -150,8 +151,8 @@ def _label_row(one: PlacedLabel) -> dict[str, Any]:
         "annotator": one.annotator,
         "start": one.start,
         "stop": one.stop,
-        "start_seconds": one.start / one.judged.rate_hz,
-        "stop_seconds": one.stop / one.judged.rate_hz,
+        "start_seconds": in_seconds(one.start, one.judged.rate_hz),
+        "stop_seconds": in_seconds(one.stop, one.judged.rate_hz),
         "file": one.file,
     }
 

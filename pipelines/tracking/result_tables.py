@@ -11,6 +11,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from kinedex.ops.body.kinematic_chain import Poses, rotation_of, vector_of
+from kinedex.ops.intervals import in_seconds
 from kinedex.ops.priors.allocation import PriorRow
 from kinedex.ops.tracking.observations import Rays
 from kinedex.pipelines.tracking.chain_tracker import ChainTracker, frame_figures, ray_residuals
@@ -168,8 +169,8 @@ class TrackResult:
                 "hit": row.hit,
                 "source_start": row.start,
                 "source_stop": row.stop,
-                "start_seconds": row.start / rate_hz,
-                "stop_seconds": row.stop / rate_hz,
+                "start_seconds": in_seconds(row.start, rate_hz),
+                "stop_seconds": in_seconds(row.stop, rate_hz),
                 "first_column": row.first_column,
                 "last_column": row.last_column,
                 "cost": row.cost,

@@ -9,6 +9,7 @@ from typing import Any
 import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
+from kinedex.ops.intervals import shown_seconds
 from kinedex.ops.wording import counted
 from kinedex.pipelines.templates.nearest_examples import clips_of
 from kinedex.pipelines.templates.stored_templates import stored_templates
@@ -103,7 +104,7 @@ def best_hits(store: Store, hits: pa.Table, stage: str, each: int) -> dict[str, 
 
 def _clip(row: dict[str, Any], rate_hz: float, group: str, examples: Examples | None) -> Clip:
     start, stop = row["start"], row["stop"]
-    facts = [f"{start / rate_hz:.2f} to {stop / rate_hz:.2f} s, frames {start} to {stop}"]
+    facts = [f"{shown_seconds(start, rate_hz)} to {shown_seconds(stop, rate_hz)} s, frames {start} to {stop}"]
     title = str(row["take"])
     if row.get("cost") is not None:
         rank = f"{row['rank']}. " if row.get("rank") is not None else ""
@@ -230,7 +231,7 @@ def write_strip(store: Store, hits: pa.Table, path: Path, *, title: str, group: 
     for row in rows:
         positions = joint_positions(store.frames(row["take"], row["start"], row["stop"]), joints)
         cost = f", cost {row['cost']:.3f}" if row.get("cost") is not None else ""
-        times = f"{row['start'] / store.rate_hz:.2f} to {row['stop'] / store.rate_hz:.2f} s{cost}"
+        times = f"{shown_seconds(row['start'], store.rate_hz)} to {shown_seconds(row['stop'], store.rate_hz)} s{cost}"
         strip.append(StripRow(f"{row[group]} in {row['take']}", times, positions, row["start"], store.rate_hz))
     draw_strip(strip, joints, title, amount, path)
     return f"{amount}."

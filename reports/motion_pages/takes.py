@@ -9,6 +9,7 @@ from typing import Any
 import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError, did_you_mean
+from kinedex.ops.intervals import shown_seconds
 from kinedex.ops.wording import counted
 from kinedex.reports.motion_pages import FIGURES
 from kinedex.reports.motion_pages.motion_page import Clip, MotionPage, grouped, write_motion_page
@@ -87,9 +88,9 @@ def _clip(row: dict[str, Any], rate_hz: float) -> Clip:
     frames = int(row["frames"])
     shown = min(frames, round(LONGEST_SECONDS * rate_hz))
     start = (frames - shown) // 2
-    length = f"{frames / rate_hz:.1f} s"
+    length = f"{shown_seconds(frames, rate_hz, 1)} s"
     if shown < frames:
-        length = f"{shown / rate_hz:.0f} of {length}, from {start / rate_hz:.1f} s"
+        length = f"{shown_seconds(shown, rate_hz, 0)} of {length}, from {shown_seconds(start, rate_hz, 1)} s"
     facts = [length, *(str(row[name]) for name in ("class", "actor") if row.get(name) is not None)]
     return Clip(
         row["name"], start, start + shown, row["name"], (facts[0], ", ".join(facts[1:])) if facts[1:] else (length,)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from markupsafe import Markup
 
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
+from kinedex.ops.intervals import shown_seconds
 from kinedex.ops.templates.derived_templates import consistency
 from kinedex.ops.templates.templates import Template, quantise
 from kinedex.ops.templates.warping import align
@@ -56,7 +57,9 @@ def write_template_page(store: Store, one: SubclassTemplate, delta: float, path:
     paths, costs = _aligned(template, words, len(store.feature_set.features))
     order = np.argsort(costs, kind="stable").tolist()
     shown = tuple(
-        Clip(take, start, stop, take, (f"{(stop - start) / store.rate_hz:.2f} s", f"distance {costs[place]:.3f}"))
+        Clip(
+            take, start, stop, take, (f"{shown_seconds(stop - start, store.rate_hz)} s", f"distance {costs[place]:.3f}")
+        )
         for place in order[:most]
         for take, start, stop in [clips[place]]
     )
@@ -141,7 +144,7 @@ def _matrix(store: Store, template: Template, delta: float, figures: Sequence[F6
             red, green, blue = colours[row, column].tolist()
             value = values[column, row]
             state = "on" if value == 1 else "off" if value == 0 else "anything fits"
-            title = f"{name}, {column / store.rate_hz:.2f} s: {template.values[column, row]:.2f}, {state}"
+            title = f"{name}, {shown_seconds(column, store.rate_hz)} s: {template.values[column, row]:.2f}, {state}"
             parts.append(
                 f'<rect x="{_NAMES + column * cell}" y="{y}" width="{cell}" height="{_ROW - 1}" '
                 f'fill="rgb({red},{green},{blue})"><title>{escape(title)}</title></rect>'
@@ -152,7 +155,7 @@ def _matrix(store: Store, template: Template, delta: float, figures: Sequence[F6
     every = max(1, round(0.25 * store.rate_hz))
     for column in range(0, columns, every):
         x, y = _NAMES + column * cell + 2, height - 6
-        parts.append(f'<text class="soft" x="{x}" y="{y}">{column / store.rate_hz:.2f} s</text>')
+        parts.append(f'<text class="soft" x="{x}" y="{y}">{shown_seconds(column, store.rate_hz)} s</text>')
     note = (
         "Above each column the frame of a clip that differs least from those of the others there; black is off in all "
         "clips, white is on in all, colours are between. At the end of a row: how much the clips agree."

@@ -6,6 +6,7 @@ import numpy as np
 import pyarrow as pa
 
 from kinedex.catalog.sql.views import VIEWS
+from kinedex.ops.intervals import in_seconds
 from kinedex.storage.snapshot.labels import current_labels
 from kinedex.storage.snapshot.snapshot import Snapshot
 
@@ -35,4 +36,4 @@ def shown_labels(store: Snapshot) -> pa.Table:
 
 
 def _seconds(frames: pa.ChunkedArray, rate_hz: float) -> pa.Array:
-    return pa.array(frames.to_numpy().astype(np.float64) / rate_hz, from_pandas=True)  # NaN is null
+    return pa.array(in_seconds(frames.to_numpy().astype(np.float64), rate_hz), from_pandas=True)  # NaN is null

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from kinedex.ops.errors import SourceError
+from kinedex.ops.intervals import in_seconds, nearest_frame
 
 ERROR = "error"
 """The class of labels that mark a limb as wrong."""
@@ -65,7 +66,7 @@ class TakeLabels:
 
     def seconds(self, frame: int) -> float:
         """Return the time at which a source frame begins; frame 0 begins at 0."""
-        return frame / self.rate_hz
+        return in_seconds(frame, self.rate_hz)
 
     def milliseconds(self, frame: int) -> int:
         """Return the time at which a source frame begins, to the nearest millisecond."""
@@ -115,7 +116,7 @@ class ManualSegment:
         """Return the source frames [start, stop); seconds are rounded to the nearest frame, halves upwards."""
         if not self.in_seconds:
             return int(self.start), int(self.stop)
-        return math.floor(self.start * rate_hz + 0.5), math.floor(self.stop * rate_hz + 0.5)
+        return nearest_frame(self.start, rate_hz), nearest_frame(self.stop, rate_hz)
 
     @property
     def where(self) -> str:

@@ -1,4 +1,5 @@
 import { useStore } from "../api/queries";
+import { shownSeconds } from "../api/seconds";
 import { SmallFigure } from "../motion/SmallFigure";
 import type { ArchiveMap, Point } from "./map";
 import { shownFrames } from "./wall";
@@ -19,8 +20,9 @@ export function MapHover({ map, point, at, text }: Props) {
   const rateHz = useStore().data?.rate_hz ?? 30;
   const owner = map.owner[point] as number;
   const first = map.starts[point] as number;
-  const [from, to] = shownFrames((map.stops[point] as number) - first, rateHz);
-  const seconds = ((map.stops[point] as number) - first) / rateHz;
+  const last = map.stops[point] as number;
+  const [from, to] = shownFrames(last - first, rateHz);
+  const seconds = (frames: number) => shownSeconds(frames, rateHz, 1);
   const style = at === undefined ? undefined : { left: `min(${at[0] + 16}px, calc(100% - ${WIDTH + 10}px))`, top: `min(${at[1] + 16}px, calc(100% - ${HEIGHT + 62}px))` };
   return (
     <div className="map-hover" style={style} data-corner={at === undefined} aria-hidden>
@@ -29,7 +31,7 @@ export function MapHover({ map, point, at, text }: Props) {
       )}
       <strong>{map.names[owner]}</strong>
       <span className="muted">
-        {text} · {map.unit === "takes" ? `${seconds.toFixed(1)} s` : `${(first / rateHz).toFixed(1)} to ${(first / rateHz + seconds).toFixed(1)} s`}
+        {text} · {map.unit === "takes" ? `${seconds(last - first)} s` : `${seconds(first)} to ${seconds(last)} s`}
       </span>
     </div>
   );

@@ -3,7 +3,7 @@
 import { Button, Group, NumberInput, Text, Title } from "@mantine/core";
 import { useState } from "react";
 
-import { clock } from "../take/axis";
+import { frameClock } from "../take/axis";
 import { ClassInput } from "./ClassInput";
 import type { Edits, LabelRow } from "./edits";
 import type { Item } from "./LabelLanes";
@@ -24,7 +24,7 @@ export function SegmentPanel({ item, rows, frames, rateHz, edits, readOnly }: Pa
         Nothing is chosen. Click a label or an annotation, or press j and k.
       </Text>
     );
-  const seconds = (frame: number) => clock(frame / rateHz, 2);
+  const seconds = (frame: number) => frameClock(frame, rateHz);
   return (
     <section aria-label="Chosen">
       <Title order={2} size="h3">{item.kind === "label" ? "Label" : "Annotation"}</Title>

@@ -7,6 +7,7 @@ import { useEffect, useMemo, useState, useSyncExternalStore } from "react";
 import { Link } from "wouter";
 
 import { post } from "../api/client";
+import { shownSeconds } from "../api/seconds";
 import { takeAddress } from "../app/address";
 import { Fault } from "../app/Fault";
 import { type ExamplesAnswer, keyOf, samePlace } from "../ask/types";
@@ -74,7 +75,7 @@ function Alike({ id, name, from, to, rateHz }: Props) {
     <ol className="alike" aria-label="Most like the selection, the best first" aria-busy={found.isFetching}>
       {hits.map((hit) => (
         <li key={keyOf(hit)}>
-          <Link href={takeAddress(hit.take, hit.start, hit.stop)} title={`${hit.take}, ${(hit.start / rateHz).toFixed(2)} to ${(hit.stop / rateHz).toFixed(2)} s`}>
+          <Link href={takeAddress(hit.take, hit.start, hit.stop)} title={`${hit.take}, ${shownSeconds(hit.start, rateHz)} to ${shownSeconds(hit.stop, rateHz)} s`}>
             <SmallFigure item={hit} width={68} height={80} />
             <span>
               <span className="visually-hidden">{hit.take}, cost </span>

@@ -8,7 +8,7 @@ import { Fault } from "../app/Fault";
 import type { Feature } from "../api/types";
 import { sideOf } from "../motion/body";
 import { colours, onTheme } from "../motion/colours";
-import { clock } from "./axis";
+import { frameClock } from "./axis";
 import { Panel } from "./panels";
 import type { Session } from "./session";
 import type { Hit, TemplateImage } from "./types";
@@ -63,8 +63,8 @@ export function HitPanel({ session, name, hit, image, fault, features, onBeside,
       {fault !== null && fault !== undefined && <Fault fault={fault} />}
       {hit !== undefined && (
         <Text size="sm">
-          {hit.below ? "Hit" : "Nearest place"} from {clock(hit.start / session.rateHz, 2)} to{" "}
-          {clock(hit.stop / session.rateHz, 2)}, cost {hit.cost.toFixed(3)}
+          {hit.below ? "Hit" : "Nearest place"} from {frameClock(hit.start, session.rateHz)} to{" "}
+          {frameClock(hit.stop, session.rateHz)}, cost {hit.cost.toFixed(3)}
           {hit.below ? "" : ": not below τ"}
         </Text>
       )}

@@ -5,7 +5,7 @@ import { useEffect, useMemo, useRef } from "react";
 import type { Feature } from "../api/types";
 import { useWidth } from "../app/useWidth";
 import { colours, onTheme } from "../motion/colours";
-import { clock, xOf } from "./axis";
+import { frameClock, xOf } from "./axis";
 import { drawAxis, drawCurve, drawSegments, FeatureImage } from "./draw";
 import { usePointer, useScrub, useStrip, useWheel } from "./pointer";
 import { type CurveRow, makeRows, type Row } from "./rows";
@@ -49,7 +49,7 @@ export function LanesView(props: LanesProps) {
   useWheel(session, width, area);
   return (
     <div className="lanes" style={{ gridTemplateRows: `${STRIP + AXIS}px ${height}px` }}>
-      <div className="lanes-corner">{clock(session.frames / session.rateHz)}</div>
+      <div className="lanes-corner">{frameClock(session.frames, session.rateHz, 1)}</div>
       <div className="lanes-top">
         <canvas ref={strip} className="lanes-strip" style={{ height: STRIP }} {...useStrip(session, width)} />
         <canvas ref={axis} style={{ height: AXIS }} {...useScrub(session, width)} />

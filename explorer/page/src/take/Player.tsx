@@ -7,7 +7,7 @@ import { type Shortcut, useShortcuts } from "../app/shortcuts";
 import type { Body } from "../motion/body";
 import type { Actor, Staging } from "../motion/actors";
 import { borrowStage, returnStage } from "../motion/Stage";
-import { clock } from "./axis";
+import { frameClock } from "./axis";
 import { type Session, SPEEDS } from "./session";
 
 export interface PlayerProps {
@@ -131,7 +131,7 @@ function Controls({ session, front }: { session: Session; front: () => void }) {
       session.paint((changes) => {
         if (!changes.time && !changes.content) return;
         const frame = Math.floor(session.seen);
-        const text = `${clock(frame / session.rateHz, 2)} · frame ${frame}`;
+        const text = `${frameClock(frame, session.rateHz)} · frame ${frame}`;
         if (now.current !== null) now.current.textContent = text;
         if (slider.current === null) return;
         slider.current.value = String(Math.floor(session.frame));

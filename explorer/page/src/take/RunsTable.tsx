@@ -5,7 +5,7 @@ import { useMemo, useState } from "react";
 
 import type { Feature } from "../api/types";
 import { Titles } from "../app/Titles";
-import { clock } from "./axis";
+import { frameClock } from "./axis";
 import { GROUP_NAMES } from "./rows";
 import type { Session } from "./session";
 import type { Lane, Segment } from "./types";
@@ -45,7 +45,7 @@ function Runs({ session, lanes, features, words }: RunsTableProps) {
     if (lane !== undefined) return [...lane.segments].sort((a, b) => a.start - b.start);
     return words === null ? [] : words.runs(Number(chosen.replace("feature/", ""))).map((run) => ({ ...run }));
   }, [chosen, lanes, words]);
-  const seconds = (frame: number) => clock(frame / session.rateHz, 2);
+  const seconds = (frame: number) => frameClock(frame, session.rateHz);
   return (
     <>
       <NativeSelect

@@ -1,5 +1,7 @@
 // The time axis of the lanes: which frames are seen, and where.
 
+import { roundedSeconds } from "../api/seconds";
+
 export interface View {
   /** First frame that is seen; a fraction while somebody zooms. */
   from: number;
@@ -71,3 +73,7 @@ export function clock(seconds: number, digits = 1): string {
   const minutes = Math.floor(seconds / 60);
   return `${minutes}:${(seconds - 60 * minutes).toFixed(digits).padStart(digits > 0 ? 3 + digits : 2, "0")}`;
 }
+
+/** Write the seconds of a frame, or of a number of frames, as `clock` does. */
+export const frameClock = (frames: number, rateHz: number, digits = 2): string =>
+  clock(roundedSeconds(frames, rateHz, digits), digits);

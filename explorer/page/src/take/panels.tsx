@@ -6,7 +6,7 @@ import { Link, useLocation } from "wouter";
 
 import type { Feature, Value } from "../api/types";
 import { counted } from "../archive/text";
-import { clock } from "./axis";
+import { clock, frameClock } from "./axis";
 import type { Session } from "./session";
 import type { Suspect, TakeDocument } from "./types";
 import type { Words } from "./words";
@@ -31,7 +31,7 @@ export function SelectionPanel({ session, name }: { session: Session; name: stri
       </Panel>
     );
   const [from, to] = selection;
-  const seconds = (frame: number) => clock(frame / session.rateHz, 2);
+  const seconds = (frame: number) => frameClock(frame, session.rateHz);
   const question = `take=${encodeURIComponent(name)}&from=${from}&to=${to}`;
   return (
     <Panel title="Selection">

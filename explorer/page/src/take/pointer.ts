@@ -2,7 +2,7 @@
 
 import { type PointerEvent as ReactPointerEvent, useCallback, useEffect, useRef } from "react";
 
-import { clock, frameAt, pinched } from "./axis";
+import { frameAt, frameClock, pinched } from "./axis";
 import { type Row, rowAt, segmentAt } from "./rows";
 import type { Session } from "./session";
 import type { Segment } from "./types";
@@ -128,7 +128,7 @@ function showTip(tip: HTMLDivElement | null, x: number, y: number, width: number
 /** Return what lies under the pointer. */
 function describe(session: Session, words: Words | null, row: Row | null, frame: number, y: number): string[] {
   const whole = Math.min(session.frames - 1, Math.max(0, Math.floor(frame)));
-  const seconds = (one: number) => clock(one / session.rateHz, 2);
+  const seconds = (one: number) => frameClock(one, session.rateHz);
   const lines = [`${seconds(whole)}, frame ${whole}`];
   if (row?.kind === "feature") {
     lines.push(row.title);
@@ -153,7 +153,7 @@ function segmentText(one: Segment, rateHz: number): string[] {
   const facts = Object.entries(others)
     .filter(([key, value]) => value !== null && value !== undefined && !["id", "pipeline"].includes(key))
     .map(([key, value]) => `${key.replaceAll("_", " ")}: ${typeof value === "number" ? +value.toFixed(3) : String(value)}`);
-  const time = `${clock(start / rateHz, 2)} to ${clock(stop / rateHz, 2)} (${stop - start} frames)`;
+  const time = `${frameClock(start, rateHz)} to ${frameClock(stop, rateHz)} (${stop - start} frames)`;
   return [...(name === undefined ? [] : [name]), time, ...facts];
 }
 

@@ -7,6 +7,7 @@ import { Link } from "wouter";
 
 import { post } from "../api/client";
 import type { Step } from "../api/lines";
+import { shownSeconds } from "../api/seconds";
 import { takeAddress } from "../app/address";
 import { Fault } from "../app/Fault";
 import { download } from "../ask/files";
@@ -304,7 +305,7 @@ function Mistakes({ title, what, found, rateHz, old }: MistakesProps) {
                 <span className="clip-name">{one.take}</span>
               </Link>
               <span className="muted">
-                {(one.start / rateHz).toFixed(2)} to {(one.stop / rateHz).toFixed(2)} s{one.cost === null ? "" : `, cost ${one.cost.toFixed(3)}`}
+                {shownSeconds(one.start, rateHz)} to {shownSeconds(one.stop, rateHz)} s{one.cost === null ? "" : `, cost ${one.cost.toFixed(3)}`}
               </span>
             </li>
           ))}
