@@ -12,6 +12,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.configs import Located, config_path, load_yaml
+from kinedex.ops.arrays import I64
 from kinedex.ops.body.joint_tree import JOINTS, PARENTS
 from kinedex.ops.depth.cones import ConeBody
 from kinedex.ops.depth.pivots import moved_joints
@@ -127,7 +128,7 @@ def parse_body(located: Located) -> ConeBody:
     )
 
 
-def _pivots(located: Located, file: _BodyFile) -> npt.NDArray[np.int64]:
+def _pivots(located: Located, file: _BodyFile) -> I64:
     """Return the indices of the joints of the pivots; the root must come first, and parents before their children."""
     pivots: list[int] = []
     for name in file.pivots:
@@ -146,7 +147,7 @@ def _pivots(located: Located, file: _BodyFile) -> npt.NDArray[np.int64]:
     return np.array(pivots, np.int64)
 
 
-def _check_chain(located: Located, name: str, cone: _Cone, pivots: npt.NDArray[np.int64]) -> None:
+def _check_chain(located: Located, name: str, cone: _Cone, pivots: I64) -> None:
     """Raise an error if an end is no mixture of joints, or the pivots that move the cone are not in one chain."""
     joints = []
     for key, end in (("from", cone.start), ("to", cone.end)):

@@ -14,11 +14,10 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.cameras import projection
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.observations import Rays
-
-F64 = npt.NDArray[np.float64]
 
 _LARGEST_SIZE = 100_000
 _LARGEST_VALUE = 1e9
@@ -99,7 +98,7 @@ class Camera:
         """Return unit vectors (…, 3) in the world along the rays of pixels (…, 2)."""
         return projection.pixel_directions(self.matrix, self.rotation, self.distortion, pixels)
 
-    def contains(self, pixels: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+    def contains(self, pixels: npt.ArrayLike) -> Bool:
         """Return for pixels (…, 2) whether they lie inside the image, which reaches from −0.5 to size − 0.5."""
         places = np.asarray(pixels, np.float64)
         return np.asarray(((places >= -0.5) & (places <= np.array(self.size) - 0.5)).all(axis=-1))

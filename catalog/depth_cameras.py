@@ -9,17 +9,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.cameras import Camera
+from kinedex.ops.arrays import F32, F64, Array
 from kinedex.ops.cameras import projection
 from kinedex.ops.errors import ParameterError
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
 
 NOT_MEASURED = (0, 65535)
 """Values of integer images that mark pixels without a measurement."""
@@ -139,7 +136,7 @@ class DepthCamera:
         table[list(NOT_MEASURED)] = 0.0
         return table
 
-    def depths(self, values: npt.NDArray[Any]) -> F32:
+    def depths(self, values: Array) -> F32:
         """Convert the stored values of an image to depths z in metres.
 
         Parameters

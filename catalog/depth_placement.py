@@ -8,10 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.depth_cameras import DepthCamera
+from kinedex.ops.arrays import F32, F64
 from kinedex.ops.depth.floor import Floor, find_floor, upright_turn
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
 
 FLIP = np.array([1.0, -1.0, -1.0])
 """The camera's axes (x right, y down, z forward) times this are x right, y up, z to the rear."""

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.feature_definitions import PRIMITIVES, Feature, WordSet
+from kinedex.ops.arrays import I64, U64
 from kinedex.ops.body.feature_rules import JOINTS_OF, Primitive, Rule
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.templates.mirror import rearrange
@@ -61,7 +61,7 @@ class FeatureSet:
     ground: tuple[tuple[str, ...], ...] = ()
 
     @cached_property
-    def mirror_order(self) -> npt.NDArray[np.int64]:
+    def mirror_order(self) -> I64:
         """Return the source bit of each bit of a mirrored word, int64 (f,), from 0; it is its own inverse."""
         order = np.arange(len(self.features))
         for one, other in self.mirror:
@@ -73,7 +73,7 @@ class FeatureSet:
         """Return the set as manifests write it; cached, since every version of a store repeats it."""
         return asdict(self)
 
-    def mirrored(self, words: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
+    def mirrored(self, words: U64) -> U64:
         """Exchange left and right in words; invalid frames stay invalid.
 
         Where a rule names a limb or a joint of one side for both twins, as the papers' do (F1 and F2 measure both hands

@@ -9,18 +9,16 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.bodies import load_body
 from kinedex.catalog.configs import Located, config_path, load_yaml
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.cones import ConeBody
 from kinedex.ops.errors import ConfigError, did_you_mean
 from kinedex.ops.simulation.depth_flesh import REFERENCE_HEIGHT_M, Clothes, Flesh
 from kinedex.ops.simulation.depth_sensors import Disturbance
-
-F64 = npt.NDArray[np.float64]
 
 KIND = "bodies/filmed"
 
@@ -155,7 +153,7 @@ def _kind(name: str) -> str:
 
 def _cones(
     located: Located, file: _FilmedFile, body: ConeBody
-) -> tuple[F64, F64, npt.NDArray[np.int64], F64, F64]:  # fmt: skip
+) -> tuple[F64, F64, I64, F64, F64]:  # fmt: skip
     """Return weights, metres forwards, the two joints and metres beyond, and radii of all cones."""
     fitted, count = len(body.cone_names), len(body.cone_names) + len(file.cones)
     weights, forward = np.zeros((count, 2, len(JOINTS))), np.zeros((count, 2))

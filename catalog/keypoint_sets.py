@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from kinedex.catalog.configs import Located, config_names, config_path, load_yaml
 from kinedex.catalog.kinematics import load_kinematic_chain
+from kinedex.ops.arrays import F64
 from kinedex.ops.body.kinematic_chain import ChainBody, KinematicChain
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.tracking.observations import BodyPoints
@@ -225,7 +225,7 @@ def keypoint_sets_by_count() -> Mapping[int, tuple[KeypointSet, ...]]:
     return {count: tuple(one for one in shipped if one.by_count and len(one.order) == count) for count in counts}
 
 
-def likeliest_set(sets: Sequence[KeypointSet], points: npt.NDArray[np.float64]) -> KeypointSet:
+def likeliest_set(sets: Sequence[KeypointSet], points: F64) -> KeypointSet:
     """Return, of sets with equal numbers of keypoints, the one in whose order the limbs are shortest.
 
     In a wrong order, limbs go across the body.

@@ -20,14 +20,12 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from kinedex.catalog.configs import Located, config_path, load_yaml
 from kinedex.catalog.limbs import LIMB_NAMES
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import ConfigError, KinedexError, did_you_mean
-
-F64 = npt.NDArray[np.float64]
 
 FASTEST_HZ = 20_000.0
 SLOWEST_HZ = 1.0

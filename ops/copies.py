@@ -5,12 +5,9 @@ They compile much faster than an assignment of arrays, which also compiles broad
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy.typing as npt
 from numba import njit
 
-Array = npt.NDArray[Any]
+from kinedex.ops.arrays import Array
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

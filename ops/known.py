@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import Bool
 from kinedex.ops.words import NO_WORD, U64
 
 LEAST_KNOWN = 0.6
@@ -39,7 +39,7 @@ def is_applied(masks: Iterable[int], known: int) -> bool:
     return known_share(masks, known) >= LEAST_KNOWN
 
 
-def known_bits(known: int, features: int) -> npt.NDArray[np.bool_]:
+def known_bits(known: int, features: int) -> Bool:
     """Return a mask of the known features among f features, bool (f,)."""
     return np.array([known >> bit & 1 for bit in range(features)], np.bool_)
 

@@ -6,12 +6,10 @@ None of them stores a reference to an array, which avoids reference counting at 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import U8
 from kinedex.ops.bits import lowest_bit
-
-U8 = npt.NDArray[np.uint8]
 
 _EXACT = 2**53  # integers up to here are exact in a double, and so are the powers of ten up to 22:
 _POWERS = np.array([10.0**i for i in range(23)])  # one multiplication or division of the two rounds correctly

@@ -8,10 +8,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
-F64 = npt.NDArray[np.float64]
+from kinedex.ops.arrays import F64
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

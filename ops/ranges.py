@@ -13,9 +13,8 @@ import numba as nb
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.ops.arrays import I64
 from kinedex.ops.errors import ParameterError
-
-I64 = npt.NDArray[np.int64]
 
 _TAKE_BITS = 32  # concatenated takes of unknown length are placed this many bits apart; no take is that long
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I64, U8
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.numerals import (
     HASH,
@@ -25,9 +25,6 @@ from kinedex.ops.numerals import (
     unsigned,
 )
 
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-U8 = npt.NDArray[np.uint8]
 Text = bytes | bytearray | memoryview
 
 OK, BAD_NUMBER, TOO_FEW, TOO_MANY, UNKNOWN_NAME, TWICE, MISSING, NOT_NEXT, NO_FRAME, FULL = range(10)

@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import I64, U8, U64, Bool
 from kinedex.ops.errors import ParameterError
-
-U64 = npt.NDArray[np.uint64]
-I64 = npt.NDArray[np.int64]
 
 NO_WORD = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
 """The word of an invalid frame, which takes part in no run, no template and no hit. Other words have at most 63
@@ -134,7 +131,7 @@ def cut(words: U64, first_feature: int, features: int) -> U64:
     return np.where(words == NO_WORD, NO_WORD, (words >> np.uint64(first_feature - 1)) & mask)
 
 
-def bits(words: U64, features: int) -> npt.NDArray[np.uint8]:
+def bits(words: U64, features: int) -> U8:
     """Unpack words to a feature matrix.
 
     Parameters
@@ -153,7 +150,7 @@ def bits(words: U64, features: int) -> npt.NDArray[np.uint8]:
     return ((words[:, None] >> shifts) & np.uint64(1)).astype(np.uint8)
 
 
-def pack(matrix: npt.NDArray[np.bool_] | npt.NDArray[np.uint8]) -> U64:
+def pack(matrix: Bool | U8) -> U64:
     """Pack a feature matrix to words; the inverse of `bits`.
 
     Parameters

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
-F64 = npt.NDArray[np.float64]
+from kinedex.ops.arrays import F64
 
 SAMPLED_FRAMES = 32
 """About how many frames, spread evenly over the take, a reader samples for the positions of nodes."""

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from kinedex.catalog.configs import Located, config_names, config_path, load_yaml
@@ -25,12 +24,12 @@ from kinedex.catalog.skeletons.recognition.names import LONGEST_PREFIX, Vocabula
 from kinedex.catalog.skeletons.recognition.points import recognise_points
 from kinedex.catalog.skeletons.recognition.recognised_tree import recognise_tree
 from kinedex.catalog.skeletons.skeleton_fit import Axis, Fit, Format, Mix, SkeletonMapping
+from kinedex.ops.arrays import F64
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import SourceError, did_you_mean
 
 __all__ = ["Fit", "Format", "Mappings", "Mix", "SkeletonMapping", "load_mappings", "load_skeleton", "stripping"]
 
-F64 = npt.NDArray[np.float64]
 
 _WAY_OUT = "write one with `kinedex mapping new FILE -o my.yaml`, and give it by `skeletons`"
 

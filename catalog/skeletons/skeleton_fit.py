@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.skeletons.limb_sources import LimbSource
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import SourceError, did_you_mean
 
-F64 = npt.NDArray[np.float64]
 SEEN = ("positions", "c3d")
 """Formats whose nodes may be missing in some frames."""
 

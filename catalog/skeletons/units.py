@@ -7,11 +7,9 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import SourceError
-
-F64 = npt.NDArray[np.float64]
 
 HUMAN_M = (1.0, 2.2)
 """Heights of a body, in metres, among which a unit is guessed; so narrow that no two units both fit."""

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
-F64 = npt.NDArray[np.float64]
+from kinedex.ops.arrays import F64
 
 LARGEST = 1e6
 """The greatest angle in radians for which `sincos` is accurate; beyond it, the reduction by turns loses digits."""

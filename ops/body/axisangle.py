@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.body import kinematics
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
 
 _AT_ONCE = 4096  # frames at a time, so that the matrices take a few megabytes however long the take is
 

@@ -6,13 +6,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses, forward
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
+from kinedex.ops.arrays import F64, I64
 
 CONSTANT, LINEAR, CUBIC = 0x2, 0x4, 0x8
 """Flags of a key for the interpolation up to the next key."""

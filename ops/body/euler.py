@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.copies import copy_row
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
 
 
 def matrices_of(angles: F64, order: str) -> F64:

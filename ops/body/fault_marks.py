@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.body.motion_faults import (
     CONTACT_M,
     CONTACT_M_S,
@@ -16,9 +17,6 @@ from kinedex.ops.body.motion_faults import (
     MOVES_M_S,
     SIDEWAYS,
 )
-
-F64 = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 
 SPIKE = math.radians(40.0)
 """Angle in radians; a limb that turns away by more than this in one frame and back in the next is marked."""

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I64, U64
 from kinedex.ops.body import primitives as p
 from kinedex.ops.body.feature_rules import JOINTS_OF
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-U64 = npt.NDArray[np.uint64]
 
 BLOCK = 256
 """Frames per block: the data between positions and words then stay in a core's cache."""

@@ -9,10 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
-F64 = npt.NDArray[np.float64]
+from kinedex.ops.arrays import F64
 
 ABOVE, AT_LEAST, BELOW, AT_MOST, WITHIN = range(5)
 """The comparisons, numbered as kernels expect them."""

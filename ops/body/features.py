@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, U64, Bool
 from kinedex.ops.body.feature_kernels import (
     ABSOLUTE,
     COLUMNS,
@@ -25,7 +26,6 @@ from kinedex.ops.body.feature_rules import JOINTS_OF, Primitive, Rule, Term
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.words import MOST_FEATURES, NO_WORD
 
-F64 = npt.NDArray[np.float64]
 Pairs = tuple[tuple[int, int], ...]
 
 
@@ -40,9 +40,9 @@ def words(
     orientation: F64,
     rate_hz: float,
     rules: Sequence[Rule],
-    valid: npt.NDArray[np.bool_] | None = None,
+    valid: Bool | None = None,
     primitives: Mapping[str, Primitive] | None = None,
-) -> npt.NDArray[np.uint64]:
+) -> U64:
     """Compute the word of every frame.
 
     Invalid frames divide the take into segments in which velocities and hysteresis are restarted. Limb lengths are
@@ -111,7 +111,7 @@ def _stretch(
     rules: Sequence[Rule],
     measured: F64,
     primitives: Mapping[str, Primitive],
-) -> npt.NDArray[np.uint64]:
+) -> U64:
     """Return the words of consecutive valid frames; `measured` (J, 3, 1) is the frame that gives the limb lengths."""
     out = np.zeros(positions.shape[2], dtype=np.uint64)
     if not len(out):

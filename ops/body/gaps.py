@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
-import numpy.typing as npt
 
-F64 = npt.NDArray[np.float64]
+from kinedex.ops.arrays import F64
 
 
 @dataclass(frozen=True)

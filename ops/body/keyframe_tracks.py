@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.body.transforms import slerp
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
 
 USUAL_RATES_HZ = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 72.0, 75.0, 90.0, 100.0, 120.0, 144.0, 150.0, 180.0, 200.0,
                   240.0, 250.0, 300.0, 360.0, 400.0, 480.0, 500.0, 1000.0)  # fmt: skip

@@ -8,14 +8,11 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I32, Bool
 from kinedex.ops.body.angles import LARGEST, sincos, sincos_far
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
-I32 = npt.NDArray[np.int32]
 
 ROTATE_X, ROTATE_Y, ROTATE_Z, MOVE_X, MOVE_Y, MOVE_Z, STRETCH = range(7)
 """The kinds of channels: rotation about an axis, translation along one, or lengthening of the bone."""
@@ -134,7 +131,7 @@ class _Chain(NamedTuple):
     kinds: I32
     columns: I32
     frames: F64
-    plain: npt.NDArray[np.bool_]
+    plain: Bool
     offsets: F64
 
 
@@ -159,7 +156,7 @@ def _chain(nodes: tuple[Node, ...]) -> _Chain:
 
 
 @lru_cache(maxsize=16)
-def _needed(nodes: tuple[Node, ...], wanted: tuple[int, ...]) -> npt.NDArray[np.bool_]:
+def _needed(nodes: tuple[Node, ...], wanted: tuple[int, ...]) -> Bool:
     """Return a mask of the nodes that are wanted or lie between a wanted node and the root."""
     needed = np.zeros(len(nodes), dtype=np.bool_)
     for index in wanted:
@@ -241,8 +238,8 @@ def _rotate(own: F64, kind: int, angles: F64, near: bool, s: F64, c: F64) -> Non
 
 @njit(cache=True, nogil=True, _nrt=False)
 def _forward(
-    channels: F64, near: bool, needed: npt.NDArray[np.bool_], parents: I32, counts: I32, kinds: I32, columns: I32,
-    frames: F64, plain: npt.NDArray[np.bool_], offsets: F64, oriented: int, positions: F64, orientation: F64,
+    channels: F64, near: bool, needed: Bool, parents: I32, counts: I32, kinds: I32, columns: I32,
+    frames: F64, plain: Bool, offsets: F64, oriented: int, positions: F64, orientation: F64,
     rotations: F64, block: F64, axes: F64,
 ) -> None:  # fmt: skip
     """Write positions and orientation into preallocated memory; the kernel allocates nothing and counts no references.

@@ -12,10 +12,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
-F64 = npt.NDArray[np.float64]
+from kinedex.ops.arrays import F64
 
 CLEAR = 0.15
 """Values nearer to 0 than this decide nothing; takes of HDM05, CMU and Bandai have 0.37 and more."""

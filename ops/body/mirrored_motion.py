@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
+from kinedex.ops.arrays import F64
 
 
 def mirrored_names(names: Sequence[str]) -> list[str]:

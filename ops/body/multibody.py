@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.body import axisangle
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
 
 
 class Function(Protocol):

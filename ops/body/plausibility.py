@@ -12,9 +12,9 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.body.left_right import left_right, side_agreement
 from kinedex.ops.body.motion_faults import MotionFaults, motion_faults
 from kinedex.ops.body.tempo import tempo
@@ -33,9 +33,6 @@ from kinedex.ops.body.up_axis import (
 from kinedex.ops.copies import copy_table
 from kinedex.ops.order_statistics import median, order_statistic
 
-F64 = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
-
 SAMPLED = 32
 """Number of frames in which geometry is measured."""
 
@@ -50,7 +47,7 @@ _ROOT, _NECK, _LSHOULDER, _LELBOW, _FIRST_FOOT = (
 )
 
 
-def _indices(rows: Iterable[Sequence[str]]) -> npt.NDArray[np.int64]:
+def _indices(rows: Iterable[Sequence[str]]) -> I64:
     return np.array([[_JOINTS.index(joint) for joint in (row[0], row[-1])] for row in rows])
 
 
@@ -197,7 +194,7 @@ def reasons(positions: F64, joints: tuple[str, ...], valid: Bool | None = None) 
 
 
 @lru_cache(maxsize=16)
-def _places_of(joints: tuple[str, ...]) -> npt.NDArray[np.int64]:
+def _places_of(joints: tuple[str, ...]) -> I64:
     """Return the index of each of `_JOINTS`, −1 for one that the take lacks."""
     return np.array([joints.index(joint) if joint in joints else -1 for joint in _JOINTS])
 
@@ -217,7 +214,7 @@ def sampled_frames(positions: F64, counted: Bool) -> F64:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _geometry(sampled: F64, at: npt.NDArray[np.int64]) -> tuple[F64, F64, F64]:
+def _geometry(sampled: F64, at: I64) -> tuple[F64, F64, F64]:
     """Return the measures of single poses: lengths of limbs (8, 2), leads of axes (6,), and six others."""
     joints, _, frames = sampled.shape
     seen = np.zeros(joints, np.bool_)
@@ -256,7 +253,7 @@ def _geometry(sampled: F64, at: npt.NDArray[np.int64]) -> tuple[F64, F64, F64]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _pair(sampled: F64, at: npt.NDArray[np.int64], there: Bool, choices: npt.NDArray[np.int64]) -> F64:
+def _pair(sampled: F64, at: I64, there: Bool, choices: I64) -> F64:
     """Return the positions (2, 3, K) of the first pair of joints that is known, (0, 3, 0) if none is."""
     for i in range(len(choices)):
         if there[choices[i, 0]] and there[choices[i, 1]]:
@@ -281,7 +278,7 @@ def _length(a: F64, b: F64) -> tuple[float, float]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _spine(sampled: F64, at: npt.NDArray[np.int64], there: Bool) -> float:
+def _spine(sampled: F64, at: I64, there: Bool) -> float:
     """Return the length of the trunk from the root to the top of the head, NaN without root or head."""
     if not (there[_TRUNK[0]] and there[_TRUNK[4]]):
         return np.nan
@@ -294,7 +291,7 @@ def _spine(sampled: F64, at: npt.NDArray[np.int64], there: Bool) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _neck(sampled: F64, at: npt.NDArray[np.int64], there: Bool) -> float:
+def _neck(sampled: F64, at: I64, there: Bool) -> float:
     """Return the median height of the neck above the shoulders' midpoint along the trunk, of hanging arms if any."""
     frames = sampled.shape[2]
     above, hanging = np.empty(frames), np.zeros(frames, np.bool_)
@@ -312,7 +309,7 @@ def _neck(sampled: F64, at: npt.NDArray[np.int64], there: Bool) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _floor(sampled: F64, at: npt.NDArray[np.int64], there: Bool) -> float:
+def _floor(sampled: F64, at: I64, there: Bool) -> float:
     """Return the median height of the lowest foot; NaN without feet, and for a root that is fixed at the origin."""
     frames = sampled.shape[2]
     if there[_ROOT] and frames > 1:
@@ -328,9 +325,7 @@ def _floor(sampled: F64, at: npt.NDArray[np.int64], there: Bool) -> float:
     return order_statistic(lowest, frames // 2) if known else np.nan
 
 
-def _motion(
-    positions: F64, joints: tuple[str, ...], rate_hz: float, counted: Bool, at: npt.NDArray[np.int64]
-) -> dict[str, Any]:
+def _motion(positions: F64, joints: tuple[str, ...], rate_hz: float, counted: Bool, at: I64) -> dict[str, Any]:
     """Return the measures of speed, repeated frames and tempo."""
     total, number, repeated, steps, fastest, joint, frame, fast = _speeds(positions, counted, float(rate_hz))
     if not number:
@@ -350,7 +345,7 @@ def _motion(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _swung(positions: F64, at: npt.NDArray[np.int64]) -> F64:
+def _swung(positions: F64, at: I64) -> F64:
     """Return the tracks (N, 3, T) of known wrists and ankles, none if all of them stand still."""
     tracks = np.empty((len(_SWUNG), 3, positions.shape[2]))
     used, most = 0, 0.0

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.body.kinematic_chain import (
     PLACES,
     ChainArrays,
@@ -23,8 +23,6 @@ from kinedex.ops.body.kinematic_chain import (
 )
 from kinedex.ops.copies import copy_row, copy_table
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
 
 POINT_M = 0.01
 """Standard deviation of a joint's position, in metres."""
@@ -228,7 +226,7 @@ def _frame(first: int, exact: F64, second: int, near: F64, above: F64) -> F64:
 
 
 @njit(cache=True, nogil=True)
-def _restrict(turns: F64, node: int, free: npt.NDArray[np.bool_]) -> None:
+def _restrict(turns: F64, node: int, free: Bool) -> None:
     """Restrict the rotation vectors of a node to the components about its axes."""
     for t in range(len(turns)):
         vector = vector_of(turns[t, node])

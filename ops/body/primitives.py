@@ -11,14 +11,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I64, U64
 from kinedex.ops.body.feature_rules import ABOVE, AT_LEAST, AT_MOST, BELOW
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-U64 = npt.NDArray[np.uint64]
 
 DEGREES = 180.0 / math.pi
 

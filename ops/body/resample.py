@@ -5,12 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 
 _ON_A_FRAME = 1e-9  # interpolation weights below this are rounding errors
 

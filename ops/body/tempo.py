@@ -6,12 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.order_statistics import median, percentile
-
-F64 = npt.NDArray[np.float64]
 
 USUAL_HZ = tuple(map(float, (10, 15, 20, 25, 30, 50, 60, 75, 90, 100, 120, 150, 200, 240, 300, 400, 500)))
 """Rates of motion capture and cameras that a likely rate is rounded to."""

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
 
 
 def rotations(quaternions: F64) -> F64:

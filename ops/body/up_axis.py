@@ -22,12 +22,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.order_statistics import median, order_statistic
-
-F64 = npt.NDArray[np.float64]
 
 SURE = 0.5
 """Minimum confidence of an axis that is returned."""

@@ -14,9 +14,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
 
 DISTORTION_COUNTS = (0, 4, 5, 8)
 """The numbers of distortion coefficients that are supported."""

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
+from kinedex.ops.arrays import F32, F64
 
 PERCENTILE = 90.0
 """The percentile of a pixel's depths over time that is used as the background behind a moving person."""

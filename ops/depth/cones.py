@@ -15,10 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 START, AXIS, INVERSE, RADIUS, GROWTH, MIDDLE, REACH = 0, 3, 6, 7, 8, 9, 12
 """Columns of placed cones: A, B − A, 1/‖B − A‖² (0 if A = B), r_A, r_B − r_A, and centre and radius of a bounding ball.
@@ -124,7 +122,7 @@ class Samples(NamedTuple):
     places: F64
     cosines: F64
     sines: F64
-    straight: npt.NDArray[np.bool_]
+    straight: Bool
 
 
 class SurfaceDistances(NamedTuple):

@@ -12,16 +12,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I32, Bool
 from kinedex.ops.copies import copy_row
 from kinedex.ops.depth.graph import PointGraph
 from kinedex.ops.depth.points import FrameCloud
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
-I32 = npt.NDArray[np.int32]
 
 SOURCE_DROP_M = 0.2
 """Distance in metres by which the mean of the points is lowered; the source is the node nearest to it."""
@@ -179,9 +176,7 @@ def tips_first(cloud: FrameCloud, graph: PointGraph, extrema: Extrema, room: Ext
 
 
 @njit(cache=True, nogil=True)
-def _find_tips(
-    points: F64, starts: I32, neighbours: I32, nodes: I32, room: ExtremaRoom, tips: npt.NDArray[np.bool_]
-) -> None:
+def _find_tips(points: F64, starts: I32, neighbours: I32, nodes: I32, room: ExtremaRoom, tips: Bool) -> None:
     """Search around each extremum within the radius, until a node is found that is farther from the source."""
     distances, queue, seen = room.from_source, room.after, room.changed
     seen[: len(points)] = -1
@@ -206,7 +201,7 @@ def _find_tips(
 
 
 @njit(cache=True, nogil=True)
-def _nearest_to_mean(points: F64, body: npt.NDArray[np.bool_], drop: float) -> int:
+def _nearest_to_mean(points: F64, body: Bool, drop: float) -> int:
     x, y, z = 0.0, 0.0, 0.0
     for i in range(len(points)):
         x, y, z = x + points[i, 0], y + points[i, 1], z + points[i, 2]

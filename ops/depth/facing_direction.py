@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.copies import copy_row
 from kinedex.ops.order_statistics import median
-
-F64 = npt.NDArray[np.float64]
 
 SAMPLE = 700
 """Approximate number of points that are used where not all are needed."""

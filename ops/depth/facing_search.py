@@ -11,12 +11,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.depth.lookup import Lookup, Proposals
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 TURNS_DEG = (90.0, -90.0, 45.0, -45.0, 135.0, -135.0, 180.0)
 """Angles in degrees by which the facing direction is rotated, in this order."""

@@ -10,9 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
 
 TRIPLES = 300
 """Number of planes that are tried, each through three random points."""

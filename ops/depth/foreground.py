@@ -9,13 +9,9 @@ others get the median of their window.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
-I32 = npt.NDArray[np.int32]
-I64 = npt.NDArray[np.int64]
+from kinedex.ops.arrays import F32, F64, I32, I64, Bool
 
 NEAR_M, FAR_M = 0.4, 8.0
 """Minimum and maximum depth of the foreground, in metres."""
@@ -61,7 +57,7 @@ def depth_limits(background: F32 | None, rises: F64, floor_height: float | None,
         wall = (background.astype(np.float64) - BEFORE_BACKGROUND) / (1.0 + BEFORE_BACKGROUND_SHARE)
         limits = np.where(background > 0, np.minimum(limits, wall), limits)
 
-    def passes(z: F32) -> npt.NDArray[np.bool_]:
+    def passes(z: F32) -> Bool:
         return is_foreground(z, background, rises, floor_height, far)
 
     bound = np.maximum(limits, 0.0).astype(np.float32)
@@ -75,9 +71,7 @@ def depth_limits(background: F32 | None, rises: F64, floor_height: float | None,
     return np.where(np.isnan(rises), np.float32(0.0), bound)
 
 
-def is_foreground(
-    z: F32, background: F32 | None, rises: F64, floor_height: float | None, far: float
-) -> npt.NDArray[np.bool_]:
+def is_foreground(z: F32, background: F32 | None, rises: F64, floor_height: float | None, far: float) -> Bool:
     """Return a mask of depths in front of the background, above the floor and nearer than `far`; see `depth_limits`."""
     depth = z.astype(np.float64)
     found = depth < far

@@ -10,15 +10,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F32, F64, I32, I64, Bool
 from kinedex.ops.depth.component_links import LinkRoom, link_components, link_room
 from kinedex.ops.depth.points import FrameCloud
-
-F64 = npt.NDArray[np.float64]
-I32 = npt.NDArray[np.int32]
-Bool = npt.NDArray[np.bool_]
 
 EDGE_M = 0.06
 """Distance in metres below which neighbouring points are joined by an edge."""
@@ -178,7 +174,7 @@ def build_graph(cloud: FrameCloud, threshold: float = EDGE_M, room: GraphRoom | 
 
 
 @njit(cache=True, nogil=True)
-def _depth_step(pixels: I32, depth: npt.NDArray[np.float32], counts: npt.NDArray[np.int64]) -> float:
+def _depth_step(pixels: I32, depth: F32, counts: I64) -> float:
     """Return the `STEP_SHARE` quantile of depth differences of horizontal neighbours, in metres; 0 without any."""
     total = 0
     for i in range(len(pixels) - 1):

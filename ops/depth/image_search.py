@@ -13,11 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I32, I64
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
-I32 = npt.NDArray[np.int32]
-I64 = npt.NDArray[np.int64]
 
 HIDDEN_M, SAME_RAY = 0.12, 0.02
 """A sample is hidden by a point that is nearer to the camera by the first (m), with x/z and y/z within the second."""

@@ -8,19 +8,14 @@ from typing import NamedTuple
 
 import numba as nb
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F32, F64, I64
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.copies import copy_row, copy_table
 from kinedex.ops.depth.pose_database import turn_poses
 from kinedex.ops.depth.pose_distance import COMPARED, END_EFFECTORS
 from kinedex.ops.depth.pose_index import PoseIndex, pose_centres, search
 from kinedex.ops.errors import ParameterError
-
-Bool = npt.NDArray[np.bool_]
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 NEAR_M = 0.5
 """Distance in metres from the previous position within which an end effector is sought among extrema (μ of Eq. 8.4)."""

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.body.joint_tree import JOINTS, PARENTS
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
 
 _REACH = 4.0  # standard deviations at which the Gaussian is truncated
 

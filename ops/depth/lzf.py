@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import U8
 from kinedex.ops.errors import ParameterError
-
-U8 = npt.NDArray[np.uint8]
 
 MOST_RATIO = 88
 """The greatest ratio of expansion: the longest copy takes three bytes and becomes 264."""

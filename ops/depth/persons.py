@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.depth.graph import PointGraph
 from kinedex.ops.depth.points import FrameCloud
-
-Bool = npt.NDArray[np.bool_]
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 PERSON_POINTS, APART_M = 500, 0.3
 """Two components with more points than the first, and farther apart in metres than the second, are two people."""

@@ -9,10 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.body.joint_tree import PARENTS
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 
 class Pivots(NamedTuple):
@@ -51,7 +49,7 @@ def pivots_of(joints: I64) -> Pivots:
     return Pivots(joints, parents, starts, np.nonzero(moved)[1].astype(np.int64))
 
 
-def moved_joints(joints: I64) -> npt.NDArray[np.bool_]:
+def moved_joints(joints: I64) -> Bool:
     """Return a mask (P, 24), True where a pivot moves a joint: for all joints below it, not for itself."""
     moved = np.zeros((len(joints), len(PARENTS)), np.bool_)
     for k, pivot in enumerate(joints):

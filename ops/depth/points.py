@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.ops.arrays import F32, F64, I32
 from kinedex.ops.cameras.projection import undistort
 from kinedex.ops.depth.foreground import (
     ABOVE_FLOOR_M,
@@ -23,10 +24,6 @@ from kinedex.ops.depth.foreground import (
 )
 from kinedex.ops.depth.nearest_pixels import NearestRoom, nearest_room
 from kinedex.ops.errors import ParameterError
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
-I32 = npt.NDArray[np.int32]
 
 MOST_POINTS = 6000
 """Maximum number of points of the median frame: the stride is the smallest that does not exceed it."""

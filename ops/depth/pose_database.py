@@ -6,16 +6,12 @@ from typing import NamedTuple
 
 import numba as nb
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F32, F64, I64
 from kinedex.ops.body.joint_tree import JOINTS, PARENTS
 from kinedex.ops.copies import copy_row
 from kinedex.ops.depth.pose_distance import COMPARED
 from kinedex.ops.errors import ParameterError
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 LEAST_BONE_M = 1e-4
 """Length in metres below which a bone has no direction: in Acclaim skeletons the clavicles coincide with the neck."""

@@ -6,11 +6,9 @@ import math
 from itertools import permutations
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.body.joint_tree import JOINTS
-
-F64 = npt.NDArray[np.float64]
 
 END_EFFECTORS = np.array([JOINTS.index(name) for name in ("lfingers", "rfingers", "ltoes", "rtoes", "headtop")])
 """The joints E⁵ of the thesis, 8.3.3: hands, feet, and the top of the head."""
@@ -26,7 +24,7 @@ FOUND_M = 0.2
 """Distance in metres below which an extremum counts as the detection of an end effector."""
 
 
-def are_ends_found(extrema: F64, poses: F64) -> npt.NDArray[np.bool_]:
+def are_ends_found(extrema: F64, poses: F64) -> Bool:
     """Return a mask of frames whose five end effectors are matched one to one by extrema (thesis, Section 8.5.1).
 
     Parameters

@@ -12,9 +12,9 @@ import math
 from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.depth.cones import (
     AXIS,
     COLUMNS,
@@ -44,9 +44,6 @@ from kinedex.ops.depth.normal_equations import (
 from kinedex.ops.depth.pivots import Pivots, pivots_of, turn_pose
 from kinedex.ops.depth.points import FrameCloud
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 Form = Literal["best", "printed"]
 

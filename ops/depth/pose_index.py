@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import numba as nb
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F32, F64, I64
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.pose_distance import END_EFFECTORS
 from kinedex.ops.errors import ParameterError
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 LEAF = 16
 """Maximum number of poses in a leaf of the tree."""

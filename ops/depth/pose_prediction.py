@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.body.joint_tree import PARENTS
-
-F64 = npt.NDArray[np.float64]
 
 SHARE = 0.7
 """Share of the last movement that is extrapolated, chosen on clips of two actors with two cameras."""
@@ -34,7 +32,7 @@ def predicted_pose(pose: F64, before: F64, share: float = SHARE) -> F64:
 
 
 @njit(cache=True, nogil=True)
-def _predict(pose: F64, before: F64, share: float, parents: npt.NDArray[np.int64], predicted: F64) -> None:
+def _predict(pose: F64, before: F64, share: float, parents: I64, predicted: F64) -> None:
     for j in range(len(parents)):
         parent = parents[j]
         if parent < 0:

@@ -8,14 +8,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.ops.arrays import F32, F64
 from kinedex.ops.depth.cones import ConeBody
 from kinedex.ops.depth.image_search import DepthView
 from kinedex.ops.depth.points import Preparation
 from kinedex.ops.depth.tracker import Reconstructor, TrackerSettings
 from kinedex.ops.errors import ParameterError
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
 
 HEIGHTS_M = (1.45, 2.0)
 """Range of standing heights in metres that is tried in steps of `STEP_M`, and extended if an end fits best."""

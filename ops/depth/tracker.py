@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.ops.arrays import F32, F64, I64, Bool
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.cones import ConeBody, body_distance
 from kinedex.ops.depth.extrema import COUNT, ExtremaRoom, extrema_room, find_source, geodesic_extrema, tips_first
@@ -24,10 +25,6 @@ from kinedex.ops.depth.pose_index import PoseIndex
 from kinedex.ops.depth.pose_prediction import predicted_pose
 from kinedex.ops.depth.vote import PoseCost, cost_of
 from kinedex.ops.errors import ParameterError
-
-Bool = npt.NDArray[np.bool_]
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
 
 Hypothesis = Literal["local", "database"]
 
@@ -172,7 +169,7 @@ class FrameResult(NamedTuple):
     points: int
     components: int
     links: int
-    maps: npt.NDArray[np.int64]
+    maps: I64
     sums: F64
     candidates: tuple[Candidate, ...]
     unseen: Bool

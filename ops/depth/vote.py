@@ -6,16 +6,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.depth.cones import ConeBody, nearest_cone, place_cones, place_samples
 from kinedex.ops.depth.image_search import DepthView, FrameImage, closest_point, is_hidden, project_samples
 from kinedex.ops.depth.points import FrameCloud
 from kinedex.ops.depth.pose_fit import SAMPLED_POINTS, FitBody, FitRoom, Form, PoseFit
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
 
 MOST_SAMPLE_M, HIDDEN_COST_M, MOST_POINT_M = 0.5, 0.03, 0.15
 """Upper limits of a sample's cost, of a hidden sample's (its constant cost), and of a point's, in metres."""

@@ -8,17 +8,13 @@ from typing import Any, NamedTuple
 
 import numba as nb
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I32, I64, Array, Bool
 from kinedex.ops.bits import count_bits
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import NO_WORD, U64
 
-F64 = npt.NDArray[np.float64]
-I32 = npt.NDArray[np.int32]
-I64 = npt.NDArray[np.int64]
-Bool = npt.NDArray[np.bool_]
-Table = npt.NDArray[Any]  # float32, float64, or uint16 and uint8 of lower bounds
+Table = Array  # float32, float64, or uint16 and uint8 of lower bounds
 
 PADDING = 32
 """Width in columns of which tables are a multiple, so that vectorised loops over columns have no remainder."""

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import Array
 from kinedex.ops.distances.costs import I64, cost_table, encode, lay_out
 from kinedex.ops.distances.sweep import pieces_of, sweep
 from kinedex.ops.ranges import checked_ranges
@@ -23,7 +23,7 @@ def distance_curves(
     words: U64,
     ranges: I64 | None = None,
     dtype: type[np.floating[Any]] = np.float64,
-) -> npt.NDArray[Any]:
+) -> Array:
     """Return the distance curve of every template (thesis, Eq. 5.1 to 5.3).
 
     The local cost of a column against a frame is the fraction of the column's fixed entries f that the frame

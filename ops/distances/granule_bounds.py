@@ -22,15 +22,13 @@ from typing import NamedTuple
 
 import numba as nb
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F32
 from kinedex.ops.bits import count_bits
 from kinedex.ops.distances.costs import I64, template_columns
 from kinedex.ops.search.bit_slices import GRANULE, GRANULES, BitSlices, transpose
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import U64
-
-F32 = npt.NDArray[np.float32]
 
 LONG = 40
 """Number of columns from which templates are divided into blocks of 8 columns; others have blocks of 4."""

@@ -10,13 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F32, F64, I64, Bool
 from kinedex.ops.body.facing_direction import Placement, start_at_origin
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
-F32 = npt.NDArray[np.float32]
 
 MOMENTS = 32
 """Number of evenly spread moments of a clip at which clips are compared."""
@@ -106,9 +103,7 @@ def near_duplicates(outlines: Sequence[F32] | F32, seconds: Sequence[float] | F6
     return same
 
 
-def _distances(
-    values: F32, known: npt.NDArray[np.bool_], whole: bool, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]
-) -> F64:
+def _distances(values: F32, known: Bool, whole: bool, rows: I64, columns: I64) -> F64:
     """Return the distances in metres between clips; infinity where no joint is known in both."""
     a, b = values[rows], values[columns]
     if whole:

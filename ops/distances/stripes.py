@@ -9,13 +9,11 @@ from __future__ import annotations
 
 import numba as nb
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import U8
 from kinedex.ops.distances.costs import F64, I32, I64, CodedWords, Layout, TemplateColumns, fill_bounds, in_units
 from kinedex.ops.distances.recurrence import COARSE_CAP, coarse_path_cost
 from kinedex.ops.words import NO_WORD, U64
-
-U8 = npt.NDArray[np.uint8]
 
 SLOTS = 64
 """The number of columns side by side in a row: the bytes of the widest vector, and of a cache line."""

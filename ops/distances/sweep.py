@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numba as nb
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import U16
 from kinedex.ops.copies import copy_table
 from kinedex.ops.distances.costs import I32, I64, Table
 from kinedex.ops.distances.recurrence import path_cost
-
-U16 = npt.NDArray[np.uint16]
 
 LANES = 4
 """The number of pieces that are computed together. A frame depends on the frame before it, whose stores have not

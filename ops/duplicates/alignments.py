@@ -13,13 +13,9 @@ from typing import NamedTuple
 
 import numba as nb
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import I64, U64, Bool
 from kinedex.ops.search.runs import WordRuns
-
-I64 = npt.NDArray[np.int64]
-U64 = npt.NDArray[np.uint64]
-Bool = npt.NDArray[np.bool_]
 
 LENGTH = 4
 """Number of successive runs in a sequence: 4 words of 40 bits are rarely equal by chance."""

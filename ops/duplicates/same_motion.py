@@ -6,11 +6,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
+from kinedex.ops.arrays import F32, F64
 
 NEAR_M = 0.03
 """Mean distance of joints in metres below which two poses can be the same pose, sampled at another rate."""

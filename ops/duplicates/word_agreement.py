@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import numba as nb
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.bits import count_bits
 from kinedex.ops.duplicates.alignments import Alignments
 from kinedex.ops.duplicates.same_motion import LEAST_S
 from kinedex.ops.words import NO_WORD, U64
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-Bool = npt.NDArray[np.bool_]
 
 _INVALID_BITS = 8
 
@@ -93,7 +89,7 @@ def _differences(
     first: I64,
     second: I64,
     shift: I64,
-    image: npt.NDArray[np.bool_],
+    image: Bool,
     votes: I64,
     start: I64,
     stop: I64,

@@ -13,16 +13,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.inertial.quaternion_kernels import angle, inverse_product, product, product_inverse, row
 from kinedex.ops.inertial.rotations import conjugate, multiply, rotate
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-Flags = npt.NDArray[np.bool_]
 
 TAU_DEG = 45.0
 """The error in degrees above which a frame counts as wrong, as in the thesis."""
@@ -167,7 +163,7 @@ def direction_errors(sensor: F64, directions: F64, q_global: F64, direction: F64
     return np.degrees(np.arctan2(across, np.einsum("ta,ta->t", reported, directions)))
 
 
-def auto_tau(streams: Iterable[tuple[F64, Flags]]) -> float:
+def auto_tau(streams: Iterable[tuple[F64, Bool]]) -> float:
     """Choose τ from the errors: median + 4 robust standard deviations, at least 15°.
 
     It fails where half of the frames are wrong.
@@ -231,7 +227,7 @@ class Run(NamedTuple):
     mean_deg: float
 
 
-def runs(degrees: F64, valid: Flags, rate_hz: float, rules: RunRules) -> list[Run]:
+def runs(degrees: F64, valid: Bool, rate_hz: float, rules: RunRules) -> list[Run]:
     """Return the runs of wrong frames: above τ, then extended, gaps closed, and short runs dropped.
 
     Parameters
@@ -266,12 +262,12 @@ def runs(degrees: F64, valid: Flags, rate_hz: float, rules: RunRules) -> list[Ru
     return [_run(degrees, counted, start, stop) for start, stop in ranges.tolist()]
 
 
-def jump_runs(degrees: F64, jump: Flags) -> list[Run]:
+def jump_runs(degrees: F64, jump: Bool) -> list[Run]:
     """Return the runs of frames in which the limb rotates faster than a person can; their errors may be NaN."""
     return [_run(degrees, np.isfinite(degrees), start, stop) for start, stop in flagged_ranges(jump).tolist()]
 
 
-def _run(degrees: F64, counted: Flags, start: int, stop: int) -> Run:
+def _run(degrees: F64, counted: Bool, start: int, stop: int) -> Run:
     values = degrees[start:stop][counted[start:stop]]
     return Run(start, stop, float(values.max()), float(values.mean())) if len(values) else Run(start, stop, *_NAN)
 
@@ -279,7 +275,7 @@ def _run(degrees: F64, counted: Flags, start: int, stop: int) -> Run:
 _NAN = (math.nan, math.nan)
 
 
-def flagged_ranges(flags: Flags) -> I64:
+def flagged_ranges(flags: Bool) -> I64:
     """Return the ranges [start, stop) of frames whose flag is set, int64 (R, 2)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     return edges.reshape(-1, 2).astype(np.int64)

@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.inertial.rotations import conjugate, exp, multiply
-
-F64 = npt.NDArray[np.float64]
 
 KNOT_S = 20.0
 ROUNDS = 8
@@ -97,7 +95,7 @@ def fit_drift(times: F64, headings: F64) -> HeadingDrift:
     return HeadingDrift(knots, values)
 
 
-def _weighted(left: npt.NDArray[np.int64], share: F64, headings: F64, weights: F64, stiff: F64) -> F64:
+def _weighted(left: I64, share: F64, headings: F64, weights: F64, stiff: F64) -> F64:
     """Return the headings at the curve's knots, by weighted least squares."""
     count = len(stiff)
     hessian = stiff + 1e-12 * np.eye(count)

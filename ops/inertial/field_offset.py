@@ -10,12 +10,10 @@ over time, they count as fewer independent ones.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.inertial.rotations import rotate
-
-F64 = npt.NDArray[np.float64]
 
 BLOCK_S = 0.1
 """Duration in seconds over which readings are averaged."""

@@ -15,19 +15,15 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.inertial.drift import HeadingDrift, fit_drift, heading_deg
 from kinedex.ops.inertial.hypotheses import UPRIGHT, Unit, best_world, world_guesses, worlds_of_mount
 from kinedex.ops.inertial.observability import least_eigenvalues, refusal, warning
 from kinedex.ops.inertial.quaternion_kernels import row
 from kinedex.ops.inertial.rotations import distance_deg, multiply, rotate
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-Flags = npt.NDArray[np.bool_]
 
 SCALES_DEG = (12.0, 6.0, 6.0, 6.0, 6.0, 6.0, 6.0)
 """The scale s of each reweighted fit: the error at which a frame has a quarter of its weight, w = (s²/(s² + e²))²."""
@@ -62,7 +58,7 @@ class Stream:
     times: F64
     sensor: F64
     track: F64
-    valid: Flags
+    valid: Bool
 
     def __post_init__(self) -> None:
         count = len(self.times)

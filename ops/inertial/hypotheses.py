@@ -11,14 +11,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.copies import copy_row
 from kinedex.ops.inertial.quaternion_kernels import inverse_product, product, row
 from kinedex.ops.inertial.rotations import Z_TO_Y, conjugate, exp, from_matrix, log, multiply
-
-F64 = npt.NDArray[np.float64]
 
 MOST_FRAMES, TRIPLES = 300, 300
 LEAST_CROSS = 0.02
@@ -108,7 +106,7 @@ def world_guesses(unit: Unit, vertical_known: bool, seed: int) -> F64:
     return guesses
 
 
-def _turns(stream: F64, s: npt.NDArray[np.int64], t: npt.NDArray[np.int64], u: npt.NDArray[np.int64]) -> F64:
+def _turns(stream: F64, s: I64, t: I64, u: I64) -> F64:
     """Return the rotation vectors (2, H, 3) from frames s to frames t and u, in local axes."""
     start = conjugate(stream[s])
     return np.stack([log(multiply(start, stream[t])), log(multiply(start, stream[u]))])

@@ -9,14 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.inertial.rotations import conjugate, distance_deg, from_matrix, rotate
-
-F64 = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 
 FULL, HINGE, NONE = "full", "hinge", "none"
 

@@ -8,12 +8,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
 
 LEAST_PADDING = 9
 """Default number of values by which both ends are extended, by odd (point) reflection."""

@@ -9,8 +9,8 @@ import zlib
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.inertial.rotations import exp, multiply
 from kinedex.ops.inertial.sensor_model import (
@@ -20,9 +20,6 @@ from kinedex.ops.inertial.sensor_model import (
     specific_force,
     turn_rates,
 )
-
-F64 = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 
 SOFT_TISSUE_HZ = 3.0
 """Frequency in Hz below which skin and muscle move."""

@@ -6,12 +6,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.inertial.hypotheses import Unit
 from kinedex.ops.inertial.rotations import conjugate, matrix, multiply
-
-F64 = npt.NDArray[np.float64]
 
 REFUSED, DOUBTFUL = 0.002, 0.02
 """Eigenvalues below which a mount is refused, and below which it is doubtful."""

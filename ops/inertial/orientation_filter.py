@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.inertial.field_offset import field_offset
 from kinedex.ops.inertial.packages import imu_package
 from kinedex.ops.inertial.rotations import exp, multiply, rotate
-
-F64 = npt.NDArray[np.float64]
 
 TO_NORTH_WEST_UP = exp(np.array([0.0, 0.0, -0.5 * np.pi]))
 """The rotation from east-north-up to the inertial world F_GI: X magnetic north, Y west, Z up."""

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numpy.typing as npt
 from numba import njit
-from numpy import float64
 
-F64 = npt.NDArray[float64]
+from kinedex.ops.arrays import F64
+
 Quaternion = tuple[float, float, float, float]
 
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.inertial.rotations import conjugate, interpolate, log, multiply
-
-F64 = npt.NDArray[np.float64]
 
 _SMOOTH_S = 0.1
 _REST_RAD_S = 0.1

@@ -7,13 +7,10 @@ applies q first. Signs do not matter: q and −q are the same rotation.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.body import kinematics, transforms
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 
 Z_TO_Y = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
 """The rotation from a world with Z up to the take's with Y up."""
@@ -127,7 +124,7 @@ def continuous(q: F64) -> F64:
     return turned
 
 
-def interpolate(times: F64, quaternions: F64, at: F64, longest_gap_s: float = LONGEST_GAP_S) -> tuple[F64, Flags]:
+def interpolate(times: F64, quaternions: F64, at: F64, longest_gap_s: float = LONGEST_GAP_S) -> tuple[F64, Bool]:
     """Interpolate a stream of quaternions at other times, along the shorter arc.
 
     Parameters

@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from types import ModuleType
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.inertial.lowpass import lowpass
 from kinedex.ops.inertial.packages import imu_package
 from kinedex.ops.inertial.rotations import Z_TO_Y, conjugate, continuous, exp, log, multiply, rotate
-
-F64 = npt.NDArray[np.float64]
 
 GRAVITY = np.array([0.0, 0.0, 9.81])
 """The reading of an accelerometer at rest in F_GI, in m/s²."""

@@ -12,16 +12,13 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.inertial.lowpass import LEAST_PADDING, lowpass
 from kinedex.ops.inertial.quaternion_kernels import angle, inverse_product
 from kinedex.ops.inertial.rotations import LONGEST_GAP_S, angular_speed
-
-F64 = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 
 RATE_HZ, CUTOFF_HZ = 200.0, 5.0
 CLIP_PERCENTILE = 99.0
@@ -238,7 +235,7 @@ def _fast_length(least: int) -> int:
     return best
 
 
-def _window_sums(values: F64, first: npt.NDArray[np.int64], last: npt.NDArray[np.int64]) -> tuple[F64, F64]:
+def _window_sums(values: F64, first: I64, last: I64) -> tuple[F64, F64]:
     """Return the sums of values, and of their squares, over windows [first, last)."""
     sums = np.concatenate([[0.0], np.cumsum(values)])
     squares = np.concatenate([[0.0], np.cumsum(values * values)])

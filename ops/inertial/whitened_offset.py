@@ -16,14 +16,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.inertial.rotations import conjugate, exp, interpolate, log, multiply, rotate
 from kinedex.ops.inertial.time_offset import Fine
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-Flags = npt.NDArray[np.bool_]
 
 ORDER = 5
 """The order of the autoregressive noise model, in frames."""

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, U64
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.keyframes.genetic_algorithm import rank_bound, tune_gaps
 from kinedex.ops.keyframes.individuals import Individual
 from kinedex.ops.keyframes.training_task import EvolutionSettings, LearningRun, TrainingTask
 from kinedex.ops.words import bits
-
-F64 = npt.NDArray[np.float64]
 
 AtLeast = Literal["median", "best"]
 
@@ -120,9 +118,7 @@ def recurring_keyframes(
     return _spaced(found) if found else None
 
 
-def _majority(
-    masks: npt.NDArray[np.uint64], values: npt.NDArray[np.uint64], share: float, features: int
-) -> tuple[int, int]:
+def _majority(masks: U64, values: U64, share: float, features: int) -> tuple[int, int]:
     """Return mask and value of the entries that at least a fraction of the keyframes fixes to the same value."""
     fixed, ones = bits(masks, features), bits(values, features)
     on = ones.sum(axis=0)

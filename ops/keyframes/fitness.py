@@ -15,13 +15,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import Bool
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.words import I64, MOST_FEATURES, NO_WORD, U64
-
-Bool = npt.NDArray[np.bool_]
 
 _LANE = 64
 CACHED_BITMAPS = 256

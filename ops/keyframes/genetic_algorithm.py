@@ -6,9 +6,9 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.bits import count_bits
 from kinedex.ops.keyframes.fitness import INNER, find_bitmaps, fitness_of, new_workspace, retrieve
 from kinedex.ops.keyframes.genetic_operators import (
@@ -34,8 +34,6 @@ from kinedex.ops.keyframes.training_task import (
     TrainingTask,
 )
 from kinedex.ops.words import I64, U64
-
-F64 = npt.NDArray[np.float64]
 
 BETA = 2.0
 """The weight of recall relative to precision in the fitness (thesis, Eq. 4.11)."""

@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.bits import count_bits
 from kinedex.ops.keyframes.fitness import INNER
 from kinedex.ops.words import I64, U64
@@ -44,7 +44,7 @@ class Population(NamedTuple):
     positions: I64
     lows: I64
     highs: I64
-    results: npt.NDArray[np.float64]
+    results: F64
 
 
 class TemplateColumns(NamedTuple):

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.keyframes.fitness import TrainingFrames
 from kinedex.ops.keyframes.individuals import Individual
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import I64, U64
-
-F64 = npt.NDArray[np.float64]
 
 PARENTS = 5
 """The number r of parents of a generation (thesis, Section 4.4)."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import Bool
 from kinedex.ops.maps.interval_numbers import F64
 from kinedex.ops.maps.layout import F32, PURPOSE, Layout
 from kinedex.ops.packages import extra_package
@@ -99,7 +99,7 @@ def outline(places: F32) -> F32:
     return corners
 
 
-def traits(shares: F64, inside: npt.NDArray[np.bool_], most: int = 3, least: float = 0.1) -> list[Trait]:
+def traits(shares: F64, inside: Bool, most: int = 3, least: float = 0.1) -> list[Trait]:
     """Return the features by which the points of a cluster differ most from all others.
 
     The difference of the mean shares is measured in standard deviations of all points: a feature that is on for a fifth
@@ -143,7 +143,7 @@ def _means(shares: F64) -> F64:
     return np.where(count > 0, sums / np.maximum(count, 1), np.nan)
 
 
-def typical(places: F32, inside: npt.NDArray[np.bool_], count: int = 3) -> I64:
+def typical(places: F32, inside: Bool, count: int = 3) -> I64:
     """Return the points of a cluster that are nearest to its centre on the map, the nearest first.
 
     Parameters

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, U8, Bool
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.words import ALL_KNOWN, I64, NO_WORD, U64
-
-F64 = npt.NDArray[np.float64]
 
 _FRAMES = 200_000
 """Number of frames that are unpacked at a time."""
@@ -90,14 +88,14 @@ def _fill(numbers: F64, words: U64, bounds: I64, features: int) -> None:
         numbers[:, features:] = np.where(frames > 0, np.sqrt(_sums(changed, bounds) / np.maximum(pairs, 1)), np.nan)
 
 
-def _unpacked(words: U64, features: int) -> npt.NDArray[np.uint8]:
+def _unpacked(words: U64, features: int) -> U8:
     """Unpack words to bits as `ops.words.bits` does, but byte by byte."""
     few = -(-features // 8)
     octets = words.astype("<u8").view(np.uint8).reshape(-1, 8)[:, :few]
     return np.unpackbits(octets, axis=1, bitorder="little", count=features)
 
 
-def _sums(values: npt.NDArray[np.uint8] | npt.NDArray[np.bool_], bounds: I64) -> F64:
+def _sums(values: U8 | Bool, bounds: I64) -> F64:
     """Return the sums of the rows of each interval, 0 for an empty one."""
     found = np.zeros((len(bounds) - 1, values.shape[1]))
     full = np.flatnonzero(np.diff(bounds) > 0)

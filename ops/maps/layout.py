@@ -14,13 +14,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F32
 from kinedex.ops.maps.interval_numbers import F64
 from kinedex.ops.packages import extra_package
 from kinedex.ops.words import I64
-
-F32 = npt.NDArray[np.float32]
 
 MOST = 5_000
 """Maximum number of points that t-SNE lays out; each of the others is put beside the most similar of these."""

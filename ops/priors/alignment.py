@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import I64
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.templates.templates import Template
 from kinedex.ops.templates.warping import align
 from kinedex.ops.words import NO_WORD, U64, bits
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 
 def clip_frames(template: Template, words: U64) -> I64:

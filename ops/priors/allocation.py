@@ -6,13 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.priors.hits import Hit
 from kinedex.ops.priors.motion import Motion
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 LEAST_QUALITY = 0.1
 """The smallest quality of a hit; a hit's priors are weighted by its quality."""
@@ -172,7 +169,7 @@ def prior_rows(
     for place, hit in enumerate(allocation.hits):
         motion, frames = motions[hit.motion], allocation.frames(place)
         columns, quality = allocation.columns[frames], float(allocation.qualities[place])
-        regions: list[tuple[str, str, npt.NDArray[np.bool_]]] = []
+        regions: list[tuple[str, str, Bool]] = []
         if ARCHIVE in weights and motion.poses is not None:
             regions.append((ARCHIVE, "", np.ones(len(frames), np.bool_)))
         elif POSE in weights:

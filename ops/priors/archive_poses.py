@@ -7,15 +7,11 @@ from typing import NamedTuple
 
 import numba as nb
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.body.kinematic_chain import Poses, rotation_of, vector_of
 from kinedex.ops.copies import copy_row
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-Bool = npt.NDArray[np.bool_]
 
 LEAST_SEEN_S = 5 / 30
 """Minimum time in seconds that a node must be seen in a hit for the actor's own deviation to be measured."""

@@ -11,15 +11,11 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses, rotation_of, vector_of
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.templates.templates import QuantisedTemplate
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-Bool = npt.NDArray[np.bool_]
 
 Constraint = Literal["foot_on_ground", "elbow_bent", "hand_to_front", "foot_to_front"]
 Side = Literal["left", "right"]

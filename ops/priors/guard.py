@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, Bool
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.priors.allocation import Allocation
-
-F64 = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 
 GUARD = 1.12
 """Ratio of observation costs, with to without priors, above which a hit's priors are withdrawn (docs/studies.md)."""

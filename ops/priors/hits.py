@@ -6,17 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.ops.annotation.segments import local_minima
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.distances.curve_path import curve_paths, essential_minima, least_curve
 from kinedex.ops.distances.dtw import distance_curves
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.templates.templates import QuantisedTemplate
 from kinedex.ops.words import U64
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.priors.allocation import ARCHIVE, POSE, PriorRow, allocate, prior_rows
@@ -20,10 +20,6 @@ from kinedex.ops.priors.motion import Motion
 from kinedex.ops.priors.terms import TrackState, make_terms
 from kinedex.ops.tracking.prior_terms import PriorTerms
 from kinedex.ops.words import U64
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-Bool = npt.NDArray[np.bool_]
 
 LOGICAL = "logical"
 """The kind of priors that comprises all constraints."""

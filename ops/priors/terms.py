@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses
 from kinedex.ops.priors.allocation import ARCHIVE, POSE, Allocation
 from kinedex.ops.priors.archive_poses import own_way
@@ -23,10 +23,6 @@ from kinedex.ops.priors.constraints import (
 )
 from kinedex.ops.priors.motion import Motion
 from kinedex.ops.tracking.prior_terms import PriorTerms, no_priors
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-Bool = npt.NDArray[np.bool_]
 
 POSE_RAD = 0.15
 """Standard deviation in radians of a rotation about its prior, in addition to the spread of the archive."""

@@ -5,18 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, U16, Bool
 from kinedex.ops.body.facing_direction import turn_about_y
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.simulation.depth_flesh import Flesh, cone_ends, draw_surface, facing
 from kinedex.ops.simulation.depth_rays import ConeRays
 from kinedex.ops.simulation.depth_sensors import BASELINE_M, DepthSensor, Disturbance, measured
-
-F64 = npt.NDArray[np.float64]
-U16 = npt.NDArray[np.uint16]
-Bool = npt.NDArray[np.bool_]
 
 TOES_M = 0.03
 """Height in metres above the floor of the 5th percentile of the lower toes' height."""

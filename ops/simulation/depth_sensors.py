@@ -6,14 +6,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, U16, Bool
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
-U16 = npt.NDArray[np.uint16]
-Bool = npt.NDArray[np.bool_]
 
 EDGE_M = 0.20
 """Difference of depths in metres within a 3 × 3 window above which its pixel lies on an edge."""

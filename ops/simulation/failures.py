@@ -6,12 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 KINDS = ("views", "occluded", "swapped", "stuck")
 """The kinds of failures.

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.body.kinematic_chain import ChainBody, forward
 from kinedex.ops.body.pose_fit import fit_poses
 from kinedex.ops.cameras.projection import project
@@ -17,8 +17,6 @@ from kinedex.ops.simulation.cameras import CameraRing, ring_of_cameras
 from kinedex.ops.simulation.failures import Failure, FailureRate, Limbs, draw_failures, with_failures
 from kinedex.ops.simulation.keypoints import Detector, detected_keypoints, outside_hidden, segment_offsets
 from kinedex.ops.tracking.observations import BodyPoints
-
-F64 = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
-F64 = npt.NDArray[np.float64]
-
 PARENTS: dict[str, str] = {
     "lhipjoint": "root",
     "lfemur": "lhipjoint",

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-F64 = npt.NDArray[np.float64]
+from kinedex.ops.arrays import F64
 
 
 def about(axis: str, radians: F64 | float) -> F64:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numba as nb
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64, U8
 from kinedex.ops.templates.pairs import (
     Columns,
     Paths,
@@ -20,10 +20,6 @@ from kinedex.ops.templates.pairs import (
 )
 from kinedex.ops.templates.warping import FIRST, SECOND
 from kinedex.ops.words import U64, bits, pack
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-U8 = npt.NDArray[np.uint8]
 
 TOLERANCE = 1e-9
 _HEAVY = 1.5 - TOLERANCE  # averaging can give 1.4999999999999998 for 1.5

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.templates.derived_templates import WILDCARD
 from kinedex.ops.templates.templates import Template, quantise
 from kinedex.ops.templates.warping import align
 from kinedex.ops.words import NO_WORD, U64, bits
-
-F64 = npt.NDArray[np.float64]
 
 
 def contradicted_shares(template: Template, clips: Sequence[U64], delta: float) -> F64:

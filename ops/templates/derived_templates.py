@@ -8,13 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.known import is_applied, known_bits
 from kinedex.ops.templates.templates import QuantisedTemplate, Template, quantise
 from kinedex.ops.templates.warping import align
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 WILDCARD = 0.5
 
@@ -35,7 +33,7 @@ class Contrast:
 
     path: I64
     against: npt.NDArray[np.int8]
-    compared: npt.NDArray[np.bool_]
+    compared: Bool
 
 
 def mirrored(template: Template, order: I64) -> Template:

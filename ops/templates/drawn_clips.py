@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import I64
 from kinedex.ops.errors import ParameterError
-
-I64 = npt.NDArray[np.int64]
 
 
 def evenly_drawn(lengths: Sequence[int], actors: Sequence[str], count: int) -> I64:

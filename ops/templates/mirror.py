@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import I64
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.words import MOST_FEATURES, NO_WORD, U64
-
-I64 = npt.NDArray[np.int64]
 
 
 def rearrange(words: U64, order: I64) -> U64:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numba as nb
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64, U8, Array
 from kinedex.ops.bits import count_bits
 from kinedex.ops.templates.warping import (
     BLOCK,
@@ -23,11 +22,7 @@ from kinedex.ops.templates.warping import (
 )
 from kinedex.ops.words import U64
 
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-U8 = npt.NDArray[np.uint8]
 # float64 (N, f) for soft templates, uint64 (N, 2) for hard ones; only a method interprets them
-Columns = npt.NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -42,7 +37,7 @@ class Weighted:
         The weight of each column.
     """
 
-    columns: Columns
+    columns: Array
     weights: F64
 
 
@@ -60,7 +55,7 @@ class Stack:
         The first column of each template, and the number of all columns.
     """
 
-    columns: Columns
+    columns: Array
     weights: F64
     offsets: I64
 

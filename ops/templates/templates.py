@@ -8,16 +8,13 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.templates.averaging import TOLERANCE, Hard, Method, Soft, average_all, rebalance
 from kinedex.ops.templates.drawn_clips import evenly_drawn
 from kinedex.ops.templates.pairs import Paths, Stack, Weighted, reference_pairs
 from kinedex.ops.words import MOST_FEATURES, NO_WORD, U64, bits
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 Kind = Literal["soft", "hard"]
 
@@ -55,11 +52,11 @@ class Template:
         return len(self.values)
 
     @property
-    def unknown(self) -> npt.NDArray[np.bool_]:
+    def unknown(self) -> Bool:
         """Return a mask (f,) of the features that no clip showed: they have weight 0, and wildcards in all columns."""
         if self.feature_weights is None:
             return np.zeros(self.values.shape[1], np.bool_)
-        unknown: npt.NDArray[np.bool_] = (self.feature_weights == 0) & (self.values == 0.5).all(axis=0)
+        unknown: Bool = (self.feature_weights == 0) & (self.values == 0.5).all(axis=0)
         return unknown
 
 

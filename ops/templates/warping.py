@@ -6,14 +6,9 @@ from dataclasses import dataclass
 
 import numba as nb
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64, U8
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-
-U8 = npt.NDArray[np.uint8]
 
 DIAGONAL, FIRST, SECOND, EITHER = np.uint8(0), np.uint8(1), np.uint8(2), np.uint8(3)
 """The step that enters a cell: both sequences advance, only the first, only the second; or EITHER where the last two

@@ -13,16 +13,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.body.kinematic_chain import PLACES, ChainArrays, log_gradients, log_of, take_step
 from kinedex.ops.copies import copy_row
 from kinedex.ops.tracking.blocks import PriorArrays, frame_cost, frame_room, frame_terms
 from kinedex.ops.tracking.rays import Evidence
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 LEAST_DAMPING = 1e-6
 """The number added to the diagonal of every system."""

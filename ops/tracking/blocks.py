@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.body.kinematic_chain import (
     PLACES,
     ChainArrays,
@@ -28,9 +28,6 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.prior_terms import PriorTerms, no_priors
 from kinedex.ops.tracking.rays import Evidence, point_cost, point_terms
 from kinedex.ops.tracking.subtree_sums import add_points
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 
 class PriorArrays(NamedTuple):

@@ -6,13 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.body.kinematic_chain import ChainBody, KinematicChain
 from kinedex.ops.errors import KinedexError, ParameterError, Remedy
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 LEAST_CAMERAS = 3
 """Number of cameras that must see both ends of a bone in a frame; 2 if no frame has three."""

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, U8, Bool
 from kinedex.ops.body.capsules import Capsules
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.views import View, capsule_box, mask_pixel, ray_distance, seen_joints
-
-F64 = npt.NDArray[np.float64]
-U8 = npt.NDArray[np.uint8]
-Bool = npt.NDArray[np.bool_]
 
 _EDGE = 5  # points along each side of a box that are projected if the lens has distortion
 

@@ -5,16 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.body.capsules import Capsules
 from kinedex.ops.body.kinematic_chain import ChainArrays, point_jacobian
 from kinedex.ops.tracking.blocks import FrameRoom, add_point
 from kinedex.ops.tracking.contours import Contours
 from kinedex.ops.tracking.views import View
-
-F64 = npt.NDArray[np.float64]
 
 WEIGHT, SIGMA_PX = 0.15, 3.0
 """Weight of a correspondence, and standard deviation of the boundary in pixels of the camera."""

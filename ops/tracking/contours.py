@@ -12,16 +12,12 @@ from __future__ import annotations
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I64, U8
 from kinedex.ops.body.capsules import Capsules
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.views import View, capsule_box, mask_pixel, ray_distance, seen_joints
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-U8 = npt.NDArray[np.uint8]
 
 SPACING_M = 0.03
 """Spacing in metres of contour points along the axis of a capsule."""

@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I64, U8, Bool
 from kinedex.ops.body.capsules import Capsules, rest_joints
 from kinedex.ops.body.kinematic_chain import (
     PLACES,
@@ -46,11 +46,6 @@ from kinedex.ops.tracking.prior_terms import PriorTerms
 from kinedex.ops.tracking.rays import SIGMA_PX, Evidence, make_evidence, point_cost
 from kinedex.ops.tracking.triangulation import start_from_places, start_from_triangulation, triangulate
 from kinedex.ops.tracking.views import View
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-U8 = npt.NDArray[np.uint8]
-Bool = npt.NDArray[np.bool_]
 
 STEPS = 10
 """Maximum number of steps in a frame without silhouettes, rejected ones included."""

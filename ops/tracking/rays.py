@@ -14,15 +14,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.body.kinematic_chain import ChainBody
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 SIGMA_PX = 5.0
 """Standard deviation of a keypoint in pixels."""
@@ -116,7 +113,7 @@ def _place_evidence(body: ChainBody, observations: Places) -> Evidence:
     frames, joints = observations.sigma_m.shape
     if joints != len(body.chain.joints):
         raise ParameterError("places", f"of the {len(body.chain.joints)} joints of the chain", joints)
-    seen: npt.NDArray[np.bool_] = np.asarray(np.isfinite(observations.places).all(axis=2))
+    seen: Bool = np.asarray(np.isfinite(observations.places).all(axis=2))
     if not np.all(observations.sigma_m[seen] > 0):
         raise ParameterError("sigma_m", "positive wherever a place is given", float(observations.sigma_m[seen].min()))
     return Evidence(

@@ -9,14 +9,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses, forward
 from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
 from kinedex.ops.tracking.rays import LEAST_CONFIDENCE, LEAST_DEPTH_M, SIGMA_PX
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 LEG = ("hip", "knee", "ankle", "toes")
 """The joints of a leg, whose keypoints are exchanged together."""

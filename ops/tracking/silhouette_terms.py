@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.body.capsules import rest_joints
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses, forward
 from kinedex.ops.errors import ParameterError
@@ -21,8 +21,6 @@ from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
 from kinedex.ops.tracking.prior_terms import PriorTerms, no_priors
 from kinedex.ops.tracking.rays import SIGMA_PX
 from kinedex.ops.tracking.take_tracker import SCHEDULE, Loss, TakeTrack, track_take
-
-F64 = npt.NDArray[np.float64]
 
 PASSES = 6
 """Number of times that correspondences with silhouettes are computed for a take."""

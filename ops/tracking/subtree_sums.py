@@ -10,14 +10,11 @@ points of a node.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I64
 from kinedex.ops.body.kinematic_chain import PLACES, ChainArrays
 from kinedex.ops.copies import copy_row
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 
 @njit(cache=True, nogil=True)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.body.kinematic_chain import PLACES, ChainBody, Poses, forward
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.band import assemble, make_band, move, solve_band, take_cost
@@ -21,9 +21,6 @@ from kinedex.ops.tracking.blocks import PriorArrays, observation_costs, prior_ar
 from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
 from kinedex.ops.tracking.prior_terms import PriorTerms
 from kinedex.ops.tracking.rays import SIGMA_PX, Evidence, make_evidence
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 Loss = Literal["geman_mcclure", "squares"]
 

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.body.kinematic_chain import ChainBody, Poses
 from kinedex.ops.body.pose_fit import fit_poses
 from kinedex.ops.copies import copy_row
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-Bool = npt.NDArray[np.bool_]
 
 LEAST_CONFIDENCE = 0.3
 """Minimum confidence of a keypoint that is used in triangulation."""

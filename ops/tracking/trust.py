@@ -5,17 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F64, I64, Bool
 from kinedex.ops.body.kinematic_chain import ChainArrays, ChainBody, Poses, pose_nodes, rotation_of, vector_of
 from kinedex.ops.tracking.blocks import frame_room, place_points
 from kinedex.ops.tracking.observations import BodyPoints, Places, Rays
 from kinedex.ops.tracking.rays import LEAST_DEPTH_M, SIGMA_PX, Evidence, make_evidence
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-Bool = npt.NDArray[np.bool_]
 
 TRUST_WIDTH = 3.0
 """The width c of the robust loss whose weights give trust."""

@@ -8,11 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from kinedex.ops.arrays import F32, F64
 from kinedex.ops.cameras.projection import camera_centre, pixel_directions
 from kinedex.ops.errors import ParameterError
-
-F64 = npt.NDArray[np.float64]
-F32 = npt.NDArray[np.float32]
 
 REACH_PX = 48.0
 """Search distance for the foreground boundary from a contour point, in pixels of an image that is 1280 wide."""

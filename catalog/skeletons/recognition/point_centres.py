@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.skeletons.recognition.landmarks import Landmarks, Reading
 from kinedex.catalog.skeletons.recognition.point_draft import SIDES, BodyDraft, mean_of, median_length, one_point
 from kinedex.catalog.skeletons.recognition.point_trunk import add_head
 from kinedex.catalog.skeletons.recognition.stand_ins import stand_ins
 from kinedex.catalog.skeletons.skeleton_fit import Mix
-
-F64 = npt.NDArray[np.float64]
-
+from kinedex.ops.arrays import F64
 
 _ENOUGH = 3  # most mixes of a joint that is never hidden
 _APART = 0.04  # share of the body's size; alternatives farther apart than this are of different places

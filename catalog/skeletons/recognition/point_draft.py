@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.skeletons.skeleton_fit import Mix
-
-F64 = npt.NDArray[np.float64]
+from kinedex.ops.arrays import F64
 
 _TINY = 1e-9  # in any unit; joints this near to each other coincide, which the check of proportions reports
 

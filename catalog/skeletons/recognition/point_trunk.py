@@ -7,7 +7,6 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.skeletons.recognition.landmarks import Reading
 from kinedex.catalog.skeletons.recognition.point_draft import (
@@ -20,8 +19,6 @@ from kinedex.catalog.skeletons.recognition.point_draft import (
     one_point,
 )
 from kinedex.catalog.skeletons.skeleton_fit import Mix
-
-F64 = npt.NDArray[np.float64]
 
 
 def add_head(draft: BodyDraft, of: Mapping[str, str]) -> None:

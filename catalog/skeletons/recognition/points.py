@@ -7,9 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
-
 from kinedex.catalog.skeletons.evidence import Evidence
 from kinedex.catalog.skeletons.recognition.landmarks import Landmarks, Reading, load_landmarks
 from kinedex.catalog.skeletons.recognition.point_centres import add_centres, add_regressions
@@ -17,10 +14,9 @@ from kinedex.catalog.skeletons.recognition.point_draft import SIDES, BodyDraft
 from kinedex.catalog.skeletons.recognition.point_trunk import add_ends, add_trunk
 from kinedex.catalog.skeletons.recognition.proportions import Proportions, check_proportions
 from kinedex.catalog.skeletons.skeleton_fit import Fit, Format, Mix, SkeletonMapping, axes_of_up
+from kinedex.ops.arrays import F64
 from kinedex.ops.body.up_axis import up_axis
 from kinedex.ops.errors import SourceError
-
-F64 = npt.NDArray[np.float64]
 
 NAME = {True: "recognised markers", False: "recognised points"}
 """The names of mappings that are made for markers on the skin, and for joint centres."""

@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-F64 = npt.NDArray[np.float64]
+from kinedex.ops.arrays import F64
 
 _LIMBS = {
     "thigh": ("hip", "knee"), "shank": ("knee", "ankle"),

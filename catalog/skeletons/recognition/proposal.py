@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.configs import scalar
 from kinedex.catalog.skeletons.skeleton_fit import Fit, Mix
-
-F64 = npt.NDArray[np.float64]
+from kinedex.ops.arrays import F64
 
 _HELP = (
     "# Edit what is wrong. Left are the joints, which keep their names; right is what each is made of:",

@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.skeletons.evidence import Evidence
 from kinedex.catalog.skeletons.recognition.anatomy import (
@@ -25,10 +24,9 @@ from kinedex.catalog.skeletons.recognition.names import Vocabulary, load_vocabul
 from kinedex.catalog.skeletons.recognition.sides import Sides, find_sides
 from kinedex.catalog.skeletons.recognition.tree import Tree, build_tree
 from kinedex.catalog.skeletons.skeleton_fit import Fit, Format, Mix, SkeletonMapping, axes_of_up
+from kinedex.ops.arrays import F64
 from kinedex.ops.body.up_axis import UpAxis, up_axis
 from kinedex.ops.errors import SourceError
-
-F64 = npt.NDArray[np.float64]
 
 LEAST_CONFIDENCE = 0.35
 """Minimum confidence at which a recognised body is accepted."""

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.skeletons.recognition.anatomy import Anatomy
 from kinedex.catalog.skeletons.recognition.limbs import Limb, Pair
 from kinedex.catalog.skeletons.recognition.tree import Tree, lengths
-
-F64 = npt.NDArray[np.float64]
+from kinedex.ops.arrays import F64
 
 _SEEN = 0.012  # share of a leg's length; shorter feet or knee bends have no clear direction
 _SURE = 0.3  # least mean cosine, in absolute value, at which feet and knees decide against names

@@ -6,11 +6,9 @@ from collections.abc import Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.skeletons.skeleton_fit import Mix
-
-F64 = npt.NDArray[np.float64]
+from kinedex.ops.arrays import F64
 
 _MOST = 6  # most stand-ins of a joint
 _MOST_LABELS = 6  # most labels of a segment; more make no better triples

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from kinedex.catalog.skeletons.evidence import Evidence
 from kinedex.catalog.skeletons.recognition.names import NodeName, Vocabulary, normal_names
-
-F64 = npt.NDArray[np.float64]
+from kinedex.ops.arrays import F64
 
 LEG = ("thigh", "calf", "foot")
 ARM = ("upperarm", "forearm", "hand")
