@@ -25,7 +25,7 @@ from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.reconstruction import runs as reconstruction_runs
 from kinedex.pipelines.reconstruction.parameters import ReconstructParameters
 from kinedex.pipelines.reconstruction.reconstructed_takes import ReconstructionResult
-from kinedex.pipelines.reconstruction.work import ReconstructTask, reconstruct_recording
+from kinedex.pipelines.reconstruction.runs import ReconstructTask, reconstruct_recording
 from kinedex.pipelines.recordings import runs
 from kinedex.pipelines.simulation.depth_recordings import RECORDINGS, Request, simulate_depth
 from kinedex.storage.formats.depth.frames import DepthFrames

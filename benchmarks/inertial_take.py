@@ -17,9 +17,8 @@ from kinedex.ops.synth.actors import Actor, cast
 from kinedex.ops.synth.performance import perform_take
 from kinedex.ops.synth.solve import columns
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.pipelines.simulation.imu_recordings import RECORDINGS, SENSORS, Request
+from kinedex.pipelines.simulation.imu_recordings import RECORDINGS, SENSORS, Request, simulate_imu
 from kinedex.pipelines.simulation.imu_sensors import Wearing
-from kinedex.pipelines.simulation.imu_takes import simulate_imu
 from kinedex.storage.formats.motion.acclaim_writer import Dialect, write_amc, write_asf
 from kinedex.storage.store.store import Store, open_store
 

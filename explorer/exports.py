@@ -30,11 +30,9 @@ from kinedex.ops.errors import ConflictError, KinedexError
 from kinedex.ops.local_paths import refuse_addresses
 from kinedex.pipelines.engine.display import no_progress
 from kinedex.pipelines.export.folder import DATA_SET, METADATA, Written, require_own, written_by
-from kinedex.pipelines.export.forms import FORMS
 from kinedex.pipelines.export.metadata import Facts, data_set_text, metadata_rows, metadata_text, split_facts
-from kinedex.pipelines.export.plan import Plan, planned
-from kinedex.pipelines.export.request import CLIPS, SPLITS, How, What
-from kinedex.pipelines.export.sizes import estimated_bytes
+from kinedex.pipelines.export.plan import Plan, estimated_bytes, planned
+from kinedex.pipelines.export.request import CLIPS, FORMS, SPLITS, How, What
 from kinedex.pipelines.export.work import Done
 from kinedex.storage.duck import quote
 from kinedex.storage.store.store import Store

@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 from kinedex.catalog.limbs import LIMB_NAMES
 from kinedex.ops.inertial.disagreement import TAU_DEG
 from kinedex.ops.intervals import in_seconds
-from kinedex.pipelines.recordings.stored_results import earlier_rows
+from kinedex.pipelines.recordings.runs import earlier_rows
 from kinedex.storage.snapshot.row_groups import RowGroups
 from kinedex.storage.store.store import Store
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pyarrow.compute as pc
 
-from kinedex.pipelines.reconstruction.explanations import explained_votes
+from kinedex.pipelines.reconstruction.reconstructed_takes import explained_votes
 from kinedex.storage.store.store import Store
 
 MOST_JUMPS = 30

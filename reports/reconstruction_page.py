@@ -16,9 +16,9 @@ import pyarrow.compute as pc
 from kinedex.catalog.depth_recordings import load_depth_recordings
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.wording import counted
-from kinedex.pipelines.reconstruction.frame_remarks import REMARKS
 from kinedex.pipelines.reconstruction.reconstruction_errors import truth_places
-from kinedex.pipelines.recordings.stored_results import earlier_rows
+from kinedex.pipelines.reconstruction.recording_tracks import REMARKS
+from kinedex.pipelines.recordings.runs import earlier_rows
 from kinedex.reports.motions import Motion, embed, pack, script_json
 from kinedex.reports.page_environment import page_environment
 from kinedex.reports.person_points import MOST_BYTES, packed_points

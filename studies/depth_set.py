@@ -27,7 +27,7 @@ from kinedex.ops.simulation import depth_flesh
 from kinedex.ops.simulation.depth_sensors import SENSORS
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.simulation.depth_recordings import film_take, write_recording
-from kinedex.pipelines.simulation.new_folder import new_folder
+from kinedex.pipelines.simulation.recording_files import new_folder
 from kinedex.storage.formats.depth.camera_file import read_camera
 from kinedex.storage.formats.depth.png import read_depth_png
 from studies import BUILD

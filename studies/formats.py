@@ -13,8 +13,8 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.body import features
 from kinedex.pipelines.engine.runner import run_pipeline
+from kinedex.pipelines.export.export import export_take
 from kinedex.pipelines.export.request import How
-from kinedex.pipelines.export.single import export_take
 from kinedex.storage.formats.motion.reader import Body
 from kinedex.storage.formats.motion.reader_table import read_body
 from kinedex.storage.store.store import open_store

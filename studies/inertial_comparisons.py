@@ -17,8 +17,8 @@ from kinedex.ops.inertial.rotations import conjugate, distance_deg, exp, log, mu
 from kinedex.ops.inertial.sensor_model import centred_acceleration
 from kinedex.pipelines.inertial.limb_error_curves import LimbCurve
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
+from kinedex.pipelines.inertial.parameters import CalibrateParameters
 from kinedex.pipelines.inertial.sensor_fits import FitTask, fit_together
-from kinedex.pipelines.inertial.sensor_parameters import CalibrateParameters
 from kinedex.pipelines.inertial.worn_sensors import Clock, stream_of
 from studies.inertial_judged import Judged, curves_of, labels_of, limb_counts
 from studies.inertial_trials import RECORDING, TRACK_HZ, every_frame, part, piece_of, read_limbs, standing

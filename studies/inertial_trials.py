@@ -16,11 +16,18 @@ from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.inertial.orientation_filter import estimate_calibrated
 from kinedex.ops.inertial.rotations import interpolate
 from kinedex.pipelines.inertial.broken_takes import LimbLabel, break_take
-from kinedex.pipelines.inertial.limb_motion import LimbMotion, take_limbs
-from kinedex.pipelines.inertial.limb_tables import StoredLimbs
+from kinedex.pipelines.inertial.limb_motion import LimbMotion, StoredLimbs, take_limbs
 from kinedex.pipelines.inertial.worn_sensors import WornSensor, WornTake
-from kinedex.pipelines.simulation.imu_pieces import LimbPiece, Piece, take_pieces
-from kinedex.pipelines.simulation.imu_sensors import SampledPiece, Wearing, Worn, sample_piece, worn_sensors
+from kinedex.pipelines.simulation.imu_sensors import (
+    LimbPiece,
+    Piece,
+    SampledPiece,
+    Wearing,
+    Worn,
+    sample_piece,
+    take_pieces,
+    worn_sensors,
+)
 from kinedex.pipelines.synth.archive import write_archive
 from kinedex.storage.formats.motion.reader import MotionFile, ReadSettings
 from kinedex.storage.formats.motion.segments import read_segments

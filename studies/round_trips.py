@@ -24,7 +24,7 @@ from kinedex.ops.synth.actors import cast
 from kinedex.ops.synth.performance import perform_clip
 from kinedex.ops.synth.solve import columns
 from kinedex.pipelines.evaluation.markdown import grid
-from kinedex.pipelines.export.forms import FORMS
+from kinedex.pipelines.export.request import FORMS
 from kinedex.storage.formats.motion.acclaim_writer import Dialect, write_amc, write_asf
 from kinedex.storage.formats.motion.joint_motion import JointMotion
 from kinedex.storage.formats.motion.source_cut import SourceCut

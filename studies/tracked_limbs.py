@@ -34,7 +34,7 @@ from kinedex.pipelines.evaluation.markdown import grid
 from kinedex.pipelines.inertial.limb_motion import LimbMotion, TakeLimbs
 from kinedex.pipelines.inertial.limb_sources import limb_tasks, read_limbs, with_stored_body
 from kinedex.pipelines.simulation.camera_recordings import RECORDINGS, Request, simulate_cameras
-from kinedex.pipelines.tracking.result_tables import stored_poses
+from kinedex.pipelines.tracking.tracked_takes import stored_poses
 from kinedex.storage.store.store import Store, open_store
 
 F64 = npt.NDArray[np.float64]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kinedex.pipelines.export.forms import FORMS
+from kinedex.pipelines.export.request import FORMS
 from studies.round_trips import FILMS, round_trips, synthetic, table
 
 

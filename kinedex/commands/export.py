@@ -15,7 +15,7 @@ from kinedex.commands.output import print_json, print_message, print_path
 from kinedex.commands.store_access import open_for_reading
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.intervals import in_seconds
-from kinedex.pipelines.export.forms import FORMS, form_named
+from kinedex.pipelines.export.request import FORMS, form_named
 
 if TYPE_CHECKING:
     from kinedex.pipelines.export.request import How, What
@@ -172,7 +172,7 @@ def _is_folder(output: str | None) -> bool:
 
 
 def _export_take(store: Store, take: str, how: How, output: str | None, as_json: bool) -> None:
-    from kinedex.pipelines.export.single import export_take
+    from kinedex.pipelines.export.export import export_take
     from kinedex.storage.formats.labels.file_names import file_names
 
     form = form_named(how.form)

@@ -19,7 +19,7 @@ from kinedex.ops.inertial.rotations import distance_deg
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
-from kinedex.pipelines.recordings.stored_results import earlier_rows
+from kinedex.pipelines.recordings.runs import earlier_rows
 from kinedex.storage.store.store import Store, open_store
 
 PIPELINE = "chapter7"
@@ -52,9 +52,8 @@ def run_inertial_demo(store: Path, minutes: float, executor: str, workers: int |
     KinedexError
         A stage fails, no take is long enough, or a package of the extra `imu` is missing.
     """
-    from kinedex.pipelines.simulation.imu_recordings import Request
+    from kinedex.pipelines.simulation.imu_recordings import Request, simulate_imu
     from kinedex.pipelines.simulation.imu_sensors import Wearing
-    from kinedex.pipelines.simulation.imu_takes import simulate_imu
 
     for package in ("vqf", "scipy.interpolate"):
         imu_package(package, "the demo of inertial sensors needs")

@@ -91,7 +91,7 @@ def _segments(
 ) -> tuple[Sequence[TakeLabels], str, int]:
     """Return the segments that an option exports (None: annotations): by take, their origin, the number rejected."""
     from kinedex.pipelines.annotation.labels import annotate_stage, classes_of_takes, labels_kept, labels_of
-    from kinedex.pipelines.inertial.limb_error_labels import limb_error_labels, limb_error_stage
+    from kinedex.pipelines.inertial.limb_labels import limb_error_labels, limb_error_stage
 
     if option == "--limbs":
         chosen = limb_error_stage(store, stage)

@@ -19,8 +19,7 @@ from kinedex.ops.depth.lookup import near_maps
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.wording import counted
 from kinedex.pipelines.reconstruction.followed_folder import FollowedFrame, follow_folder
-from kinedex.pipelines.reconstruction.live import LiveTracker
-from kinedex.pipelines.reconstruction.live_takes import LiveRecording, put_live_take, write_live_motion
+from kinedex.pipelines.reconstruction.live import LiveRecording, LiveTracker, put_live_take, write_live_motion
 from kinedex.pipelines.recordings.runs import COMPILING, is_compiled, renew_index
 from kinedex.storage.store.store import open_store
 

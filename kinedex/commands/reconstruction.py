@@ -90,7 +90,7 @@ def reconstruct(
 
     from kinedex.console.terminal import Terminal
     from kinedex.pipelines.engine.runner import run_pipeline
-    from kinedex.pipelines.reconstruction.explanations import explained_votes
+    from kinedex.pipelines.reconstruction.reconstructed_takes import explained_votes
     from kinedex.storage.store.store import open_store
 
     if frames is not None and not explain:

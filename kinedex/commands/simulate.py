@@ -144,10 +144,8 @@ def imu(
 
     from kinedex.console.terminal import Terminal
     from kinedex.ops.wording import counted
-    from kinedex.pipelines.simulation.imu_recordings import README, Request
+    from kinedex.pipelines.simulation.imu_recordings import README, Request, Windowing, simulate_imu
     from kinedex.pipelines.simulation.imu_sensors import Wearing
-    from kinedex.pipelines.simulation.imu_takes import simulate_imu
-    from kinedex.pipelines.simulation.imu_windows import Windowing
 
     wearing = Wearing(seed, rate, stand_s=stand, mount=mount)
     request = Request(tuple(limbs or ()), grade, wearing, form, Windowing(window, step))

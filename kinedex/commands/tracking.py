@@ -22,7 +22,7 @@ from kinedex.commands.options import (
 from kinedex.commands.output import print_json, print_message, show_outcome, show_table
 
 if TYPE_CHECKING:
-    from kinedex.pipelines.tracking.store_stabilisation import Explanation
+    from kinedex.pipelines.tracking.runs import Explanation
 
 _SHOWN = ("round", "kind", "side", "class", "hit", "start_seconds", "stop_seconds", "cost", "kept", "reason")
 
@@ -91,7 +91,7 @@ def stabilise(
     from kinedex.console.terminal import Terminal, message_console
     from kinedex.pipelines.engine.executors import make_executor
     from kinedex.pipelines.tracking.parameters import TrackParameters, stabilise_parameters
-    from kinedex.pipelines.tracking.store_stabilisation import explanations, stabilise_stored
+    from kinedex.pipelines.tracking.runs import explanations, stabilise_stored
     from kinedex.storage.store.store import open_store
 
     given: dict[str, object] = {"tau": tau, "rounds": rounds, "body": body, "classes": classes}

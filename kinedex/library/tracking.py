@@ -146,7 +146,7 @@ def stabilise(
     from kinedex.console.terminal import Terminal, collecting_terminal
     from kinedex.pipelines.engine.executors import make_executor
     from kinedex.pipelines.tracking.parameters import TrackParameters, stabilise_parameters
-    from kinedex.pipelines.tracking.store_stabilisation import explanations, stabilise_stored
+    from kinedex.pipelines.tracking.runs import explanations, stabilise_stored
     from kinedex.storage.lock import Wait
     from kinedex.storage.store.store import open_store
 

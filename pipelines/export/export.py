@@ -1,4 +1,4 @@
-"""Export a data set: write clips of a store as files in a folder, and record where each comes from."""
+"""Export a data set into a folder, with a record of where each clip comes from; or one take to one file."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.display import Progress
 from kinedex.pipelines.engine.executors import Executor
+from kinedex.pipelines.export.clips import Clip
 from kinedex.pipelines.export.folder import Folder, Written
 from kinedex.pipelines.export.metadata import Facts, data_set_text, metadata_rows, metadata_text, split_facts
-from kinedex.pipelines.export.plan import planned
-from kinedex.pipelines.export.request import How, What
-from kinedex.pipelines.export.work import Done, Job, batches_of_jobs, write_batch
+from kinedex.pipelines.export.plan import jobs_of, needed_mappings, planned
+from kinedex.pipelines.export.request import How, What, form_named
+from kinedex.pipelines.export.selection import Interval
+from kinedex.pipelines.export.work import Batch, Done, Job, batches_of_jobs, write_batch, write_files
 from kinedex.storage.store.store import Store
 
 
@@ -134,3 +136,44 @@ def summary_lines(done: Exported, how: How) -> list[str]:
         failed = counted(len(done.excluded), "clip")
         lines.append(f"{failed} could not be written and stand in dataset.json (excluded); the first: {first}")
     return lines
+
+
+def export_take(store: Store, take: str, how: How, path: Path) -> list[Path]:
+    """Write a whole take to a file, completely or not at all.
+
+    Parameters
+    ----------
+    store : Store
+        The store that has the take.
+    take : str
+        The take's name.
+    how : How
+        The format, and whether the motion is resampled or moved to the origin.
+    path : Path
+        The file to write; an existing one is replaced. Formats of several files write the others beside it.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    KinedexError
+        There is no such take, it cannot be written in this format, the request makes a data set, or the file cannot be
+        written.
+    """
+    asked = {
+        "mirror": how.mirror, "split": how.split, "balance": how.balance, "per-class": how.per_class,
+        "distinct": how.distinct, "margin": how.margin, "context": how.context, "min-length": how.min_length,
+    }  # fmt: skip
+    if given := [name for name, value in asked.items() if value]:
+        raise KinedexError(f"--{given[0]} makes a data set: give its folder, as in -o clips/")
+    frames = store.take_frames[store.take_id(take)]
+    clip = Clip(Interval(take, 0, frames), 0, frames, 0, frames, None, name=take)
+    (job,) = jobs_of(store, [clip], how)
+    endings = form_named(how.form).endings[: len(job.files)]
+    paths = [path, *(path.with_suffix(f".{ending}") for ending in endings[1:])]
+    batch = Batch(store, path.parent, how, needed_mappings(store, (job,)), (job,))
+    write_files(batch, job, paths, None if job.channels else store.frames(take))
+    return paths

@@ -13,10 +13,8 @@ from typing import Any
 
 from kinedex.ops.intervals import in_seconds
 from kinedex.pipelines.export.folder import FORMAT
-from kinedex.pipelines.export.forms import FORMS
-from kinedex.pipelines.export.motions import frames_at, source_frames
-from kinedex.pipelines.export.request import CLIPS, How, What
-from kinedex.pipelines.export.work import Done
+from kinedex.pipelines.export.request import CLIPS, FORMS, How, What
+from kinedex.pipelines.export.work import Done, frames_at, source_frames
 from kinedex.storage.formats.csv_cells import csv_line
 from kinedex.storage.provenance import kinedex_version, running_command
 from kinedex.storage.store.store import Store

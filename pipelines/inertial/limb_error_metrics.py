@@ -15,7 +15,7 @@ from kinedex.catalog.limbs import LIMBS
 from kinedex.catalog.printed_figures import PrintedFigures
 from kinedex.ops.evaluation.metrics import Counts, compare
 from kinedex.ops.evaluation.threshold_counts import threshold_counts
-from kinedex.pipelines.inertial.limb_error_tables import JudgedLimb
+from kinedex.pipelines.inertial.limb_error_curves import JudgedLimb
 from kinedex.pipelines.inertial.limb_labels import PlacedLabel
 
 I64 = npt.NDArray[np.int64]

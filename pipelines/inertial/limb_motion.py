@@ -1,12 +1,16 @@
-"""Compute the limbs of a take over time; their orientations come from nodes, markers or hinges, or are unknown."""
+"""The motion of a take's limbs: computed from its source, made into rows of limb_orientations, and read from them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from kinedex.catalog.limbs import LIMBS, Limb
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
@@ -22,6 +26,8 @@ from kinedex.ops.inertial.limb_orientation import (
     unit_direction,
 )
 from kinedex.storage.formats.motion.segments import Segments
+from kinedex.storage.snapshot.schemas import result_schema
+from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
@@ -175,3 +181,194 @@ def common_markers(markers: F64) -> F64:
     while len(kept) > 3 and not seen[:, kept].all(axis=1).any():
         kept.remove(min(kept, key=lambda place: (int(seen[:, place].sum()), -place)))
     return np.ascontiguousarray(markers[:, kept])
+
+
+KIND = "limb_orientations"
+
+
+@dataclass(frozen=True, eq=False)
+class StoredLimbs:
+    """The stored limbs of a take.
+
+    Attributes
+    ----------
+    take_id : int
+        Id of the take.
+    take : str
+        Its name.
+    limbs : dict of str to LimbMotion
+        Its limbs by name.
+    """
+
+    take_id: int
+    take: str
+    limbs: dict[str, LimbMotion]
+
+    @property
+    def rate_hz(self) -> float:
+        """Frames per second; 0 for a take of one frame."""
+        times = next(iter(self.limbs.values())).times
+        # nine digits: times are multiples of 1/rate only up to the precision of doubles
+        return float(f"{(len(times) - 1) / (times[-1] - times[0]):.9g}") if len(times) > 1 else 0.0
+
+
+def limb_table(
+    take_id: int, take: str, limbs: Mapping[str, LimbMotion], run: str, fingerprint: str | None = None
+) -> pa.Table:
+    """Return the rows of a take's limbs, sorted by limb and frame."""
+    schema = result_schema(KIND)
+    tables = [_rows(take_id, take, one, run, fingerprint, schema) for one in limbs.values()]
+    return pa.concat_tables(tables) if tables else schema.empty_table()
+
+
+def limb_pieces(rows: pa.Table) -> Iterator[pa.Table]:
+    """Yield the rows of a take limb by limb, so that one limb of a long take can be read without the others."""
+    limbs = rows.column("limb").combine_chunks().dictionary_encode().indices.to_numpy() if rows.num_rows else ()
+    for start, stop in _runs(np.asarray(limbs, np.int64)):
+        yield rows.slice(start, stop - start)
+
+
+@dataclass
+class LimbFigures:
+    """Statistics of the limbs that a stage has stored.
+
+    Attributes
+    ----------
+    bases : Counter of str
+        The number of limbs of each basis.
+    frames : int
+        The number of source frames of the takes.
+    jumped : int
+        The number of takes that have jumps.
+    """
+
+    bases: Counter[str]
+    frames: int
+    jumped: int
+
+
+def limb_figures(store: Store, stage: str) -> LimbFigures:
+    """Return statistics of all limbs that a stage has stored."""
+    parts = [part for part in store.manifest.results.get(KIND, ()) if part.stage == stage]
+    limbs, columns = ["take_id", "limb", "basis"], ["take_id", "limb", "basis", "jump"]
+    counted = [rows.group_by(limbs).aggregate(_SUMS) for rows in store.result_pieces(KIND, parts, columns)]
+    bases, frames, jumped = Counter[str](), dict[int, int](), set[int]()
+    if counted:
+        merged = [(f"{name}_{how}", "sum") for name, how in _SUMS]
+        for row in pa.concat_tables(counted).group_by(limbs).aggregate(merged).to_pylist():
+            bases[row["basis"]] += 1
+            frames[row["take_id"]] = max(frames.get(row["take_id"], 0), row["take_id_count_sum"])
+            if row["jump_sum_sum"]:
+                jumped.add(row["take_id"])
+    return LimbFigures(bases, sum(frames.values()), len(jumped))
+
+
+_SUMS = [("take_id", "count"), ("jump", "sum")]
+
+
+def _rows(take_id: int, take: str, one: LimbMotion, run: str, fingerprint: str | None, schema: pa.Schema) -> pa.Table:
+    frames = len(one.times)
+    columns = {
+        "run": pa.repeat(pa.scalar(run), frames),
+        "take_id": pa.repeat(pa.scalar(take_id, pa.int64()), frames),
+        "take": pa.repeat(pa.scalar(take), frames),
+        "limb": pa.repeat(pa.scalar(one.limb), frames),
+        "source_frame": pa.array(np.arange(frames, dtype=np.int32)),
+        "t": pa.array(one.times),
+        "orientation": struct_array(one.orientation, "wxyz"),
+        "position": struct_array(one.position, "xyz"),
+        "direction": struct_array(one.direction, "xyz"),
+        "basis": pa.repeat(pa.scalar(one.basis), frames),
+        "valid": pa.array(one.valid),
+        "jump": pa.array(one.jump),
+        "fit_mm": _millimetres(one.fit_m, frames),
+        "fingerprint": pa.repeat(pa.scalar(fingerprint, pa.string()), frames),
+    }
+    return pa.table([columns[name] for name in schema.names], schema=schema)
+
+
+def _millimetres(fit_m: F64 | None, frames: int) -> pa.Array:
+    if fit_m is None:
+        return pa.nulls(frames, pa.float64())
+    return pa.array(1000.0 * fit_m, mask=~np.isfinite(fit_m))
+
+
+def struct_array(rows: F64, axes: str) -> pa.Array:
+    """Return an array (T, K) as structures with a field for each axis; rows with a NaN are null."""
+    lost = ~np.isfinite(rows).all(axis=1)
+    parts = [pa.array(np.ascontiguousarray(rows[:, i])) for i in range(len(axes))]
+    return pa.StructArray.from_arrays(parts, names=list(axes), mask=pa.array(lost))
+
+
+def struct_rows(column: pa.ChunkedArray, axes: str) -> F64:
+    """Return structures as an array (T, K), with NaN for null."""
+    whole = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
+    fields = [pc.struct_field(whole, axis) for axis in axes]  # null if the structure is null
+    return np.stack([field.to_numpy(zero_copy_only=False).astype(np.float64) for field in fields], axis=1)
+
+
+def stored_limbs(store: Store, stage: str, takes: Iterable[str] | None = None) -> Iterator[StoredLimbs]:
+    """Yield the stored limbs of takes, one take at a time.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    stage : str
+        The stage that has stored them, "<pipeline>/<stage>".
+    takes : iterable of str, optional
+        Names of the takes to return; by default all takes of the stage.
+    """
+    wanted = None if takes is None else pa.array(sorted(set(takes)), pa.string())
+    parts = [part for part in store.manifest.results.get(KIND, ()) if part.stage == stage]
+    waiting: list[pa.Table] = []
+    for piece in store.result_pieces(KIND, parts):
+        rows = piece if wanted is None else piece.filter(pc.is_in(piece.column("take"), wanted))
+        for own in _by_take(rows):
+            if waiting and _take_id(waiting[0]) != _take_id(own):
+                yield limbs_of_rows(pa.concat_tables(waiting))
+                waiting = []
+            waiting.append(own)
+    if waiting:
+        yield limbs_of_rows(pa.concat_tables(waiting))
+
+
+def _take_id(rows: pa.Table) -> int:
+    return int(rows.column("take_id")[0].as_py())
+
+
+def _by_take(rows: pa.Table) -> Iterator[pa.Table]:
+    """Divide consecutive rows by take."""
+    ids = rows.column("take_id").to_numpy()
+    for start, stop in _runs(ids):
+        yield rows.slice(start, stop - start)
+
+
+def _runs(values: npt.NDArray[np.int64]) -> list[tuple[int, int]]:
+    edges = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)] if len(values) else []
+    return list(pairwise(edges))
+
+
+def limbs_of_rows(rows: pa.Table) -> StoredLimbs:
+    """Return the limbs of a take from all of its rows."""
+    names = rows.column("limb").to_pylist()
+    first = {name: place for place, name in reversed(list(enumerate(names)))}
+    limbs = {}
+    for name in sorted(first, key=first.__getitem__):
+        limbs[name] = _limb(name, rows.filter(pc.equal(rows.column("limb"), name)))
+    return StoredLimbs(_take_id(rows), rows.column("take")[0].as_py(), limbs)
+
+
+def _limb(name: str, rows: pa.Table) -> LimbMotion:
+    fit = rows.column("fit_mm")
+    return LimbMotion(
+        name,
+        rows.column("basis")[0].as_py(),
+        rows.column("t").to_numpy(),
+        struct_rows(rows.column("orientation"), "wxyz"),
+        struct_rows(rows.column("position"), "xyz"),
+        struct_rows(rows.column("direction"), "xyz"),
+        rows.column("valid").to_numpy().astype(np.bool_),
+        rows.column("jump").to_numpy().astype(np.bool_),
+        None if fit.null_count == len(fit) else fit.to_numpy() / 1000.0,
+    )

@@ -12,8 +12,7 @@ from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.digests import hash_of
 from kinedex.pipelines.inertial.limb_motion import TakeLimbs, take_limbs
-from kinedex.pipelines.repair.pipeline_files import ingest_settings, known_stages
-from kinedex.pipelines.repair.sources import Sources
+from kinedex.pipelines.repair.sources import Sources, ingest_settings, known_stages
 from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.segments import Segments, read_segments
 from kinedex.storage.snapshot.parts import joint_positions

@@ -1,14 +1,181 @@
-"""The parameters of the stages `limb_orientations`, `simulate_imu` and `break_track`."""
+"""The parameters of the stages that compare takes with inertial sensors."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import re
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, create_model, field_validator, model_validator
 
 from kinedex.catalog.limbs import chosen_limbs
+from kinedex.catalog.sensorsets import FASTEST_HZ, SLOWEST_HZ
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.file_parameters import NamesFile
+
+Degrees = Annotated[float, Field(ge=0, le=180, allow_inf_nan=False)]
+
+TAUS = tuple(float(tau) for tau in range(5, 121, 5))
+"""The thresholds in Figure 7.12 of the thesis, in degrees."""
+
+
+class LimbErrorsParameters(BaseModel):
+    """The parameters of the stage `limb_errors`."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    tau: Literal["auto"] | Degrees = Field(
+        45.0,
+        description="the error in degrees above which a frame is wrong; auto: the median of a take's errors and four "
+        "robust standard deviations, not below 15",
+    )
+    low: Degrees | None = Field(
+        None, description="runs of wrong frames grow while the error is above this many degrees; off unless given"
+    )
+    gap_s: float = Field(0.0, ge=0, allow_inf_nan=False, description="gaps up to so many seconds are closed")
+    min_s: float = Field(0.0, ge=0, allow_inf_nan=False, description="runs shorter than so many seconds are dropped")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.low is not None and self.tau != "auto" and self.low > self.tau:
+            raise ValueError(f"low must be at most tau ({self.tau:g}), got {self.low:g}")
+        if self.low is not None and self.tau == "auto" and self.low > 15.0:
+            raise ValueError(f"low must be at most 15, the least value of tau: auto, got {self.low:g}")
+        return self
+
+
+class EvaluateLimbErrorsParameters(BaseModel):
+    """The parameters of the stage `evaluate_limb_errors`."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    ground_truth: Annotated[str | None, NamesFile("data")] = Field(
+        None,
+        description="label files with limbs: .csv (take, class, start, stop, limb, annotator), .json, .eaf (ELAN, "
+        "tiers such as A1:lshank); a path or glob; unless given, those of the simulated annotators where takes were "
+        "broken, else the labels that the store keeps",
+    )
+    taus: list[Degrees] = Field(
+        list(TAUS), min_length=1, max_length=1000, description="the thresholds in degrees that are evaluated"
+    )
+    printed: Annotated[str | None, NamesFile("printed")] = Field(
+        None, description="a .yaml file of printed figures that stand beside ours, such as chapter7; none unless given"
+    )
+
+    @field_validator("taus")
+    @classmethod
+    def _ascending(cls, taus: list[float]) -> list[float]:
+        return sorted(set(taus))
+
+
+class ReadImuParameters(BaseModel):
+    """The parameters of the stage `read_imu`."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    source: Annotated[str, NamesFile("data")] = Field(
+        min_length=1, description="the folder of recordings, with sensor files at any depth"
+    )
+    sensors: Annotated[str | None, NamesFile("sensors")] = Field(
+        None, description="the file of sensors: sensor → limb, units, axes, world, columns; a shipped name or a path"
+    )
+    match: str = Field(
+        r"(?P<take>.+)/[^/]+$",
+        description="a regular expression for the path of a file below the source: its group `take` is the name of the "
+        "take; files with the same group `recording`, if it has one, share a clock",
+    )
+    orientation: Literal["file", "estimate"] = Field(
+        "file", description="file: the files' own orientations, where they have any; estimate: always of raw readings"
+    )
+    rate_hz: float | None = Field(
+        None, ge=SLOWEST_HZ, le=FASTEST_HZ, allow_inf_nan=False,
+        description="samples per second of files that state neither them nor times",
+    )  # fmt: skip
+
+    @field_validator("match")
+    @classmethod
+    def _is_pattern(cls, text: str) -> str:
+        try:
+            pattern = re.compile(text)
+        except re.error as fault:
+            raise ValueError(f"is no regular expression: {fault}") from None
+        if "take" not in pattern.groupindex:
+            raise ValueError("must have a group `take`, as in (?P<take>[^/]+)/[^/]+$")
+        return text
+
+
+Seconds = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class SynchroniseParameters(BaseModel):
+    """The parameters of the stage `synchronise`."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    offset_s: Literal["auto"] | Seconds = Field(
+        "auto", description="what is added to a take's time to get the sensor's, in seconds; found unless given"
+    )
+    longest_s: float | None = Field(
+        None, gt=0, allow_inf_nan=False, description="offsets beyond ± this many seconds are excluded"
+    )
+    clock: Literal["constant", "drift"] = Field(
+        "constant", description="drift: the sensors' clocks run faster or slower, for recordings above 5 minutes"
+    )
+
+
+class CalibrationSettings(BaseModel):
+    """The settings of a calibration; those named by Python keywords are fields of `CalibrateParameters` only."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    wearing: list[str] = Field(
+        ["actor"],
+        description="columns of takes that tell one wearing of the sensors from another; a take without any of these "
+        "values is one by itself",
+    )
+    vertical: Literal["known", "free"] = Field(
+        "known", description="known: the take's Y axis is gravity's vertical; free: its tilt is found"
+    )
+    heading: Literal["auto", "fixed", "drift"] = Field(
+        "auto",
+        description="drift: a slow drift of each sensor's heading is corrected; auto: where one has no magnetometer, "
+        "unless `global` is shared",
+    )
+    seed: int = Field(0, ge=0, description="seed of the guesses that a calibration begins with")
+
+    @property
+    def source(self) -> str:
+        """The takes used for calibration: `take`, `actor`, or the name of a take."""
+        return str(getattr(self, "from"))
+
+    @property
+    def world(self) -> str:
+        """The value of the parameter `global`."""
+        return str(getattr(self, "global"))
+
+
+_RESERVED: dict[str, Any] = {
+    "from": (
+        str,
+        Field(
+            "take",
+            min_length=1,
+            description="take: each take by itself; actor: all takes of one wearing together; or the name of a take",
+        ),
+    ),
+    "global": (
+        Literal["auto", "shared", "per_sensor"],
+        Field(
+            "auto",
+            description="shared: one rotation between the worlds of sensors and take; per_sensor: one for each sensor; "
+            "auto: shared where all have magnetometers",
+        ),
+    ),
+}
+
+CalibrateParameters: type[CalibrationSettings] = create_model(
+    "CalibrateParameters", __base__=CalibrationSettings, __module__=__name__, **_RESERVED
+)
+CalibrateParameters.__doc__ = "The parameters of the stage `calibrate_sensors`."
 
 
 def known_limbs(limbs: list[str]) -> list[str]:

@@ -15,7 +15,7 @@ from kinedex.ops.inertial.hand_eye import Options, Stream, StreamFit, calibrate
 from kinedex.ops.inertial.limb_orientation import NONE
 from kinedex.pipelines.engine.digests import hash_of
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
-from kinedex.pipelines.inertial.sensor_parameters import CalibrationSettings
+from kinedex.pipelines.inertial.parameters import CalibrationSettings
 from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake, WornTakes, stream_of
 
 F64 = npt.NDArray[np.float64]

@@ -11,7 +11,7 @@ from kinedex.ops.inertial.rotations import angular_speed, conjugate, multiply
 from kinedex.ops.inertial.time_offset import Fine, Speeds, TimeOffset, find, find_drift, refine, sensor_speed
 from kinedex.ops.inertial.whitened_offset import whitened_offset
 from kinedex.pipelines.inertial.limb_motion import LimbMotion
-from kinedex.pipelines.inertial.sensor_parameters import SynchroniseParameters
+from kinedex.pipelines.inertial.parameters import SynchroniseParameters
 from kinedex.pipelines.inertial.worn_sensors import Clock, WornSensor, WornTake, stream_of
 
 LEAST_DRIFT_S = 300.0

@@ -13,8 +13,7 @@ import pyarrow.compute as pc
 from kinedex.ops.inertial.hand_eye import Stream
 from kinedex.ops.inertial.rotations import interpolate
 from kinedex.pipelines.engine.digests import hash_of
-from kinedex.pipelines.inertial.limb_motion import LimbMotion
-from kinedex.pipelines.inertial.limb_tables import limbs_of_rows, struct_rows
+from kinedex.pipelines.inertial.limb_motion import LimbMotion, limbs_of_rows, struct_rows
 from kinedex.storage.snapshot.row_groups import RowGroups
 from kinedex.storage.store.reused_results import stored_fingerprints
 from kinedex.storage.store.store import Store

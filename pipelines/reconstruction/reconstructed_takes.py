@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from kinedex.catalog.depth_placement import FLIP, Placement
 from kinedex.catalog.features import FeatureSet
@@ -31,6 +32,7 @@ from kinedex.pipelines.recordings.recorded_takes import Provenance
 from kinedex.storage.formats.motion.points import root_orientation
 from kinedex.storage.formats.motion.reader import SHORT_GAP_S, Body
 from kinedex.storage.snapshot.schemas import DEPTH_FORMAT, result_schema
+from kinedex.storage.store.store import Store
 
 Bool = npt.NDArray[np.bool_]
 F64 = npt.NDArray[np.float64]
@@ -286,3 +288,46 @@ def _parts(cost: PoseCost) -> dict[str, float]:
 
 def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
+
+
+EXPLAINED = (
+    "take", "source_frame", "direction", "hypothesis", "candidate", "archive_take", "archive_frame", "ends", "ends_m",
+    "distance_m", "lookup_cost", "trial_cost", "cost", "winner",
+)  # fmt: skip
+"""The columns of `depth_votes` that a command shows."""
+
+
+def explained_votes(
+    store: Store, stage: str, takes: Collection[str], interval: tuple[int, int] | None = None
+) -> pa.Table:
+    """Return the hypotheses and candidates that were tried in the frames of takes.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    stage : str
+        The stage that has reconstructed the takes, "<pipeline>/<stage>".
+    takes : collection of str
+        The names of the takes.
+    interval : tuple of (int, int), optional
+        The first frame and the one after the last; by default all frames.
+
+    Returns
+    -------
+    pyarrow.Table
+        Rows of `depth_votes` with the columns `EXPLAINED`, by take and frame.
+    """
+    parts = [part for part in store.manifest.results.get("depth_votes", ()) if part.stage == stage]
+    names = pa.array(sorted(takes), pa.string())
+    pieces = [result_schema("depth_votes").empty_table()]
+    for rows in store.result_pieces("depth_votes", parts):
+        wanted = pc.is_in(rows.column("take"), names)
+        if interval is not None:
+            frame = rows.column("source_frame")
+            wanted = pc.and_(wanted, pc.and_(pc.greater_equal(frame, interval[0]), pc.less(frame, interval[1])))
+        pieces.append(rows.filter(wanted))
+    found = pa.concat_tables(pieces).select(list(EXPLAINED))
+    order = [("take", "ascending"), ("source_frame", "ascending"), ("direction", "descending"),
+             ("hypothesis", "descending"), ("candidate", "ascending")]  # fmt: skip
+    return found.take(pc.sort_indices(found, order))

@@ -1,8 +1,8 @@
-"""Track a depth recording frame by frame, forwards and backwards, with the bones of a take or estimated ones."""
+"""Track a depth recording frame by frame, in packed records, and remark on doubtful frames."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,21 +12,140 @@ import numpy.typing as npt
 from kinedex.catalog.bodies import load_body
 from kinedex.catalog.depth_cameras import DepthCamera
 from kinedex.catalog.depth_placement import Placement, placement_of
+from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.background import behind_share
 from kinedex.ops.depth.bidirectional import choose_directions
 from kinedex.ops.depth.cones import ConeBody
+from kinedex.ops.depth.extrema import COUNT
 from kinedex.ops.depth.image_search import DepthView, depth_view
 from kinedex.ops.depth.points import Preparation, choose_stride, ray_table
-from kinedex.ops.depth.size_estimate import SECONDS, estimate_size
-from kinedex.ops.depth.tracker import LEAST_POINTS, FrameResult, Reconstructor, TrackerSettings
+from kinedex.ops.depth.pose_database import facing_of
+from kinedex.ops.depth.size_estimate import LIMITS_M, SECONDS, STEP_M, estimate_size
+from kinedex.ops.depth.tracker import LEAST_POINTS, Candidate, FrameResult, Hypothesis, Reconstructor, TrackerSettings
+from kinedex.ops.depth.vote import PoseCost
 from kinedex.ops.errors import KinedexError, ParameterError
-from kinedex.pipelines.reconstruction.frame_records import FrameRecords
+from kinedex.ops.wording import counted
+from kinedex.pipelines.reconstruction.parameters import ESTIMATE
 from kinedex.pipelines.reconstruction.pose_database import PoseDatabase
 from kinedex.storage.formats.depth.recording import DepthRecording
 from kinedex.storage.formats.depth.recording_checks import MOST_BEHIND
 
-F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
+
+_HYPOTHESES: tuple[Hypothesis | None, ...] = (None, "local", "database")
+_FIRST_ROOM = 256
+_CANDIDATE = [
+    ("row", "<i4"), ("lookup_cost", "<f8"), ("cost", "<f8"), ("ends", "<f8"),
+    ("number", "<i4"), ("map", "i1", (5,)), ("sum", "<f8"),
+]  # fmt: skip
+
+
+def _layout(candidates: int) -> np.dtype[np.void]:
+    """Return the fields of the record of a frame with at most this number of candidates."""
+    fields = [
+        ("is_image", "?"), ("hypothesis", "i1"), ("started", "?"), ("people", "<i4"), ("row", "<i4"),
+        ("pose", "<f8", (len(JOINTS), 3)), ("extrema", "<f4", (COUNT, 3)), ("facing", "<f8", (3,)),
+        ("centre", "<f8", (3,)), ("costs", "<f8", (2, 4)), ("sizes", "<i4", (3,)), ("unseen", "?", (len(JOINTS),)),
+        ("box", "<i4", (4,)), ("maps", "<i4"), ("tried", "i1"), ("candidates", _CANDIDATE, (candidates,)),
+    ]  # fmt: skip
+    return np.dtype(fields)  # type: ignore[no-any-return, arg-type, unused-ignore]
+
+
+class FrameRecords(Sequence[FrameResult | None]):
+    """The results of frames in order of time, in packed form; `records[t]` is None for a frame without an image.
+
+    The poses of the two hypotheses are dropped, extrema are rounded to float32, and of the assignments of end effectors
+    to extrema only those by which a candidate was found are kept; others become 0.
+
+    Parameters
+    ----------
+    candidates : int
+        The largest number of candidates of a frame.
+    frames : int, optional
+        The number of frames to allocate; more can be appended.
+    """
+
+    def __init__(self, candidates: int, frames: int = _FIRST_ROOM) -> None:
+        self._rows = np.zeros(max(1, frames), _layout(candidates))
+        self._length = 0
+
+    def append(self, result: FrameResult | None) -> None:
+        """Add the result of the next frame; None for one without an image."""
+        if self._length == len(self._rows):
+            self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
+        self._length += 1
+        self[self._length - 1] = result
+
+    def reverse(self) -> None:
+        """Reverse the order of the frames."""
+        self._rows = self._rows[: self._length][::-1]
+
+    @property
+    def poses(self) -> F64:
+        """The poses, float64 (T, 24, 3); NaN without an image or a person."""
+        rows = self._rows[: self._length]
+        return np.where(rows["is_image"][:, None, None], rows["pose"], np.nan)
+
+    @property
+    def costs(self) -> F64:
+        """The cost of each chosen pose, float64 (T,); NaN without an image or a person."""
+        rows = self._rows[: self._length]
+        totals = np.concatenate([np.full((self._length, 1), np.nan), rows["costs"][:, :, 0]], axis=1)
+        found: F64 = np.where(rows["is_image"], totals[np.arange(self._length), rows["hypothesis"]], np.nan)
+        return found
+
+    @property
+    def nbytes(self) -> int:
+        """The size of the records in bytes."""
+        return self._rows[: self._length].nbytes
+
+    def __len__(self) -> int:
+        return self._length
+
+    def __iter__(self) -> Iterator[FrameResult | None]:
+        return (self[t] for t in range(self._length))
+
+    def __setitem__(self, t: int, result: FrameResult | None) -> None:
+        row = self._rows[range(self._length)[t]]
+        row["is_image"] = result is not None
+        if result is None:
+            return
+        row["hypothesis"] = _HYPOTHESES.index(result.hypothesis)
+        for name in ("started", "people", "row", "pose", "extrema", "facing", "centre", "unseen", "box"):
+            row[name] = getattr(result, name)
+        row["sizes"] = result.points, result.components, result.links
+        row["costs"] = np.nan
+        for k, cost in enumerate(result.parts):
+            if cost is not None:
+                row["costs"][k] = cost
+        row["maps"], row["tried"] = len(result.maps), len(result.candidates)
+        for k, one in enumerate(result.candidates):
+            ends = result.maps[one.map]
+            row["candidates"][k] = (one.row, one.lookup_cost, one.cost, one.ends, one.map, ends, result.sums[one.map])
+
+    def __getitem__(self, t: int) -> FrameResult | None:  # type: ignore[override]
+        row = self._rows[range(self._length)[t]]
+        if not row["is_image"]:
+            return None
+        maps, sums = np.zeros((row["maps"], 5), np.int64), np.full(row["maps"], np.nan)
+        candidates = []
+        for one in row["candidates"][: row["tried"]]:
+            maps[one["number"]], sums[one["number"]] = one["map"], one["sum"]
+            numbers = (int(one["row"]), float(one["lookup_cost"]), int(one["number"]))
+            candidates.append(Candidate(*numbers, float(one["cost"]), float(one["ends"])))
+        local, database = (None if np.isnan(one[0]) else PoseCost(*one.tolist()) for one in row["costs"])
+        points, components, links = row["sizes"].tolist()
+        return FrameResult(
+            pose=row["pose"], hypothesis=_HYPOTHESES[row["hypothesis"]], cost_local=float(row["costs"][0, 0]),
+            cost_database=float(row["costs"][1, 0]), row=int(row["row"]), local=None, database=None,
+            extrema=row["extrema"].astype(np.float64), facing=row["facing"], centre=row["centre"], points=points,
+            components=components, links=links, maps=maps, sums=sums, candidates=tuple(candidates),
+            unseen=row["unseen"], started=bool(row["started"]), people=int(row["people"]), parts=(local, database),
+            box=tuple(row["box"].tolist()),
+        )  # fmt: skip
+
+
+F32 = npt.NDArray[np.float32]
 I64 = npt.NDArray[np.int64]
 
 STRIDE_FRAMES = 10
@@ -299,3 +418,130 @@ def _results(tracker: Reconstructor, images: Iterable[tuple[int, F32 | None]], f
         else:
             found.append(tracker.step(image))
     return found
+
+
+MISSING, MOVED, NOBODY = "no image", "camera moved", "nobody"
+PEOPLE, CUT, LYING, TURNED = "several people", "cut off", "lying", "turned away"
+
+REMARKS = {
+    MISSING: "{frames} without an image, missing or damaged: {numbers}",
+    MOVED: "the camera seems to have moved, since much lies behind the background; {frames} not used: {numbers}",
+    NOBODY: "nobody is seen in {frames}: {numbers}",
+    PEOPLE: "several people are seen in {frames}, and the one nearest to the last pose is tracked: {numbers}",
+    CUT: "the image's border cuts the body off in {frames}, where joints are guessed: {numbers}",
+    LYING: "the person lies or crouches in {frames}, where errors are larger: {numbers}",
+    TURNED: "the person faces more than 45° away from the camera in {frames}, where errors are larger: {numbers}",
+}
+"""The kinds of remarks on frames, each with the sentence that lists the frames."""
+
+NEAR_BORDER_PX = 1
+"""The distance, in pixels, of a body from the image border up to which it counts as cut off."""
+
+LYING_SHARE = 0.4
+"""A person lies or crouches if the joints are within a layer less high than this share of the standing height."""
+
+TURNED_DEGREES = 45.0
+"""The angle, in degrees, between facing direction and camera above which a person counts as turned away."""
+
+MOST_COST_M = 0.1
+"""The median cost of poses, in metres, above which a body fits badly; 3 to 6 cm are typical."""
+
+_MOST_RANGES = 8
+
+
+def frame_remarks(track: RecordingTrack, scene: Scene, height_m: float) -> list[tuple[str, ...]]:
+    """Return the remarks on each frame, as keys of `REMARKS`.
+
+    Parameters
+    ----------
+    track : RecordingTrack
+        The tracked recording.
+    scene : Scene
+        Its camera.
+    height_m : float
+        The standing height of the person in metres.
+    """
+    moved, missing = set(track.moved), set(track.missing)
+    shape = scene.preparation.shape
+    found: list[tuple[str, ...]] = []
+    for t, result in enumerate(track.results):
+        if result is None:
+            found.append((MISSING if t in missing else MOVED if t in moved else NOBODY,))
+        else:
+            found.append(tuple(_remarks(result, (int(shape[0]), int(shape[1])), height_m)))
+    return found
+
+
+def _remarks(result: FrameResult, shape: tuple[int, int], height_m: float) -> list[str]:
+    if result.hypothesis is None:
+        return [NOBODY]
+    found = [PEOPLE] if result.people > 1 else []
+    u0, v0, u1, v1 = result.box
+    if min(u0, v0, shape[1] - u1, shape[0] - v1) < NEAR_BORDER_PX:
+        found.append(CUT)
+    heights = result.pose[:, 1]
+    if heights.max() - heights.min() < LYING_SHARE * height_m:
+        found.append(LYING)
+    facing = np.empty(3)
+    facing_of(result.pose, facing)
+    towards = -result.pose[0] * (1.0, 0.0, 1.0)
+    cosine = float(facing @ towards) / max(float(np.linalg.norm(towards)), 1e-9)
+    if cosine < np.cos(np.radians(TURNED_DEGREES)):
+        found.append(TURNED)
+    return found
+
+
+def remark_sentences(remarks: Sequence[Sequence[str]]) -> list[str]:
+    """Return a sentence for each kind of remark, with the frames that have it.
+
+    Parameters
+    ----------
+    remarks : sequence of sequence of str
+        The remarks on each frame.
+    """
+    sentences = []
+    for name, text in REMARKS.items():
+        frames = [t for t, own in enumerate(remarks) if name in own]
+        if frames:
+            sentences.append(text.format(frames=counted(len(frames), "frame"), numbers=listed_frames(frames)))
+    return sentences
+
+
+def fit_remarks(track: RecordingTrack, bones: PersonBones) -> list[str]:
+    """Return sentences on a body that fits the points badly, or whose estimated size is at a limit.
+
+    Parameters
+    ----------
+    track : RecordingTrack
+        The tracked recording, with a pose in at least one frame.
+    bones : PersonBones
+        The bones of the person.
+    """
+    found = []
+    costs = np.where(track.chosen == 0, track.directions[0].costs, track.directions[-1].costs)
+    cost = float(np.nanmedian(costs))
+    if cost > MOST_COST_M:
+        found.append(
+            f"the body fits the points badly: half of the poses cost more than {100 * cost:.0f} cm, usual are 3 to 6; "
+            "are fx, fy, `depth_unit_m` and `body` those of this recording, and does nothing but the person stand "
+            "before the background?"
+        )
+    if bones.origin == ESTIMATE and not LIMITS_M[0] + STEP_M < bones.height_m < LIMITS_M[1] - STEP_M:
+        found.append(
+            f"the estimated height of {bones.height_m:.2f} m is at the end of what is tried: are fx, fy and "
+            "`depth_unit_m` those of this recording?"
+        )
+    return found
+
+
+def listed_frames(frames: Sequence[int]) -> str:
+    """Format ascending frames as ranges such as "3, 7–12"; only the first ones if there are many."""
+    ranges: list[list[int]] = []
+    for t in frames:
+        if ranges and ranges[-1][1] == t - 1:
+            ranges[-1][1] = t
+        else:
+            ranges.append([t, t])
+    texts = [str(first) if first == last else f"{first}–{last}" for first, last in ranges[:_MOST_RANGES]]
+    more = f" and {len(ranges) - _MOST_RANGES} more ranges" if len(ranges) > _MOST_RANGES else ""
+    return ", ".join(texts) + more

@@ -22,9 +22,8 @@ from kinedex.pipelines.engine.display import Display
 from kinedex.pipelines.engine.executors import make_executor
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.ingestion.file_batches import read_batch
-from kinedex.pipelines.recordings.stored_results import stages_of_takes
-from kinedex.pipelines.repair.pipeline_files import ingest_settings, known_stages, pipeline_text
-from kinedex.pipelines.repair.sources import Sources
+from kinedex.pipelines.recordings.runs import stages_of_takes
+from kinedex.pipelines.repair.sources import Sources, ingest_settings, known_stages, pipeline_text
 from kinedex.storage.disk import TEMPORARY, sync_file, whole_file, write_errors
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.lock import NO_WAIT, Lock, Wait

@@ -20,11 +20,17 @@ from kinedex.ops.body.pose_fit import measured_body
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.ops.simulation.failures import Limbs
 from kinedex.ops.simulation.recording import Setup, SimulatedRecording, simulated_recording, take_generators
+from kinedex.pipelines.export.export import export_take
 from kinedex.pipelines.export.request import How
-from kinedex.pipelines.export.single import export_take
-from kinedex.pipelines.simulation.chosen_takes import chosen_takes, recording_names
-from kinedex.pipelines.simulation.new_folder import new_folder, require_new
-from kinedex.pipelines.simulation.recording_files import write_calibration, write_keypoints, write_masks
+from kinedex.pipelines.simulation.recording_files import (
+    chosen_takes,
+    new_folder,
+    recording_names,
+    require_new,
+    write_calibration,
+    write_keypoints,
+    write_masks,
+)
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
 

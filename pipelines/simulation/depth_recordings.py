@@ -20,8 +20,7 @@ from kinedex.ops.depth.pose_database import bone_lengths_of
 from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
 from kinedex.ops.simulation.depth_scene import CameraPlace, DepthScene, on_floor, place_camera
 from kinedex.ops.simulation.depth_sensors import SENSORS, UNIT_M, DepthSensor
-from kinedex.pipelines.simulation.chosen_takes import chosen_takes, recording_names
-from kinedex.pipelines.simulation.new_folder import new_folder, require_new
+from kinedex.pipelines.simulation.recording_files import chosen_takes, new_folder, recording_names, require_new
 from kinedex.storage.formats.depth.camera_file import write_camera
 from kinedex.storage.formats.depth.png import write_depth_png
 from kinedex.storage.formats.motion.joint_motion import JointMotion

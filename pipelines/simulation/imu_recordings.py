@@ -1,13 +1,15 @@
-"""Simulate recordings of inertial sensors on the limbs of takes, as a data set in a new folder."""
+"""Simulate recordings of inertial sensors on the limbs of takes, as a data set with windows and segments."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import yaml
 
 from kinedex import __version__
@@ -15,14 +17,119 @@ from kinedex.catalog.imu_grades import load_grade
 from kinedex.catalog.limbs import chosen_limbs
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.ops.wording import counted
-from kinedex.pipelines.inertial.limb_motion import LimbMotion
-from kinedex.pipelines.simulation.chosen_takes import recording_names
-from kinedex.pipelines.simulation.imu_files import CLOCKLESS, WRITERS
-from kinedex.pipelines.simulation.imu_pieces import LEAST_SECONDS, take_pieces
-from kinedex.pipelines.simulation.imu_readme import readme
-from kinedex.pipelines.simulation.imu_sensors import SampledPiece, Wearing, Worn, sample_piece, worn_sensors
-from kinedex.pipelines.simulation.imu_windows import Segment, Windowing, segment_rows, window_rows
+from kinedex.pipelines.inertial.limb_motion import LimbMotion, stored_limbs
+from kinedex.pipelines.inertial.limb_sources import limb_tasks, read_limbs, with_stored_body
+from kinedex.pipelines.simulation.imu_files import CLOCKLESS, WRITERS, readme
+from kinedex.pipelines.simulation.imu_sensors import (
+    LEAST_SECONDS,
+    SampledPiece,
+    Wearing,
+    Worn,
+    sample_piece,
+    take_pieces,
+    worn_sensors,
+)
+from kinedex.pipelines.simulation.recording_files import chosen_takes, new_folder, recording_names, require_new
 from kinedex.storage.formats.csv_cells import csv_line
+from kinedex.storage.store.store import Store
+
+F64 = npt.NDArray[np.float64]
+
+LEAST_SHARE = 0.5
+"""The fraction of a window above which the class that covers most of it becomes its class."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """An interval of a take with a class.
+
+    Attributes
+    ----------
+    origin : str
+        label (of a person), annotation (of a method) or take (the class of a take that is one clip).
+    name : str
+        The class.
+    start_s, stop_s : float
+        Times in the take, in seconds.
+    """
+
+    origin: str
+    name: str
+    start_s: float
+    stop_s: float
+
+
+@dataclass(frozen=True)
+class Windowing:
+    """Length and step of windows in seconds."""
+
+    seconds: float = 2.0
+    step_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.seconds <= 3600.0:
+            raise ParameterError("window", "a positive number of seconds", self.seconds)
+        if not 0.0 < self.step_s <= 3600.0:
+            raise ParameterError("step", "a positive number of seconds", self.step_s)
+
+
+def take_segments(store: Store) -> dict[str, list[Segment]]:
+    """Return the segments of all takes, by the take's name.
+
+    Labels of people take precedence over annotations if a take has both; a take with neither has the class of its file,
+    if there is one.
+    """
+    found: dict[str, list[Segment]] = {}
+    rows = store.sql(
+        'SELECT take, "class", start_seconds AS a, stop_seconds AS b FROM labels '
+        "WHERE verdict = 'positive' AND limb IS NULL ORDER BY take, start, stop, \"class\""
+    ).to_pylist()
+    for row in rows:
+        found.setdefault(row["take"], []).append(Segment("label", row["class"], row["a"], row["b"]))
+    labelled = set(found)
+    for row in store.sql(
+        'SELECT take, "class", start_seconds AS a, stop_seconds AS b FROM annotations '
+        'ORDER BY take, start, stop, "class", subclass'
+    ).to_pylist():
+        if row["take"] not in labelled:
+            found.setdefault(row["take"], []).append(Segment("annotation", row["class"], row["a"], row["b"]))
+    for row in store.take_rows.select(["name", "class", "seconds"]).to_pylist():
+        if row["name"] not in found and row["class"] is not None:
+            found[row["name"]] = [Segment("take", row["class"], 0.0, row["seconds"])]
+    return found
+
+
+def segment_rows(segments: Sequence[Segment], take_times: F64) -> list[tuple[str, str, int, int]]:
+    """Return origin, class and samples [start, stop) of the segments that contain samples."""
+    rows = []
+    for one in segments:
+        start, stop = np.searchsorted(take_times, [one.start_s - 1e-9, one.stop_s - 1e-9]).tolist()
+        if stop > start:
+            rows.append((one.origin, one.name, start, stop))
+    return rows
+
+
+def window_rows(
+    rows: Sequence[tuple[str, str, int, int]], samples: int, rate_hz: float, windowing: Windowing
+) -> list[tuple[int, int, str, float]]:
+    """Return windows [start, stop) in samples, with the class that covers most of each window, and its share.
+
+    The class is empty if none covers more than half of a window.
+    """
+    width, step = max(1, round(windowing.seconds * rate_hz)), max(1, round(windowing.step_s * rate_hz))
+    classes = sorted({name for _, name, _, _ in rows})
+    covered = np.zeros((len(classes), samples + 1), np.int64)
+    for _, name, start, stop in rows:
+        covered[classes.index(name), start:stop] = 1
+    sums = np.concatenate([np.zeros((len(classes), 1), np.int64), np.cumsum(covered[:, :samples], axis=1)], axis=1)
+    found = []
+    for start in range(0, samples - width + 1, step):
+        shares = (sums[:, start + width] - sums[:, start]) / width
+        best = int(np.argmax(shares)) if len(classes) else -1
+        clear = best >= 0 and shares[best] > LEAST_SHARE
+        found.append((start, start + width, classes[best] if clear else "", float(shares[best]) if best >= 0 else 0.0))
+    return found
+
 
 RECORDINGS = "recordings"
 """The folder of a data set that contains a folder for each take."""
@@ -319,3 +426,77 @@ class _DataSet:
 def _table(path: Path, header: list[str], rows: list[list[object]]) -> None:
     """Write a CSV file in which no cell can be taken for a formula by a spreadsheet."""
     path.write_bytes("".join([csv_line(header), *map(csv_line, rows)]).encode())
+
+
+def simulate_imu(
+    store: Store, takes: Sequence[str], where: str | None, request: Request, folder: Path, progress: Progress
+) -> Simulated:
+    """Write a data set of simulated sensors on takes, whose source files are read again.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    takes : sequence of str
+        Names of takes.
+    where : str or None
+        SQL filter over the columns of takes, which selects further ones.
+    request : Request
+        The sensors.
+    folder : Path
+        A folder that does not exist, or is empty.
+    progress : callable
+        Shows progress.
+
+    Raises
+    ------
+    KinedexError
+        The folder contains files, there is no such take, or a source no longer exists or was changed.
+    """
+    require_new(folder)
+    names = chosen_takes(store, takes, where)
+    tasks = limb_tasks(store, names, chosen_limbs(request.limbs))
+    actors, segments = actors_of(store), take_segments(store)
+
+    def found() -> Iterator[TakeToSimulate]:
+        for task in tasks:
+            read = read_limbs(with_stored_body(task, store))
+            yield TakeToSimulate(
+                task.take, actors.get(task.take), read.limbs, read.rate_hz, tuple(segments.get(task.take, ()))
+            )
+
+    with new_folder(folder) as unfinished:
+        return write_data_set(unfinished, names, found(), request, progress)
+
+
+def simulate_stored(
+    store: Store, stage: str, names: Sequence[str], request: Request, folder: Path, progress: Progress
+) -> Simulated:
+    """Write a data set of simulated sensors into an empty folder, from the limbs that a stage has stored.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    stage : str
+        The stage that has stored the limbs, "<pipeline>/<stage>".
+    names : sequence of str
+        Names of the takes.
+    request : Request
+        The sensors.
+    folder : Path
+        An empty folder.
+    progress : callable
+        Shows progress.
+    """
+    actors, segments = actors_of(store), take_segments(store)
+    takes: Iterable[TakeToSimulate] = (
+        TakeToSimulate(one.take, actors.get(one.take), one.limbs, one.rate_hz, tuple(segments.get(one.take, ())))
+        for one in stored_limbs(store, stage, names)
+    )
+    return write_data_set(folder, list(names), takes, request, progress)
+
+
+def actors_of(store: Store) -> dict[str, str | None]:
+    """Return the actor of each take, by the take's name."""
+    return {row["name"]: row["actor"] for row in store.take_rows.select(["name", "actor"]).to_pylist()}

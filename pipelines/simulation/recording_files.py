@@ -1,8 +1,15 @@
-"""Write the files of a simulated recording: calibration, keypoints and masks."""
+"""Choose the takes that are simulated, and write the folder of their recordings whole or not at all."""
 
 from __future__ import annotations
 
+import itertools
 import json
+import os
+import re
+import shutil
+import uuid
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +22,113 @@ from kinedex.catalog.kinematics import load_kinematic_chain, load_surface
 from kinedex.ops.body.capsules import body_capsules
 from kinedex.ops.body.kinematic_chain import vector_of
 from kinedex.ops.body.pose_fit import measured_body
+from kinedex.ops.errors import KinedexError
 from kinedex.ops.simulation.cameras import CameraRing
 from kinedex.ops.simulation.recording import SimulatedRecording
 from kinedex.ops.tracking.body_mask import render_mask
 from kinedex.ops.tracking.views import camera_view
+from kinedex.storage.disk import TEMPORARY
+from kinedex.storage.formats.labels.file_names import file_names
+from kinedex.storage.store.store import Store
+
+_FORBIDDEN = re.compile(r"[^\w.+-]")
+_MOST_LETTERS = 90
+
+
+def chosen_takes(store: Store, takes: Sequence[str], where: str | None) -> list[str]:
+    """Return the names of the takes that are named or selected, in the store's order.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    takes : sequence of str
+        Names of takes.
+    where : str or None
+        SQL filter over the columns of takes, which selects further ones.
+
+    Raises
+    ------
+    KinedexError
+        There is no such take, or nothing is selected.
+    """
+    for name in takes:
+        store.take_id(name)
+    selected = set(store.takes_table(where)["name"].to_pylist()) if where is not None else set()
+    if where is not None and not selected:
+        raise KinedexError(f"the filter `{where}` selects no take of {store.path}")
+    if not takes and where is None:
+        raise KinedexError("no take is named; name takes, or select them with --where \"class = 'walk'\"")
+    wanted = selected | set(takes)
+    return [name for name in store.takes_table(None)["name"].to_pylist() if name in wanted]
+
+
+def recording_names(takes: Sequence[str]) -> list[str]:
+    """Return a name for the recording of each take, which is also the name of its folder.
+
+    Letters, digits and . + - are kept, other characters become underscores.
+    """
+    plain = [(_FORBIDDEN.sub("_", take)[:_MOST_LETTERS]).lstrip(".+-") or "take" for take in takes]
+    twice = {name.casefold() for name in plain if sum(one.casefold() == name.casefold() for one in plain) > 1}
+    numbered = [f"{name}-{i + 1}" if name.casefold() in twice else name for i, name in enumerate(plain)]
+    return [name.replace("~", "-") for name in file_names(numbered)]
+
+
+@contextmanager
+def new_folder(folder: Path) -> Iterator[Path]:
+    """Write a folder completely or not at all.
+
+    Parameters
+    ----------
+    folder : Path
+        A folder that does not exist, or is empty.
+
+    Yields
+    ------
+    Path
+        A temporary folder to write to, which is renamed when the block ends, and removed if the block fails.
+
+    Raises
+    ------
+    KinedexError
+        The folder cannot be written.
+    """
+    unfinished = folder.absolute().parent / f"{TEMPORARY}{uuid.uuid4().hex}"
+    try:
+        unfinished.mkdir(parents=True)
+        yield unfinished
+        if folder.is_dir():
+            folder.rmdir()
+        os.replace(unfinished, folder)
+    except OSError as fault:
+        raise KinedexError(f"{folder}: cannot be written: {fault.strerror}; nothing was written") from None
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def require_new(folder: Path) -> None:
+    """Raise an error if a folder contains files.
+
+    Raises
+    ------
+    KinedexError
+        The path is a folder with files, or not a folder.
+    """
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise KinedexError(f"{folder}: is no folder; give a new one with -o")
+    if folder.is_dir() and any(folder.iterdir()):
+        raise KinedexError(
+            f"{folder}: is not empty, and recordings are never overwritten; give a new folder, such as "
+            f"-o {_free_name(folder)}"
+        )
+
+
+def _free_name(folder: Path) -> Path:
+    """Return the first of `NAME-2`, `NAME-3`, … that does not exist beside a folder."""
+    absolute = folder.absolute()
+    numbers = (number for number in itertools.count(2) if not absolute.with_name(f"{absolute.name}-{number}").exists())
+    return folder.parent / f"{absolute.name}-{next(numbers)}"
+
 
 F64 = npt.NDArray[np.float64]
 

@@ -14,10 +14,9 @@ from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.inertial.broken_labels import BrokenLabels
-from kinedex.pipelines.inertial.broken_takes import break_take
+from kinedex.pipelines.inertial.broken_takes import BrokenLabels, break_take
+from kinedex.pipelines.inertial.limb_motion import KIND, limb_pieces, limb_table, limbs_of_rows
 from kinedex.pipelines.inertial.limb_sources import reading_digest
-from kinedex.pipelines.inertial.limb_tables import KIND, limb_pieces, limb_table, limbs_of_rows
 from kinedex.pipelines.inertial.parameters import BreakTrackParameters
 from kinedex.pipelines.inertial.reused_takes import ReusedTakes
 from kinedex.storage.snapshot.row_groups import RowGroups

@@ -11,9 +11,9 @@ from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.inertial.parameters import CalibrateParameters, CalibrationSettings
 from kinedex.pipelines.inertial.reused_takes import ReusedTakes
 from kinedex.pipelines.inertial.sensor_fits import fit_fingerprints, fit_groups, fit_tasks, fit_together
-from kinedex.pipelines.inertial.sensor_parameters import CalibrateParameters, CalibrationSettings
 from kinedex.pipelines.inertial.sensor_tables import (
     CALIBRATION,
     by_take,

@@ -14,9 +14,8 @@ from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest, hash_of
 from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.inertial.error_parameters import EvaluateLimbErrorsParameters
+from kinedex.pipelines.inertial.limb_error_curves import RUNS, judged_limbs
 from kinedex.pipelines.inertial.limb_error_metrics import LimbCounts, metric_rows, runs_by_limb
-from kinedex.pipelines.inertial.limb_error_tables import RUNS, judged_limbs
 from kinedex.pipelines.inertial.limb_labels import (
     LimbLabels,
     PlacedLabel,
@@ -25,6 +24,7 @@ from kinedex.pipelines.inertial.limb_labels import (
     stored_limb_labels,
     unused_labels,
 )
+from kinedex.pipelines.inertial.parameters import EvaluateLimbErrorsParameters
 from kinedex.pipelines.inertial.sensor_tables import result_table
 from kinedex.storage.formats.labels.ground_truth import any_ground_truth, ground_truth_files
 from kinedex.storage.snapshot.labels import is_of_limbs

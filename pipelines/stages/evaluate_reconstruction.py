@@ -22,7 +22,7 @@ from kinedex.pipelines.reconstruction.reconstruction_errors import (
     errors_table,
     stored_reconstruction,
 )
-from kinedex.pipelines.recordings.stored_results import earlier_rows
+from kinedex.pipelines.recordings.runs import earlier_rows
 from kinedex.storage.formats.depth.recording import recording_truth
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store

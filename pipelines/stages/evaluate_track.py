@@ -11,10 +11,16 @@ from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest, hash_of
 from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.recordings.stored_results import earlier_rows
+from kinedex.pipelines.recordings.runs import earlier_rows
 from kinedex.pipelines.tracking.recordings import stored_rows
-from kinedex.pipelines.tracking.sensor_judges import SENSORS, judged_by_sensors
-from kinedex.pipelines.tracking.track_evaluation import compared, metrics_table, poses_of, truth_reference
+from kinedex.pipelines.tracking.track_evaluation import (
+    SENSORS,
+    compared,
+    judged_by_sensors,
+    metrics_table,
+    poses_of,
+    truth_reference,
+)
 from kinedex.pipelines.tracking.tracked_takes import STABILISED, TRACKED
 from kinedex.storage.store.store import Store
 

@@ -13,16 +13,16 @@ from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.inertial.error_parameters import LimbErrorsParameters
-from kinedex.pipelines.inertial.limb_error_curves import take_errors
-from kinedex.pipelines.inertial.limb_error_tables import (
+from kinedex.pipelines.inertial.limb_error_curves import (
     ERRORS,
     RUNS,
     ErrorFigures,
     error_figures,
     error_table,
     run_rows,
+    take_errors,
 )
+from kinedex.pipelines.inertial.parameters import LimbErrorsParameters
 from kinedex.pipelines.inertial.reused_takes import ReusedTakes
 from kinedex.pipelines.inertial.sensor_tables import by_take, stored_calibrations, stored_clocks, take_tables
 from kinedex.pipelines.inertial.worn_sensors import WornTakes

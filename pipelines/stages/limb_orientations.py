@@ -13,6 +13,7 @@ from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading
 from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.inertial.limb_motion import KIND, LimbFigures, limb_figures, limb_pieces, limb_table
 from kinedex.pipelines.inertial.limb_sources import (
     limb_fingerprints,
     limb_tasks,
@@ -20,7 +21,6 @@ from kinedex.pipelines.inertial.limb_sources import (
     reading_digest,
     with_stored_body,
 )
-from kinedex.pipelines.inertial.limb_tables import KIND, LimbFigures, limb_figures, limb_pieces, limb_table
 from kinedex.pipelines.inertial.parameters import LimbOrientationsParameters
 from kinedex.pipelines.inertial.reused_takes import ReusedTakes
 from kinedex.storage.store.store import Store

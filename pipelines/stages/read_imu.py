@@ -13,16 +13,19 @@ from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.inertial.parameters import ReadImuParameters
 from kinedex.pipelines.inertial.recording_files import (
+    ReadRows,
+    ReadTask,
     find_recordings,
+    read_rows,
     sensor_files,
+    sensor_set_of,
     source_root,
     stamps,
 )
-from kinedex.pipelines.inertial.recording_parameters import ReadImuParameters
-from kinedex.pipelines.inertial.recording_tables import ReadRows, ReadTask, read_rows, sensor_set_of
 from kinedex.pipelines.ingestion.failures import Failure, failure_messages, log_table
-from kinedex.pipelines.recordings.stored_results import earlier_rows, put_beside
+from kinedex.pipelines.recordings.runs import earlier_rows, put_beside
 from kinedex.storage.store.store import Store
 from kinedex.storage.store.writer import StoreWriter
 

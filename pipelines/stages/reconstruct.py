@@ -9,10 +9,8 @@ from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.reconstruction.parameters import ReconstructParameters
-from kinedex.pipelines.reconstruction.runs import chosen_recordings, named_bodies, reconstruct, take_digest
-from kinedex.pipelines.reconstruction.work import files_stamp
-from kinedex.pipelines.recordings.runs import Place, renew_index
-from kinedex.pipelines.recordings.stored_results import are_takes_there
+from kinedex.pipelines.reconstruction.runs import chosen_recordings, files_stamp, named_bodies, reconstruct, take_digest
+from kinedex.pipelines.recordings.runs import Place, are_takes_there, renew_index
 from kinedex.storage.store.store import Store
 
 

@@ -15,11 +15,9 @@ from kinedex.pipelines.engine.digests import Reading, files_digest, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
 from kinedex.pipelines.inertial.limb_sources import reading_digest
 from kinedex.pipelines.inertial.parameters import SimulateImuParameters
-from kinedex.pipelines.simulation.imu_recordings import Request
+from kinedex.pipelines.simulation.imu_recordings import Request, Windowing, actors_of, simulate_stored, take_segments
 from kinedex.pipelines.simulation.imu_sensors import Wearing
-from kinedex.pipelines.simulation.imu_takes import actors_of, simulate_stored
-from kinedex.pipelines.simulation.imu_windows import Windowing, take_segments
-from kinedex.pipelines.simulation.new_folder import new_folder
+from kinedex.pipelines.simulation.recording_files import new_folder
 from kinedex.storage.store.store import Store
 
 

@@ -8,8 +8,7 @@ from kinedex.catalog.classes import class_files
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.recordings.runs import Place, renew_index
-from kinedex.pipelines.recordings.stored_results import are_takes_there, earlier_rows
+from kinedex.pipelines.recordings.runs import Place, are_takes_there, earlier_rows, renew_index
 from kinedex.pipelines.templates.learning import read_templates
 from kinedex.pipelines.templates.training import TemplateParameters, training_material
 from kinedex.pipelines.tracking.parameters import StabiliseParameters, TrackParameters

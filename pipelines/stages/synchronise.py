@@ -12,8 +12,8 @@ from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.engine.stage import Input, Stage
+from kinedex.pipelines.inertial.parameters import SynchroniseParameters
 from kinedex.pipelines.inertial.reused_takes import ReusedTakes
-from kinedex.pipelines.inertial.sensor_parameters import SynchroniseParameters
 from kinedex.pipelines.inertial.sensor_tables import SYNC, sync_row, take_tables
 from kinedex.pipelines.inertial.synchronisation import LEAST_DRIFT_S, synchronise
 from kinedex.pipelines.inertial.worn_sensors import WornTake, WornTakes

@@ -8,8 +8,7 @@ from kinedex.catalog.recordings import load_recordings
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, hash_of
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.recordings.runs import Place, renew_index
-from kinedex.pipelines.recordings.stored_results import are_takes_there
+from kinedex.pipelines.recordings.runs import Place, are_takes_there, renew_index
 from kinedex.pipelines.tracking.bodies import archive_body
 from kinedex.pipelines.tracking.parameters import ObserveParameters, TrackParameters
 from kinedex.pipelines.tracking.runs import track

@@ -1,13 +1,9 @@
-"""Evaluate tracked and stabilised takes by the truth: a take, or a file of positions.
-
-A reference is the joint positions over time from another source. Truth is one kind of reference; other sources, such as
-sensors, become another one, and are evaluated by the same measures.
-"""
+"""Evaluate tracked and stabilised takes: by the truth, a take or a file of positions, and by worn sensors."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,8 +16,9 @@ import pyarrow.compute as pc
 from kinedex.catalog.kinematics import load_kinematic_chain
 from kinedex.ops.body.kinematic_chain import ChainBody, forward
 from kinedex.ops.errors import KinedexError
+from kinedex.pipelines.inertial.limb_error_curves import judged_limbs
 from kinedex.pipelines.recordings.truth import at_rate, read_truth
-from kinedex.pipelines.tracking.result_tables import stored_poses
+from kinedex.pipelines.tracking.tracked_takes import stored_poses
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
@@ -161,3 +158,42 @@ def poses_of(store: Store, stage: str, take_id: int) -> pa.Table:
     own = (rows.filter(pc.equal(rows.column("take_id"), take_id)) for rows in pieces)
     found = pa.concat_tables([result_schema("chain_poses").empty_table(), *own])
     return found.take(pc.sort_indices(found, [("source_frame", "ascending")]))
+
+
+SENSORS, LIMB = "sensors", "limb"
+"""The reference of evaluations by sensors (also the scope of all limbs together), and the scope of a single limb."""
+
+
+def judged_by_sensors(store: Store, stage: str, take_ids: Collection[int]) -> list[dict[str, Any]]:
+    """Return error statistics of takes against sensors: for all limbs of a take together, then for each limb.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    stage : str
+        The stage that has stored `limb_errors`, "<pipeline>/<stage>".
+    take_ids : collection of int
+        The ids of the takes to evaluate.
+    """
+    rows: list[dict[str, Any]] = []
+    for limbs in judged_limbs(store, stage):
+        own = [(one.limb, one.error[one.valid]) for one in limbs if one.take_id in take_ids and one.valid.any()]
+        if not own:
+            continue
+        named = {"take_id": limbs[0].take_id, "take": limbs[0].take, "reference": SENSORS}
+        rows.append(named | _angle_figures(SENSORS, "all", np.concatenate([error for _, error in own])))
+        rows += [named | _angle_figures(LIMB, limb, error) for limb, error in own]
+    return rows
+
+
+def _angle_figures(scope: str, name: str, error: F64) -> dict[str, Any]:
+    return {
+        "scope": scope,
+        "name": name,
+        "frames": len(error),
+        "mean_deg": float(error.mean()),
+        "sd_deg": float(error.std()),
+        "median_deg": float(np.median(error)),
+        "max_deg": float(error.max()),
+    }

@@ -1,18 +1,25 @@
-"""Takes that were tracked or stabilised: bodies of a kinematic chain with their poses, and their names."""
+"""Takes that were tracked or stabilised: bodies of a kinematic chain with their poses, and tables of their results."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
-from kinedex.ops.body.kinematic_chain import ChainBody, Poses, forward
+from kinedex.ops.body.kinematic_chain import ChainBody, Poses, forward, rotation_of, vector_of
 from kinedex.ops.body.kinematics import quaternions
+from kinedex.ops.intervals import in_seconds
+from kinedex.ops.priors.allocation import PriorRow
+from kinedex.ops.tracking.observations import Rays
 from kinedex.pipelines.recordings.recorded_takes import Provenance
+from kinedex.pipelines.tracking.chain_tracker import ChainTracker, frame_figures, ray_residuals
 from kinedex.storage.formats.motion.reader import Body
-from kinedex.storage.snapshot.schemas import TRACK_FORMAT
+from kinedex.storage.snapshot.schemas import TRACK_FORMAT, result_schema
 
 Bool = npt.NDArray[np.bool_]
 
@@ -104,3 +111,191 @@ def observed_frames(seen: Bool, rate_hz: float) -> Bool:
 def stabilised_name(take: str) -> str:
     """Return the name of a take after stabilisation; the suffix of a tracked take is replaced."""
     return take.removesuffix(TRACKED) + STABILISED
+
+
+F64 = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class TrackResult:
+    """A track with everything that its results are made from.
+
+    Attributes
+    ----------
+    take_id : int
+        Id of the take.
+    take : str
+        Its name.
+    tracker : ChainTracker
+        The tracker with its observations.
+    poses : Poses
+        The poses.
+    costs : float64 array (T,)
+        Cost of the observations of each frame.
+    fingerprint : str
+        A hash of everything that determines the track.
+    body_from : str
+        Origin of the bone lengths.
+    cameras : tuple of str
+        Names of the cameras.
+    recording : str, optional
+        Its recording.
+    track_of : str, optional
+        The take that was stabilised.
+    lost : bool array (T,), optional
+        The frames in which the tracker had lost the body.
+    moved_mm : float64 array (T, J), optional
+        The distance by which priors have moved each joint, in millimetres.
+    rows : tuple of PriorRow
+        The priors of all rounds.
+    rounds : int
+        The number of rounds.
+    remarks : tuple of str
+        Remarks about the track.
+    """
+
+    take_id: int
+    take: str
+    tracker: ChainTracker
+    poses: Poses
+    costs: F64
+    fingerprint: str
+    body_from: str
+    cameras: tuple[str, ...] = ()
+    recording: str | None = None
+    track_of: str | None = None
+    lost: Bool | None = None
+    moved_mm: F64 | None = None
+    rows: tuple[PriorRow, ...] = ()
+    rounds: int = 0
+    remarks: tuple[str, ...] = field(default=())
+
+    @property
+    def last_rows(self) -> list[PriorRow]:
+        """The priors of the last round."""
+        return [row for row in self.rows if row.round == self.rounds]
+
+    def table(self, kind: str, run: str) -> pa.Table:
+        """Return the results of one kind, such as "tracks" or "priors", as a table."""
+        tables: dict[str, Callable[[], dict[str, Any] | list[dict[str, Any]]]] = {
+            "tracks": self._track,
+            "chain_poses": self._poses,
+            "track_frames": self._frames,
+            "track_cameras": self._cameras,
+            "priors": self._priors,
+        }
+        rows = tables[kind]()
+        own: dict[str, Any] = {"run": run, "take_id": self.take_id, "take": self.take}
+        if isinstance(rows, dict):
+            count = len(next(iter(rows.values())))
+            return _table(kind, {name: [value] * count for name, value in own.items()} | rows)
+        return pa.Table.from_pylist([own | row for row in rows], schema=result_schema(kind))
+
+    def _track(self) -> list[dict[str, Any]]:
+        chain, last = self.tracker.body.chain, self.last_rows
+        return [
+            {
+                "recording": self.recording,
+                "track_of": self.track_of,
+                "tracker": self.tracker.settings.tracker,
+                "chain": chain.name,
+                "nodes": list(chain.nodes),
+                "joints": list(chain.joints),
+                "body": self.tracker.body.offsets.ravel().tolist(),
+                "body_from": self.body_from,
+                "sigma_px": self.tracker.settings.sigma_px,
+                "rate_hz": self.tracker.rate_hz,
+                "source_frames": len(self.poses.places),
+                "rounds": self.rounds,
+                "hits": len({row.hit for row in last if row.kept}),
+                "withdrawn": len({(row.round, row.hit) for row in self.rows if not row.kept}),
+                "remarks": list(self.remarks),
+                "fingerprint": self.fingerprint,
+            }
+        ]
+
+    def _poses(self) -> dict[str, Any]:
+        frames, nodes = self.poses.turns.shape[:2]
+        turns = np.stack([vector_of(one) for one in self.poses.turns.reshape(-1, 3, 3)]).reshape(frames, 3 * nodes)
+        return {"source_frame": np.arange(frames), "place": _lists(self.poses.places), "turns": _lists(turns)}
+
+    def _frames(self) -> dict[str, Any]:
+        frames, figures = len(self.poses.places), frame_figures(self.tracker, self.poses)
+        unknown = [None] * frames
+        return {
+            "source_frame": np.arange(frames),
+            "cost": self.costs,
+            "cameras": unknown if figures.cameras is None else figures.cameras,
+            "agreeing": unknown if figures.agreeing is None else figures.agreeing,
+            "trusted": figures.trusted,
+            "contested": figures.contested,
+            "lost": np.zeros(frames, np.bool_) if self.lost is None else self.lost,
+            "moved_mm": unknown if self.moved_mm is None else _lists(self.moved_mm),
+        }
+
+    def _cameras(self) -> list[dict[str, Any]]:
+        if not isinstance(self.tracker.observed.observations, Rays):
+            return []
+        found = ray_residuals(self.tracker.observed, self.poses, self.tracker.settings.sigma_px)
+        rows = []
+        for v, camera in enumerate(self.cameras):
+            own, weights = found.pixels[:, v], found.weights[:, v]
+            seen = np.isfinite(own)
+            shown = own[seen]
+            rows.append(
+                {
+                    "camera": camera,
+                    "keypoints": len(shown),
+                    "median_px": float(np.median(shown)) if len(shown) else None,
+                    "p90_px": float(np.percentile(shown, 90)) if len(shown) else None,
+                    "weight": float(weights[seen].mean()) if len(shown) else None,
+                }
+            )
+        return rows
+
+    def _priors(self) -> list[dict[str, Any]]:
+        rate_hz = self.tracker.rate_hz
+        return [
+            {
+                "round": row.round,
+                "kind": row.kind,
+                "side": row.side or None,
+                "class": row.motion,
+                "hit": row.hit,
+                "source_start": row.start,
+                "source_stop": row.stop,
+                "start_seconds": in_seconds(row.start, rate_hz),
+                "stop_seconds": in_seconds(row.stop, rate_hz),
+                "first_column": row.first_column,
+                "last_column": row.last_column,
+                "cost": row.cost,
+                "weight": row.weight,
+                "kept": row.kept,
+                "reason": row.reason or None,
+            }
+            for row in self.rows
+        ]
+
+
+def stored_poses(rows: pa.Table, nodes: int) -> Poses:
+    """Return the poses in rows of `chain_poses` of one take, sorted by frame."""
+    places = np.array(rows.column("place").to_pylist(), np.float64).reshape(-1, 3)
+    vectors = np.array(rows.column("turns").to_pylist(), np.float64).reshape(-1, 3)
+    turns = np.stack([rotation_of(one) for one in vectors]) if len(vectors) else np.zeros((0, 3, 3))
+    return Poses(places, turns.reshape(-1, nodes, 3, 3))
+
+
+def _table(kind: str, columns: dict[str, Any]) -> pa.Table:
+    schema = result_schema(kind)
+    return pa.table([pa.array(columns[name], schema.field(name).type) for name in schema.names], schema=schema)
+
+
+def _lists(values: F64) -> pa.Array:
+    """Return the rows of a matrix as lists."""
+    flat = np.ascontiguousarray(values, np.float64)
+    offsets = np.arange(len(flat) + 1, dtype=np.int32) * flat.shape[1]
+    return pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pa.array(flat.ravel()))
+
+
+TRACK_KINDS: Sequence[str] = ("tracks", "chain_poses", "track_frames", "track_cameras")
+"""The kinds of results of a tracked take; a stabilised one also has `priors`."""

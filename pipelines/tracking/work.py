@@ -30,9 +30,8 @@ from kinedex.pipelines.tracking.bodies import body_of_places, take_body, take_jo
 from kinedex.pipelines.tracking.chain_tracker import ChainTracker, Observed, TrackSettings, keypoint_sigma
 from kinedex.pipelines.tracking.parameters import TrackParameters
 from kinedex.pipelines.tracking.recordings import StoredRecording, stored_recording
-from kinedex.pipelines.tracking.result_tables import TRACK_KINDS, TrackResult
+from kinedex.pipelines.tracking.tracked_takes import TRACK_KINDS, TrackResult, observed_frames
 from kinedex.pipelines.tracking.tracked_takes import Track as TrackedTake
-from kinedex.pipelines.tracking.tracked_takes import observed_frames
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]

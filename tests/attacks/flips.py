@@ -35,8 +35,8 @@ from kinedex.catalog.sql.views import MACROS, VIEWS
 from kinedex.library.store import Store as Archive
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.evaluation.written_evaluations import read_run
+from kinedex.pipelines.export.export import export_take
 from kinedex.pipelines.export.request import How
-from kinedex.pipelines.export.single import export_take
 from kinedex.reports.annotation_data import read_report_data
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.snapshot.manifest_files import read_version, versions

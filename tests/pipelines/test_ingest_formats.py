@@ -15,8 +15,8 @@ from kinedex.catalog.skeletons.mappings import load_skeleton
 from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.words import ALL_KNOWN
+from kinedex.pipelines.export.export import export_take
 from kinedex.pipelines.export.request import How
-from kinedex.pipelines.export.single import export_take
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.formats.motion.body_models import BODY
 from kinedex.storage.snapshot.parts import joint_positions

@@ -13,8 +13,8 @@ from rich.console import Console
 from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
+from kinedex.pipelines.export.export import export_take
 from kinedex.pipelines.export.request import How
-from kinedex.pipelines.export.single import export_take
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 from tests.c3d_files import LABELS, standing_markers, write_c3d, z_up

@@ -11,7 +11,7 @@ import pytest
 
 from kinedex.ops.inertial.rotations import distance_deg
 from kinedex.pipelines.inertial.broken_takes import LimbLabel, label_text
-from kinedex.pipelines.inertial.limb_tables import StoredLimbs, stored_limbs
+from kinedex.pipelines.inertial.limb_motion import StoredLimbs, stored_limbs
 from kinedex.pipelines.stages.break_track import BreakTrack
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.pipelines.stages.limb_orientations import LimbOrientations

@@ -13,7 +13,7 @@ from kinedex.commands import demo, inertial_demo
 from kinedex.commands.cli import app
 from kinedex.console.terminal import Console
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.inertial.limb_tables import struct_array
+from kinedex.pipelines.inertial.limb_motion import struct_array
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import open_store

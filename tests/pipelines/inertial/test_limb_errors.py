@@ -18,7 +18,7 @@ from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.ops.inertial import rotations as r
 from kinedex.pipelines.engine.context import StageContext
-from kinedex.pipelines.inertial.limb_tables import limb_table, stored_limbs
+from kinedex.pipelines.inertial.limb_motion import limb_table, stored_limbs
 from kinedex.pipelines.labels.unmatched_labels import unmatched_summary
 from kinedex.pipelines.stages.calibrate_sensors import CalibrateSensors
 from kinedex.pipelines.stages.evaluate_limb_errors import EvaluateLimbErrors

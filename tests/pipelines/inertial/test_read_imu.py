@@ -17,8 +17,8 @@ from kinedex.console.terminal import Terminal
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.inertial.rotations import distance_deg
 from kinedex.pipelines.engine.runner import run_pipeline
+from kinedex.pipelines.inertial.parameters import ReadImuParameters
 from kinedex.pipelines.inertial.recording_files import find_recordings
-from kinedex.pipelines.inertial.recording_parameters import ReadImuParameters
 from kinedex.storage.store.imu_checks import imu_problems
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify

@@ -19,8 +19,7 @@ from kinedex.ops.errors import KinedexError
 from kinedex.ops.inertial import rotations as r
 from kinedex.ops.inertial.rotations import Z_TO_Y
 from kinedex.pipelines.engine.context import StageContext
-from kinedex.pipelines.inertial.limb_motion import LimbMotion
-from kinedex.pipelines.inertial.limb_tables import limb_table, stored_limbs, struct_array
+from kinedex.pipelines.inertial.limb_motion import LimbMotion, limb_table, stored_limbs, struct_array
 from kinedex.pipelines.inertial.worn_sensors import WornTakes
 from kinedex.pipelines.stages.calibrate_sensors import CalibrateSensors
 from kinedex.pipelines.stages.ingest import Ingest

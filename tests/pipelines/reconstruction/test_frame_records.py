@@ -7,7 +7,7 @@ import numpy as np
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.depth.tracker import Candidate, FrameResult, Hypothesis
 from kinedex.ops.depth.vote import PoseCost
-from kinedex.pipelines.reconstruction.frame_records import FrameRecords
+from kinedex.pipelines.reconstruction.recording_tracks import FrameRecords
 
 
 def made(seed: int, hypothesis: Hypothesis | None) -> FrameResult:

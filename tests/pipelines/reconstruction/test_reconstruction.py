@@ -16,7 +16,7 @@ from kinedex.commands.cli import app
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.engine.runner import Outcome, run_pipeline
-from kinedex.pipelines.reconstruction.frame_remarks import listed_frames
+from kinedex.pipelines.reconstruction.recording_tracks import listed_frames
 from kinedex.reports.person_points import POINTS, packed_points
 from kinedex.reports.reconstruction_page import reconstruction_page
 from kinedex.storage.formats.depth.camera_file import read_camera

@@ -20,7 +20,7 @@ from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.tracking.triangulation import triangulate
 from kinedex.pipelines.simulation.camera_recordings import limbs_of
-from kinedex.pipelines.simulation.chosen_takes import recording_names
+from kinedex.pipelines.simulation.recording_files import recording_names
 from kinedex.pipelines.stages.index import Index
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.formats.cameras.recording import read_recording

@@ -18,11 +18,17 @@ from kinedex.catalog.sensorsets import load_sensor_set
 from kinedex.commands.cli import app
 from kinedex.ops.inertial.orientation_filter import estimate
 from kinedex.ops.inertial.rotations import conjugate, distance_deg, interpolate, multiply
-from kinedex.pipelines.inertial.limb_motion import LimbMotion
-from kinedex.pipelines.inertial.limb_tables import stored_limbs
-from kinedex.pipelines.simulation.imu_pieces import take_pieces
-from kinedex.pipelines.simulation.imu_recordings import Request, TakeToSimulate, write_data_set
-from kinedex.pipelines.simulation.imu_windows import Segment, Windowing, segment_rows, window_rows
+from kinedex.pipelines.inertial.limb_motion import LimbMotion, stored_limbs
+from kinedex.pipelines.simulation.imu_recordings import (
+    Request,
+    Segment,
+    TakeToSimulate,
+    Windowing,
+    segment_rows,
+    window_rows,
+    write_data_set,
+)
+from kinedex.pipelines.simulation.imu_sensors import take_pieces
 from kinedex.pipelines.stages.index import Index
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.pipelines.stages.limb_orientations import LimbOrientations
