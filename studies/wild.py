@@ -27,8 +27,7 @@ from kinedex.catalog.skeletons.evidence import Evidence
 from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings, load_mappings
 from kinedex.ops.body import features
 from kinedex.ops.errors import KinedexError
-from kinedex.pipelines.ingestion.analysis import known_features
-from kinedex.pipelines.ingestion.quality import judged
+from kinedex.pipelines.ingestion.analysis import judged, known_features
 from kinedex.pipelines.synth.archive import write_archive
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, MotionFile
 from kinedex.storage.formats.motion.reader_table import reader_of

@@ -1,4 +1,4 @@
-"""`python -m tests.code_lines [FOLDER …]`: count lines of code by room, without docstrings, comments and blank lines."""
+"""`python -m tests.code_lines [FOLDER …]`: count lines of code by room, without docstrings and comments."""
 
 from __future__ import annotations
 

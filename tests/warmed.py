@@ -12,8 +12,7 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.pipelines.engine.code_digest import code_digest
 from kinedex.pipelines.ingestion import read_rounds
-from kinedex.pipelines.ingestion.analysis import analyse, blind, known_features
-from kinedex.pipelines.ingestion.quality import judged
+from kinedex.pipelines.ingestion.analysis import analyse, blind, judged, known_features
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body
 
 body = load_feature_set()

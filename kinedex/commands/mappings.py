@@ -84,7 +84,7 @@ def list_mappings(store: StorePath, as_json: JsonOption = False) -> None:
     """List the mappings and vocabularies that a store keeps."""
     from kinedex.catalog.skeletons.mappings import SkeletonMapping
     from kinedex.catalog.skeletons.own_mappings import parse_own
-    from kinedex.pipelines.ingestion.chosen_mappings import stored_files
+    from kinedex.pipelines.ingestion.parameters import stored_files
     from kinedex.storage.store.store import open_store
 
     opened = open_store(store, at="newest")

@@ -65,8 +65,8 @@ def read(
     120.0
     """
     from kinedex.catalog.skeletons.mappings import load_mappings
+    from kinedex.pipelines.ingestion.known_files import person_name
     from kinedex.pipelines.ingestion.single_file import chosen_person, motion_ending, skeleton_beside
-    from kinedex.pipelines.ingestion.take_names import person_name
     from kinedex.storage.formats.motion.reader import ReadSettings
     from kinedex.storage.formats.motion.reader_table import read_body
 

@@ -345,8 +345,7 @@ def feature_table(words: U64, feature_set: FeatureSet, known: int) -> pl.DataFra
 
 def take_of_body(name: str, body: Body, feature_set: FeatureSet, about: Mapping[str, Any] | None = None) -> Take:
     """Compute the words of a body as ingest does, and return it as a take."""
-    from kinedex.pipelines.ingestion.analysis import analyse, blind, known_features
-    from kinedex.pipelines.ingestion.quality import QUALITY_COLUMNS, judged
+    from kinedex.pipelines.ingestion.analysis import QUALITY_COLUMNS, analyse, blind, judged, known_features
 
     positions, orientation, words = analyse(body, feature_set, ANALYSIS_RATE_HZ)
     known = known_features(feature_set, body)

@@ -11,8 +11,7 @@ import sys
 from collections.abc import Sequence
 
 from kinedex.ops.kernel_list import compile_call, listed_calls
-from kinedex.pipelines.engine.executors import cores
-from kinedex.pipelines.engine.worker_processes import begin_worker, ctrl_c_blocked
+from kinedex.pipelines.engine.executors import begin_worker, cores, ctrl_c_blocked
 
 
 class KernelCompilation:

@@ -1,8 +1,11 @@
-"""Write the files of pages, each whole or not at all."""
+"""Load the functions that draw the pages of stages by name, and write these pages, each whole or not at all."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from kinedex.ops.errors import KinedexError
 from kinedex.storage.disk import replace_file
@@ -35,3 +38,10 @@ def write_page(page: str, path: Path) -> int:
     content = page.encode("utf-8")
     replace_file(path, lambda unfinished: unfinished.write_bytes(content))
     return len(content)
+
+
+def drawn_by(place: str) -> Callable[..., Any]:
+    """Return the function that a text "module:name" names; the code digest of a stage with the text covers it."""
+    module, _, name = place.partition(":")
+    found: Callable[..., Any] = getattr(import_module(module), name)
+    return found

@@ -106,7 +106,7 @@ def needed_mappings(store: Store, jobs: Sequence[Job]) -> Mappings | None:
     # imported here because they import numba
     from kinedex.catalog.skeletons.mappings import load_mappings
     from kinedex.catalog.skeletons.own_mappings import with_own
-    from kinedex.pipelines.ingestion.chosen_mappings import stored_files
+    from kinedex.pipelines.ingestion.parameters import stored_files
 
     joints = store.feature_set.joints
     own = stored_files(store.path, store.manifest.mappings)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
@@ -15,19 +17,28 @@ import pyarrow as pa
 from kinedex.catalog.feature_definitions import PRIMITIVES
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.skeletons.mappings import Mappings
-from kinedex.ops.errors import SourceError
+from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.pipelines.engine.code_digest import code_digest, part_digest, plugin_digest
-from kinedex.pipelines.ingestion.analysis import analyse, blind, known_features
+from kinedex.pipelines.ingestion.analysis import analyse, blind, judged, known_features
 from kinedex.pipelines.ingestion.described_takes import EVERYWHERE, NO_PATTERN
 from kinedex.pipelines.ingestion.failures import Failure, failure, refusal
 from kinedex.pipelines.ingestion.file_batches import Task
-from kinedex.pipelines.ingestion.known_files import FileContent, KnownFile, KnownFiles, Row, file_name
-from kinedex.pipelines.ingestion.quality import judged
-from kinedex.pipelines.ingestion.skeleton_checksums import SkeletonSums
-from kinedex.pipelines.ingestion.take_names import Naming, TakeNames, file_names, person_name
+from kinedex.pipelines.ingestion.known_files import (
+    FileContent,
+    KnownFile,
+    KnownFiles,
+    Naming,
+    Row,
+    SkeletonSums,
+    TakeNames,
+    file_name,
+    file_names,
+    person_name,
+)
 from kinedex.storage.formats.motion.reader import Reader, ReadSettings
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body, readers_by_ending
-from kinedex.storage.formats.motion.sources import Scan, SourceFile, path_groups
+from kinedex.storage.formats.motion.sources import PassedOver, Scan, SourceFile, path_groups
+from kinedex.storage.snapshot.manifest import Manifest
 from kinedex.storage.snapshot.schemas import RECORDED_FORMATS
 from kinedex.storage.store.verification import damaged_frames
 from kinedex.storage.store.writer import StoreWriter
@@ -308,3 +319,35 @@ def features_digest(feature_set: FeatureSet) -> str:
 def digest(parts: object) -> str:
     """Return a short hash of JSON values."""
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
+
+
+KIND = "files whose takes were removed (`kinedex takes readmit` reads them again)"
+"""The description of these files among those that an ingest skips."""
+
+
+def removed_below(source: str | Path, manifest: Manifest | None) -> tuple[str, ...]:
+    """Return the paths of the removed files of a source folder, sorted."""
+    root = os.path.realpath(Path(source).expanduser())
+    return () if manifest is None else manifest.removed_files.get(root, ())
+
+
+def without_removed(found: Scan, manifest: Manifest | None) -> Scan:
+    """Return a scan without the motion files whose takes were removed; they are listed as skipped.
+
+    Raises
+    ------
+    KinedexError
+        No other motion file remains.
+    """
+    root = found.motions[0].root
+    removed = frozenset(removed_below(root, manifest))
+    if not removed:
+        return found
+    motions = tuple(motion for motion in found.motions if motion.path not in removed)
+    if not motions:
+        raise KinedexError(
+            f"{root}: the takes of all its motion files were removed from the store; `kinedex takes readmit` lists them"
+        )
+    passed = [PassedOver(motion.path, KIND) for motion in found.motions if motion.path in removed]
+    others = tuple(sorted((*found.passed_over, *passed), key=lambda one: one.path))
+    return replace(found, motions=motions, passed_over=others)

@@ -15,11 +15,10 @@ from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError, StoreError
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.words import NO_WORD
-from kinedex.pipelines.ingestion.analysis import analyse, blind, known_features
+from kinedex.pipelines.ingestion.analysis import analyse, blind, judged, known_features
 from kinedex.pipelines.ingestion.described_takes import group_values
 from kinedex.pipelines.ingestion.failures import Failure, failure
 from kinedex.pipelines.ingestion.memory_limit import MemoryShare
-from kinedex.pipelines.ingestion.quality import judged
 from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings, source_bytes
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body, reader_of
 from kinedex.storage.formats.motion.sources import SourceFile, checksum

@@ -1,16 +1,142 @@
-"""Look up the files from which a store has takes, by path, name or content, to compare a source with them."""
+"""The files from which a store has takes: their names, checksums and content, to compare a source with them."""
 
 from __future__ import annotations
 
+import os
+from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+import pyarrow as pa
 
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.sources import SourceFile, checksum
-from kinedex.storage.snapshot.schemas import RECORDED_FORMATS
+from kinedex.storage.snapshot.schemas import RECORDED_FORMATS, result_schema
+
+Naming = Literal["stem", "path", "file"]
+"""The rule for the name of a take: the stem of its file, its path without the extension, or its path."""
+
+
+def file_names(naming: Naming, path: str) -> tuple[str, ...]:
+    """Return the names that the take of a file can have, the one by the given rule first.
+
+    Parameters
+    ----------
+    naming : {"stem", "path", "file"}
+        The rule.
+    path : str
+        The path of the file below the source root, with /.
+    """
+    without = os.path.splitext(path)[0]
+    names = (os.path.basename(without), without, path)
+    return names[("stem", "path", "file").index(naming) :]
+
+
+def person_name(file_name: str, person: str) -> str:
+    """Return the name of the take of one person in a file with several."""
+    return f"{file_name}-{person}" if person else file_name
+
+
+class TakeNames:
+    """The names of the takes of a store, to which those of new files are added.
+
+    An existing name is never changed: a file that is added later gets another name.
+
+    Parameters
+    ----------
+    naming : {"stem", "path", "file"}
+        The rule for new names.
+    owners : mapping of str to str
+        The names that are in use, each with the path of its file; an empty path stands for files elsewhere.
+    """
+
+    def __init__(self, naming: Naming, owners: Mapping[str, str]) -> None:
+        self.naming = naming
+        self._owners = dict(owners)
+
+    def add_files(self, paths: Iterable[str], named: Mapping[str, str]) -> dict[str, str]:
+        """Name the files of a source; files with equal stems are named by their paths, then with their extensions.
+
+        Parameters
+        ----------
+        paths : iterable of str
+            The paths of all files of the source.
+        named : mapping of str to str
+            Path → name of the files that keep their names.
+
+        Returns
+        -------
+        dict of str to str
+            Path → name of every file for which a name was free.
+        """
+        choices = {path: file_names(self.naming, path) for path in paths}
+        self._owners.update((name, path) for path, name in named.items())
+        names = dict(named)
+        for rank in range(len(file_names(self.naming, ""))):
+            wanted = {path: those[rank] for path, those in choices.items()}
+            count = Counter(wanted.values())
+            for path, name in wanted.items():
+                if path not in names and count[name] == 1 and self._owners.get(name, path) == path:
+                    names[path] = name
+                    self._owners[name] = path
+        return names
+
+    def add_person(self, path: str, file_name: str, person: str) -> str | None:
+        """Name the take of a person in a file with several; return None if every possible name is in use.
+
+        Parameters
+        ----------
+        path : str
+            The path of the file.
+        file_name : str
+            The name of the file.
+        person : str
+            The person.
+        """
+        for name in (file_name, *file_names(self.naming, path)):
+            whole = person_name(name, person)
+            if whole not in self._owners:
+                self._owners[whole] = path
+                return whole
+        return None
+
+
+_SCHEMA = result_schema("skeleton_files").remove(0)  # `run` is written by the store
+
+
+class SkeletonSums:
+    """The checksums of skeleton files; those of an earlier run are reused if path, size and modification time match."""
+
+    def __init__(self, known: pa.Table) -> None:
+        """Start with the checksums of earlier runs, given as rows of `skeleton_files`."""
+        self._known: dict[tuple[object, ...], str] = {
+            tuple(row[name] for name in _SCHEMA.names[:-1]): row["checksum"] for row in known.to_pylist()
+        }
+        self._found: dict[tuple[object, ...], str] = {}
+
+    def of(self, skeleton: SourceFile) -> str:
+        """Return the checksum of a skeleton file.
+
+        Raises
+        ------
+        SourceError
+        The file cannot be read.
+        """
+        state = (skeleton.root, skeleton.path, skeleton.size, skeleton.mtime_ns)
+        if state not in self._found:
+            self._found[state] = self._known.get(state) or checksum(skeleton.absolute)
+        return self._found[state]
+
+    def table(self) -> pa.Table:
+        """Return the checksums for the next run as rows of `skeleton_files`, including those of other sources."""
+        here = {root for root, *_ in self._found}
+        others = {state: content for state, content in self._known.items() if state[0] not in here}
+        rows = [(*state, content) for state, content in (others | self._found).items()]
+        return pa.Table.from_pylist([dict(zip(_SCHEMA.names, row, strict=True)) for row in rows], schema=_SCHEMA)
+
 
 Row = dict[str, Any]
 

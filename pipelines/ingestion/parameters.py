@@ -1,4 +1,4 @@
-"""The parameters of the stage `ingest`."""
+"""The parameters of the stage ingest, what a store remembers of them, and the skeleton mappings that they select."""
 
 from __future__ import annotations
 
@@ -10,11 +10,15 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator
 
+from kinedex.catalog.skeletons.mappings import Mappings, load_mappings
+from kinedex.catalog.skeletons.own_mappings import OwnFile, own_files, with_own
 from kinedex.pipelines.engine.file_parameters import NamesFile
+from kinedex.pipelines.ingestion.known_files import Naming
 from kinedex.pipelines.ingestion.memory_limit import parse_size
-from kinedex.pipelines.ingestion.take_names import Naming
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, ReadSettings
+from kinedex.storage.snapshot.manifest import Manifest
 from kinedex.storage.snapshot.schemas import GROUP_COLUMN, TakeColumn
+from kinedex.storage.store.store import Store
 
 
 class IngestParameters(BaseModel):
@@ -155,3 +159,79 @@ class IngestParameters(BaseModel):
         """The user's settings for reading files."""
         model = None if self.body_model is None else str(Path(self.body_model).expanduser().absolute())
         return ReadSettings(self.rate_hz, self.override_rate_hz, self.fill_gap_frames, model)
+
+
+def with_remembered(params: IngestParameters, unset: frozenset[str], store: Store) -> IngestParameters:
+    """Return the parameters of an ingest, with unset parameters taken from the source's last ingest.
+
+    Parameters
+    ----------
+    params : IngestParameters
+        The parameters.
+    unset : frozenset of str
+        The names of the parameters that the user has not set.
+    store : Store
+        The store.
+    """
+    settings = _settings_of(params.root, store)
+    # a store never changes its feature set
+    return params.with_remembered({name: settings[name] for name in settings if name in unset - {"features"}})
+
+
+def _settings_of(root: str, store: Store) -> dict[str, Any]:
+    """Return the settings of a source, or of the source that was moved to its path; empty for a new one."""
+    sources = store.manifest.sources
+    if root in sources:
+        return sources[root].settings
+    gone = [former for former in sources if not os.path.isdir(former)]
+    if not gone:
+        return {}
+    rows = store.take_columns("source_root", "source").to_pylist()
+    for former in sorted(gone, key=lambda former: sources[former].recorded, reverse=True):
+        if any(os.path.isfile(os.path.join(root, row["source"])) for row in rows if row["source_root"] == former):
+            return sources[former].settings
+    return {}
+
+
+def remembered_line(params: IngestParameters) -> str:
+    """Return a message that lists the parameters which the store remembers."""
+    shown = ", ".join(f"{name} {_short(getattr(params, name))}" for name in params.from_store)
+    return f"as at the last ingest of this source: {shown}; `--set ingest.{params.from_store[0]}=…` sets another"
+
+
+def _short(value: object) -> str:
+    if isinstance(value, list) and value:
+        return f"'{value[0]}'" + (f" and {len(value) - 1} more" if len(value) > 1 else "")
+    return f"'{value}'" if isinstance(value, str) else "none" if value in (None, []) else str(value)
+
+
+def stored_files(store: Path, texts: Mapping[str, str]) -> tuple[OwnFile, ...]:
+    """Return the skeleton mappings and vocabularies in a store (`Manifest.mappings`), as files."""
+    return tuple(OwnFile(Path(f"{store} (mapping {name})"), text, stored=True) for name, text in sorted(texts.items()))
+
+
+def chosen_mappings(
+    params: IngestParameters, joints: tuple[str, ...], store: Path, manifest: Manifest | None
+) -> Mappings:
+    """Return the skeleton mappings with which the files of an ingest are read.
+
+    Parameters
+    ----------
+    params : IngestParameters
+        The parameters of the stage.
+    joints : tuple of str
+        The named joints of the feature set.
+    store : Path
+        The directory of the store.
+    manifest : Manifest or None
+        The manifest of the store; None before the store exists.
+
+    Raises
+    ------
+    ConfigError
+        There is no such mapping, or it is invalid.
+    """
+    stored = stored_files(store, manifest.mappings) if manifest is not None else ()
+    files = (*own_files(params.skeletons), *stored)
+    mappings = load_mappings(params.skeleton, joints)
+    return with_own(mappings, files, joints) if files else mappings

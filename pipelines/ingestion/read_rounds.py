@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import os
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -14,18 +17,101 @@ from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops import textnumbers
 from kinedex.ops.body import features, kinematics
 from kinedex.ops.body.plausibility import plausibility
-from kinedex.ops.errors import SourceError
+from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.pipelines.engine.context import StageContext
-from kinedex.pipelines.engine.executors import WorkerDied, batches_of
+from kinedex.pipelines.engine.executors import Executor, WorkerDied, batches_of
+from kinedex.pipelines.ingestion.analysis import stored_figures
 from kinedex.pipelines.ingestion.changes import Changes
 from kinedex.pipelines.ingestion.failures import Failure, failure, killer
 from kinedex.pipelines.ingestion.file_batches import Batch, Task, Written, read_batch
 from kinedex.pipelines.ingestion.memory_limit import MemoryShare
 from kinedex.pipelines.ingestion.parameters import IngestParameters
-from kinedex.pipelines.ingestion.quality import stored_figures
-from kinedex.pipelines.ingestion.task_batches import run_batches
-from kinedex.storage.snapshot.schemas import TakeColumn, column_problem
+from kinedex.storage.formats.motion.sources import UNREAD, Scan
+from kinedex.storage.snapshot.schemas import TakeColumn, column_problem, result_schema
 from kinedex.storage.store.writer import StoreWriter
+
+
+class Divisible(Protocol):
+    """Protocol of a batch: a dataclass with tasks, and everything that its work needs."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def tasks(self) -> tuple[Any, ...]:
+        """The tasks of the batch."""
+        ...
+
+
+Work = TypeVar("Work", bound=Divisible)
+Result = TypeVar("Result")
+
+PIECES = 8
+"""The number of pieces into which a batch that fails is divided, to find the task that is the cause."""
+
+
+def run_batches(
+    executor: Executor,
+    work: Callable[[Work], Result],
+    batches: Iterable[Work],
+    give_up: Callable[[Work, Exception], Result],
+) -> Generator[tuple[Work, Result]]:
+    """Do the work of every batch, even if workers die.
+
+    A batch whose workers die repeatedly, or whose work raises an error other than a KinedexError, is repeated in
+    smaller and smaller pieces, until the task that is the cause is alone; that task is given up. Other work in progress
+    may be done twice.
+
+    Parameters
+    ----------
+    executor : Executor
+        The workers.
+    work : callable
+        Does the work of a batch; picklable, may be called twice, and does nothing for a batch without tasks.
+    batches : iterable of Divisible
+        Batches with at least one task each.
+    give_up : callable
+        Returns the result of a batch of one task that cannot be finished, given the error.
+
+    Yields
+    ------
+    (Divisible, object)
+        Each batch, or piece of one, with its result, in order.
+
+    Raises
+    ------
+    KinedexError
+        The work raised it, because of the store or the set-up, not because of a task.
+    """
+    waiting = deque(batches)
+    trouble = False
+    while waiting:
+        todo = list(waiting)
+        if trouble and len(todo) == 1:
+            # executors run a single item in this process, which must survive
+            todo.append(replace(todo[0], tasks=()))
+        results = executor.map(work, todo)
+        for batch in todo:
+            try:
+                result = next(results)
+            except Exception as fault:
+                if isinstance(fault, KinedexError) and not isinstance(fault, WorkerDied):
+                    raise
+                trouble = True
+                waiting.popleft()
+                if len(batch.tasks) > 1:
+                    waiting.extendleft(reversed(_pieces(batch)))
+                else:
+                    yield batch, give_up(batch, fault)
+                break
+            if batch.tasks:
+                waiting.popleft()
+                yield batch, result
+
+
+def _pieces(batch: Work) -> list[Work]:
+    size = -(-len(batch.tasks) // PIECES)
+    return [replace(batch, tasks=batch.tasks[start : start + size]) for start in range(0, len(batch.tasks), size)]
+
 
 MEGABYTE = 1 << 20
 
@@ -218,3 +304,62 @@ def _compile_kernels(feature_set: FeatureSet) -> None:
     body, upright = np.zeros((len(feature_set.joints), 3, 2)), np.zeros((4, 2))
     features.words(body, upright, 30.0, feature_set.rules, None, feature_set.plugin_primitives)
     plausibility(np.random.default_rng(0).normal(size=(len(feature_set.joints), 3, 9)), feature_set.joints, 30.0)
+
+
+def file_table(found: Scan, root: str, plan: Changes, done: FilesRead, failures: Sequence[Failure]) -> pa.Table:
+    """Return a row for every file of a source.
+
+    Parameters
+    ----------
+    found : Scan
+        The files.
+    root : str
+        The source root.
+    plan : Changes
+        The changes of the source, with its unchanged files.
+    done : FilesRead
+        The files that were read.
+    failures : sequence of Failure
+        The files and persons that could not be read.
+    """
+    schema = result_schema("source_files").remove(0)  # `run` is written by the store
+    rows = [
+        {
+            "source_root": root,
+            "source": path,
+            "ending": os.path.splitext(path)[1].lower(),
+            "outcome": outcome,
+            "takes": takes,
+            "reason": reason,
+        }
+        for path, outcome, takes, reason in _outcomes(found, plan, done, failures)
+    ]
+    return pa.Table.from_pylist(sorted(rows, key=lambda row: str(row["source"])), schema=schema)
+
+
+def _outcomes(
+    found: Scan, plan: Changes, done: FilesRead, failures: Sequence[Failure]
+) -> Iterator[tuple[str, str, int, str | None]]:
+    """Yield path, outcome, number of takes and reason of every file."""
+    reasons: dict[str, list[str]] = {}
+    for one in failures:
+        reasons.setdefault(one.source, []).append(one.message)
+    for motion in found.motions:
+        reason = "\n".join(reasons.get(motion.path, ())) or None
+        if motion.path in done.takes:
+            yield motion.path, "in", len(done.takes[motion.path]), reason
+        elif (file := plan.unchanged.get(motion.path)) is not None:
+            copy = f"has the content of {file.root}/{file.path}" if file.is_elsewhere(motion) else None
+            yield motion.path, "in", len(file.rows), copy
+        else:
+            yield motion.path, "refused" if reason else "not read", 0, reason or "strict stopped before this file"
+    for refused in found.refused:
+        yield refused.path, "refused", 0, str(refused.fault)
+    for skeleton in found.skeletons:
+        yield skeleton.path, "skeleton", 0, None
+    for unread in found.unread:
+        yield unread.path, "not read", 0, UNREAD[f".{unread.format}"]
+    for sidecar in found.sidecars:
+        yield sidecar.path, "metadata", 0, None
+    for other in found.passed_over:
+        yield other.path, "passed over", 0, other.kind

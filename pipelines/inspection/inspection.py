@@ -21,8 +21,7 @@ from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.body.plausibility import Plausibility, reasons
 from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.ops.intervals import shown_seconds
-from kinedex.pipelines.ingestion.analysis import analyse, blind
-from kinedex.pipelines.ingestion.quality import figures_of
+from kinedex.pipelines.ingestion.analysis import analyse, blind, figures_of
 from kinedex.pipelines.ingestion.single_file import chosen_person, motion_ending, skeleton_beside
 from kinedex.pipelines.inspection.feature_shares import feature_shares
 from kinedex.pipelines.inspection.stick_figures import LEFT, MIDDLE, RIGHT, Figure

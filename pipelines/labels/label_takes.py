@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from kinedex.ops.wording import few
-from kinedex.pipelines.ingestion.take_names import file_names, person_name
+from kinedex.pipelines.ingestion.known_files import file_names, person_name
 from kinedex.storage.formats.labels.segments import LabelFile
 from kinedex.storage.snapshot.schemas import RECORDED_FORMATS
 from kinedex.storage.snapshot.snapshot import Snapshot

@@ -14,9 +14,15 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.intervals import in_seconds
 from kinedex.ops.words import NO_WORD
-from kinedex.pipelines.ingestion.analysis import analyse, blind, known_features
+from kinedex.pipelines.ingestion.analysis import (
+    analyse,
+    blind,
+    declarable_figures,
+    judged,
+    known_features,
+    stored_figures,
+)
 from kinedex.pipelines.ingestion.described_takes import group_values
-from kinedex.pipelines.ingestion.quality import declarable_figures, judged, stored_figures
 from kinedex.storage.formats.motion.reader import Body
 from kinedex.storage.snapshot.parts import FramesWriter
 from kinedex.storage.snapshot.schemas import RECORDED_FORMATS, TakeColumn, column_problem

@@ -15,9 +15,8 @@ from kinedex.ops.wording import few
 from kinedex.pipelines.annotation.methods import METHODS
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import files_digest
-from kinedex.pipelines.engine.page_files import write_page
+from kinedex.pipelines.engine.page_files import drawn_by, write_page
 from kinedex.pipelines.engine.stage import Input, Stage
-from kinedex.pipelines.engine.writers import drawn_by
 from kinedex.pipelines.evaluation.annotation_scores import Evaluation, measures, metrics_rows
 from kinedex.pipelines.evaluation.comparison import Plan, compare_methods, plan_comparison
 from kinedex.pipelines.evaluation.label_files import ground_truth_digest

@@ -16,23 +16,29 @@ from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.context import StageContext, feature_set_for
 from kinedex.pipelines.engine.digests import files_digest
 from kinedex.pipelines.engine.stage import Stage
-from kinedex.pipelines.ingestion.changes import Changes, compare, digest, features_digest
-from kinedex.pipelines.ingestion.chosen_mappings import chosen_mappings
-from kinedex.pipelines.ingestion.described_sources import (
+from kinedex.pipelines.ingestion.analysis import declarable_figures
+from kinedex.pipelines.ingestion.changes import (
+    Changes,
+    compare,
+    digest,
+    features_digest,
+    removed_below,
+    without_removed,
+)
+from kinedex.pipelines.ingestion.described_takes import NO_PATTERN
+from kinedex.pipelines.ingestion.failures import Failure, failure_messages, log_table
+from kinedex.pipelines.ingestion.metadata import (
+    Metadata,
     descriptions,
+    join_lines,
+    lies_in_source,
+    load_metadata,
     refuse_losses,
     unmatched_line,
     unmatched_paths,
 )
-from kinedex.pipelines.ingestion.described_takes import NO_PATTERN
-from kinedex.pipelines.ingestion.failures import Failure, failure_messages, log_table
-from kinedex.pipelines.ingestion.file_list import file_table
-from kinedex.pipelines.ingestion.metadata import Metadata, join_lines, lies_in_source, load_metadata
-from kinedex.pipelines.ingestion.parameters import IngestParameters
-from kinedex.pipelines.ingestion.quality import declarable_figures
-from kinedex.pipelines.ingestion.read_rounds import FilesRead, ReadRounds
-from kinedex.pipelines.ingestion.remembered_settings import remembered_line, with_remembered
-from kinedex.pipelines.ingestion.removed_files import removed_below, without_removed
+from kinedex.pipelines.ingestion.parameters import IngestParameters, chosen_mappings, remembered_line, with_remembered
+from kinedex.pipelines.ingestion.read_rounds import FilesRead, ReadRounds, file_table
 from kinedex.pipelines.inspection.duplicates import copies_line
 from kinedex.storage.formats.motion.body_models import model_digest
 from kinedex.storage.formats.motion.reader_table import READERS, motion_endings

@@ -8,9 +8,8 @@ from kinedex.ops.keyframes.consensus import AtLeast
 from kinedex.ops.wording import counted, few
 from kinedex.pipelines.engine.context import StageContext
 from kinedex.pipelines.engine.digests import Reading, files_digest
-from kinedex.pipelines.engine.page_files import write_page
+from kinedex.pipelines.engine.page_files import drawn_by, write_page
 from kinedex.pipelines.engine.stage import Stage
-from kinedex.pipelines.engine.writers import drawn_by
 from kinedex.pipelines.keyframes.learning import training_sets
 from kinedex.pipelines.keyframes.parameters import KeyframeParameters, setting_of
 from kinedex.pipelines.keyframes.run_storage import StoredRuns

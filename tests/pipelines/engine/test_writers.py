@@ -7,8 +7,8 @@ import ast
 import pytest
 
 from kinedex.pipelines.engine.code_digest import ROOT, Sources
+from kinedex.pipelines.engine.page_files import drawn_by
 from kinedex.pipelines.engine.stage import BUILT_IN
-from kinedex.pipelines.engine.writers import drawn_by
 
 DECLARED = sorted(
     {

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from kinedex.ops.errors import KinedexError, NewStoreError
-from kinedex.pipelines.ingestion.take_names import TakeNames
+from kinedex.pipelines.ingestion.known_files import TakeNames
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from kinedex.commands.cli import app
-from kinedex.pipelines.ingestion.held_out_takes import division
 from kinedex.pipelines.ingestion.pattern_proposal import matched, propose
-from kinedex.pipelines.ingestion.pipeline_draft import draft
+from kinedex.pipelines.ingestion.pipeline_draft import division, draft
 from kinedex.storage.formats.motion.sources import path_groups
 from kinedex.storage.store.store import open_store
 from tests.pipelines.archives import write_archive
