@@ -32,9 +32,9 @@ from kinedex.catalog.features import FeatureSet
 from kinedex.ops.body import features
 from kinedex.ops.body.mirrored_motion import mirrored_places, mirrored_quaternions
 from kinedex.pipelines.engine.executors import cores, make_executor
-from kinedex.storage.formats.labels.ground_truth import read_ground_truth
+from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.index.builder import build_index
-from kinedex.storage.snapshot.part_records import Part
+from kinedex.storage.snapshot.manifest import Part
 from kinedex.storage.snapshot.parts import FramesWriter, joint_positions
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store, open_store
@@ -215,7 +215,7 @@ def pieces_of(source: Path) -> tuple[Piece, ...]:
     """Return the clips of the small archive, and its long takes cut between their labels."""
     known = open_store(source)
     truth: dict[str, list[Label]] = {}
-    for one in read_ground_truth(archive() / "takes" / "ground_truth.csv").segments:
+    for one in read_labels(archive() / "takes" / "ground_truth.csv").segments:
         truth.setdefault(one.take, []).append((one.label, round(one.start / 4), round(one.stop / 4)))
     found = []
     for row in known.takes().sort("take_id").iter_rows(named=True):

@@ -15,10 +15,10 @@ from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_skeleton
 from kinedex.ops.body import features, kinematics
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.storage.formats.motion.amc import read_amc
+from kinedex.storage.formats.motion.acclaim import read_amc
 from kinedex.storage.formats.motion.asf import Skeleton, read_asf
 from kinedex.storage.formats.motion.bvh_parser import parse_bvh
-from kinedex.storage.formats.motion.c3d_markers import parse_c3d
+from kinedex.storage.formats.motion.c3d import parse_c3d
 from kinedex.storage.store.store import Store
 from tests import real_data
 from tests.oracles import features as naive

@@ -37,7 +37,7 @@ from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.annotation.labels import annotate_stage
 from kinedex.pipelines.labels.edits import LabelEdits, label_edits, record_edits
 from kinedex.pipelines.labels.selection import Selection, selected
-from kinedex.storage.snapshot.label_view import shown_labels
+from kinedex.storage.sql.result_scans import shown_labels
 
 if TYPE_CHECKING:
     from starlette.requests import Request

@@ -14,7 +14,7 @@ from starlette.responses import FileResponse
 
 from kinedex.explorer.addresses import get
 from kinedex.explorer.answers import NotFoundError
-from kinedex.storage.store.report_sums import refuse_damaged_report
+from kinedex.storage.store.history import refuse_damaged_report
 
 if TYPE_CHECKING:
     from starlette.requests import Request

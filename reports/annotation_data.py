@@ -30,7 +30,7 @@ from kinedex.reports.reproduction import command
 from kinedex.reports.take_groups import take_groups
 from kinedex.reports.take_selection import median_take
 from kinedex.storage.snapshot.manifest import StageRecord
-from kinedex.storage.store.report_sums import SUMS
+from kinedex.storage.store.history import SUMS
 from kinedex.storage.store.store import Store, data_frame
 
 PACKAGES = ("numpy", "numba", "pyarrow", "duckdb", "polars", "jinja2")

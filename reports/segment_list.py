@@ -11,7 +11,7 @@ from markupsafe import Markup
 from kinedex.pipelines.labels.selection import least_confident_first
 from kinedex.reports.data import ReportData, Segment
 from kinedex.reports.motions import Motions, script_json
-from kinedex.storage.formats.csv_cells import csv_line
+from kinedex.storage.formats.csv_tables import csv_line
 
 MOST_ROWS = 5000
 """Maximum number of segments on the page, the least confident ones; the CSV file beside it has all."""

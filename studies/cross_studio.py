@@ -28,7 +28,7 @@ from kinedex.pipelines.annotation.methods import BestMethod, ThesisMethod
 from kinedex.pipelines.annotation.preparation import template_words
 from kinedex.pipelines.evaluation.ground_truth import Manual, place_ground_truth
 from kinedex.pipelines.templates.learning import read_templates
-from kinedex.storage.formats.labels.ground_truth import read_ground_truth
+from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.store.store import Store, open_store
 
 F64 = npt.NDArray[np.float64]
@@ -170,7 +170,7 @@ def rows(store: Store, truth: Path, classes: Classes) -> list[str]:
         for one in (ThesisMethod, BestMethod)
     )
     takes = store.takes("class IS NULL")
-    placed = place_ground_truth([read_ground_truth(truth)], takes, store.takes()["name"], classes, "miss")
+    placed = place_ground_truth([read_labels(truth)], takes, store.takes()["name"], classes, "miss")
     found = []
     for manual in sorted(placed.segments, key=lambda one: (one.take, one.start)):
         words = store.words([manual.take_id])

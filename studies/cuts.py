@@ -20,7 +20,7 @@ from kinedex.library.take import Take
 from kinedex.ops.body.resample import covered_frames
 from kinedex.pipelines.evaluation.markdown import grid
 from kinedex.pipelines.export.request import FORMS
-from kinedex.storage.formats.motion.source_cut import SourceCut
+from kinedex.storage.formats.motion.channel_cuts import SourceCut
 
 CONTEXTS_S = (0.0, 0.25, 0.5, 1.0)
 """Seconds of surroundings on both sides, as of `kinedex export --context`."""

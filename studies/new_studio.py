@@ -31,7 +31,7 @@ from kinedex.pipelines.annotation.methods import annotation_method
 from kinedex.pipelines.engine.executors import Executor, make_executor
 from kinedex.pipelines.evaluation.ground_truth import analysis_frame
 from kinedex.pipelines.templates.learning import SubclassTemplate, TrainingClips, learn_templates
-from kinedex.storage.formats.labels.ground_truth import read_ground_truth
+from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.store.store import Store, open_store
 from studies.decoding import Clip, clips_of
 
@@ -165,7 +165,7 @@ def cmu(store: Store, name: str, truth: Path, draws: int, executor: Executor) ->
     rates = row["source_rate_hz"], row["rate_hz"]
     segments = sorted(
         (one.label, *(analysis_frame(edge, *rates) for edge in one.source_frames(rates[0])))
-        for one in read_ground_truth(truth).segments
+        for one in read_labels(truth).segments
         if one.take == name.rpartition("/")[2]
     )
     take = Judged(store.words([row["take_id"]]).take(0), tuple(segments))

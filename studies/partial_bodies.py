@@ -35,7 +35,7 @@ from kinedex.pipelines.annotation.preparation import learned_queries
 from kinedex.pipelines.evaluation.ground_truth import place_ground_truth
 from kinedex.pipelines.ingestion.analysis import analyse, known_features
 from kinedex.pipelines.templates.learning import read_templates
-from kinedex.storage.formats.labels.ground_truth import read_ground_truth
+from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.formats.motion.reader import Body, ReadSettings
 from kinedex.storage.formats.motion.reader_table import read_body
 from kinedex.storage.store.store import Store, open_store
@@ -88,7 +88,7 @@ def read_material(store: Store, source: Path) -> Material:
     ]
     templates = read_templates(store, "hdm05/learn_templates", "soft")
     classes = load_classes("hdm05-11", {one.subclass for one in templates})
-    label_files = [read_ground_truth(file) for file in sorted(source.rglob("ground_truth.csv"))]
+    label_files = [read_labels(file) for file in sorted(source.rglob("ground_truth.csv"))]
     placed = place_ground_truth(label_files, takes, store.takes()["name"], classes, "ignore")
     index = {name: place for place, name in enumerate(takes["name"])}
     truth: dict[tuple[int, str], list[tuple[int, int]]] = {}

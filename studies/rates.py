@@ -16,7 +16,7 @@ import numpy as np
 from kinedex.ops.words import NO_WORD
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.storage.formats.motion.joint_motion import JointMotion
-from kinedex.storage.formats.motion.trc_writer import write_trc
+from kinedex.storage.formats.motion.table_writer import write_trc
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store, open_store
 

@@ -26,8 +26,8 @@ from kinedex.ops.synth.solve import columns
 from kinedex.pipelines.evaluation.markdown import grid
 from kinedex.pipelines.export.request import FORMS
 from kinedex.storage.formats.motion.acclaim_writer import Dialect, write_amc, write_asf
+from kinedex.storage.formats.motion.channel_cuts import SourceCut
 from kinedex.storage.formats.motion.joint_motion import JointMotion
-from kinedex.storage.formats.motion.source_cut import SourceCut
 
 F32 = npt.NDArray[np.float32]
 

@@ -261,7 +261,7 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
         from kinedex.console.logs import configure_logging
         from kinedex.console.terminal import configure_messages
         from kinedex.ops.local_paths import refuse_addresses
-        from kinedex.storage.ctrl_c import ctrl_c_in_statements
+        from kinedex.storage.interruption import ctrl_c_in_statements
 
         quiet, verbose, log_file = (arguments.pop(name) for name in COMMON_OPTIONS)
         as_json = bool(arguments.get("as_json"))

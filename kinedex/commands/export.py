@@ -173,7 +173,7 @@ def _is_folder(output: str | None) -> bool:
 
 def _export_take(store: Store, take: str, how: How, output: str | None, as_json: bool) -> None:
     from kinedex.pipelines.export.export import export_take
-    from kinedex.storage.formats.labels.file_names import file_names
+    from kinedex.storage.formats.labels.formats import file_names
 
     form = form_named(how.form)
     # the name of a take may be no valid file name

@@ -184,7 +184,7 @@ def list_(
 ) -> None:
     """List the labels of a store."""
     from kinedex.pipelines.labels.selection import selected
-    from kinedex.storage.snapshot.label_view import shown_labels
+    from kinedex.storage.sql.result_scans import shown_labels
 
     opened = open_for_reading(store, at)
     table = shown_labels(opened)

@@ -30,7 +30,7 @@ from kinedex.pipelines.evaluation.annotation_scores import evaluate as compare_w
 from kinedex.pipelines.evaluation.annotation_scores import metrics_rows
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth, Manual, place_ground_truth
 from kinedex.pipelines.search.not_applied import known_of
-from kinedex.storage.formats.labels.ground_truth import read_ground_truth
+from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.store.store import data_frame
 
 
@@ -364,7 +364,7 @@ def _truth_of_frame(frame: pl.DataFrame, annotated: set[str] | None) -> GroundTr
 def _truth_of_files(
     paths: Sequence[str | Path], takes: Store | Take | Iterable[Take], annotations: pl.DataFrame
 ) -> GroundTruth:
-    files = [read_ground_truth(path) for path in paths]
+    files = [read_labels(path) for path in paths]
     every = _takes_table(takes)
     table = every.filter(pl.col("name").is_in([take for file in files for take in file.takes]))
     labels = sorted({*annotations["class"].unique(), *(one.label for file in files for one in file.segments)})

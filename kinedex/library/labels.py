@@ -76,7 +76,7 @@ class Labels:
         ['take', 'take_id', 'class', 'start', 'stop']
         """
         from kinedex.pipelines.labels.selection import Selection, selected
-        from kinedex.storage.snapshot.label_view import shown_labels
+        from kinedex.storage.sql.result_scans import shown_labels
 
         found = selected(shown_labels(self._stored), Selection(where=where, every=True), "label", keep_order=True)
         return found if history else found.filter(found["current"]).drop("current")

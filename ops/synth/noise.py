@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinedex.ops.synth.body import F64
+from kinedex.ops.arrays import F64
 from kinedex.ops.synth.channels import CHANNELS
 
 # Standard deviations of the sway of channels in their own units (leg lengths, arm lengths, degrees).

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.errors import ParameterError
 from kinedex.ops.synth import floor
 from kinedex.ops.synth.actors import Actor
-from kinedex.ops.synth.body import F64
 from kinedex.ops.synth.filler import fill
 from kinedex.ops.synth.motions import MOTIONS, Motion
 from kinedex.ops.synth.noise import capture, sway

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.synth.actors import Actor
-from kinedex.ops.synth.body import F64
 from kinedex.ops.synth.channels import CHANNELS, GROUP, INDEX
 
 _SHORTEST = 0.035

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from kinedex.ops.arrays import F64
 from kinedex.ops.body.kinematics import euler
-from kinedex.ops.synth.body import BALL_HEIGHT, F64, FOOT_SLOPE, NECK, PARENTS, SPINE, Body
+from kinedex.ops.synth.body import BALL_HEIGHT, FOOT_SLOPE, NECK, PARENTS, SPINE, Body
 from kinedex.ops.synth.channels import INDEX
 from kinedex.ops.synth.rotations import about, apply, apply_inverse, unit, xyz_angles
 

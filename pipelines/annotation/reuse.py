@@ -18,7 +18,7 @@ from kinedex.pipelines.annotation.annotators import Annotator
 from kinedex.pipelines.annotation.batches import confidences_of, split_takes
 from kinedex.pipelines.annotation.methods import METHODS
 from kinedex.pipelines.engine.code_digest import part_digest
-from kinedex.storage.snapshot.part_records import ResultPart
+from kinedex.storage.snapshot.manifest import ResultPart
 from kinedex.storage.store.reused_results import ReusedParts, reused_parts
 from kinedex.storage.store.store import Store
 

@@ -14,7 +14,7 @@ from kinedex.pipelines.engine.digests import Reading
 from kinedex.pipelines.engine.stage import STAGES, TAKES, Stage
 from kinedex.storage.snapshot.manifest import StageRecord
 from kinedex.storage.snapshot.manifest_files import versions
-from kinedex.storage.store.report_sums import wrong_files
+from kinedex.storage.store.history import wrong_files
 from kinedex.storage.store.store import Store, open_store
 
 FORCED = "--force"

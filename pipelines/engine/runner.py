@@ -24,14 +24,12 @@ from kinedex.pipelines.engine.plan import FORCED, Planner, Step, make_plan
 from kinedex.pipelines.engine.run_id import new_run_id
 from kinedex.pipelines.engine.run_recorder import RunRecorder
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels, recorded_unmatched, unmatched_summary
-from kinedex.storage.ctrl_c import ctrl_c_in_statements
+from kinedex.storage.interruption import ctrl_c_in_statements
 from kinedex.storage.lock import Wait
-from kinedex.storage.provenance import kinedex_version, running_command
-from kinedex.storage.snapshot.manifest import PipelineRecord, StageRecord, now
+from kinedex.storage.snapshot.manifest import PipelineRecord, StageRecord, kinedex_version, now, running_command
 from kinedex.storage.snapshot.manifest_files import versions
 from kinedex.storage.snapshot.shown_results import makes_results, pipelines_by_use
-from kinedex.storage.store.history import OWN_FIELDS
-from kinedex.storage.store.report_sums import SUMS, file_sums
+from kinedex.storage.store.history import OWN_FIELDS, SUMS, file_sums
 from kinedex.storage.store.store import data_frame, open_store
 from kinedex.storage.store.writer import StoreWriter
 

@@ -15,7 +15,7 @@ from kinedex.catalog.classes import Classes
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.wording import few
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels, unmatched_labels
-from kinedex.storage.formats.labels.ground_truth import LabelFile, ManualSegment
+from kinedex.storage.formats.labels.segments import LabelFile, ManualSegment
 from kinedex.storage.snapshot.schemas import result_schema
 
 Statement = tuple[str, str, int, int]

@@ -21,7 +21,7 @@ from kinedex.pipelines.evaluation.ground_truth import (
     place_ground_truth,
 )
 from kinedex.pipelines.labels.label_takes import on_takes
-from kinedex.storage.formats.labels.ground_truth import any_ground_truth, ground_truth_files, read_ground_truth
+from kinedex.storage.formats.labels.formats import any_ground_truth, ground_truth_files, read_labels
 from kinedex.storage.store.store import Store
 
 NONE, OWN_CLASS = "none", "class"
@@ -106,7 +106,7 @@ def ground_truth(store: Store, params: GroundTruthParameters, takes: pl.DataFram
     if params.ground_truth == OWN_CLASS:
         return ground_truth_of_classes(takes, classes)
     paths = truth_files(params, takes["source_root"].unique())
-    files, remarks = on_takes(store, list(map(read_ground_truth, paths)))
+    files, remarks = on_takes(store, list(map(read_labels, paths)))
     truth = place_ground_truth(files, takes, store.takes()["name"], classes, params.unknown_labels)
     return replace(truth, remarks=(*remarks, *truth.remarks))
 

@@ -11,7 +11,7 @@ from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.ops.evaluation.metrics import Counts
 from kinedex.storage.snapshot.manifest_files import read_newest, versions
 from kinedex.storage.snapshot.shown_results import pipelines_by_use
-from kinedex.storage.store.report_sums import refuse_damaged_report
+from kinedex.storage.store.history import refuse_damaged_report
 
 MARK = "::"
 """The separator between a path and the name of a pipeline or method."""

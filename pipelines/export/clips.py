@@ -15,7 +15,7 @@ from kinedex.ops.intervals import in_seconds, nearest_frame, shown_seconds
 from kinedex.ops.wording import counted
 from kinedex.pipelines.export.request import CLIPS, How
 from kinedex.pipelines.export.selection import Interval
-from kinedex.storage.formats.labels.file_names import file_names
+from kinedex.storage.formats.labels.formats import file_names
 from kinedex.storage.store.store import Store
 
 _SIDES = {"left": "right", "right": "left", "l": "r", "r": "l"}

@@ -15,8 +15,8 @@ from kinedex.ops.intervals import in_seconds
 from kinedex.pipelines.export.folder import FORMAT
 from kinedex.pipelines.export.request import CLIPS, FORMS, How, What
 from kinedex.pipelines.export.work import Done, frames_at, source_frames
-from kinedex.storage.formats.csv_cells import csv_line
-from kinedex.storage.provenance import kinedex_version, running_command
+from kinedex.storage.formats.csv_tables import csv_line
+from kinedex.storage.snapshot.manifest import kinedex_version, running_command
 from kinedex.storage.store.store import Store
 
 _LICENCES = ("licence", "license")

@@ -29,8 +29,8 @@ from kinedex.pipelines.export.clips import (
 from kinedex.pipelines.export.request import How, What, form_named
 from kinedex.pipelines.export.selection import selected_intervals
 from kinedex.pipelines.export.work import Batch, Job, clip_placement, write_batch
-from kinedex.storage.provenance import kinedex_version
 from kinedex.storage.snapshot.frames import read_takes
+from kinedex.storage.snapshot.manifest import kinedex_version
 from kinedex.storage.snapshot.parts import joint_positions
 from kinedex.storage.store.store import Store
 

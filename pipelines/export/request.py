@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Literal
 from kinedex.ops.errors import KinedexError, ParameterError, did_you_mean
 
 if TYPE_CHECKING:
+    from kinedex.storage.formats.motion.channel_cuts import SourceCut
     from kinedex.storage.formats.motion.joint_motion import JointMotion
-    from kinedex.storage.formats.motion.source_cut import SourceCut
 
 _MOTION = "kinedex.storage.formats.motion"
 
@@ -59,7 +59,7 @@ class Form:
 FORMS = {
     "csv": Form("joint positions as text", ("csv",), f"{_MOTION}.table_writer:write_csv"),
     "parquet": Form("joint positions and words", ("parquet",), f"{_MOTION}.table_writer:write_parquet"),
-    "npz": Form("joints, also in SMPL's order, and words, for numpy", ("npz",), f"{_MOTION}.npz_writer:write_npz"),
+    "npz": Form("joints, also in SMPL's order, and words, for numpy", ("npz",), f"{_MOTION}.table_writer:write_npz"),
     "bvh": Form(
         "the channels of a BVH source, or turns of a kinematic chain that is fitted to the joints",
         ("bvh",),
@@ -73,7 +73,7 @@ FORMS = {
         channels=f"{_MOTION}.amc_cuts:write_amc_cut",
         sources=("amc",),
     ),
-    "trc": Form("joints as markers, for OpenSim and Pose2Sim", ("trc",), f"{_MOTION}.trc_writer:write_trc"),
+    "trc": Form("joints as markers, for OpenSim and Pose2Sim", ("trc",), f"{_MOTION}.table_writer:write_trc"),
     "c3d": Form("joints as points, for programs of motion capture", ("c3d",), f"{_MOTION}.c3d_writer:write_c3d"),
     "glb": Form("glTF: skeleton, animation and a stick figure", ("glb",), f"{_MOTION}.gltf_writer:write_gltf"),
     "gif": Form("a film of a stick figure, a minute at most", ("gif",), "kinedex.reports.film:write_gif"),

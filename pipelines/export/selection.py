@@ -16,7 +16,7 @@ from kinedex.ops.intervals import nearest_frame
 from kinedex.ops.wording import counted, few
 from kinedex.pipelines.export.request import What
 from kinedex.pipelines.labels.rejections import Rejections
-from kinedex.storage.formats.csv_cells import unguarded
+from kinedex.storage.formats.csv_tables import unguarded
 from kinedex.storage.snapshot.labels import is_of_limbs
 from kinedex.storage.store.store import Store
 

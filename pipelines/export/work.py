@@ -27,7 +27,7 @@ from kinedex.storage.store.store import Store
 
 if TYPE_CHECKING:
     from kinedex.catalog.skeletons.mappings import Mappings
-    from kinedex.storage.formats.motion.source_cut import SourceCut
+    from kinedex.storage.formats.motion.channel_cuts import SourceCut
 
 F64 = npt.NDArray[np.float64]
 
@@ -132,7 +132,7 @@ def source_cut(
     mappings : Mappings or None
         Skeleton mappings of the store; None for the shipped ones.
     """
-    from kinedex.storage.formats.motion.source_cut import SourceCut
+    from kinedex.storage.formats.motion.channel_cuts import SourceCut
 
     first, last = source_frames(row, clip.first, clip.last)
     start, stop = source_frames(row, clip.start, clip.stop)

@@ -17,7 +17,7 @@ from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.engine.context import SHIPPED_FEATURES
 from kinedex.storage.disk import whole_file, write_errors
-from kinedex.storage.provenance import kinedex_version
+from kinedex.storage.snapshot.manifest import kinedex_version
 from kinedex.storage.snapshot.manifest_files import read_newest
 from kinedex.storage.store.history import PipelineRun, kept_content
 

@@ -18,7 +18,7 @@ from kinedex.ops.inertial.rotations import distance_deg, exp, multiply, rotate
 from kinedex.pipelines.engine.digests import hash_of
 from kinedex.pipelines.inertial.limb_motion import LimbMotion, StoredLimbs
 from kinedex.storage.disk import whole_file
-from kinedex.storage.formats.csv_cells import csv_line, unguarded
+from kinedex.storage.formats.csv_tables import csv_line, unguarded
 
 NOISE_HZ = 6.0
 """The frequency, in Hz, below which the simulated noise of trackers lies."""

@@ -15,7 +15,7 @@ from kinedex.pipelines.annotation.labels import source_frame
 from kinedex.pipelines.inertial.limb_error_curves import ERRORS, RUNS, JudgedLimb, judged_limbs
 from kinedex.pipelines.labels.label_takes import on_takes
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels, unmatched_labels
-from kinedex.storage.formats.labels.ground_truth import read_ground_truth
+from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.formats.labels.segments import ERROR, Label, LabelFile, ManualSegment, TakeLabels
 from kinedex.storage.snapshot.labels import is_of_limbs
 from kinedex.storage.snapshot.shown_results import pipeline_of, pipelines_by_use
@@ -79,7 +79,7 @@ def read_limb_labels(store: Store, paths: Iterable[Path]) -> LimbLabels:
                 path, f"{form} has no place for the limb of a label; use CSV or JSON with `limb`, or ELAN with tiers "
                 "named after limbs, such as lshank or A1:lshank"
             )  # fmt: skip
-        files.append(read_ground_truth(path))
+        files.append(read_labels(path))
     files, remarks = on_takes(store, files)
     unmatched = unmatched_labels(files, store.take_ids)
     labels = LimbLabels(remarks=[*remarks, *map(str, unmatched)], unmatched=unmatched)

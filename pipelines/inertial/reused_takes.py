@@ -9,9 +9,8 @@ import pyarrow as pa
 from kinedex.ops.errors import StoreError
 from kinedex.ops.wording import counted
 from kinedex.pipelines.engine.context import StageContext
-from kinedex.storage.snapshot.part_records import ResultPart
-from kinedex.storage.store.ordered_results import rows_in_order
-from kinedex.storage.store.reused_results import stored_fingerprints
+from kinedex.storage.snapshot.manifest import ResultPart
+from kinedex.storage.store.reused_results import rows_in_order, stored_fingerprints
 from kinedex.storage.store.store import Store
 
 Pieces = Callable[[pa.Table], Iterable[pa.Table]]

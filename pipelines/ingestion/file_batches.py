@@ -19,11 +19,12 @@ from kinedex.pipelines.ingestion.analysis import analyse, blind, judged, known_f
 from kinedex.pipelines.ingestion.described_takes import group_values
 from kinedex.pipelines.ingestion.failures import Failure, failure
 from kinedex.pipelines.ingestion.memory_limit import MemoryShare
-from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings, source_bytes
+from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body, reader_of
 from kinedex.storage.formats.motion.sources import SourceFile, checksum
 from kinedex.storage.formats.motion.text_blocks import BLOCK
-from kinedex.storage.snapshot.part_records import Part
+from kinedex.storage.formats.source_files import source_bytes
+from kinedex.storage.snapshot.manifest import Part
 from kinedex.storage.snapshot.parts import FramesWriter
 
 F64 = npt.NDArray[np.float64]

@@ -29,12 +29,11 @@ from kinedex.storage.formats.motion.amass import parse_amass
 from kinedex.storage.formats.motion.asf import INCH_M, read_asf
 from kinedex.storage.formats.motion.body_models import load_body_model
 from kinedex.storage.formats.motion.bvh_parser import parse_bvh
-from kinedex.storage.formats.motion.c3d_markers import parse_c3d
+from kinedex.storage.formats.motion.c3d import parse_c3d
 from kinedex.storage.formats.motion.figures import Figure as SceneFigure
 from kinedex.storage.formats.motion.figures import FigureReader
-from kinedex.storage.formats.motion.points import Points
-from kinedex.storage.formats.motion.points_reader import PointsReader
-from kinedex.storage.formats.motion.position_files import parse_positions
+from kinedex.storage.formats.motion.points import Points, PointsReader
+from kinedex.storage.formats.motion.positions import parse_positions
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body, reader_of
 

@@ -18,7 +18,7 @@ from kinedex.pipelines.labels.segments import Difference, Segment, differences, 
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels
 from kinedex.storage.formats.labels.segments import LabelFile
 from kinedex.storage.snapshot.schemas import labels_schema
-from kinedex.storage.store.decisions import record_labels
+from kinedex.storage.store.result_changes import record_labels
 from kinedex.storage.store.store import Store, data_frame
 
 Row = dict[str, Any]

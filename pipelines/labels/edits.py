@@ -15,7 +15,7 @@ import pyarrow.compute as pc
 from kinedex.ops.errors import ConflictError, KinedexError, ParameterError
 from kinedex.pipelines.labels.decisions import Recorded, decision_row, labels_by_id
 from kinedex.storage.snapshot.schemas import labels_schema
-from kinedex.storage.store.decisions import record_labels
+from kinedex.storage.store.result_changes import record_labels
 from kinedex.storage.store.store import Store, all_labels
 
 Row = dict[str, Any]

@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from kinedex.ops.errors import KinedexError
 from kinedex.storage import duck
-from kinedex.storage.formats.csv_cells import unguarded
+from kinedex.storage.formats.csv_tables import unguarded
 from kinedex.storage.store.store import data_frame
 
 KEY = ("take", "class", "start", "stop")

@@ -22,7 +22,7 @@ from kinedex.pipelines.engine.display import ResultTable
 from kinedex.pipelines.evaluation.ground_truth import GroundTruth, Manual, place_ground_truth
 from kinedex.pipelines.labels.label_takes import on_takes
 from kinedex.pipelines.ranking.ranked_hits import Hit
-from kinedex.storage.formats.labels.ground_truth import ground_truth_files, read_ground_truth
+from kinedex.storage.formats.labels.formats import ground_truth_files, read_labels
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 
@@ -93,7 +93,7 @@ def read_truth(store: Store, pattern: str, where: str, subclasses: Sequence[str]
     """
     takes = store.takes(where)
     files = ground_truth_files(pattern, sorted(takes["source_root"].unique()))
-    labels, remarks = on_takes(store, list(map(read_ground_truth, files)))
+    labels, remarks = on_takes(store, list(map(read_labels, files)))
     classes = load_classes(OWN, set(subclasses))
     truth = place_ground_truth(labels, takes, store.takes()["name"], classes, "miss")
     return replace(truth, remarks=(*remarks, *truth.remarks))

@@ -58,7 +58,7 @@ from kinedex.storage.formats.depth.camera_file import read_camera
 from kinedex.storage.formats.depth.frames import read_frame
 from kinedex.storage.formats.motion.joint_motion import JointMotion
 from kinedex.storage.formats.motion.sources import checksum
-from kinedex.storage.formats.motion.trc_writer import write_trc
+from kinedex.storage.formats.motion.table_writer import write_trc
 from kinedex.storage.lock import NO_WAIT, Wait
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter

@@ -20,8 +20,8 @@ from kinedex.ops.depth.pose_distance import COMPARED, END_EFFECTORS, are_ends_fo
 from kinedex.ops.errors import KinedexError, did_you_mean
 from kinedex.pipelines.recordings.truth import Truth, at_rate, read_truth
 from kinedex.storage.formats.depth.recording import recording_truth
-from kinedex.storage.formats.motion.c3d_markers import Markers, parse_c3d
-from kinedex.storage.formats.motion.position_files import parse_positions
+from kinedex.storage.formats.motion.c3d import Markers, parse_c3d
+from kinedex.storage.formats.motion.positions import parse_positions
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import Store
 

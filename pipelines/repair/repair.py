@@ -27,18 +27,13 @@ from kinedex.pipelines.repair.sources import Sources, ingest_settings, known_sta
 from kinedex.storage.disk import TEMPORARY, sync_file, whole_file, write_errors
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
-from kinedex.storage.provenance import kinedex_version, running_command
 from kinedex.storage.remedies import repair
-from kinedex.storage.repair.bit_flips import without_flip
-from kinedex.storage.repair.label_rows import restored_labels
 from kinedex.storage.repair.manifests import BadManifest, bad_manifests, newest_sound, set_aside
 from kinedex.storage.repair.quarantine import KeptFile, LostTake, PendingRun, Quarantine, quarantines
-from kinedex.storage.repair.sound_takes import sound_takes
-from kinedex.storage.repair.take_rows import restored_rows, with_rows
+from kinedex.storage.repair.restored_rows import restored_labels, restored_rows, sound_takes, with_rows, without_flip
 from kinedex.storage.snapshot.label_journal import empty, read_journals
-from kinedex.storage.snapshot.manifest import Manifest, now
+from kinedex.storage.snapshot.manifest import Manifest, Part, kinedex_version, now, running_command
 from kinedex.storage.snapshot.manifest_files import publish, require_current_format
-from kinedex.storage.snapshot.part_records import Part
 from kinedex.storage.snapshot.parts import FramesWriter
 from kinedex.storage.snapshot.schemas import frames_schema
 from kinedex.storage.store.store import Store, open_store

@@ -30,7 +30,7 @@ from kinedex.pipelines.simulation.imu_sensors import (
     worn_sensors,
 )
 from kinedex.pipelines.simulation.recording_files import chosen_takes, new_folder, recording_names, require_new
-from kinedex.storage.formats.csv_cells import csv_line
+from kinedex.storage.formats.csv_tables import csv_line
 from kinedex.storage.store.store import Store
 
 F64 = npt.NDArray[np.float64]

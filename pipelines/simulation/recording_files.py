@@ -28,7 +28,7 @@ from kinedex.ops.simulation.recording import SimulatedRecording
 from kinedex.ops.tracking.body_mask import render_mask
 from kinedex.ops.tracking.views import camera_view
 from kinedex.storage.disk import TEMPORARY
-from kinedex.storage.formats.labels.file_names import file_names
+from kinedex.storage.formats.labels.formats import file_names
 from kinedex.storage.store.store import Store
 
 _FORBIDDEN = re.compile(r"[^\w.+-]")

@@ -29,7 +29,7 @@ from kinedex.pipelines.ranking.ranking_evaluation import (
     retrieval_table,
 )
 from kinedex.pipelines.templates.learning import learn_templates, read_templates, training_clips
-from kinedex.storage.formats.labels.ground_truth import ground_truth_files
+from kinedex.storage.formats.labels.formats import ground_truth_files
 from kinedex.storage.store.store import Store
 
 NONE = "none"

@@ -20,7 +20,7 @@ from kinedex.pipelines.ranking.ranking_evaluation import mean_average_precision,
 from kinedex.pipelines.ranking.stiffness import WRITTEN, Trial, run_trials, trial_rows
 from kinedex.pipelines.ranking.store_ranking import ranked_templates
 from kinedex.pipelines.templates.learning import read_templates
-from kinedex.storage.formats.labels.ground_truth import ground_truth_files
+from kinedex.storage.formats.labels.formats import ground_truth_files
 from kinedex.storage.store.store import Store
 
 

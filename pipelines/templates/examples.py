@@ -20,7 +20,7 @@ from kinedex.ops.words import ALL_KNOWN, NO_WORD, U64
 from kinedex.pipelines.engine.digests import Reading
 from kinedex.pipelines.labels.segments import placed_files
 from kinedex.pipelines.labels.unmatched_labels import UnmatchedLabels
-from kinedex.storage.formats.labels.ground_truth import ground_truth_files, read_ground_truth
+from kinedex.storage.formats.labels.formats import ground_truth_files, read_labels
 from kinedex.storage.formats.labels.segments import ERROR
 from kinedex.storage.snapshot.labels import is_of_limbs
 from kinedex.storage.store.store import Store
@@ -240,7 +240,7 @@ def _of_files(
     if not patterns:
         return [], (), ()
     rows = {str(row[0]): row[1:] for row in takes.select("name", "take_id", "frames").iter_rows()}
-    placed = placed_files(store, [read_ground_truth(path) for path in _files(store, patterns)])
+    placed = placed_files(store, [read_labels(path) for path in _files(store, patterns)])
     found = [
         Example(rows[one.take][0], one.take, int(one.start), int(one.stop), rows[one.take][1], one.label, one.where)
         for one in placed.segments

@@ -1,8 +1,11 @@
-"""Read CSV files as Excel in any language, LibreOffice and scripts save them.
+"""Read CSV files as Excel in any language, LibreOffice and scripts save them, and write lines that Excel takes as text.
 
 The separator is a comma, a semicolon or a tab, by the header, or by Excel's "sep=;" in the first line.
 The text is UTF-8, with or without a byte order mark, UTF-16 with one, or Windows-1252, the encoding of Excel's "CSV".
 With a separator other than the comma, the decimal sign can be a comma.
+
+A spreadsheet evaluates a cell that begins with = + - @, a tab or a carriage return, and a take's name can begin so. An
+apostrophe in front makes the cell a text; readers of kinedex remove it again. Numbers stay numbers.
 """
 
 from __future__ import annotations
@@ -11,12 +14,34 @@ import codecs
 import csv
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.csv_cells import unguarded
+
+_FORMULA = re.compile(r"'*[=+\-@\t\r]")
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
+
+
+def csv_line(cells: Iterable[object]) -> str:
+    """Return a line of CSV; texts are guarded, None becomes an empty cell, and other values are written unchanged."""
+    line = io.StringIO()
+    # with this line terminator the csv module quotes cells that contain either of its characters
+    writer = csv.writer(line, lineterminator="\r\n")
+    writer.writerow(guarded(cell) if isinstance(cell, str) else cell for cell in cells)
+    return line.getvalue().removesuffix("\r\n") + "\n"
+
+
+def guarded(text: str) -> str:
+    """Return a text with an apostrophe in front if a spreadsheet would evaluate it."""
+    return f"'{text}" if _FORMULA.match(text) and not _NUMBER.fullmatch(text) else text
+
+
+def unguarded(cell: str) -> str:
+    """Return the text from which `guarded` made this cell."""
+    return cell[1:] if cell.startswith("'") and guarded(cell[1:]) == cell else cell
+
 
 SEPARATORS = (",", ";", "\t")
 

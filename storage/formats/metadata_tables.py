@@ -18,7 +18,7 @@ from typing import Any
 from kinedex.catalog.configs import Located, parse_yaml
 from kinedex.ops.errors import ConfigError, SourceError
 from kinedex.storage.formats.csv_tables import CsvTable
-from kinedex.storage.formats.small_files import read_bytes
+from kinedex.storage.formats.source_files import read_bytes, utf8_text
 
 KEYS = ("take", "file", "path", "source", "filename", "name", "stem")
 """The names of key columns; in a table without any of them, the first column is the key."""
@@ -274,10 +274,7 @@ def _read_yaml(path: str | Path, data: bytes) -> MetadataTable:
 
 def _located(path: str | Path, data: bytes) -> Located:
     """Parse YAML, and keep the line of every key."""
-    try:
-        return parse_yaml(data.decode("utf-8-sig"), path)
-    except UnicodeDecodeError as fault:
-        raise ConfigError(path, f"is not UTF-8 text (byte {fault.start})") from None
+    return parse_yaml(utf8_text(path, data, ConfigError), path)
 
 
 def _yaml_row(located: Located, place: tuple[Any, ...], name: str, values: Any, key: str) -> MetadataRow:

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.source_files import source_errors
 
 F64 = npt.NDArray[np.float64]
 
@@ -107,15 +108,12 @@ def count_elements(path: Path, name: str) -> int:
     """
     tag = re.compile(rb"<(?:[A-Za-z_][\w.-]*:)?" + name.encode() + rb"[\s/>]")
     count, tail = 0, b""
-    try:
-        with path.open("rb") as file:
-            while block := file.read(4 * AT_ONCE):
-                text = tail + block
-                cut = text.rfind(b"<")  # a tag split by the end of the block is counted with the next block
-                tail = text[cut:] if 0 <= len(text) - cut < _LONGEST_TAG and cut >= 0 else b""
-                count += len(tag.findall(text, 0, len(text) - len(tail)))
-    except OSError as fault:
-        raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
+    with source_errors(path), path.open("rb") as file:
+        while block := file.read(4 * AT_ONCE):
+            text = tail + block
+            cut = text.rfind(b"<")  # a tag split by the end of the block is counted with the next block
+            tail = text[cut:] if 0 <= len(text) - cut < _LONGEST_TAG and cut >= 0 else b""
+            count += len(tag.findall(text, 0, len(text) - len(tail)))
     return count + len(tag.findall(tail))
 
 
@@ -145,20 +143,19 @@ def read_mvnx(path: Path, wanted: Collection[str] = (), subject: str | None = No
         The file is damaged or not MVNX; the error names the line.
     """
     document = _Document(path, tuple(wanted), subject)
-    try:
-        with path.open("rb") as file:
-            empty = True
-            while block := file.read(AT_ONCE):
-                if empty and block.startswith((b"\xff\xfe", b"\xfe\xff")):
-                    raise SourceError(path, "is encoded as UTF-16; MVN writes UTF-8")
-                empty = empty and block.isspace()
-                document.feed(block)
-        if empty:
-            raise SourceError(path, "the file is empty")
-        document.feed(b"", last=True)
-    except OSError as fault:
-        raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
-    return document.finished()
+    empty = True
+    with source_errors(path), path.open("rb") as file:
+        while block := file.read(AT_ONCE):
+            if empty and block.startswith((b"\xff\xfe", b"\xfe\xff")):
+                raise SourceError(path, "is encoded as UTF-16; MVN writes UTF-8")
+            empty = empty and block.isspace()
+            document.feed(block)
+    if empty:
+        raise SourceError(path, "the file is empty")
+    document.feed(b"", last=True)
+    if not document.subjects:
+        raise SourceError(path, "has no <subject>, the element of a person in MVNX files")
+    return tuple(document.subjects)
 
 
 def subject_names(subjects: Collection[Subject]) -> tuple[str, ...]:
@@ -203,12 +200,6 @@ class _Document:
             raise SourceError(self.path, f"is no XML: {what}; is it cut off?", line=fault.lineno) from None
         except (ValueError, LookupError) as fault:  # an unknown encoding
             raise SourceError(self.path, f"cannot be decoded: {fault}") from None
-
-    def finished(self) -> tuple[Subject, ...]:
-        """Return the subjects after a check that their frames are complete."""
-        if not self.subjects:
-            raise SourceError(self.path, "has no <subject>, the element of a person in MVNX files")
-        return tuple(self.subjects)
 
     def _error(self, message: str) -> SourceError:
         return SourceError(self.path, message, line=self.parser.CurrentLineNumber)

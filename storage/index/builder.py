@@ -45,9 +45,8 @@ from kinedex.storage.index.surface import surface as index_surface
 from kinedex.storage.leases import open_versions
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
 from kinedex.storage.snapshot.frames import read_words
-from kinedex.storage.snapshot.manifest import now
+from kinedex.storage.snapshot.manifest import Part, now
 from kinedex.storage.snapshot.manifest_files import content_digest_of
-from kinedex.storage.snapshot.part_records import Part
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 MOST_WASTE = 2.0

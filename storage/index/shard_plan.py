@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from itertools import chain
 
 from kinedex.storage.index.generations import Shard, ShardPart
-from kinedex.storage.snapshot.part_records import Part, ranges
+from kinedex.storage.snapshot.manifest import Part, ranges
 
 SHARD_FRAMES = 1_048_576
 """The number of frames of a full shard, 9.7 hours at 30 Hz. Making one takes some 100 MB of memory.

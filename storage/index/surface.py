@@ -1,8 +1,10 @@
-"""Make the views and macros of an index as SQL text, and a hash of them: they may change while rows stay valid."""
+"""Make the views and macros of an index, a hash of their SQL, and the small tables that describe features and views."""
 
 from __future__ import annotations
 
 import hashlib
+
+import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet
 from kinedex.catalog.sql.views import MACROS, help_rows
@@ -34,3 +36,29 @@ def index_statements(feature_set: FeatureSet, rate_hz: float) -> list[str]:
 def lists_table(feature_set: str) -> str:
     """Return the quoted name of the table that holds the word runs of a feature set."""
     return duck.identifier(f"stored_word_runs_{feature_set}")
+
+
+def features_table(feature_set: FeatureSet) -> pa.Table:
+    """Return the rows of the view `features`."""
+    rows = []
+    for feature in feature_set.features:
+        home = feature_set.set_of(feature.number)
+        rows.append(
+            {
+                "number": feature.number,
+                "name": feature.name,
+                "description": feature.description,
+                "feature_set": home.name,
+                "bit": feature.number - home.first,
+            }
+        )
+    small = {"number": pa.uint8(), "bit": pa.uint8()}
+    fields = [(name, small.get(name, pa.string())) for name in ("number", "name", "description", "feature_set", "bit")]
+    return pa.Table.from_pylist(rows, schema=pa.schema(fields))
+
+
+def help_table(*, index_only: bool = False) -> pa.Table:
+    """Return the rows of the view `help`."""
+    columns = ("name", "call", "summary", "example")
+    rows = help_rows(index_only=index_only)
+    return pa.Table.from_pylist([dict(zip(columns, row, strict=True)) for row in rows])

@@ -26,8 +26,7 @@ from kinedex.ops.search.inverted_lists import MOST_COUNTED, InvertedLists, inver
 from kinedex.ops.search.runs import FeatureRuns, WordRuns, feature_runs, word_runs
 from kinedex.ops.words import I64, NO_WORD, U64, TakeWords
 from kinedex.storage import duck
-from kinedex.storage.index.reference_tables import features_table, help_table
-from kinedex.storage.index.surface import index_statements, lists_table
+from kinedex.storage.index.surface import features_table, help_table, index_statements, lists_table
 from kinedex.storage.snapshot.snapshot import Snapshot
 
 BATCH = 122_880

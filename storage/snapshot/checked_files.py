@@ -14,7 +14,7 @@ from typing import NamedTuple
 from kinedex.ops.errors import StoreError
 from kinedex.storage.disk import xxh3_of
 from kinedex.storage.remedies import repair
-from kinedex.storage.snapshot.part_records import AnyPart
+from kinedex.storage.snapshot.manifest import AnyPart
 from kinedex.storage.snapshot.parts import part_file, read_errors
 
 _THREADS = min(4, os.cpu_count() or 1)

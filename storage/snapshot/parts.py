@@ -21,7 +21,7 @@ from kinedex.ops.errors import ParameterError, StoreError
 from kinedex.ops.words import NO_WORD
 from kinedex.storage.disk import TEMPORARY, sync_file, sync_folder, write_errors
 from kinedex.storage.remedies import repair
-from kinedex.storage.snapshot.part_records import Part
+from kinedex.storage.snapshot.manifest import Part
 from kinedex.storage.snapshot.schemas import frames_schema
 
 ROW_GROUP = 16_384

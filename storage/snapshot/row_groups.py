@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from kinedex.storage.snapshot.part_records import ResultPart
+from kinedex.storage.snapshot.manifest import ResultPart
 from kinedex.storage.snapshot.parts import read_errors
 from kinedex.storage.snapshot.schemas import result_schema, with_columns
 from kinedex.storage.snapshot.snapshot import Snapshot

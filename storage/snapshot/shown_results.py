@@ -17,8 +17,7 @@ import pyarrow as pa
 
 from kinedex.catalog.sql.result_views import RESULT_VIEWS, SAVED_KINDS, SOURCE_KINDS
 from kinedex.catalog.sql.views import VIEWS
-from kinedex.storage.snapshot.manifest import Manifest, StageRecord
-from kinedex.storage.snapshot.part_records import ResultPart
+from kinedex.storage.snapshot.manifest import Manifest, ResultPart, StageRecord
 from kinedex.storage.snapshot.schemas import arrow_type
 
 PIPELINE_KINDS = tuple(view.name for view in RESULT_VIEWS if view.name not in (*SAVED_KINDS, *SOURCE_KINDS))

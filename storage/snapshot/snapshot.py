@@ -19,8 +19,7 @@ from kinedex.ops.words import ALL_KNOWN, TakeWords
 from kinedex.storage.snapshot.checked_files import CheckedFiles
 from kinedex.storage.snapshot.frames import read_frames, read_takes, read_words
 from kinedex.storage.snapshot.labels import current_labels
-from kinedex.storage.snapshot.manifest import Manifest
-from kinedex.storage.snapshot.part_records import ResultPart
+from kinedex.storage.snapshot.manifest import Manifest, ResultPart
 from kinedex.storage.snapshot.parts import read_errors
 from kinedex.storage.snapshot.schemas import labels_schema, result_schema, sorted_by, with_columns
 from kinedex.storage.snapshot.shown_results import all_parts, origin_of, pipeline_of, shown_parts

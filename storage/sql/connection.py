@@ -19,11 +19,9 @@ from kinedex.storage.index.generations import (
     missing_index,
     read_generation,
 )
-from kinedex.storage.index.reference_tables import features_table, help_table
-from kinedex.storage.index.surface import surface
+from kinedex.storage.index.surface import features_table, help_table, surface
 from kinedex.storage.interruption import is_abandoned
 from kinedex.storage.remedies import build_index, repair
-from kinedex.storage.snapshot.label_view import shown_labels
 from kinedex.storage.snapshot.parts import part_file
 from kinedex.storage.snapshot.schemas import RESULT_KINDS, frames_schema
 from kinedex.storage.snapshot.shown_results import pipeline_runs
@@ -31,7 +29,7 @@ from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.sql.queries import Answer, Unreadable, bounded_query, explained
 from kinedex.storage.sql.read_only import UnknownName
 from kinedex.storage.sql.read_parts import check_parts
-from kinedex.storage.sql.result_scans import ALL_VIEWS, result_select
+from kinedex.storage.sql.result_scans import ALL_VIEWS, result_select, shown_labels
 
 NAMES = (*(view.name for view in VIEWS), *ALL_VIEWS, *(macro.name for macro in MACROS))
 """The names of all views and macros."""

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from kinedex.catalog.sql.views import MACROS, VIEWS
 from kinedex.ops.errors import KinedexError
 from kinedex.storage import duck
-from kinedex.storage.snapshot.part_records import Part, ResultPart
+from kinedex.storage.snapshot.manifest import Part, ResultPart
 from kinedex.storage.snapshot.schemas import RESULT_KINDS
 from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.sql.read_only import Names, names_in

@@ -30,7 +30,7 @@ import pyarrow.parquet as pq
 from kinedex.catalog.features import FeatureSet
 from kinedex.ops.errors import StoreError
 from kinedex.storage.snapshot.checked_files import CheckedFiles
-from kinedex.storage.snapshot.part_records import Part, ResultPart
+from kinedex.storage.snapshot.manifest import Part, ResultPart
 from kinedex.storage.snapshot.parts import FramesWriter, read_errors, write_part
 from kinedex.storage.snapshot.schemas import with_columns
 from kinedex.storage.snapshot.snapshot import Snapshot

@@ -19,16 +19,14 @@ from kinedex.ops.errors import KinedexError, StoreError
 from kinedex.storage import duck
 from kinedex.storage.disk import replace_file, write_errors
 from kinedex.storage.index.generations import read_generation
-from kinedex.storage.index.reference_tables import features_table, help_table
-from kinedex.storage.index.surface import index_statements
-from kinedex.storage.snapshot.label_view import shown_labels
+from kinedex.storage.index.surface import features_table, help_table, index_statements
 from kinedex.storage.snapshot.manifest_files import FOLDER
 from kinedex.storage.snapshot.parts import part_file
 from kinedex.storage.snapshot.schemas import RESULT_KINDS, frames_schema
 from kinedex.storage.snapshot.shown_results import pipeline_runs
-from kinedex.storage.sql.result_scans import ALL_VIEWS, result_select
+from kinedex.storage.sql.result_scans import ALL_VIEWS, result_select, shown_labels
 from kinedex.storage.store.store import Store, open_store
-from kinedex.storage.store.write_access import DATABASE
+from kinedex.storage.store.writer import DATABASE
 
 
 def write_database(store: Store) -> Path:

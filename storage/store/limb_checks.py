@@ -1,8 +1,8 @@
-"""Check limbs, and the clocks and mounts of sensors on them: find rows that contradict each other."""
+"""Check recordings of sensors, and the limbs and limb errors that follow: find rows that contradict each other."""
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
@@ -12,8 +12,78 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from kinedex.storage.snapshot.part_records import ResultPart
+from kinedex.storage.snapshot.manifest import ResultPart
 from kinedex.storage.snapshot.snapshot import Snapshot
+
+_UNIT = 1e-6
+
+
+def imu_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
+    """Yield the part and the problem of each inconsistency in recordings of sensors.
+
+    The samples of a sensor must be 0, 1, …, as many as its row in `imu_recordings` counts, at ascending times; their
+    orientations must have length 1. A sensor with samples must have a row with a limb, and the other way round.
+
+    Parameters
+    ----------
+    store : Snapshot
+        A version whose part files are undamaged.
+    """
+    results = store.manifest.results
+    kinds = ("imu_recordings", "imu_samples")
+    for stage in sorted({part.stage for kind in kinds for part in results.get(kind, ())}):
+        sensors, samples = ([part for part in results.get(kind, ()) if part.stage == stage] for kind in kinds)
+        yield from _stage_problems(store, sensors, samples)
+
+
+def _stage_problems(store: Snapshot, sensors: list[ResultPart], samples: list[ResultPart]) -> Iterator[tuple[str, str]]:
+    expected: dict[tuple[str, str], int] = {}
+    for part in sensors:
+        for rows in store.result_pieces("imu_recordings", [part]):
+            for row in rows.select(["recording", "sensor", "limb", "samples"]).to_pylist():
+                key = (row["recording"], row["sensor"])
+                if key in expected:
+                    yield part.path, f"recording {key[0]}, sensor {key[1]} stands twice"
+                expected[key] = row["samples"] if row["limb"] is not None else 0
+    found: dict[tuple[str, str], int] = defaultdict(int)
+    last: dict[tuple[str, str], float] = {}
+    for part in samples:
+        for piece in store.result_pieces("imu_samples", [part]):
+            problem = _piece_problem(piece, found, last)
+            if problem is not None:
+                yield part.path, problem
+                return
+    for key in sorted(expected.keys() | found.keys()):
+        if expected.get(key, 0) != found[key]:
+            path = (samples or sensors)[0].path
+            yield path, f"recording {key[0]}, sensor {key[1]} has {found[key]} samples, expected {expected.get(key, 0)}"
+            return
+
+
+def _piece_problem(
+    piece: pa.Table, found: dict[tuple[str, str], int], last: dict[tuple[str, str], float]
+) -> str | None:
+    """Return the problem of a piece of samples, None if there is none, and count its samples in `found`."""
+    names, sensors = (piece.column(name).to_numpy(zero_copy_only=False) for name in ("recording", "sensor"))
+    numbers, times = piece.column("sample").to_numpy(), piece.column("t").to_numpy()
+    squares = [pc.struct_field(piece.column("orientation"), axis).to_numpy() ** 2 for axis in "wxyz"]
+    lengths = np.sqrt(np.sum(squares, axis=0))
+    changes = (names[1:] != names[:-1]) | (sensors[1:] != sensors[:-1])
+    starts: list[int] = [0, *(np.flatnonzero(changes) + 1).tolist()] if len(names) else []
+    for start, stop in zip(starts, [*starts[1:], len(names)], strict=True):
+        key = (str(names[start]), str(sensors[start]))
+        where = f"recording {key[0]}, sensor {key[1]}"
+        own = np.r_[last.get(key, -np.inf), times[start:stop]]
+        if not (numbers[start:stop] == found[key] + np.arange(stop - start)).all():
+            return f"{where}: samples must be numbered 0, 1, …"
+        if not (np.diff(own) > 0).all():
+            return f"{where}: times must ascend"
+        if (np.abs(lengths[start:stop] - 1) > _UNIT).any():
+            return f"{where}: an orientation must have the length 1"
+        found[key] += stop - start
+        last[key] = float(times[stop - 1])
+    return None
+
 
 _OFF_LENGTH = 1e-3
 """The largest deviation of the length of quaternions and directions from 1."""
@@ -112,3 +182,106 @@ def _squares(column: pa.ChunkedArray, axes: str) -> npt.NDArray[np.float64]:
 def _named(piece: pa.Table, row: int) -> str:
     take, limb, frame = (piece.column(name)[row].as_py() for name in ("take", "limb", "source_frame"))
     return f"take {take}, {limb}, frame {frame}"
+
+
+F64 = npt.NDArray[np.float64]
+
+_ANGLES = ("degrees", "swing_deg", "twist_deg", "tau_deg")
+_SHARES = ("p1", "r1", "f1", "p2", "r2", "f2")
+_KINDS = ("distance", "jump")
+
+
+def limb_error_problems(store: Snapshot) -> Iterator[tuple[str, str]]:
+    """Yield the part and the problem of each inconsistency in limb errors, their runs and metrics.
+
+    The frames of a limb must be 0, 1, …; angles must be between 0 and 180 degrees, and present in each frame that is
+    judged. Runs must be within the frames of their limb, and the peak of runs of wrong frames must exceed the threshold
+    τ. Labels must end after their start. In metrics, no count may exceed its total, and measures must be between 0 and
+    1.
+
+    Parameters
+    ----------
+    store : Snapshot
+        A version whose part files are undamaged.
+    """
+    results = store.manifest.results
+    frames: dict[tuple[str, int, str], int] = {}
+    for part in results.get("limb_errors", ()):
+        for piece in store.result_pieces("limb_errors", [part]):
+            problem = _error_problem(part.stage, piece, frames)
+            if problem:
+                yield part.path, problem
+                return
+    checks = {
+        "limb_error_runs": _run_problem,
+        "limb_labels": _label_problem,
+        "limb_error_metrics": _metric_problem,
+    }
+    for kind, check in checks.items():
+        for part in results.get(kind, ()):
+            rows = pa.concat_tables(store.result_pieces(kind, [part]))
+            problem = check(part.stage, rows, frames)
+            if problem:
+                yield part.path, problem
+
+
+def _error_problem(stage: str, rows: pa.Table, frames: dict[tuple[str, int, str], int]) -> str:
+    """Return the problem of rows of errors; count frames in `frames`, since a limb may continue in the next rows."""
+    for name in _ANGLES:
+        values = pc.drop_null(rows.column(name)).to_numpy()
+        if not ((values >= 0.0) & (values <= 180.0 + 1e-6)).all():
+            return f"{name} is not within 0 and 180 degrees"
+    angle = pc.is_valid(pc.coalesce(rows.column("degrees"), rows.column("swing_deg")))
+    if pc.any(pc.and_not(rows.column("valid"), angle)).as_py():
+        return "a frame counts without an error"
+    limbs = rows.column("limb").combine_chunks().dictionary_encode()
+    ids, codes = rows.column("take_id").to_numpy(), limbs.indices.to_numpy()
+    at = rows.column("source_frame").to_numpy()
+    edges = np.flatnonzero((np.diff(ids) != 0) | (np.diff(codes) != 0)) + 1
+    for start, stop in zip([0, *edges], [*edges, len(ids)], strict=True):
+        if start == stop:
+            continue
+        key = (stage, int(ids[start]), str(limbs.dictionary[int(codes[start])]))
+        first = frames.get(key, 0)
+        if not np.array_equal(at[start:stop], np.arange(first, first + stop - start)):
+            return f"the frames of {key[2]} of take {key[1]} are not 0, 1, …"
+        frames[key] = first + int(stop - start)
+    return ""
+
+
+def _run_problem(stage: str, rows: pa.Table, frames: dict[tuple[str, int, str], int]) -> str:
+    for row in rows.to_pylist():
+        name = f"{row['take']}, {row['limb']}, frames {row['start']} to {row['stop']}"
+        if row["kind"] not in _KINDS:
+            return f"{name}: no such kind of run"
+        if not 0 <= row["start"] < row["stop"] <= frames.get((stage, row["take_id"], row["limb"]), 0):
+            return f"{name}: is not within the frames of the limb"
+        if row["kind"] == "distance" and not (row["peak_deg"] or 0.0) > row["tau_deg"]:
+            return f"{name}: its error is not above {row['tau_deg']:g} degrees"
+    return ""
+
+
+def _label_problem(stage: str, rows: pa.Table, frames: dict[tuple[str, int, str], int]) -> str:
+    for row in rows.to_pylist():
+        if not 0 <= row["start"] < row["stop"]:
+            return f"{row['take']}, {row['limb']}: start {row['start']} is not before stop {row['stop']}"
+    return ""
+
+
+def _metric_problem(stage: str, rows: pa.Table, frames: dict[tuple[str, int, str], int]) -> str:
+    wholes = (
+        ("frames_both", "frames_automatic"),
+        ("frames_both", "frames_manual"),
+        ("frames_automatic", "frames"),
+        ("frames_manual", "frames"),
+        ("segments_automatic_hit", "segments_automatic"),
+        ("segments_manual_hit", "segments_manual"),
+    )
+    for row in rows.to_pylist():
+        for part, whole in wholes:
+            if not 0 <= row[part] <= row[whole]:
+                return f"{row['name']}, {row['annotator']}: {part} {row[part]} is not within 0 and {whole} {row[whole]}"
+        for name in _SHARES:
+            if row[name] is not None and not 0.0 <= row[name] <= 1.0:
+                return f"{row['name']}, {row['annotator']}: {name} is not within 0 and 1"
+    return ""

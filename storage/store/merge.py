@@ -10,8 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage.snapshot.manifest import Manifest
-from kinedex.storage.snapshot.part_records import Part
+from kinedex.storage.snapshot.manifest import Manifest, Part
 from kinedex.storage.snapshot.parts import FramesWriter, read_errors
 from kinedex.storage.snapshot.schemas import column_problem, with_columns
 from kinedex.storage.store.store import Store

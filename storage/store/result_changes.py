@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import groupby
+from pathlib import Path
 from typing import cast
 
 import pyarrow as pa
@@ -12,13 +13,16 @@ import pyarrow.compute as pc
 
 from kinedex.ops.errors import ParameterError, StoreError
 from kinedex.storage.disk import write_errors
-from kinedex.storage.snapshot.label_journal import Journal, empty, journal_rows, read_journals
+from kinedex.storage.snapshot.checked_files import CheckedFiles
+from kinedex.storage.snapshot.label_journal import Journal, append_rows, empty, journal_rows, read_journals
 from kinedex.storage.snapshot.labels import new_labels
-from kinedex.storage.snapshot.part_records import LabelPart, ResultPart
+from kinedex.storage.snapshot.manifest import LabelPart, ResultPart
+from kinedex.storage.snapshot.manifest_files import read_newest, require_current_format
 from kinedex.storage.snapshot.parts import write_part, write_pieces
 from kinedex.storage.snapshot.schemas import conform, labels_schema, result_schema
 from kinedex.storage.snapshot.snapshot import Snapshot
-from kinedex.storage.store.version_draft import VersionDraft
+from kinedex.storage.store.store import all_labels
+from kinedex.storage.store.version_changes import VersionDraft
 
 
 class ResultChanges(VersionDraft):
@@ -159,3 +163,38 @@ def _result_rows(kind: str, table: pa.Table, run: str) -> pa.Table:
     if rows.num_rows and pc.any(pc.not_equal(rows.column("run"), run)).as_py():
         raise ParameterError("run", f"{run} in every row of {kind}", pc.unique(rows.column("run")).to_pylist())
     return rows
+
+
+def record_labels(path: str | Path, labels: pa.Table) -> pa.Table:
+    """Add labels to a store's journal without the writer's lock; they are on disk when the function returns.
+
+    Readers show them at once, and the next commit of a writer publishes them.
+
+    Parameters
+    ----------
+    path : str or Path
+        The store's directory.
+    labels : pyarrow.Table
+        Columns of `labels_schema`; missing values are completed (`storage.snapshot.labels.new_labels`). A row
+        whose id the store has is skipped.
+
+    Returns
+    -------
+    pyarrow.Table
+        The new rows, with their ids.
+
+    Raises
+    ------
+    ParameterError
+        A value is not allowed; nothing is stored.
+    StoreError
+        There is no store, it has an older format, its labels are damaged, or the disk cannot be written.
+    """
+    root = Path(path)
+    newest = read_newest(root)
+    require_current_format(root, newest)
+    checked = CheckedFiles(root)
+    known = all_labels(root, newest, checked)
+    new = new_labels(labels, known, Snapshot(root, newest, checked).checksums)
+    append_rows(root, new)
+    return new

@@ -12,10 +12,10 @@ import pyarrow.compute as pc
 
 from kinedex.ops.errors import StoreError
 from kinedex.storage.remedies import repair
-from kinedex.storage.snapshot.part_records import Part
+from kinedex.storage.snapshot.manifest import Part
 from kinedex.storage.snapshot.parts import FramesWriter, part_file
 from kinedex.storage.snapshot.schemas import TakeColumn, column_problem, conform, frames_schema, with_columns
-from kinedex.storage.store.version_draft import VersionDraft
+from kinedex.storage.store.version_changes import VersionDraft
 
 
 class TakeChanges(VersionDraft):

@@ -19,11 +19,19 @@ from kinedex.storage.disk import TEMPORARY, FileSums, sync_file, write_errors
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import current_generation, generations
 from kinedex.storage.lock import NO_WAIT, Lock, Wait
-from kinedex.storage.provenance import kinedex_version, running_command
 from kinedex.storage.remedies import upgrade_with_damage
-from kinedex.storage.snapshot.manifest import Manifest, PipelineRecord, Source, StageRecord, now
+from kinedex.storage.snapshot.manifest import (
+    AnyPart,
+    Manifest,
+    Part,
+    PipelineRecord,
+    Source,
+    StageRecord,
+    kinedex_version,
+    now,
+    running_command,
+)
 from kinedex.storage.snapshot.manifest_files import FOLDER, publish, read_newest
-from kinedex.storage.snapshot.part_records import AnyPart, Part
 from kinedex.storage.snapshot.parts import read_errors, write_part
 from kinedex.storage.snapshot.schemas import (
     FORMAT_VERSION,
@@ -35,7 +43,7 @@ from kinedex.storage.snapshot.schemas import (
 )
 from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.garbage_collection import shown_bytes
-from kinedex.storage.store.write_access import FOLDERS
+from kinedex.storage.store.writer import FOLDERS
 
 PROGRESS = f"{TEMPORARY}upgrade.jsonl"
 """The file in the folder of manifests with the checksums that a killed upgrade has computed."""

@@ -34,8 +34,8 @@ from kinedex.storage.repair.quarantine import FOLDER as QUARANTINE
 from kinedex.storage.repair.quarantine import LIST, quarantines
 from kinedex.storage.snapshot.label_journal import FOLDER as JOURNAL
 from kinedex.storage.snapshot.label_journal import read_journals
+from kinedex.storage.snapshot.manifest import AnyPart, Part, ResultPart
 from kinedex.storage.snapshot.manifest_files import FOLDER, DamagedManifest, named_files, read_version, versions
-from kinedex.storage.snapshot.part_records import AnyPart, Part, ResultPart
 from kinedex.storage.snapshot.schemas import (
     FORMAT_VERSION,
     PART_FOLDERS,
@@ -47,13 +47,9 @@ from kinedex.storage.snapshot.schemas import (
 )
 from kinedex.storage.snapshot.snapshot import Snapshot
 from kinedex.storage.store.garbage_collection import unfinished_files
-from kinedex.storage.store.history import history_problems
-from kinedex.storage.store.imu_checks import imu_problems
-from kinedex.storage.store.limb_checks import limb_problems
-from kinedex.storage.store.limb_error_checks import limb_error_problems
-from kinedex.storage.store.pose_checks import pose_problems
-from kinedex.storage.store.reconstruction_checks import reconstruction_problems
-from kinedex.storage.store.report_sums import wrong_files
+from kinedex.storage.store.history import history_problems, wrong_files
+from kinedex.storage.store.limb_checks import imu_problems, limb_error_problems, limb_problems
+from kinedex.storage.store.reconstruction_checks import pose_problems, reconstruction_problems
 
 Kind = Literal[
     "manifest", "frames", "takes", "content", "labels", "results", "report", "leftover", "index", "quarantine"

@@ -17,8 +17,8 @@ from kinedex.pipelines.ingestion import read_rounds
 from kinedex.pipelines.keyframes import runs
 from kinedex.pipelines.repair.repair import repair_store
 from kinedex.storage.index.builder import build_index
-from kinedex.storage.store.decisions import record_labels
 from kinedex.storage.store.garbage_collection import collect
+from kinedex.storage.store.result_changes import record_labels
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.upgrade import upgrade
 from kinedex.storage.store.writer import StoreWriter

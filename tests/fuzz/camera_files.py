@@ -17,12 +17,10 @@ from kinedex.catalog.kinematics import load_kinematic_chain
 from kinedex.catalog.recordings import load_recordings
 from kinedex.ops.body.kinematic_chain import ChainBody
 from kinedex.storage.formats.cameras.calibrations import in_metres, read_calibration
-from kinedex.storage.formats.cameras.coco_results import read_coco_results
 from kinedex.storage.formats.cameras.keypoint_files import keypoint_arrays
 from kinedex.storage.formats.cameras.keypoint_tables import read_keypoint_table
 from kinedex.storage.formats.cameras.masks import mask_arrays, open_bits, read_mask
-from kinedex.storage.formats.cameras.mmpose import read_mmpose
-from kinedex.storage.formats.cameras.openpose import read_frame
+from kinedex.storage.formats.cameras.openpose import read_coco_results, read_frame, read_mmpose
 from kinedex.storage.formats.cameras.persons import SeenPersons, chosen_persons
 from tests.camera_files import Filmed, body, cameras, easymocap, mmpose, opencv, opencv_yaml, openpose, panoptic, toml
 

@@ -17,11 +17,10 @@ from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.depth.camera_file import read_camera
 from kinedex.storage.formats.depth.clouds import Cloud, cloud_depths, fitted_matrix
 from kinedex.storage.formats.depth.frame_files import find_frames
+from kinedex.storage.formats.depth.frames import open_raw
 from kinedex.storage.formats.depth.npz import camera_of_npz, npz_values, open_npz
-from kinedex.storage.formats.depth.pcd import read_pcd
-from kinedex.storage.formats.depth.ply import read_ply
+from kinedex.storage.formats.depth.pcd import read_pcd, read_ply
 from kinedex.storage.formats.depth.png import read_depth_png
-from kinedex.storage.formats.depth.raw import open_raw
 from tests.depth_files import SIZE, camera, cloud_points, pcd, ply, room
 
 SEEN = camera()

@@ -18,7 +18,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.imu import hdf5_files
+from kinedex.storage.formats.imu import hdf5
 
 PATIENCE_S = 20.0
 _HEADER = 9
@@ -33,7 +33,7 @@ class Worker:
         self.crashes = 0
 
     def run(self, path: Path, names: tuple[str, ...]) -> bytes:
-        """Answer as `hdf5_files._run` does."""
+        """Answer as `hdf5._run` does."""
         if self.process is None or self.process.poll() is not None:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", __name__], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
@@ -86,7 +86,7 @@ def shared_worker() -> Worker:
 
 def by_worker() -> AbstractContextManager[object]:
     """Return a context in which HDF5 files are read by the worker."""
-    return patch.object(hdf5_files, "_run", shared_worker().run)
+    return patch.object(hdf5, "_run", shared_worker().run)
 
 
 def serve() -> None:

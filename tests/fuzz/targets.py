@@ -24,13 +24,13 @@ from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.pipelines.engine.config import load_pipeline
 from kinedex.pipelines.ingestion.analysis import analyse, blind
 from kinedex.pipelines.ingestion.metadata import load_metadata
-from kinedex.storage.formats.labels.ground_truth import read_ground_truth
+from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.formats.motion.body_models import load_body_model
 from kinedex.storage.formats.motion.bvh_parser import parse_bvh
-from kinedex.storage.formats.motion.c3d_markers import parse_c3d
+from kinedex.storage.formats.motion.c3d import parse_c3d
 from kinedex.storage.formats.motion.mapped_body import FARTHEST_M
 from kinedex.storage.formats.motion.opensim import OpenSimReader
-from kinedex.storage.formats.motion.position_files import is_positions_csv
+from kinedex.storage.formats.motion.positions import is_positions_csv
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import read_body, reader_of
 from kinedex.storage.snapshot.schemas import COLUMN_TYPES
@@ -277,7 +277,7 @@ def check_metadata(path: Path) -> None:
 
 def check_ground_truth(path: Path) -> None:
     """Segments are ranges of frames with names."""
-    found = read_ground_truth(path)
+    found = read_labels(path)
     if not {segment.take for segment in found.segments} <= set(found.takes) or not all(found.takes):
         raise Broken(f"{found.takes}")
     for segment in found.segments:

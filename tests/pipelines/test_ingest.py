@@ -16,7 +16,7 @@ from kinedex.ops.body import features, kinematics
 from kinedex.ops.errors import ConfigError, KinedexError
 from kinedex.pipelines.ingestion import read_rounds
 from kinedex.pipelines.stages.ingest import Ingest
-from kinedex.storage.formats.motion.amc import read_amc
+from kinedex.storage.formats.motion.acclaim import read_amc
 from kinedex.storage.formats.motion.asf import read_asf
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.index.generations import Generation, current_generation, read_generation

@@ -33,7 +33,7 @@ from kinedex.pipelines.stages.annotate import Annotate
 from kinedex.pipelines.stages.learn_keyframes import LearnKeyframes
 from kinedex.pipelines.stages.learn_templates import LearnTemplates
 from kinedex.pipelines.templates.learning import training_clips
-from kinedex.storage.store.decisions import record_labels
+from kinedex.storage.store.result_changes import record_labels
 from kinedex.storage.store.store import open_store
 from tests.pipelines.labelled import BODY, POSES, Line, clip, long_take, write_store
 

@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from kinedex.catalog.features import FeatureSet, load_feature_set
 from kinedex.ops.words import TakeWords
-from kinedex.storage.snapshot.part_records import Part
+from kinedex.storage.snapshot.manifest import Part
 from kinedex.storage.snapshot.parts import FramesWriter
 from kinedex.storage.snapshot.schemas import takes_schema
 from kinedex.storage.store.writer import StoreWriter

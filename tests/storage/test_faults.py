@@ -17,9 +17,8 @@ from hypothesis import strategies as st
 
 from kinedex.ops.errors import StoreError
 from kinedex.storage.lock import Lock, Wait
-from kinedex.storage.snapshot.manifest import Manifest
+from kinedex.storage.snapshot.manifest import Manifest, ranges
 from kinedex.storage.snapshot.manifest_files import json_checksum, manifest_path, named_files, publish, read_version
-from kinedex.storage.snapshot.part_records import ranges
 from kinedex.storage.snapshot.parts import FramesWriter
 from kinedex.storage.snapshot.schemas import FORMAT_VERSION
 from kinedex.storage.store import garbage_collection as garbage

@@ -9,8 +9,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from kinedex.storage.repair.bit_flips import LARGEST, without_flip
-from kinedex.storage.repair.sound_takes import sound_takes
+from kinedex.storage.repair.restored_rows import LARGEST, sound_takes, without_flip
 from kinedex.storage.snapshot import parts
 from kinedex.storage.snapshot.schemas import frames_schema
 from tests.storage.made_up import BODY, write_frames

@@ -17,13 +17,11 @@ from kinedex.catalog.keypoint_sets import (
     load_keypoint_set,
 )
 from kinedex.ops.errors import SourceError, did_you_mean
-from kinedex.storage.formats.cameras.coco_results import read_coco_results
 from kinedex.storage.formats.cameras.file_patterns import CameraFiles
 from kinedex.storage.formats.cameras.keypoint_tables import read_keypoint_table
-from kinedex.storage.formats.cameras.mmpose import are_mmpose, read_mmpose
-from kinedex.storage.formats.cameras.openpose import read_openpose
+from kinedex.storage.formats.cameras.openpose import are_mmpose, read_coco_results, read_mmpose, read_openpose
 from kinedex.storage.formats.cameras.persons import SeenPersons, chosen_persons
-from kinedex.storage.formats.motion.table_sections import beginning
+from kinedex.storage.formats.source_files import beginning
 
 F64 = npt.NDArray[np.float64]
 

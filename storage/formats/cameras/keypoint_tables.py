@@ -23,7 +23,7 @@ from kinedex.storage.formats.cameras.persons import (
     refuse_crowds,
 )
 from kinedex.storage.formats.csv_tables import CsvTable, decoded
-from kinedex.storage.formats.motion.reader import file_size, source_bytes
+from kinedex.storage.formats.source_files import file_size, source_bytes
 
 I64 = npt.NDArray[np.int64]
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from kinedex.catalog.depth_cameras import FARTHEST_M, MOST_PIXELS, DepthCamera
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.depth.png import size_fault
+from kinedex.storage.formats.source_files import part_of
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -277,11 +278,7 @@ def as_points(columns: Sequence[npt.NDArray[Any]]) -> F64:
 
 def cloud_bytes(path: Path) -> bytes:
     """Return the bytes of a file; raise SourceError if it cannot be read or is larger than a frame can be."""
-    try:
-        with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
-    except OSError as fault:
-        raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
+    data = part_of(path, MOST_BYTES + 1)
     if len(data) > MOST_BYTES:
         raise SourceError(path, f"has more than {MOST_BYTES >> 20} MB; write a file for each frame")
     return data

@@ -15,7 +15,7 @@ from kinedex.ops.errors import KinedexError, SourceError
 from kinedex.ops.local_paths import refuse_addresses
 from kinedex.storage.formats.cameras.file_patterns import MOST_FILES, find_files
 from kinedex.storage.formats.depth.png import frame_number
-from kinedex.storage.formats.small_files import read_bytes
+from kinedex.storage.formats.source_files import read_bytes
 
 F64 = npt.NDArray[np.float64]
 

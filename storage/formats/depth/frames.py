@@ -1,4 +1,4 @@
-"""Read the frames of a depth recording one at a time, from images or clouds, NPZ, or raw numbers."""
+"""Read the frames of a depth recording one at a time, from images or clouds, NPZ, or raw 16-bit numbers."""
 
 from __future__ import annotations
 
@@ -14,12 +14,64 @@ from kinedex.catalog.depth_cameras import DepthCamera
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.depth.clouds import Cloud, cloud_depths
 from kinedex.storage.formats.depth.frame_files import RAW
-from kinedex.storage.formats.depth.pcd import read_pcd
-from kinedex.storage.formats.depth.ply import read_ply
+from kinedex.storage.formats.depth.pcd import read_pcd, read_ply
 from kinedex.storage.formats.depth.png import read_depth_png
-from kinedex.storage.formats.depth.raw import open_raw
+from kinedex.storage.formats.source_files import file_size, part_of
 
 F32 = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class RawFrames:
+    """The images of a raw file.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    camera : DepthCamera
+        The camera.
+    count : int
+        How many images the file has.
+    """
+
+    path: Path
+    camera: DepthCamera
+    count: int
+
+    @property
+    def numbers(self) -> Sequence[int]:
+        """The numbers of its images, from 0."""
+        return range(self.count)
+
+    def read(self, number: int) -> F32:
+        """Return the depths (H, W) of an image in metres; a SourceError reports a damaged one."""
+        width, height = self.camera.size
+        size = 2 * width * height
+        data = part_of(self.path, size, number * size)
+        if len(data) != size:
+            raise SourceError(self.path, f"has {len(data):,} bytes of frame {number}, and an image {size:,}")
+        return self.camera.depths(np.frombuffer(data, "<u2").reshape(height, width))
+
+
+def open_raw(path: Path, camera: DepthCamera) -> RawFrames:
+    """Return the images of a raw file.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read, or its size is not a multiple of this camera's image size.
+    """
+    size = file_size(path)
+    width, height = camera.size
+    count, rest = divmod(size, 2 * width * height)
+    if rest or not count:
+        raise SourceError(
+            path, f"has {size:,} bytes, which is no whole number of images of {width} × {height} pixels with 16 bits "
+            f"({2 * width * height:,} bytes); are width and height those of this file?",
+        )  # fmt: skip
+    return RawFrames(path, camera, count)
+
 
 _CLOUDS: dict[str, Callable[[Path], Cloud]] = {".pcd": read_pcd, ".ply": read_ply}
 

@@ -26,10 +26,9 @@ from kinedex.storage.formats.cameras.file_patterns import find_files
 from kinedex.storage.formats.depth.camera_file import read_camera
 from kinedex.storage.formats.depth.clouds import Cloud, check_camera, fitted_matrix
 from kinedex.storage.formats.depth.frame_files import FrameFiles, find_frames
-from kinedex.storage.formats.depth.frames import DepthFrames, DepthSource, ImageFiles, read_cloud, read_frame
+from kinedex.storage.formats.depth.frames import DepthFrames, DepthSource, ImageFiles, open_raw, read_cloud, read_frame
 from kinedex.storage.formats.depth.npz import NpzValues, camera_of_npz, npz_values, open_npz
 from kinedex.storage.formats.depth.png import image_size
-from kinedex.storage.formats.depth.raw import open_raw
 from kinedex.storage.formats.depth.recording_checks import (
     intrinsics_note,
     likely_unit,

@@ -1,6 +1,6 @@
 """Open an HDF5 file in a process of its own: a damaged file can crash the library that reads it.
 
-It is run by `hdf5_files` as `python hdf5_child.py FILE [NAME…]`. Without names it prints the data sets and attributes
+It is run by `hdf5` as `python hdf5_child.py FILE [NAME…]`. Without names it prints the data sets and attributes
 as JSON, with names it writes these data sets as an NPZ file to its output. An error is reported in a line on standard
 error.
 """

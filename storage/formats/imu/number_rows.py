@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.csv_tables import decoded
+from kinedex.storage.formats.source_files import file_size, source_bytes
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
@@ -57,19 +58,11 @@ def text_lines(path: Path) -> list[str]:
     SourceError
         The file cannot be read, is empty, too large, or not text.
     """
-    try:
-        size = path.stat().st_size
-        if size > MOST_TEXT_BYTES:
-            most = MOST_TEXT_BYTES / 1e9
-            raise SourceError(
-                path, f"has {size / 1e9:.1f} GB, and texts have at most {most:.1f} GB; convert it to Parquet"
-            )
-        data = path.read_bytes()
-    except OSError as fault:
-        raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
-    if not data or data.isspace():
-        raise SourceError(path, "the file is empty")
-    text = decoded(path, data)
+    size = file_size(path)
+    if size > MOST_TEXT_BYTES:
+        most = MOST_TEXT_BYTES / 1e9
+        raise SourceError(path, f"has {size / 1e9:.1f} GB, and texts have at most {most:.1f} GB; convert it to Parquet")
+    text = decoded(path, source_bytes(path))
     if "\0" in text:
         raise SourceError(path, "has zero bytes, and is no text")
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")

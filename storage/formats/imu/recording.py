@@ -27,6 +27,7 @@ from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.imu import dot, hdf5, mtmanager, mvnx, opal, tables, xio
 from kinedex.storage.formats.imu.sensor_checks import checked
 from kinedex.storage.formats.imu.signals import ENU, NED, NWU, Given, ImuSensor, RawSensor
+from kinedex.storage.formats.source_files import part_of, source_bytes
 
 __all__ = ["ENU", "FORMATS", "NED", "NWU", "ImuRecording", "ImuSensor", "read_recording", "recognised"]
 
@@ -253,11 +254,4 @@ def has_readings(path: Path, sensor_set: SensorSet) -> bool:
 
 def beginning(path: Path) -> bytes:
     """Return the first bytes of a file; raise SourceError if it is empty or cannot be read."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(_HEAD)
-    except OSError as fault:
-        raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
-    if not head or head.isspace():
-        raise SourceError(path, "the file is empty")
-    return head
+    return source_bytes(path, part_of(path, _HEAD))

@@ -1,9 +1,12 @@
-"""Choose the format of label files by their extensions, and read and write the labels of takes."""
+"""Choose the format of label files by their extensions, read and write the labels of takes, and find ground truth."""
 
 from __future__ import annotations
 
+import hashlib
 import os
-from collections.abc import Callable, Iterator, Sequence
+import re
+import unicodedata
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,8 +16,41 @@ from kinedex.catalog.limbs import LIMB_NAMES
 from kinedex.ops.errors import KinedexError, SourceError, did_you_mean
 from kinedex.storage.disk import whole_file
 from kinedex.storage.formats.labels import audacity, elan, tables, webvtt
-from kinedex.storage.formats.labels.file_names import file_names
 from kinedex.storage.formats.labels.segments import ERROR, Label, LabelFile, TakeLabels, is_writable
+from kinedex.storage.formats.labels.segments import ManualSegment as ManualSegment
+from kinedex.storage.formats.labels.tables import COLUMNS
+
+_RESERVED = re.compile(r"(?:con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])(?:\..*)?", re.IGNORECASE)
+_FORBIDDEN = frozenset('/\\:*?"<>|')
+_INVISIBLE = frozenset(("Cc", "Cf", "Cs", "Zl", "Zp"))
+_MOST_BYTES = 180
+
+
+def file_names(takes: Sequence[str]) -> list[str]:
+    """Return a file name without its extension for each take: the take's name if it is valid on every system.
+
+    Characters that are invisible or forbidden on some system become underscores. A name that was changed, and one that
+    another take already has on a system that ignores case, ends in a tilde and eight digits of its checksum.
+    """
+    used: set[str] = set()
+    names = []
+    for take in takes:
+        name = _safe(take)
+        if name != take or _key(name) in used:
+            name = f"{name}~{hashlib.sha256(take.encode('utf-8', 'surrogatepass')).hexdigest()[:8]}"
+        used.add(_key(name))
+        names.append(name)
+    return names
+
+
+def _safe(take: str) -> str:
+    name = "".join("_" if one in _FORBIDDEN or unicodedata.category(one) in _INVISIBLE else one for one in take)
+    name = name.encode()[:_MOST_BYTES].decode(errors="ignore").strip(" ").rstrip(". ")
+    return f"{name}_" if not name or _RESERVED.fullmatch(name) else name
+
+
+def _key(name: str) -> str:
+    return unicodedata.normalize("NFC", name).casefold()
 
 
 @dataclass(frozen=True)
@@ -82,17 +118,10 @@ class Written:
 
 
 def read_labels(path: str | Path) -> LabelFile:
-    """Read a label file; its extension determines the format.
+    """Read takes and their manual segments from a label file; its extension determines the format.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-
-    Returns
-    -------
-    LabelFile
-        The labels.
+    In a format without take names, the file's name is the take's. Frames are of the source rate, from 0, and half-open;
+    seconds become the nearest source frame once the take's rate is known (`ManualSegment.source_frames`).
 
     Raises
     ------
@@ -238,3 +267,53 @@ def _targets(takes: Sequence[TakeLabels], form: str, output: Path, folder: bool)
         return {output: takes}
     names = file_names([labels.take for labels in takes])
     return {output / f"{name}.{form}": (labels,) for name, labels in zip(names, takes, strict=True)}
+
+
+def ground_truth_files(pattern: str, roots: Iterable[str | Path]) -> list[Path]:
+    """Find the label files of a pattern, sorted.
+
+    Parameters
+    ----------
+    pattern : str
+        A glob relative to each source root, such as "**/ground_truth.csv", or an absolute path or glob.
+    roots : iterable of str or Path
+        The folders that the archive's takes come from.
+
+    Raises
+    ------
+    KinedexError
+        There is no such file, or a root does not exist; the message names the folders that were searched.
+    """
+    folders, below = _places(pattern, roots)
+    found = _found(folders, below)
+    if not found:
+        raise KinedexError(
+            f"ground truth: no file '{below}' below {', '.join(map(str, folders)) or 'any source folder'}. "
+            f"It is a CSV file with the columns {', '.join(COLUMNS)} (source frames, half-open), or labels of another "
+            f"kind: {ENDINGS}; where there is none, set `ground_truth` of this stage to none, as with "
+            "`--set evaluate.ground_truth=none` for the stage evaluate"
+        )
+    return found
+
+
+def any_ground_truth(pattern: str, roots: Iterable[str | Path]) -> bool:
+    """Return whether a pattern finds label files; parameters and errors are those of `ground_truth_files`."""
+    return bool(_found(*_places(pattern, roots)))
+
+
+def _places(pattern: str, roots: Iterable[str | Path]) -> tuple[list[Path], str]:
+    """Return the folders to search, and the glob relative to them."""
+    path = Path(pattern).expanduser()
+    if path.is_absolute():
+        return [Path(path.anchor)], str(path.relative_to(path.anchor))
+    return [Path(root).expanduser() for root in roots], pattern
+
+
+def _found(folders: Sequence[Path], pattern: str) -> list[Path]:
+    gone = [str(folder) for folder in folders if not folder.is_dir()]
+    if gone:
+        raise KinedexError(f"ground truth: the source folder {gone[0]} is no longer there; give an absolute path")
+    try:
+        return sorted({file for folder in folders for file in folder.glob(pattern) if file.is_file()})
+    except (ValueError, OSError) as fault:
+        raise KinedexError(f"ground truth: '{pattern}' does not work as a path or glob: {fault}") from None

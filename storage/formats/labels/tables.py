@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from kinedex.ops.errors import SourceError, did_you_mean
-from kinedex.storage.formats.csv_cells import csv_line
-from kinedex.storage.formats.csv_tables import CsvTable
+from kinedex.storage.formats.csv_tables import CsvTable, csv_line
 from kinedex.storage.formats.labels.segments import LabelFile, ManualSegment, TakeLabels
 from kinedex.storage.formats.labels.texts import (
     LONGEST_SECONDS,
@@ -41,7 +40,7 @@ def write_csv(takes: Sequence[TakeLabels]) -> str:
 
     A take without labels has a row with only its name; a limb that was examined without finding an error has a row of
     take, limb and annotator. The columns limb and annotator exist if any label has one. Names that a spreadsheet would
-    evaluate are guarded (`csv_cells`).
+    evaluate are guarded (`csv_line`).
     """
     rows = [
         {"take": labels.take, **row}

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.small_files import read_bytes
+from kinedex.storage.formats.source_files import read_bytes, utf8_text
 
 LONGEST_SECONDS = 10_000_000
 """The latest end of a label in seconds; a later one is a typing error."""
@@ -28,14 +28,7 @@ def label_bytes(path: str | Path) -> bytes:
 
 def read_text(path: str | Path) -> str:
     """Return a file as UTF-8 text without a byte order mark; raise SourceError for another encoding."""
-    return _decoded(path, label_bytes(path))
-
-
-def _decoded(path: str | Path, data: bytes) -> str:
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as fault:
-        raise SourceError(path, f"is not UTF-8 text (byte {fault.start})") from None
+    return utf8_text(path, label_bytes(path))
 
 
 def open_lines(path: str | Path, newline: str | None = None) -> io.TextIOWrapper:
@@ -49,7 +42,7 @@ def open_lines(path: str | Path, newline: str | None = None) -> io.TextIOWrapper
         As for `open`: None to convert all line ends (LF, CR LF, CR) to LF; "" to keep them.
     """
     data = label_bytes(path)
-    _decoded(path, data)  # decode it all now, so that a fault is reported with its position in the whole file
+    utf8_text(path, data)  # decode it all now, so that a fault is reported with its position in the whole file
     return io.TextIOWrapper(io.BytesIO(data), encoding="utf-8-sig", newline=newline)
 
 

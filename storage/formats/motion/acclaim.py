@@ -1,14 +1,21 @@
-"""Read Acclaim files: an AMC motion with its ASF skeleton."""
+"""Read Acclaim files: an AMC motion, as real archives write it, with its ASF skeleton."""
 
 from __future__ import annotations
 
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
+import numpy.typing as npt
+
 from kinedex.catalog.skeletons.mappings import Fit, Format, Mappings
-from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.amc import AmcFile
+from kinedex.ops import textnumbers as t
+from kinedex.ops.errors import SourceError, did_you_mean
 from kinedex.storage.formats.motion.asf import INCH_M, Skeleton, read_asf
 from kinedex.storage.formats.motion.mapped_body import (
     mapped_orientation,
@@ -17,7 +24,181 @@ from kinedex.storage.formats.motion.mapped_body import (
     recognition_evidence,
     refuse_far,
 )
-from kinedex.storage.formats.motion.reader import Body, Extent, MotionFile, Reader, ReadSettings, file_size
+from kinedex.storage.formats.motion.reader import Body, Extent, MotionFile, Reader, ReadSettings
+from kinedex.storage.formats.motion.text_blocks import Block, RowFile, RowMemory, before_last_frame, blocks, changed
+from kinedex.storage.formats.source_files import file_size
+
+_LINE_END = re.compile(rb"\r\n?|\n")
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The motion of an AMC file.
+
+    Attributes
+    ----------
+    channels : float64 array (T, C)
+        Radians and metres, in the column order of the skeleton.
+    warnings : tuple of str
+        Warnings about the file.
+    """
+
+    channels: npt.NDArray[np.float64]
+    warnings: tuple[str, ...] = ()
+
+
+def read_amc(path: str | Path, skeleton: Skeleton, data: bytes | None = None) -> Motion:
+    """Read an AMC motion that belongs to a skeleton.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    skeleton : Skeleton
+        Its skeleton.
+    data : bytes, optional
+        The file's bytes, if they have been read already.
+
+    Raises
+    ------
+    SourceError
+        The file is damaged; the error names the line of the first fault. No frame of such a file is used.
+    """
+    file = AmcFile(path, skeleton, data)
+    return Motion(file.channels(), file.warnings)
+
+
+class AmcFile(RowFile):
+    """An AMC file that belongs to a skeleton, and is parsed block by block.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    skeleton : Skeleton
+        Its skeleton.
+    data : bytes, optional
+        The file's bytes, if they have been read already.
+
+    Attributes
+    ----------
+    frames : int
+        The number of frames.
+    start : int
+        The byte at which the first frame begins.
+    warnings : tuple of str
+        Warnings about the file, complete once a block has been parsed.
+
+    Raises
+    ------
+    SourceError
+        The file has no frames, or cannot be read.
+    """
+
+    def __init__(self, path: str | Path, skeleton: Skeleton, data: bytes | None = None) -> None:
+        self.path = Path(path)
+        self.skeleton = skeleton
+        self.warnings: tuple[str, ...] = ()
+        self._data = data
+        self.frames = self.start = 0
+        for block in blocks(self.path, data, before_last_frame):
+            if not block.start:
+                self.start, self._line, self._degrees = _amc_header(block)
+                self._data = block.data if block.last else None
+            self.size = block.start + len(block.view)
+            self.frames += t.count_rows(block.view, 0 if block.start else self.start, numbered=True)
+
+    @property
+    def columns(self) -> int:
+        """The number of channels."""
+        return sum(len(dofs) for _, dofs in self.skeleton.channels)
+
+    def parsed(self, memory: RowMemory) -> Iterator[npt.NDArray[np.float64]]:
+        skeleton, expected = self.skeleton, None
+        names = [name for name, _ in skeleton.channels]
+        widths = [len(dofs) for _, dofs in skeleton.channels]
+        turn, metres = np.pi / 180.0 if self._degrees else 1.0, skeleton.unit_m / skeleton.length_scale
+        kinds = [dof for _, dofs in skeleton.channels for dof in dofs]
+        scale = np.array([turn if dof in ("rx", "ry", "rz") else metres for dof in kinds])
+        source = blocks(self.path, self._data, before_last_frame)
+        for block in source:
+            start, line = (0, 1) if block.start else (self.start, self._line)
+            room = memory.free(len(block.view))
+            values, first, fault = t.parse_frames(block.view, start, line, names, widths, room)
+            # every block but the first begins with a line that holds a frame number
+            numbered = fault is None or (fault.code, fault.line) != (t.BAD_NUMBER, line)
+            if expected is not None and numbered and first != expected:
+                fault = t.Fault(t.NOT_NEXT, line, expected - 1, first)
+            elif fault is not None and fault.code == t.MISSING and fault.stop and not block.last:
+                fault = replace(fault, stop=0)
+                after = next(source)
+                _, _, other = t.parse_frames(after.view, 0, 1, names, widths)
+                if other is not None and (other.code, other.line) == (t.BAD_NUMBER, 1):
+                    fault, block = other, after  # the first fault of the whole file is the number of the next frame
+            if fault is not None:
+                raise self._error(fault, block)
+            if len(values):
+                if expected is None and first != 1:
+                    self.warnings = (f"frame numbers begin at {first}; its source frame here is 0",)
+                expected = first + len(values)
+                memory.filled += len(values)
+                values *= scale
+                yield values
+        if expected is None:
+            raise SourceError(self.path, "no frames: the file ends after its header", line=self._line)
+
+    def _error(self, fault: t.Fault, block: Block) -> SourceError:
+        """Return the SourceError for a fault in a block."""
+        if fault.code == t.FULL:
+            return changed(self.path)
+        return SourceError(self.path, _explain(fault, block.data, self.skeleton), line=fault.line + block.line - 1)
+
+
+def _amc_header(block: Block) -> tuple[int, int, bool]:
+    """Return the byte and the line at which the frames begin, and True if angles are in degrees."""
+    data, position, line, degrees = block.view, 0, 1, True
+    while position < len(data):
+        end = _LINE_END.search(data, position)
+        text = bytes(data[position : end.start() if end else len(data)]).decode("latin-1").strip()
+        if text[:1].isdigit():
+            return position, line, degrees
+        if text.lower().startswith(":radians"):
+            degrees = False
+        elif text and text[0] not in ":#":
+            raise SourceError(block.path, f"expected a frame number, got {text[:40]!r}", line=line)
+        position = end.end() if end else len(data)
+        line += 1
+    if block.last:
+        raise SourceError(block.path, "no frames: the file ends after its header", line=line)
+    return position, line, degrees
+
+
+def _explain(fault: t.Fault, data: bytes, skeleton: Skeleton) -> str:
+    token = data[fault.start : min(fault.stop, fault.start + 40)].decode("latin-1")
+    names = [name for name, _ in skeleton.channels]
+    asf = os.path.basename(skeleton.path)
+    match fault.code:
+        case t.BAD_NUMBER:
+            return f"not a number: {token!r}"
+        case t.TOO_FEW:
+            name, dofs = skeleton.channels[fault.start]
+            return f"bone '{name}' has {fault.stop} numbers, {asf} gives it {len(dofs)} ({' '.join(dofs)})"
+        case t.TOO_MANY:
+            return f"unexpected {token!r} at the end of the line: more numbers than {asf} gives this bone"
+        case t.UNKNOWN_NAME:
+            if fault.stop == len(data):
+                return f"the file ends in '{token}', in the middle of a frame: is it cut off?"
+            return f"bone '{token}' is not in {asf}, or has no dof there{did_you_mean(token, names)}"
+        case t.TWICE:
+            return f"bone '{token}' stands twice in one frame"
+        case t.MISSING:
+            name = names[fault.start]
+            if fault.stop:
+                return f"the file ends in the middle of a frame: bone '{name}' is missing (is the file cut off?)"
+            return f"the frame before this line lacks bone '{name}'"
+        case t.NOT_NEXT:
+            return f"frame {fault.stop} follows frame {fault.start}: frames are missing or out of order"
+    return f"expected a frame number, got {token!r}"
 
 
 class AcclaimReader(Reader):

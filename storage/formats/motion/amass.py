@@ -30,9 +30,8 @@ from kinedex.storage.formats.motion.body_models import (
     model_digest,
 )
 from kinedex.storage.formats.motion.mapped_body import mapped_orientation, recognition_evidence, refuse_far
-from kinedex.storage.formats.motion.number_pickles import load_pickle
-from kinedex.storage.formats.motion.numpy_arrays import array_names, array_shapes, load_arrays
-from kinedex.storage.formats.motion.position_files import ARRAYS
+from kinedex.storage.formats.motion.numpy_arrays import array_names, array_shapes, load_arrays, load_pickle
+from kinedex.storage.formats.motion.positions import ARRAYS
 from kinedex.storage.formats.motion.reader import (
     FASTEST_HZ,
     SLOWEST_HZ,
@@ -42,8 +41,8 @@ from kinedex.storage.formats.motion.reader import (
     Reader,
     ReadSettings,
     body_bytes,
-    file_size,
 )
+from kinedex.storage.formats.source_files import file_size
 
 F64 = npt.NDArray[np.float64]
 

@@ -12,14 +12,20 @@ import numpy as np
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.amc import AmcFile
+from kinedex.storage.formats.motion.acclaim import AmcFile
 from kinedex.storage.formats.motion.asf import Skeleton, read_asf
-from kinedex.storage.formats.motion.channel_cuts import Stamp, check_interval, check_source, stamp_of, write_bytes
+from kinedex.storage.formats.motion.channel_cuts import (
+    SourceCut,
+    Stamp,
+    TextRows,
+    check_interval,
+    check_source,
+    stamp_of,
+    write_bytes,
+)
 from kinedex.storage.formats.motion.channel_edits import Figure, MirrorPlane, Tokens, edited, mirror_plane, negated
-from kinedex.storage.formats.motion.reader import source_bytes
-from kinedex.storage.formats.motion.source_cut import SourceCut
 from kinedex.storage.formats.motion.text_blocks import before_last_frame
-from kinedex.storage.formats.motion.text_rows import TextRows
+from kinedex.storage.formats.source_files import source_bytes
 
 _NUMBER = re.compile(rb"([ \t]*)[0-9]+")
 

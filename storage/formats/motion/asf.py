@@ -11,8 +11,9 @@ import numpy.typing as npt
 
 from kinedex.ops.body import kinematics as k
 from kinedex.ops.errors import SourceError, did_you_mean
-from kinedex.storage.formats.motion.reader import MOST_POINTS, file_size, source_bytes
+from kinedex.storage.formats.motion.reader import MOST_POINTS
 from kinedex.storage.formats.motion.text_blocks import LONGEST
+from kinedex.storage.formats.source_files import file_size, source_bytes
 
 INCH_M = 0.0254
 """Metres in an inch, the unit of Acclaim files."""

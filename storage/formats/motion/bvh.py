@@ -16,6 +16,7 @@ from kinedex.ops.body import kinematics
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.bvh_parser import BvhFile
 from kinedex.storage.formats.motion.mapped_body import (
+    corrected_rate,
     is_shipped,
     mapped_orientation,
     posed,
@@ -27,9 +28,9 @@ from kinedex.storage.formats.motion.mapped_body import (
     turned_upright,
 )
 from kinedex.storage.formats.motion.points import root_orientation
-from kinedex.storage.formats.motion.rates import corrected_rate
-from kinedex.storage.formats.motion.reader import Body, Extent, MotionFile, Reader, ReadSettings, file_size
+from kinedex.storage.formats.motion.reader import Body, Extent, MotionFile, Reader, ReadSettings
 from kinedex.storage.formats.motion.scene_figures import chosen_person
+from kinedex.storage.formats.source_files import file_size
 
 F64 = npt.NDArray[np.float64]
 

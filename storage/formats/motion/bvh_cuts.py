@@ -13,14 +13,19 @@ from kinedex.catalog.skeletons.mappings import Mappings, load_mappings
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.body.kinematics import Step
 from kinedex.storage.formats.motion.bvh import FittedPerson, fitted_person, persons_of
-from kinedex.storage.formats.motion.bvh_parser import BvhFile
-from kinedex.storage.formats.motion.bvh_rate import frame_time
-from kinedex.storage.formats.motion.channel_cuts import Stamp, check_interval, check_source, stamp_of, write_bytes
+from kinedex.storage.formats.motion.bvh_parser import BvhFile, frame_time
+from kinedex.storage.formats.motion.channel_cuts import (
+    SourceCut,
+    Stamp,
+    TextRows,
+    check_interval,
+    check_source,
+    stamp_of,
+    write_bytes,
+)
 from kinedex.storage.formats.motion.channel_edits import Figure, MirrorPlane, Tokens, edited, mirror_plane, negated
 from kinedex.storage.formats.motion.scene_figures import chosen_person
-from kinedex.storage.formats.motion.source_cut import SourceCut
 from kinedex.storage.formats.motion.text_blocks import after_last_line
-from kinedex.storage.formats.motion.text_rows import TextRows
 
 Replacements = dict[tuple[int, int], bytes]
 """A dict from start and stop of a part of a text to the text that replaces it."""

@@ -12,7 +12,7 @@ from kinedex.ops.body.euler import euler_angles
 from kinedex.ops.body.kinematic_chain import ChainBody, KinematicChain, forward
 from kinedex.ops.body.pose_fit import fit_poses, measured_body, start_poses
 from kinedex.ops.errors import KinedexError
-from kinedex.storage.formats.motion.bvh_rate import frame_time
+from kinedex.storage.formats.motion.bvh_parser import frame_time
 from kinedex.storage.formats.motion.joint_motion import JointMotion
 
 F64 = npt.NDArray[np.float64]

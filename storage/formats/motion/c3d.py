@@ -1,22 +1,202 @@
-"""Read C3D files: named joints from optical markers."""
+"""Read C3D files: named joints from optical markers, whose frames are integers or floats in three byte orders.
+
+The frames are a plain array of four numbers for every marker (x, y, z and its residual) and the analog samples. The
+layout that `c3d_layout` has checked against the file's size gives their offset (docs/decisions/0007).
+"""
 
 from __future__ import annotations
 
+import re
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
+import numpy.typing as npt
+
 from kinedex.catalog.skeletons.mappings import Format, Mappings
-from kinedex.storage.formats.motion.c3d_layout import read_layout
-from kinedex.storage.formats.motion.c3d_markers import frames_bytes, labels_of, parse_c3d
+from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.motion.c3d_layout import DEC, Layout, order_of, read_layout, real
 from kinedex.storage.formats.motion.mapped_body import recognition_warnings
-from kinedex.storage.formats.motion.points import body_of_points, points_bytes
-from kinedex.storage.formats.motion.points_reader import (
+from kinedex.storage.formats.motion.numpy_arrays import MOST_BYTES
+from kinedex.storage.formats.motion.points import (
     FittedPoints,
+    Points,
     bodies_of,
+    body_of_points,
     evidence_of,
+    points_bytes,
     points_of_person,
     upright,
 )
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, Body, Extent, MotionFile, Reader, ReadSettings
+from kinedex.storage.formats.source_files import source_errors
+
+F64 = npt.NDArray[np.float64]
+
+_AT_ONCE = 4_000_000  # numbers of the frames decoded at once: some 50 MB
+_UNITS_M = {
+    "m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "meters": 1.0, "metres": 1.0, "centimeters": 0.01,
+    "centimetres": 0.01, "millimeters": 0.001, "millimetres": 0.001, "inches": 0.0254,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Markers(Points):
+    """The markers of a C3D file.
+
+    Attributes
+    ----------
+    up : str, optional
+        The axis that the file states as vertical: "x", "y" or "z".
+    """
+
+    up: str | None = None
+
+
+def parse_c3d(path: Path) -> Markers:
+    """Read the markers of a C3D file.
+
+    A marker counts as missing, NaN, if its residual is negative, a coordinate is NaN, or it lies at 0, 0, 0.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    Markers
+        The markers by their labels, which may begin with a subject's name; rate, unit and up axis as far as the file
+        states them. A label that several markers share is not used.
+
+    Raises
+    ------
+    SourceError
+        The file contradicts itself or its size.
+    """
+    layout = read_layout(path)
+    if 24 * layout.points * layout.frames > MOST_BYTES:
+        size = 24 * layout.points * layout.frames / 1e9
+        raise SourceError(
+            path, f"takes {size:.1f} GB in memory; write shorter takes, of {MOST_BYTES / 1e9:.1f} GB at most"
+        )
+    positions = np.empty((layout.points, 3, layout.frames))
+    step = _frames_at_once(layout)
+    for start in range(0, layout.frames, step):
+        stop = min(start + step, layout.frames)
+        positions[:, :, start:stop] = _decode(path, layout, start, stop)
+    lost = np.isnan(positions).any(axis=1) | (positions == 0.0).all(axis=1)
+    positions[np.broadcast_to(lost[:, None], positions.shape)] = np.nan
+    warnings = list(layout.warnings)
+    names = _names(layout, positions, warnings)
+    if np.isinf(positions).any():
+        point, _, frame = (int(at[0]) for at in np.nonzero(np.isinf(positions)))
+        raise SourceError(path, f"marker '{names[point]}' is infinitely far away in source frame {frame}")
+    if layout.first > 1:
+        warnings.append(f"it begins with frame {layout.first} of its recording, which is source frame 0 here")
+    rate_hz, unit_m, up = _rate(layout, warnings), _unit_m(layout, warnings), _up(layout, warnings)
+    return Markers(str(path), names, positions, rate_hz, None, unit_m, warnings, up)
+
+
+def frames_bytes(layout: Layout) -> int:
+    """Return the memory of a block of frames, as the file has them and decoded."""
+    row = 4 * layout.points + layout.analog
+    return min(layout.frames, _frames_at_once(layout)) * (2 * layout.size * row + 40 * layout.points)
+
+
+def _frames_at_once(layout: Layout) -> int:
+    return max(1, _AT_ONCE // (4 * layout.points + layout.analog))
+
+
+def _decode(path: Path, layout: Layout, start: int, stop: int) -> F64:
+    """Return the frames [start, stop) as (points, 3, frames), NaN where the residual is negative."""
+    row, count = 4 * layout.points + layout.analog, stop - start
+    kind = np.dtype(f"{order_of(layout.processor)}{'i2' if layout.size == 2 else 'f4'}")
+    with source_errors(path):
+        raw = np.fromfile(path, np.uint8, count * row * layout.size, offset=layout.start + start * row * layout.size)
+    if len(raw) != count * row * layout.size:
+        raise SourceError(path, "was changed while it was read; run again when it is whole")
+    if layout.size == 4 and layout.processor == DEC:  # exchanged 16-bit halves, and four times too large
+        raw = raw.view("<u2").reshape(-1, 2)[:, ::-1].copy().view(np.uint8).reshape(-1)
+    numbers = raw.view(kind).reshape(count, row)[:, : 4 * layout.points].reshape(count, layout.points, 4)
+    with np.errstate(invalid="ignore", over="ignore"):
+        places = numbers[:, :, :3].astype(np.float64)
+        if layout.size == 2:
+            places *= real(layout.scale, layout.processor)
+        elif layout.processor == DEC:
+            places /= 4.0
+        places[numbers[:, :, 3] < 0] = np.nan
+    return places.transpose(1, 2, 0)
+
+
+def _texts(layout: Layout, name: str) -> list[str]:
+    return layout.parameters[name].texts if name in layout.parameters else []
+
+
+def labels_of(layout: Layout) -> tuple[str, ...]:
+    """Return the labels of all markers, also from POINT:LABELS2 and on; markers without a label are numbered."""
+    labels = _texts(layout, "LABELS")
+    for key in sorted(
+        (key for key in layout.parameters if re.fullmatch(r"LABELS\d+", key)), key=lambda key: int(key[6:])
+    ):
+        labels += _texts(layout, key)
+    named = [label or f"unnamed {i}" for i, label in enumerate(labels[: layout.points])]
+    return (*named, *(f"unnamed {i}" for i in range(len(named), layout.points)))
+
+
+def _names(layout: Layout, positions: F64, warnings: list[str]) -> tuple[str, ...]:
+    """Return a name for every marker; equal labels are numbered, so that none is taken for another."""
+    labels = labels_of(layout)
+    seen = [bool(np.isfinite(track[0]).any()) for track in positions]
+    twice = [
+        label
+        for label, count in Counter(label for label, there in zip(labels, seen, strict=True) if there).items()
+        if count > 1
+    ]
+    if twice:
+        warnings.append(f"several markers are called {', '.join(twice)}; none of them is used")
+    counts, counted = Counter(labels), Counter[str]()
+    names = []
+    for label, there in zip(labels, seen, strict=True):
+        counted[label] += 1
+        alone = there and label not in twice
+        names.append(label if alone or counts[label] == 1 else f"{label} ({counted[label]})")
+    return tuple(names)
+
+
+def _rate(layout: Layout, warnings: list[str]) -> float | None:
+    """Return POINT:RATE, else the header's rate, None if neither is possible; warn if they differ."""
+    good = [rate for rate in layout.rates if SLOWEST_HZ <= rate <= FASTEST_HZ]
+    if not good:
+        return None
+    if len(good) == 2 and abs(good[0] - good[1]) > 0.01 * good[0]:
+        warnings.append(f"its parameters state {good[0]:.6g} Hz, which counts, its header {good[1]:.6g} Hz")
+    return good[0]
+
+
+def _unit_m(layout: Layout, warnings: list[str]) -> float | None:
+    """Return the metres per unit named by POINT:UNITS; None if it is missing or unknown."""
+    units = [unit.lower() for unit in _texts(layout, "UNITS") if unit]
+    if not units:
+        return None
+    if units[0] not in _UNITS_M:
+        warnings.append(f"its unit {units[0]!r} is none of {', '.join(_UNITS_M)}")
+    return _UNITS_M.get(units[0])
+
+
+def _up(layout: Layout, warnings: list[str]) -> str | None:
+    """Return the axis that POINT:Y_SCREEN states as vertical; None if it is missing.
+
+    The sign is ignored: in files of all systems the floor is at 0, and some write −Z although Z is up.
+    """
+    text = next((text.lower() for text in _texts(layout, "Y_SCREEN") if text), "")
+    if not re.fullmatch(r"[+-]?[xyz]", text):
+        return None
+    if text[0] == "-":
+        warnings.append(f"POINT:Y_SCREEN is {text.upper()}; {text[-1].upper()} is taken to point up")
+    return text[-1]
 
 
 class C3dReader(Reader):

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.reader import MOST_POINTS
+from kinedex.storage.formats.source_files import file_size, part_of
 
 BLOCK = 512
 KEY = 0x50
@@ -148,7 +149,7 @@ def read_layout(path: Path) -> Layout:
     SourceError
         The file contradicts itself or its size.
     """
-    head, size = _head(path)
+    head, size = part_of(path, _LONGEST_HEAD), file_size(path)
     begin = (head[0] - 1) * BLOCK if head else 0
     if len(head) < BLOCK or head[1] != KEY or not BLOCK <= begin < len(head) - 4:
         raise SourceError(path, "is no C3D file: its first two bytes do not lead to its parameters")
@@ -194,15 +195,6 @@ def read_layout(path: Path) -> Layout:
 
 def _real(found: dict[str, Parameter], name: str) -> bytes:
     return found[name].real if name in found else b""
-
-
-def _head(path: Path) -> tuple[bytes, int]:
-    """Return the first bytes of the file, in which header and parameters lie, and its size."""
-    try:
-        with path.open("rb") as file:
-            return file.read(_LONGEST_HEAD), file.seek(0, 2)
-    except OSError as fault:
-        raise SourceError(path, f"cannot be read: {fault.strerror}") from None
 
 
 def _parameters(path: Path, head: bytes, at: int, order: str) -> Iterator[tuple[str, Parameter]]:

@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.storage.formats.motion.c3d_layout import BLOCK, INTEL, KEY
-from kinedex.storage.formats.motion.joint_motion import JointMotion
-from kinedex.storage.formats.motion.marker_names import MARKER_NAMES, seen_markers
+from kinedex.storage.formats.motion.joint_motion import MARKER_NAMES, JointMotion, seen_markers
 
 _MOST_COUNTED = 0xFFFF  # frames; the largest number in 16 bits
 _FLOATS = -1.0  # a negative scale marks floating-point numbers

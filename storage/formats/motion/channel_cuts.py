@@ -1,19 +1,79 @@
-"""Check intervals to be cut out of a motion file, and write the files of a cut, in any format.
+"""Cut intervals out of motion files of any format: what is cut and changed, its checks, and the rows of a text.
 
 The numbers of a cut keep the text of the source, byte by byte, unless a change applies to them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
+
+from kinedex.catalog.skeletons.mappings import Mappings
+from kinedex.ops import textnumbers
 from kinedex.ops.errors import KinedexError, ParameterError, SourceError
 from kinedex.storage.disk import whole_file
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ
-from kinedex.storage.formats.motion.source_cut import SourceCut
 from kinedex.storage.formats.motion.sources import checksum
+from kinedex.storage.formats.motion.text_blocks import blocks
+from kinedex.storage.formats.source_files import file_size, part_of
+
+
+@dataclass(frozen=True)
+class SourceCut:
+    """An interval of a motion file in source frames, and the changes to apply to it.
+
+    Attributes
+    ----------
+    source : Path
+        The motion file.
+    skeleton : Path or None
+        The skeleton file of an AMC file; None for other formats.
+    person : str or None
+        The person in a file of several.
+    start, stop : int
+        The interval [start, stop) in frames of the source.
+    source_rate_hz : float
+        Frames per second of the source, as kinedex read it: the file's, or the user's.
+    mirror : bool
+        True to exchange left and right.
+    rate_hz : float or None
+        Frames per second of the cut; None for those of the source.
+    in_place : bool
+        True to put the root above the origin, facing +Z, in the first frame of `inner`.
+    inner : tuple of int, optional
+        The actual interval, in source frames, if the cut includes a margin around it.
+    checksum : str, optional
+        SHA-256 of the source when it was ingested; a source with another checksum is an error. None for no check.
+    mappings : Mappings, optional
+        The skeleton mappings that identify the source's left and right, for `mirror` and `in_place`; by default the
+        shipped ones.
+    """
+
+    source: Path
+    skeleton: Path | None
+    person: str | None
+    start: int
+    stop: int
+    source_rate_hz: float
+    mirror: bool = False
+    rate_hz: float | None = None
+    in_place: bool = False
+    inner: tuple[int, int] | None = None
+    checksum: str | None = None
+    mappings: Mappings | None = None
+
+    @property
+    def is_changed(self) -> bool:
+        """True if numbers of the source change."""
+        return self.mirror or self.in_place or self.rate_hz not in (None, self.source_rate_hz)
+
 
 Stamp = tuple[int, int]
 """A file's size in bytes and the time of its last change in nanoseconds."""
@@ -96,3 +156,68 @@ def write_bytes(path: Path, pieces: Iterable[bytes]) -> None:
             file.writelines(pieces)
     except OSError as fault:
         raise KinedexError(f"{path}: cannot be written: {fault.strerror}") from None
+
+
+_LINE_END = re.compile(rb"\r\n?|\n")
+
+
+class TextRows:
+    """The rows, or the frames of several lines, of a motion file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    start : int
+        The byte after which they begin.
+    numbered : bool
+        True for frames that begin with a line for their number, as in AMC files; False for one row per line.
+    cut : callable
+        Returns the offset at which a block of the file can end, see `text_blocks.blocks`.
+
+    Attributes
+    ----------
+    starts : int64 array (frames + 1,)
+        The byte at which each frame begins; the last one is the end of the file.
+    head : bytes
+        The text before the first frame.
+    newline : bytes
+        The first line end in the file.
+    """
+
+    def __init__(self, path: Path, start: int, numbered: bool, cut: Callable[[bytearray, int], int]) -> None:
+        self.path = path
+        found: list[npt.NDArray[np.int64]] = []
+        at, self.newline, self.head = 0, b"", b""
+        for block in blocks(path, None, cut):
+            begin = min(max(0, start - at), len(block.view))
+            rows = textnumbers.row_starts(block.view, begin, numbered)
+            if not any(map(len, found)):
+                self.head += bytes(block.view[: rows[0]] if len(rows) else block.view)
+            found.append(rows + at)
+            first = None if self.newline else _LINE_END.search(block.view)
+            self.newline = bytes(first[0]) if first is not None else self.newline
+            at += len(block.view)
+        self.newline = self.newline or b"\n"
+        self.starts = np.concatenate([*found, [at]])
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    def read(self, start: int, stop: int) -> list[bytes]:
+        """Return the text of frames [start, stop) with line ends, blank lines and comments after each.
+
+        Raises
+        ------
+        SourceError
+            The file cannot be read, or has another size than before.
+        """
+        begin, end = int(self.starts[start]), int(self.starts[stop])
+        data = part_of(self.path, end - begin, begin)
+        if len(data) != end - begin or file_size(self.path) != self.starts[-1]:
+            raise SourceError(self.path, "was changed while it was read; run again when it is whole")
+        places = self.starts[start : stop + 1] - begin
+        frames = [data[a:b] for a, b in pairwise(places)]
+        if frames and not frames[-1].endswith((b"\n", b"\r")):
+            frames[-1] += self.newline
+        return frames

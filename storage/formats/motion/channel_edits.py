@@ -21,7 +21,7 @@ from kinedex.ops.body.euler import euler_angles, matrices_of
 from kinedex.ops.body.facing_direction import placement_of, turn_about_y
 from kinedex.ops.body.mirrored_motion import mirrored_places
 from kinedex.ops.errors import KinedexError, ParameterError, SourceError
-from kinedex.storage.formats.motion.source_cut import SourceCut
+from kinedex.storage.formats.motion.channel_cuts import SourceCut
 
 F64 = npt.NDArray[np.float64]
 Tokens = list[list[bytes]]

@@ -17,7 +17,8 @@ from kinedex.ops.body.curves import Curve
 from kinedex.ops.body.kinematics import euler
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.fbx_records import Record, Value, read_records
-from kinedex.storage.formats.motion.reader import MOST_POINTS, source_bytes
+from kinedex.storage.formats.motion.reader import MOST_POINTS
+from kinedex.storage.formats.source_files import source_bytes
 
 F64 = npt.NDArray[np.float64]
 

@@ -21,7 +21,8 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.reader import MOST_POINTS, file_size
+from kinedex.storage.formats.motion.reader import MOST_POINTS
+from kinedex.storage.formats.source_files import file_size, part_of, source_errors
 
 F64 = npt.NDArray[np.float64]
 
@@ -317,14 +318,10 @@ class Document:
         return place
 
     def _read(self, path: Path, start: int, length: int) -> bytes:
-        try:
+        with source_errors(path):
             if not path.is_file():
                 raise self.error(f"names {path.name}, which is not there; the .bin file belongs beside it")
-            with path.open("rb") as file:
-                file.seek(start)
-                data = file.read(length)
-        except OSError as fault:
-            raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
+        data = part_of(path, length, start)
         if len(data) < length:
             raise self.error(f"{path.name} has {start + len(data)} bytes, and {start + length} are needed; cut off?")
         return data
@@ -383,27 +380,22 @@ def _refuse_long_lists(path: Path, found: dict[str, Any]) -> None:
 
 def _parts(path: Path) -> tuple[bytes, tuple[int, int]]:
     """Return the JSON of a file, and start and length of its binary part in bytes."""
-    try:
-        size = path.stat().st_size
-        with path.open("rb") as file:
-            head = file.read(20)
-            if head[:4] != b"glTF":
-                if size > LONGEST_JSON:
-                    raise SourceError(path, f"has JSON of more than {LONGEST_JSON >> 20} MB; write it as .glb")
-                return head + file.read(), (0, 0)
-            if len(head) < 20:
-                raise SourceError(path, "is cut off in its header")
-            version, _, length, kind = struct.unpack("<IIII", head[4:])
-            if version != 2 or kind != 0x4E4F534A:
-                raise SourceError(path, f"is no .glb of version 2 that begins with JSON (version {version})")
-            if length > min(size - 20, LONGEST_JSON):
-                raise SourceError(
-                    path, f"has JSON of {length} bytes by its header, in a file of {size}; is it cut off?"
-                )
-            text = file.read(length)
-            chunk = file.read(8)
-    except OSError as fault:
-        raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
+    size = file_size(path)
+    with source_errors(path), path.open("rb") as file:
+        head = file.read(20)
+        if head[:4] != b"glTF":
+            if size > LONGEST_JSON:
+                raise SourceError(path, f"has JSON of more than {LONGEST_JSON >> 20} MB; write it as .glb")
+            return head + file.read(), (0, 0)
+        if len(head) < 20:
+            raise SourceError(path, "is cut off in its header")
+        version, _, length, kind = struct.unpack("<IIII", head[4:])
+        if version != 2 or kind != 0x4E4F534A:
+            raise SourceError(path, f"is no .glb of version 2 that begins with JSON (version {version})")
+        if length > min(size - 20, LONGEST_JSON):
+            raise SourceError(path, f"has JSON of {length} bytes by its header, in a file of {size}; is it cut off?")
+        text = file.read(length)
+        chunk = file.read(8)
     if len(chunk) < 8:
         return text, (0, 0)
     length, kind = struct.unpack("<II", chunk)

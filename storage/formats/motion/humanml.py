@@ -11,8 +11,7 @@ import numpy.typing as npt
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.body_models import BODY
 from kinedex.storage.formats.motion.numpy_arrays import array_shapes, load_array
-from kinedex.storage.formats.motion.points import Points
-from kinedex.storage.formats.motion.points_reader import PointsReader
+from kinedex.storage.formats.motion.points import Points, PointsReader
 from kinedex.storage.formats.motion.position_tables import whole_points
 from kinedex.storage.formats.motion.reader import MotionFile, ReadSettings
 

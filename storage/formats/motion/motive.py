@@ -9,11 +9,10 @@ from typing import ClassVar
 
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.points import Points
-from kinedex.storage.formats.motion.points_reader import PointsReader, bodies_of, labels_of_person
-from kinedex.storage.formats.motion.position_tables import cells_of, parse_number
+from kinedex.storage.formats.motion.points import Points, PointsReader, bodies_of, labels_of_person
+from kinedex.storage.formats.motion.position_tables import Section, cells_of, first_lines, parse_number, refuse_jumps
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ, MotionFile, ReadSettings
-from kinedex.storage.formats.motion.table_sections import Section, beginning, first_lines, refuse_jumps
+from kinedex.storage.formats.source_files import beginning
 
 _HEADER_LINES = 16  # lines: the first one, some empty ones, and up to six rows that describe the columns
 _UNITS_M = {"meters": 1.0, "centimeters": 0.01, "millimeters": 0.001}

@@ -14,13 +14,7 @@ from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.body.transforms import rotations
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.figures import I64, Figure, FigureReader, figure_bytes
-from kinedex.storage.formats.motion.reader import (
-    FASTEST_HZ,
-    SLOWEST_HZ,
-    Extent,
-    MotionFile,
-    ReadSettings,
-)
+from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, Extent, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.scene_figures import chosen_person
 from kinedex.storage.formats.mvnx import Subject, count_elements, read_mvnx, subject_names
 

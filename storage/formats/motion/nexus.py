@@ -11,12 +11,11 @@ from typing import ClassVar
 
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.points import Points
-from kinedex.storage.formats.motion.points_reader import PointsReader, bodies_of, labels_of_person
-from kinedex.storage.formats.motion.position_tables import cells_of, parse_number
+from kinedex.storage.formats.motion.points import Points, PointsReader, bodies_of, labels_of_person
+from kinedex.storage.formats.motion.position_tables import Section, cells_of, parse_number, refuse_jumps
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ, MotionFile, ReadSettings
-from kinedex.storage.formats.motion.table_sections import Section, beginning, refuse_jumps, text_of
 from kinedex.storage.formats.motion.text_blocks import after_last_line, blocks
+from kinedex.storage.formats.source_files import beginning, text_of
 
 _TITLES = ("trajectories", "model outputs", "segments", "joints", "devices", "events")
 _USED = ("trajectories", "model outputs", "segments")

@@ -15,11 +15,10 @@ from kinedex.ops.body import multibody
 from kinedex.ops.errors import SourceError, did_you_mean
 from kinedex.storage.formats.motion.body_models import model_digest
 from kinedex.storage.formats.motion.osim import LARGEST, Model, read_osim
-from kinedex.storage.formats.motion.points import Points
-from kinedex.storage.formats.motion.points_reader import PointsReader
-from kinedex.storage.formats.motion.position_tables import cells_of
+from kinedex.storage.formats.motion.points import Points, PointsReader
+from kinedex.storage.formats.motion.position_tables import Section, cells_of, first_lines
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, SLOWEST_HZ, MotionFile, ReadSettings
-from kinedex.storage.formats.motion.table_sections import Section, beginning, first_lines
+from kinedex.storage.formats.source_files import beginning
 
 F64 = npt.NDArray[np.float64]
 

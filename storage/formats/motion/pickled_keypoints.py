@@ -10,11 +10,11 @@ import numpy as np
 from kinedex.catalog.keypoint_sets import load_keypoint_set
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion.amass import AIST_HZ
-from kinedex.storage.formats.motion.number_pickles import load_pickle
-from kinedex.storage.formats.motion.points import Points
-from kinedex.storage.formats.motion.points_reader import PointsReader
+from kinedex.storage.formats.motion.numpy_arrays import load_pickle
+from kinedex.storage.formats.motion.points import Points, PointsReader
 from kinedex.storage.formats.motion.position_tables import whole_points
-from kinedex.storage.formats.motion.reader import MotionFile, ReadSettings, file_size
+from kinedex.storage.formats.motion.reader import MotionFile, ReadSettings
+from kinedex.storage.formats.source_files import file_size
 
 KEYS = ("keypoints3d_optim", "keypoints3d")
 """The keys of the positions; smoothed ones take precedence."""

@@ -1,10 +1,10 @@
-"""Read tables of numbers in text, the body of CSV and TRC files, in blocks of lines, one line a frame."""
+"""Read tables of numbers in text, one line a frame, in blocks of lines; also after long headers and in sections."""
 
 from __future__ import annotations
 
 import codecs
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 
@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.reader import file_size
 from kinedex.storage.formats.motion.text_blocks import BLOCK, LONGEST
+from kinedex.storage.formats.source_files import file_size, part_of, source_bytes, source_errors, text_of
 
 F64 = npt.NDArray[np.float64]
 Lines = npt.NDArray[np.int64]
@@ -77,18 +77,15 @@ class Table:
     def _lines(self) -> Iterator[str]:
         """Yield all lines without their line ends, which may be LF, CRLF or CR."""
         decoder, carry, empty = codecs.getincrementaldecoder(self._encoding)(), "", True
-        try:
-            with self.path.open("rb") as file:
-                while data := file.read(BLOCK):
-                    empty = empty and data.isspace()
-                    carry += decoder.decode(data)
-                    end = carry.rfind("\n") + 1 or carry.rfind("\r", 0, len(carry) - 1) + 1
-                    if len(carry) - end > LONGEST:
-                        raise SourceError(self.path, f"has a line of more than {LONGEST >> 20} million characters")
-                    lines, carry = carry[:end].splitlines(), carry[end:]
-                    yield from lines
-        except OSError as fault:
-            raise SourceError(self.path, f"cannot be read: {fault.strerror}") from fault
+        with source_errors(self.path), self.path.open("rb") as file:
+            while data := file.read(BLOCK):
+                empty = empty and data.isspace()
+                carry += decoder.decode(data)
+                end = carry.rfind("\n") + 1 or carry.rfind("\r", 0, len(carry) - 1) + 1
+                if len(carry) - end > LONGEST:
+                    raise SourceError(self.path, f"has a line of more than {LONGEST >> 20} million characters")
+                lines, carry = carry[:end].splitlines(), carry[end:]
+                yield from lines
         if empty:
             raise SourceError(self.path, "the file is empty")
         yield from (carry + decoder.decode(b"", True)).splitlines()
@@ -202,3 +199,88 @@ def whole_points(positions: F64) -> F64:
     """Set all coordinates of a point (N, 3, T) to NaN, in place, if one is missing."""
     positions[np.broadcast_to(np.isnan(positions).any(axis=1, keepdims=True), positions.shape)] = np.nan
     return positions
+
+
+HEADER_BYTES = 4 << 20
+"""The largest size of a table's header in bytes, which bounds the cost of files of another kind."""
+
+
+class Section(Table):
+    """The lines of a text file that form one table.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    separator : str
+        The character between cells.
+    start, header, stop : int
+        Numbers, from 1, of the section's first line, of the last line of its header, and of its last line.
+    texts : collection of int, optional
+        Columns that hold text, such as time codes; they are read as empty.
+    missing : str, optional
+        The text of a cell without a number, other than nothing or nan.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read, or is empty.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        separator: str,
+        start: int,
+        header: int,
+        stop: int,
+        texts: Collection[int] = (),
+        missing: str = "",
+    ) -> None:
+        self._start, self._stop, self._texts, self._missing = start, stop, frozenset(texts), missing
+        super().__init__(path, separator, header)
+
+    def _lines(self) -> Iterator[str]:
+        """Yield the lines up to the section's last one; lines before the section are yielded as empty."""
+        for number, line in enumerate(islice(super()._lines(), self._stop), 1):
+            empty = number > self.first and not line.strip(f"{self.separator} ")
+            if number < self._start or empty:
+                yield ""
+            elif number > self.first and (self._texts or (self._missing and self._missing in line)):
+                cells = cells_of(line, self.separator)
+                yield self.separator.join(
+                    "" if i in self._texts or cell.strip() == self._missing else cell for i, cell in enumerate(cells)
+                )
+            else:
+                yield line
+
+
+def first_lines(path: Path, count: int, most: int = HEADER_BYTES) -> list[str]:
+    """Return the first lines of a text file, at most `count`, that end within its first `most` bytes.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read, or is empty.
+    """
+    return text_of(source_bytes(path, part_of(path, most))).splitlines()[:count]
+
+
+def refuse_jumps(path: Path, numbers: F64, where: Lines) -> None:
+    """Raise SourceError at the first frame number that is not one more than the one before.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    numbers : float64 array (T,)
+        Numbers of the frames.
+    where : int64 array (T,)
+        Their lines.
+    """
+    for i, (before, number) in enumerate(zip([numbers[0] - 1, *numbers[:-1]], numbers, strict=True)):
+        if not number == before + 1:
+            raise SourceError(
+                path, f"expected the number of the next frame, {before + 1:g}, got {number:g}; export all frames",
+                line=int(where[i]),
+            )  # fmt: skip

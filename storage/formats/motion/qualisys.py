@@ -12,11 +12,10 @@ import numpy as np
 
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.points import Points
-from kinedex.storage.formats.motion.points_reader import PointsReader, bodies_of, labels_of_person
-from kinedex.storage.formats.motion.position_tables import parse_number
+from kinedex.storage.formats.motion.points import Points, PointsReader, bodies_of, labels_of_person
+from kinedex.storage.formats.motion.position_tables import Section, first_lines, parse_number, refuse_jumps
 from kinedex.storage.formats.motion.reader import FASTEST_HZ, MOST_POINTS, SLOWEST_HZ, MotionFile, ReadSettings
-from kinedex.storage.formats.motion.table_sections import Section, beginning, first_lines, refuse_jumps
+from kinedex.storage.formats.source_files import beginning
 
 _HEADER_LINES = 40
 _FIRST_KEY, _NAMES = "NO_OF_FRAMES", "MARKER_NAMES"

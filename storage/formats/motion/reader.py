@@ -20,7 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.catalog.skeletons.mappings import Format, Mappings
-from kinedex.ops.errors import SourceError
+from kinedex.storage.formats.source_files import file_size
+from kinedex.storage.formats.source_files import source_bytes as source_bytes
 
 ACCLAIM_HZ = 120.0
 """The rate of Acclaim files, which never state one; Vicon wrote them at 120 Hz."""
@@ -251,35 +252,3 @@ class Reader(ABC):
         SourceError
             The file cannot be read; the error names the file and the line, key or frame of the first fault.
         """
-
-
-def file_size(path: Path) -> int:
-    """Return the size of a file in bytes; raise SourceError if it cannot be read."""
-    try:
-        return path.stat().st_size
-    except OSError as fault:
-        raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
-
-
-def source_bytes(path: str | Path, data: bytes | None = None) -> bytes:
-    """Return the bytes of a source file.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    data : bytes, optional
-        Its bytes, if they have been read already.
-
-    Raises
-    ------
-    SourceError
-        The file cannot be read, or is empty.
-    """
-    try:
-        data = Path(path).read_bytes() if data is None else data
-    except OSError as fault:
-        raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
-    if not data or data.isspace():
-        raise SourceError(path, "the file is empty")
-    return data

@@ -12,15 +12,14 @@ from kinedex.catalog.skeletons.limb_nodes import limb_markers, limb_nodes
 from kinedex.catalog.skeletons.mappings import Mappings
 from kinedex.catalog.skeletons.skeleton_fit import Fit
 from kinedex.ops.body import axisangle, kinematics
-from kinedex.storage.formats.motion.acclaim import AcclaimReader, fitted_skeleton
+from kinedex.storage.formats.motion.acclaim import AcclaimReader, AmcFile, fitted_skeleton
 from kinedex.storage.formats.motion.amass import AmassReader, fitted_poses, model_turns
-from kinedex.storage.formats.motion.amc import AmcFile
 from kinedex.storage.formats.motion.bvh import BvhReader, fitted_person
 from kinedex.storage.formats.motion.bvh_parser import BvhFile
 from kinedex.storage.formats.motion.c3d import C3dReader
 from kinedex.storage.formats.motion.figures import AT_ONCE, FigureReader, fitted_figure
 from kinedex.storage.formats.motion.mapped_body import Motion
-from kinedex.storage.formats.motion.points_reader import PointsReader
+from kinedex.storage.formats.motion.points import PointsReader
 from kinedex.storage.formats.motion.positions import PositionsReader
 from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import reader_of

@@ -6,7 +6,6 @@ import os
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from io import FileIO
@@ -16,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.reader import source_bytes
+from kinedex.storage.formats.source_files import source_bytes, source_errors
 
 BLOCK = 1 << 20
 """The size of a block in bytes, which fits into the processor's cache; a shorter file is one block."""
@@ -93,14 +92,12 @@ def blocks(path: Path, data: bytes | None, cut: Callable[[bytearray, int], int],
     SourceError
         The file cannot be read, is empty, or has no possible end of a block within `LONGEST` bytes.
     """
-    try:
-        with path.open("rb", buffering=0) if data is None else nullcontext() as file:
-            if file is not None and os.fstat(file.fileno()).st_size > BLOCK:
+    if data is None:
+        with source_errors(path), path.open("rb", buffering=0) as file:
+            if os.fstat(file.fileno()).st_size > BLOCK:
                 yield from _long(path, file, cut, least)
                 return
-            data = file.read() if file is not None else data
-    except OSError as fault:
-        raise SourceError(path, f"cannot be read: {fault.strerror}") from fault
+            data = file.read()
     yield Block(path, memoryview(source_bytes(path, data)), 0, True)
 
 

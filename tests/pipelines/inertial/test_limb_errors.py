@@ -29,7 +29,7 @@ from kinedex.pipelines.stages.limb_orientations import LimbOrientations
 from kinedex.pipelines.stages.synchronise import Synchronise
 from kinedex.storage.formats.labels.formats import read_labels
 from kinedex.storage.snapshot.schemas import result_schema
-from kinedex.storage.store.limb_error_checks import limb_error_problems
+from kinedex.storage.store.limb_checks import limb_error_problems
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 from tests.pipelines.archives import context, write_archive

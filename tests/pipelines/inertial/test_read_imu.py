@@ -19,7 +19,7 @@ from kinedex.ops.inertial.rotations import distance_deg
 from kinedex.pipelines.engine.runner import run_pipeline
 from kinedex.pipelines.inertial.parameters import ReadImuParameters
 from kinedex.pipelines.inertial.recording_files import find_recordings
-from kinedex.storage.store.imu_checks import imu_problems
+from kinedex.storage.store.limb_checks import imu_problems
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
 from tests.imu_files import mtmanager_text, turning, write_hdf5, write_parquet, write_xio

@@ -27,7 +27,7 @@ from kinedex.pipelines.stages.limb_orientations import LimbOrientations
 from kinedex.pipelines.stages.synchronise import Synchronise
 from kinedex.storage.snapshot.row_groups import RowGroups
 from kinedex.storage.snapshot.schemas import result_schema
-from kinedex.storage.store import ordered_results
+from kinedex.storage.store import reused_results
 from kinedex.storage.store.limb_checks import limb_problems
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
@@ -304,7 +304,7 @@ def test_limbs_of_a_long_take_are_read_without_the_others(
     synchronised: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shutil.copytree(synchronised, tmp_path, dirs_exist_ok=True)
-    monkeypatch.setattr(ordered_results, "LEAST_ROWS", 1000)
+    monkeypatch.setattr(reused_results, "LEAST_ROWS", 1000)
     given = LimbOrientations.parameters(limbs=["legs", "hands", "torso"])
     LimbOrientations().run(stage_context(tmp_path, "limb_orientations"), given)
     whole, divided = (

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from kinedex.commands.cli import app
 from kinedex.ops.errors import KinedexError
 from kinedex.pipelines.stages.ingest import Ingest
-from kinedex.storage.store.decisions import record_labels
+from kinedex.storage.store.result_changes import record_labels
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.take_removal import planned_removal
 from tests.pipelines.archives import context, write_archive

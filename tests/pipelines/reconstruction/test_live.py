@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from kinedex.commands.cli import app
 from kinedex.ops.body.joint_tree import JOINTS
 from kinedex.pipelines.reconstruction.followed_folder import FollowedFrame
-from kinedex.storage.formats.motion.position_files import parse_trc
+from kinedex.storage.formats.motion.positions import parse_trc
 from kinedex.storage.lock import Wait
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify

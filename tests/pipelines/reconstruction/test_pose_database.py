@@ -19,7 +19,7 @@ from kinedex.pipelines.reconstruction.pose_database import (
 )
 from kinedex.pipelines.stages.ingest import Ingest
 from kinedex.pipelines.stages.pose_database import PoseDatabase as Stage
-from kinedex.storage.snapshot.part_records import ResultPart
+from kinedex.storage.snapshot.manifest import ResultPart
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify
 from tests.pipelines.archives import context, human_amc, write_archive

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pytest
 
 from kinedex.pipelines.engine.runner import run_pipeline
-from kinedex.storage.snapshot.part_records import ResultPart
+from kinedex.storage.snapshot.manifest import ResultPart
 from kinedex.storage.snapshot.schemas import result_schema
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify

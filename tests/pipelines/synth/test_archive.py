@@ -17,7 +17,7 @@ from kinedex.console.terminal import Progress
 from kinedex.ops.errors import KinedexError, ParameterError
 from kinedex.ops.synth.motions import MOTIONS
 from kinedex.pipelines.synth.archive import Summary, write_archive
-from kinedex.storage.formats.motion.amc import read_amc
+from kinedex.storage.formats.motion.acclaim import read_amc
 from kinedex.storage.formats.motion.asf import read_asf
 from kinedex.storage.formats.motion.sources import scan, skeleton_of
 from studies.synthetic_motion import HDM05, HDM05_FRAMES, SETS, figures, within, words_of

@@ -24,7 +24,7 @@ from kinedex.pipelines.templates.examples import (
     rejected_examples,
 )
 from kinedex.pipelines.templates.learning import TrainingClips, example_clips, learn_templates
-from kinedex.storage.store.decisions import record_labels
+from kinedex.storage.store.result_changes import record_labels
 from kinedex.storage.store.store import Store, open_store
 from tests.pipelines.labelled import CLIPS, POSES, Line, labelled_line, long_take, motion, write_store
 

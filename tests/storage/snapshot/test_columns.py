@@ -11,8 +11,8 @@ import pytest
 
 from kinedex.ops.errors import StoreError
 from kinedex.storage.index.builder import build_index
+from kinedex.storage.snapshot.manifest import ResultPart
 from kinedex.storage.snapshot.manifest_files import publish, read_newest
-from kinedex.storage.snapshot.part_records import ResultPart
 from kinedex.storage.snapshot.parts import write_part
 from kinedex.storage.snapshot.schemas import TakeColumn, column_problem, result_schema, takes_schema
 from kinedex.storage.store.compaction import compact

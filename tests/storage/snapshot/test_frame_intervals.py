@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from kinedex.storage.snapshot import parts
-from kinedex.storage.snapshot.footers import footer_of
-from kinedex.storage.snapshot.frames import read_intervals
+from kinedex.storage.snapshot.frames import footer_of, read_intervals
 from kinedex.storage.snapshot.parts import FramesWriter, joint_positions
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.writer import StoreWriter

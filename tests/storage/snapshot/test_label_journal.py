@@ -16,8 +16,8 @@ from kinedex.ops.errors import ParameterError, StoreError
 from kinedex.pipelines.repair.repair import repair_store
 from kinedex.storage.snapshot.label_journal import read_journals
 from kinedex.storage.snapshot.manifest_files import read_newest
-from kinedex.storage.store.decisions import record_labels
 from kinedex.storage.store.garbage_collection import collect
+from kinedex.storage.store.result_changes import record_labels
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter

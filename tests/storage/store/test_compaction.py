@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from kinedex.ops.errors import StoreError
 from kinedex.storage.index.builder import build_index
 from kinedex.storage.remedies import repair
+from kinedex.storage.snapshot.manifest import Part
 from kinedex.storage.snapshot.manifest_files import versions
-from kinedex.storage.snapshot.part_records import Part
 from kinedex.storage.snapshot.parts import ROW_GROUP, FramesWriter
 from kinedex.storage.store import compaction
 from kinedex.storage.store import writer as writers

@@ -10,9 +10,8 @@ import pytest
 
 from kinedex.storage.snapshot import parts
 from kinedex.storage.snapshot.schemas import result_schema
-from kinedex.storage.store import ordered_results
-from kinedex.storage.store.ordered_results import rows_in_order
-from kinedex.storage.store.reused_results import ReusedParts, reused_parts, stored_fingerprints
+from kinedex.storage.store import reused_results
+from kinedex.storage.store.reused_results import ReusedParts, reused_parts, rows_in_order, stored_fingerprints
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter
@@ -52,9 +51,9 @@ def put(writer: StoreWriter, versions: dict[int, int], fresh: set[int]) -> list[
 @pytest.mark.parametrize("full", [1, 3500, 10_000_000])
 def test_the_rows_are_those_of_a_run_over_all_takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, full: int) -> None:
     make_store(tmp_path, {"a": 5})
-    for module in (parts, ordered_results):
+    for module in (parts, reused_results):
         monkeypatch.setattr(module, "FULL_BYTES", full)
-    monkeypatch.setattr(ordered_results, "LEAST_ROWS", 2)
+    monkeypatch.setattr(reused_results, "LEAST_ROWS", 2)
     random = np.random.default_rng(full)
     order = random.permutation(40).tolist()
     versions: dict[int, int] = {}
@@ -69,9 +68,9 @@ def test_the_rows_are_those_of_a_run_over_all_takes(tmp_path: Path, monkeypatch:
 
 def test_parts_that_new_rows_do_not_fall_into_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     make_store(tmp_path, {"a": 5})
-    for module in (parts, ordered_results):
+    for module in (parts, reused_results):
         monkeypatch.setattr(module, "FULL_BYTES", 1)
-    monkeypatch.setattr(ordered_results, "LEAST_ROWS", 2)
+    monkeypatch.setattr(reused_results, "LEAST_ROWS", 2)
     versions = dict.fromkeys((1, 2, 3, 5, 6, 9, 10), 1)
     with StoreWriter.open(tmp_path, BODY) as writer:
         before = put(writer, versions, set(versions))
@@ -79,7 +78,7 @@ def test_parts_that_new_rows_do_not_fall_into_stay(tmp_path: Path, monkeypatch: 
         after = put(writer, dict(sorted({**versions, 13: 1, 4: 2}.items())), {4, 13})
         assert [path for path in after if path in before] == before
         assert put(writer, {take: 1 for take in versions if take != 1}, set())[0] != before[0]
-        for module in (parts, ordered_results):
+        for module in (parts, reused_results):
             monkeypatch.setattr(module, "FULL_BYTES", 10_000_000)
         last = put(writer, {**{take: 1 for take in versions if take != 1}, 14: 1}, {14})
         assert len(last) == 1, "small parts join the new rows"

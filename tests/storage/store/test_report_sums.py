@@ -8,7 +8,7 @@ import pytest
 
 from kinedex.ops.errors import StoreError
 from kinedex.storage.snapshot.manifest import StageRecord
-from kinedex.storage.store.report_sums import SUMS, file_sums, refuse_damaged_report, wrong_files
+from kinedex.storage.store.history import SUMS, file_sums, refuse_damaged_report, wrong_files
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter

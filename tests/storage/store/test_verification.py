@@ -11,9 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from kinedex.storage.index.builder import build_index
-from kinedex.storage.snapshot.manifest import Manifest
+from kinedex.storage.snapshot.manifest import Manifest, Part
 from kinedex.storage.snapshot.manifest_files import manifest_path
-from kinedex.storage.snapshot.part_records import Part
 from kinedex.storage.snapshot.parts import publish_part
 from kinedex.storage.store.store import Store, open_store
 from kinedex.storage.store.verification import verify

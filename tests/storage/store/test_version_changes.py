@@ -8,10 +8,9 @@ import pyarrow as pa
 import pytest
 
 from kinedex.ops.errors import StoreError
-from kinedex.storage import provenance
 from kinedex.storage.index.builder import build_index
-from kinedex.storage.provenance import LONGEST, kinedex_version, running_command
-from kinedex.storage.snapshot.manifest import PipelineRecord, StageRecord
+from kinedex.storage.snapshot import manifest
+from kinedex.storage.snapshot.manifest import LONGEST, PipelineRecord, StageRecord, kinedex_version, running_command
 from kinedex.storage.snapshot.manifest_files import manifest_path, read_newest, read_version, versions
 from kinedex.storage.snapshot.schemas import FORMAT_VERSION, TakeColumn
 from kinedex.storage.store.compaction import compact
@@ -109,7 +108,7 @@ def test_settings_of_sources_and_pipelines_are_kept(path: Path) -> None:
     ],
 )
 def test_the_command_is_recorded_as_it_is_typed(monkeypatch: pytest.MonkeyPatch, argv: list[str], command: str) -> None:
-    monkeypatch.setattr(provenance.sys, "argv", argv)
+    monkeypatch.setattr(manifest.sys, "argv", argv)
     assert running_command() == command
-    monkeypatch.setattr(provenance.sys, "argv", ["kinedex", "x" * 5000])
+    monkeypatch.setattr(manifest.sys, "argv", ["kinedex", "x" * 5000])
     assert len(running_command()) == LONGEST

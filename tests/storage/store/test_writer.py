@@ -19,10 +19,9 @@ import pyarrow as pa
 import pytest
 
 from kinedex.ops.errors import KinedexError, ParameterError, StoreError
-from kinedex.storage.snapshot.manifest import StageRecord
+from kinedex.storage.snapshot.manifest import ResultPart, StageRecord
 from kinedex.storage.snapshot.manifest_files import manifest_path, publish, read_newest, versions
-from kinedex.storage.snapshot.part_records import ResultPart
-from kinedex.storage.store import write_access as admission
+from kinedex.storage.store import writer as admission
 from kinedex.storage.store.store import open_store
 from kinedex.storage.store.verification import verify
 from kinedex.storage.store.writer import StoreWriter

@@ -14,11 +14,9 @@ import pytest
 from kinedex.catalog.keypoint_sets import load_keypoint_set
 from kinedex.catalog.recordings import load_recordings
 from kinedex.ops.errors import KinedexError, SourceError
-from kinedex.storage.formats.cameras.coco_results import read_coco_results
 from kinedex.storage.formats.cameras.file_patterns import find_files, match_cameras, natural_key
 from kinedex.storage.formats.cameras.keypoint_tables import read_keypoint_table
-from kinedex.storage.formats.cameras.mmpose import read_mmpose
-from kinedex.storage.formats.cameras.openpose import read_openpose
+from kinedex.storage.formats.cameras.openpose import read_coco_results, read_mmpose, read_openpose
 from kinedex.storage.formats.cameras.recording import Recording, read_recording
 from tests.camera_files import Filmed, filmed, mmpose, openpose, save_json
 

@@ -18,7 +18,7 @@ from kinedex.ops.errors import ConfigError
 from kinedex.ops.tracking.triangulation import triangulate
 from kinedex.pipelines.tracking.recordings import named_files
 from kinedex.storage.formats.cameras.recording import Recording, read_recording
-from kinedex.storage.formats.motion.position_files import parse_trc
+from kinedex.storage.formats.motion.positions import parse_trc
 from tests.camera_files import Filmed, cameras, easymocap, filmed, opencv, openpose, save_json, toml
 
 KEY = r"recordings.yaml:\d+: recordings.step"

@@ -13,8 +13,7 @@ from hypothesis.extra import numpy as arrays
 from kinedex.ops.depth.lzf import decompress
 from kinedex.ops.errors import ParameterError, SourceError
 from kinedex.storage.formats.depth.clouds import Cloud, check_camera, cloud_depths, fitted_matrix
-from kinedex.storage.formats.depth.pcd import read_pcd
-from kinedex.storage.formats.depth.ply import read_ply
+from kinedex.storage.formats.depth.pcd import read_pcd, read_ply
 from tests.depth_files import SIZE, camera, cloud_points, lzf, pcd, ply, room, with_person
 
 SEEN = camera()

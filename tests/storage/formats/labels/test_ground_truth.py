@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from kinedex.ops.errors import KinedexError, SourceError
-from kinedex.storage.formats.labels.ground_truth import ground_truth_files, read_ground_truth
+from kinedex.storage.formats.labels.formats import ground_truth_files, read_labels
 
 
 def written(folder: Path, text: str | bytes) -> Path:
@@ -18,20 +18,20 @@ def written(folder: Path, text: str | bytes) -> Path:
 
 def test_segments_are_read_with_their_lines_whatever_wrote_the_file(tmp_path: Path):
     path = written(tmp_path, "\ufefftake, class ,start,stop,remark\r\nt1,walk,0,12,\r\n\r\nt2, kick ,5,6,clear\r\n")
-    segments = [(s.take, s.label, s.start, s.stop, s.line) for s in read_ground_truth(path).segments]
+    segments = [(s.take, s.label, s.start, s.stop, s.line) for s in read_labels(path).segments]
     assert segments == [("t1", "walk", 0, 12, 2), ("t2", "kick", 5, 6, 4)]
 
 
 def test_a_file_of_excel_has_semicolons_decimal_commas_and_windows_letters(tmp_path: Path):
     text = "sep=;\r\ntake;class;start_seconds;stop_seconds;remark\r\nt1;Fußtritt;0,5;12;a;b\r\n"
     for encoding in ("cp1252", "utf-8-sig", "utf-16"):
-        (segment,) = read_ground_truth(written(tmp_path, text.encode(encoding))).segments
+        (segment,) = read_labels(written(tmp_path, text.encode(encoding))).segments
         assert (segment.label, segment.start, segment.stop, segment.line) == ("Fußtritt", 0.5, 12.0, 3)
 
 
 def test_a_row_of_a_take_alone_says_that_nothing_is_in_it(tmp_path: Path):
     path = written(tmp_path, "take,class,start,stop,remark\nt1,walk,0,12,\nt2,,,,looked at\nt1,,,,\n")
-    found = read_ground_truth(path)
+    found = read_labels(path)
     assert found.takes == ("t1", "t2")
     assert [segment.take for segment in found.segments] == ["t1"]
 
@@ -54,13 +54,13 @@ def test_a_row_of_a_take_alone_says_that_nothing_is_in_it(tmp_path: Path):
 )
 def test_a_fault_is_named_with_file_and_line(tmp_path: Path, text: str | bytes, message: str):
     with pytest.raises(SourceError, match=message):
-        read_ground_truth(written(tmp_path, text))
+        read_labels(written(tmp_path, text))
 
 
 def test_a_file_that_cannot_be_opened_is_named(tmp_path: Path):
     (tmp_path / "ground_truth.csv").mkdir()
     with pytest.raises(SourceError, match=r"ground_truth.csv: cannot be read: Is a directory"):
-        read_ground_truth(tmp_path / "ground_truth.csv")
+        read_labels(tmp_path / "ground_truth.csv")
 
 
 def test_files_are_found_below_every_source_folder_or_by_their_own_path(tmp_path: Path):

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats import small_files
+from kinedex.storage.formats import source_files
 from kinedex.storage.formats.labels import elan, tables, texts, webvtt
 from kinedex.storage.formats.labels.formats import FORMATS, read_labels
 
@@ -45,7 +45,7 @@ def refusal(folder: Path, ending: str, text: str) -> str:
 def test_a_file_beyond_the_size_is_refused_before_it_is_read(tmp_path: Path, ending: str) -> None:
     path = tmp_path / f"x.{ending}"
     with path.open("wb") as file:
-        os.truncate(file.fileno(), 3 * small_files.MOST_BYTES)
+        os.truncate(file.fileno(), 3 * source_files.MOST_BYTES)
     with pytest.raises(SourceError, match=r"has 192\.0 MB; label files have at most 64 MB: divide it by takes"):
         read_labels(path)
 

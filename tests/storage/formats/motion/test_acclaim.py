@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from kinedex.ops import textnumbers
 from kinedex.ops.body import kinematics
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.amc import read_amc
+from kinedex.storage.formats.motion.acclaim import read_amc
 from kinedex.storage.formats.motion.asf import read_asf
 from tests.acclaim_files import SKELETON, amc_text, asf_text, rest
 from tests.oracles import kinematics as oracle

@@ -14,8 +14,8 @@ from kinedex.ops.errors import ParameterError
 from kinedex.ops.synth.actors import cast
 from kinedex.ops.synth.performance import perform_clip
 from kinedex.ops.synth.solve import columns
+from kinedex.storage.formats.motion.acclaim import read_amc
 from kinedex.storage.formats.motion.acclaim_writer import Dialect, _fixed, _scientific, write_amc, write_asf
-from kinedex.storage.formats.motion.amc import read_amc
 from kinedex.storage.formats.motion.asf import read_asf
 from tests.ops.synth.bodies import places
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion import text_blocks
-from kinedex.storage.formats.motion.amc import AmcFile, read_amc
+from kinedex.storage.formats.motion.acclaim import AmcFile, read_amc
 from kinedex.storage.formats.motion.asf import read_asf
 from kinedex.storage.formats.motion.bvh_parser import BvhFile, parse_bvh
 from tests.oracles import motion_text as naive

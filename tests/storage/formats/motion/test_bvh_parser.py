@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from kinedex.ops.body import kinematics
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.bvh_parser import Bvh, parse_bvh
-from kinedex.storage.formats.motion.bvh_rate import frame_rate
+from kinedex.storage.formats.motion.bvh_parser import Bvh, frame_rate, parse_bvh
 from tests.bvh_files import POSITIONS, Joint, bvh_text, dance, small, still
 from tests.oracles import bvh as oracle
 

@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from kinedex.catalog.features import load_feature_set
 from kinedex.catalog.skeletons.mappings import load_mappings
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion import c3d_markers
-from kinedex.storage.formats.motion.c3d_markers import parse_c3d
+from kinedex.storage.formats.motion.c3d import parse_c3d
 from kinedex.storage.formats.motion.reader import Body, MotionFile, ReadSettings
 from kinedex.storage.formats.motion.reader_table import persons_of, read_body
 from tests.bodies import STANDING
@@ -149,7 +148,7 @@ def test_analog_channels_cost_nothing_and_stretches_have_no_seam(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plain = parse_c3d(walking(tmp_path / "a.c3d", 50))
-    monkeypatch.setattr(c3d_markers, "_AT_ONCE", 7 * len(LABELS))
+    monkeypatch.setattr("kinedex.storage.formats.motion.c3d._AT_ONCE", 7 * len(LABELS))
     with_forces = parse_c3d(walking(tmp_path / "b.c3d", 50, analog=12))
     np.testing.assert_array_equal(with_forces.positions, plain.positions)
     assert with_forces.names == plain.names

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 
 from kinedex.ops.body.resample import covered_frames
 from kinedex.ops.errors import ParameterError, SourceError
-from kinedex.storage.formats.motion.amc import read_amc
+from kinedex.storage.formats.motion.acclaim import read_amc
 from kinedex.storage.formats.motion.amc_cuts import write_amc_cut
 from kinedex.storage.formats.motion.asf import read_asf
 from kinedex.storage.formats.motion.bvh_cuts import write_bvh_cut
 from kinedex.storage.formats.motion.bvh_parser import parse_bvh
-from kinedex.storage.formats.motion.source_cut import SourceCut
+from kinedex.storage.formats.motion.channel_cuts import SourceCut
 from kinedex.storage.formats.motion.sources import checksum
 from tests.acclaim_files import amc_text, asf_text, rest
 from tests.bvh_files import bvh_text, dance, small, write_duet

@@ -23,9 +23,9 @@ from kinedex.storage.formats.motion.acclaim_writer import Dialect, write_amc, wr
 from kinedex.storage.formats.motion.amc_cuts import write_amc_cut
 from kinedex.storage.formats.motion.bvh_cuts import write_bvh_cut
 from kinedex.storage.formats.motion.bvh_parser import parse_bvh
+from kinedex.storage.formats.motion.channel_cuts import SourceCut
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, Body
 from kinedex.storage.formats.motion.reader_table import read_body
-from kinedex.storage.formats.motion.source_cut import SourceCut
 from tests.bvh_files import Joint, bvh_text, dance, mixamo, small, still, write_duet
 
 FEATURES = load_feature_set("body40")

@@ -17,12 +17,11 @@ from kinedex.library.take import Take
 from kinedex.ops.body.joint_tree import JOINT_PARENTS
 from kinedex.ops.errors import KinedexError
 from kinedex.ops.words import NO_WORD
-from kinedex.storage.formats.motion.c3d_markers import parse_c3d
+from kinedex.storage.formats.motion.c3d import parse_c3d
 from kinedex.storage.formats.motion.c3d_writer import write_c3d
 from kinedex.storage.formats.motion.gltf_writer import write_gltf
-from kinedex.storage.formats.motion.joint_motion import JointMotion
-from kinedex.storage.formats.motion.marker_names import MARKER_NAMES
-from kinedex.storage.formats.motion.trc_writer import write_trc
+from kinedex.storage.formats.motion.joint_motion import MARKER_NAMES, JointMotion
+from kinedex.storage.formats.motion.table_writer import write_trc
 from tests.bodies import standing
 from tests.oracles.features import JOINTS
 

@@ -8,7 +8,7 @@ import pytest
 
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion import position_tables
-from kinedex.storage.formats.motion.position_files import _AXIS, is_positions_csv, parse_csv, parse_trc
+from kinedex.storage.formats.motion.positions import _AXIS, is_positions_csv, parse_csv, parse_trc
 
 POINTS = 10_000
 

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion import number_pickles
-from kinedex.storage.formats.motion.number_pickles import load_pickle
+from kinedex.storage.formats.motion import numpy_arrays
+from kinedex.storage.formats.motion.numpy_arrays import load_pickle
 
 ARRAYS: dict[str, Any] = {
     "trans": np.arange(12.0).reshape(4, 3),
@@ -148,12 +148,12 @@ def test_no_pickle_runs_anything_or_takes_more_than_its_bytes(
 
 def test_functions_are_made_anew_for_every_file() -> None:
     """A file that could change one would not reach the next file's."""
-    unpickler = number_pickles._Unpickler(__import__("io").BytesIO(b""))
+    unpickler = numpy_arrays._Unpickler(__import__("io").BytesIO(b""))
     first, second = (unpickler.find_class("numpy", "dtype") for _ in range(2))
     assert first is not second
     for name in ("system", "popen"):
-        with pytest.raises(number_pickles._Refused):
+        with pytest.raises(numpy_arrays._Refused):
             unpickler.find_class("os", name)
     for name in set(dir(builtins)) - {"bytes"}:
-        with pytest.raises(number_pickles._Refused):
+        with pytest.raises(numpy_arrays._Refused):
             unpickler.find_class("builtins", name)

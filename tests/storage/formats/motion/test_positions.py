@@ -16,7 +16,7 @@ from kinedex.catalog.skeletons.recognition.landmarks import load_landmarks
 from kinedex.ops.body import features, kinematics
 from kinedex.ops.errors import SourceError
 from kinedex.storage.formats.motion import numpy_arrays as stored
-from kinedex.storage.formats.motion.position_files import is_positions_csv, parse_positions
+from kinedex.storage.formats.motion.positions import is_positions_csv, parse_positions
 from kinedex.storage.formats.motion.reader import Body, ReadSettings
 from kinedex.storage.formats.motion.reader_table import read_body
 from tests.bodies import STANDING, index, standing, turned

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kinedex.ops.errors import SourceError
-from kinedex.storage.formats.motion.rates import corrected_rate
+from kinedex.storage.formats.motion.mapped_body import corrected_rate
 from kinedex.storage.formats.motion.reader import DEFAULT_SETTINGS, ReadSettings
 from tests.bodies import standing
 from tests.oracles.features import JOINTS
